@@ -1,0 +1,104 @@
+"""Rows of a benchmark: value, reference, target; whether it holds is computed, never typed in."""
+
+import argparse
+import json
+import operator
+import platform
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+RESULTS = Path(__file__).parent / "results"
+COMPARE: dict[str, Callable[[float, float], bool]] = {
+    "<=": operator.le,
+    ">=": operator.ge,
+    "<": operator.lt,
+    ">": operator.gt,
+    "==": operator.eq,
+}
+
+
+def holds(value: float, target: str) -> bool:
+    """Whether ``value`` meets a target such as ``"<= 0.05"``."""
+    sign, number = target.split()
+    return COMPARE[sign](float(value), float(number))
+
+
+@dataclass
+class Table:
+    """Rows of one benchmark; ``write`` makes ``results/NAME.json``."""
+
+    name: str
+    rows: list[dict[str, Any]] = field(default_factory=list)
+
+    def add(
+        self,
+        case: str,
+        value: float,
+        unit: str,
+        *,
+        reference: float | str,
+        source: str,
+        target: str | None = None,
+        note: str = "",
+    ) -> None:
+        """Add a row and print it; ``target=None`` marks a figure that is only reported."""
+        row: dict[str, Any] = {
+            "case": case,
+            "value": value,
+            "unit": unit,
+            "reference": reference,
+            "source": source,
+        }
+        if target is not None:
+            row |= {"target": target, "holds": holds(value, target)}
+        if note:
+            row["note"] = note
+        self.rows.append(row)
+        verdict = "" if target is None else f"  target {target}: {row['holds']}"
+        print(f"{case}: {value:.6g} {unit}{verdict}", flush=True)
+
+    def write(self) -> Path:
+        """Write the table as JSON beside the other results."""
+        RESULTS.mkdir(exist_ok=True)
+        path = RESULTS / f"{self.name}.json"
+        commit = subprocess.run(
+            ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
+        ).stdout.strip()
+        data = {"machine": machine(), "commit": commit or "none", "rows": self.rows}
+        path.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n")
+        return path
+
+
+def machine() -> dict[str, Any]:
+    """Processor, cores and Python of this machine."""
+    model = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = [line for line in info.read_text().splitlines() if line.startswith("model name")]
+        model = names[0].split(":", 1)[1].strip() if names else model
+        cores = len(names)
+    else:
+        cores = 0
+    return {"processor": model, "cores": cores, "python": platform.python_version()}
+
+
+def median_of(work: Callable[[], Any], repeats: int = 5) -> float:
+    """Median seconds of ``repeats`` runs after one warm-up."""
+    work()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return sorted(times)[len(times) // 2]
+
+
+def arguments(description: str) -> argparse.Namespace:
+    """Read the command line shared by all benchmarks: ``--quick`` for a smoke run (not written)."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--quick", action="store_true", help="smaller cases, result not written")
+    return parser.parse_args()

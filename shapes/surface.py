@@ -1,0 +1,82 @@
+"""The one interface through which every stage sees a sensor's surface."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from shapes.arrays import FloatArray
+
+
+class Surface(ABC):
+    """A smooth sensing surface with a chart (u, v) and an outward normal.
+
+    The surface itself (offset 0) is the *outer* face, the one that the hand touches. Positive
+    offsets lie outside, negative ones inside: the middle of a wall of thickness t is at offset
+    -t/2, its inner face at -t.
+
+    The chart runs *along* the sensor with ``u`` (away from the camera) and *around* it with
+    ``v``. Chart coordinates need not be lengths; :meth:`metric` turns them into millimetres.
+    Frame: origin in the middle of the rim nearest the camera, +z away from the camera,
+    right-handed, millimetres.
+    """
+
+    name: ClassVar[str]
+    """Registry name, the ``kind`` of a design file."""
+
+    @property
+    @abstractmethod
+    def domain(self) -> FloatArray:
+        """Chart limits ``[[u0, u1], [v0, v1]]``, (2, 2)."""
+
+    @property
+    @abstractmethod
+    def periodic(self) -> tuple[bool, bool]:
+        """Whether u and v close on themselves."""
+
+    @abstractmethod
+    def point(self, uv: FloatArray, offset_mm: FloatArray | float = 0.0) -> FloatArray:
+        """Points of the chart, (n, 3) mm, for ``uv`` (n, 2), moved by ``offset_mm`` outward."""
+
+    @abstractmethod
+    def normal(self, uv: FloatArray) -> FloatArray:
+        """Outward unit normals, (n, 3)."""
+
+    @abstractmethod
+    def tangents(self, uv: FloatArray) -> FloatArray:
+        """Partial derivatives of :meth:`point` at offset 0, (n, 2, 3): d/du and d/dv."""
+
+    @abstractmethod
+    def chart(self, points_mm: FloatArray) -> FloatArray:
+        """Chart coordinates (n, 2) of the foot of the normal through each point (n, 3)."""
+
+    @abstractmethod
+    def intersect(
+        self, origins_mm: FloatArray, directions: FloatArray, offset_mm: float = 0.0
+    ) -> FloatArray:
+        """Ray parameter t >= 0 of the first hit of each ray with the offset face; inf if none.
+
+        ``origins_mm`` and ``directions`` are (n, 3); the hit is ``origin + t * direction``.
+        """
+
+    @abstractmethod
+    def unwrap(self, uv: FloatArray) -> FloatArray:
+        """Flat map of the chart in mm, (n, 2): (around, along), for drawings and distances."""
+
+    @abstractmethod
+    def area_mm2(self, offset_mm: float = 0.0) -> float:
+        """Area of the offset face, closed form where there is one."""
+
+    @abstractmethod
+    def inner_reach_mm(self) -> float:
+        """Largest depth below the outer face before normals of opposite parts meet."""
+
+    @abstractmethod
+    def facts(self) -> Mapping[str, float]:
+        """Closed-form facts (areas, lengths) used by reports and tests, units in the names."""
+
+    def metric(self, uv: FloatArray) -> FloatArray:
+        """First fundamental form, (n, 2, 2), mm² per squared chart unit."""
+        tangents = self.tangents(uv)
+        return np.einsum("nai,nbi->nab", tangents, tangents)
