@@ -1,4 +1,4 @@
-"""The design file as typed models: every field with unit, range and effect; unknown keys refused."""
+"""The design file as typed models: units, range and effect of each field; no unknown keys."""
 
 from dataclasses import MISSING, fields
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
@@ -54,7 +54,7 @@ def _shape_model(kind: str, surface: type[Surface]) -> type[ShapeSection]:
                 le=item.metadata["maximum"],
             ),
         )
-    tag = (Literal[kind], Field(kind, description="Surface family."))
+    tag: Any = (Literal[kind], Field(kind, description="Surface family."))
     return create_model(
         f"{surface.__name__}Section",
         __base__=ShapeSection,

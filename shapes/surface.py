@@ -79,4 +79,4 @@ class Surface(ABC):
     def metric(self, uv: FloatArray) -> FloatArray:
         """First fundamental form, (n, 2, 2), mm² per squared chart unit."""
         tangents = self.tangents(uv)
-        return np.einsum("nai,nbi->nab", tangents, tangents)
+        return np.asarray(np.einsum("nai,nbi->nab", tangents, tangents))

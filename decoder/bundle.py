@@ -1,0 +1,256 @@
+"""The bundle: the whole contract between design tool and decoder. JSON + safetensors, no pickles.
+
+Schema policy: ``schema_version`` is ``MAJOR.MINOR``. A reader takes any bundle of its own major
+version whose minor is not newer than its own; fields are added with a minor step, and removed or
+given another meaning only with a major one.
+"""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
+
+from decoder.camera import PinholeCamera
+from decoder.estimators import ForceModel
+from decoder.network import CascadeNetwork, parameter_count
+from decoder.segmentation import ColourModel
+from decoder.switches import TipModel
+from shapes.arrays import FloatArray, IntArray
+from shapes.errors import InputError
+
+SCHEMA = (1, 0)
+FORMAT = "phytac-decoder-bundle"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bundle:
+    """A trained decoder of one sensor.
+
+    Attributes
+    ----------
+    design : str
+        Name of the design.
+    design_hash : str
+        Hash of the resolved design it was made from.
+    camera : PinholeCamera
+        The camera it expects.
+    colours : ColourModel
+        Paints; the markers' colours first, ``red`` among them.
+    colour : (n,) int
+        Class of each marker's paint.
+    position_mm : (n, 3) float
+        Marker on the outer face: where its force acts.
+    rest_px : (n, 2) float
+        Predicted rest positions.
+    tip_bias_px : (n, 2) float
+        Shift of a marker's own centroid because its red tip is out and covers some of its paint.
+    tips : TipModel
+        What is seen of the red tips.
+    model : ForceModel
+        Matrices and networks.
+    notes : dict
+        Provenance: training data, seconds, accuracy; free of meaning to the decoder.
+    """
+
+    design: str
+    design_hash: str
+    camera: PinholeCamera
+    colours: ColourModel
+    colour: IntArray
+    position_mm: FloatArray
+    rest_px: FloatArray
+    tip_bias_px: FloatArray
+    tips: TipModel
+    model: ForceModel
+    notes: dict[str, Any] = field(default_factory=dict)
+
+
+def save_bundle(bundle: Bundle, folder: Path) -> None:
+    """Write ``bundle.json`` and ``bundle.safetensors`` into ``folder``."""
+    camera, model = bundle.camera, bundle.model
+    meta = {
+        "format": FORMAT,
+        "schema_version": f"{SCHEMA[0]}.{SCHEMA[1]}",
+        "design": bundle.design,
+        "design_hash": bundle.design_hash,
+        "markers": len(bundle.colour),
+        "units": {"length": "mm", "force": "N", "image": "px", "stiffness": "N/mm"},
+        "camera": {
+            "model": "pinhole",
+            "width_px": camera.width_px,
+            "height_px": camera.height_px,
+            "focal_px": camera.focal_px,
+            "centre_px": camera.centre_px.tolist(),
+            "position_mm": camera.position_mm.tolist(),
+            "rotation": camera.rotation.tolist(),
+        },
+        "colours": {
+            "names": list(bundle.colours.names),
+            "chroma": bundle.colours.chroma.tolist(),
+            "floor": bundle.colours.floor,
+        },
+        "networks": {
+            name: {
+                "activation": net.activation,
+                "scale_in": net.scale_in.tolist(),
+                "scale_out": net.scale_out,
+            }
+            for name, net in model.networks.items()
+        },
+        "notes": bundle.notes,
+    }
+    arrays = {
+        "colour": bundle.colour,
+        "position_mm": bundle.position_mm,
+        "rest_px": bundle.rest_px,
+        "tip_bias_px": bundle.tip_bias_px,
+        "tip_on_px": bundle.tips.on_px,
+        "tip_red_rest_px": bundle.tips.red_rest_px,
+        "tip_red_on_px": bundle.tips.red_on_px,
+        "shift_to_mm": model.shift_to_mm,
+        "stiffness": model.stiffness,
+        "compliance_px": model.compliance_px,
+        "height_z_mm": model.height_z_mm,
+        "neighbours": model.neighbours,
+    } | {f"network.{name}": net.parameters for name, net in model.networks.items()}
+    folder.mkdir(parents=True, exist_ok=True)
+    save_file(
+        {name: np.ascontiguousarray(value) for name, value in sorted(arrays.items())},
+        folder / "bundle.safetensors",
+    )
+    text = json.dumps(meta, indent=1, sort_keys=True, ensure_ascii=False)
+    (folder / "bundle.json").write_text(text + "\n", encoding="utf-8")
+
+
+def load_bundle(folder: Path) -> Bundle:
+    """Read a bundle back, checking version, sizes and that every number is finite.
+
+    Raises
+    ------
+    InputError
+        If a file is missing, truncated, of a newer schema, or its arrays don't fit together.
+    """
+    meta = _read_meta(folder)
+    try:
+        arrays = load_file(folder / "bundle.safetensors")
+    except (OSError, SafetensorError) as error:
+        raise InputError(
+            f"{folder}/bundle.safetensors cannot be read ({error}); rebuild the decoder"
+        ) from error
+    try:
+        count = int(meta["markers"])
+        _check_arrays(arrays, count, sorted(meta["networks"]), folder)
+        return _assemble(meta, arrays)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{folder}/bundle.json is not a decoder bundle: {type(error).__name__} {error}"
+        ) from error
+
+
+def _read_meta(folder: Path) -> dict[str, Any]:
+    path = folder / "bundle.json"
+    try:
+        meta = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"no decoder bundle in {folder} ({error.strerror}); give the folder that holds "
+            "bundle.json, such as exports/cylinder60/decoder"
+        ) from error
+    except ValueError as error:
+        raise InputError(f"{path} is not JSON ({error}); rebuild the decoder") from error
+    if not isinstance(meta, dict) or meta.get("format") != FORMAT:
+        raise InputError(f"{path} is not a decoder bundle (format is not {FORMAT!r})")
+    try:
+        major, minor = (int(part) for part in str(meta["schema_version"]).split("."))
+    except (KeyError, ValueError) as error:
+        raise InputError(f"{path} has no readable schema_version") from error
+    if major != SCHEMA[0] or minor > SCHEMA[1]:
+        raise InputError(
+            f"{path} has schema {major}.{minor}, this decoder reads {SCHEMA[0]}.0 to "
+            f"{SCHEMA[0]}.{SCHEMA[1]}; update phytac-design or rebuild the bundle"
+        )
+    return meta
+
+
+def _check_arrays(arrays: dict[str, Any], count: int, networks: list[str], folder: Path) -> None:
+    n = count
+    expected: dict[str, tuple[int, ...]] = {
+        "colour": (n,),
+        "position_mm": (n, 3),
+        "rest_px": (n, 2),
+        "tip_bias_px": (n, 2),
+        "tip_on_px": (n, 2),
+        "tip_red_rest_px": (n,),
+        "tip_red_on_px": (n,),
+        "shift_to_mm": (n, 2),
+        "stiffness": (n, n),
+        "compliance_px": (2 * n, n),
+        "height_z_mm": (n,),
+        "neighbours": (n, 8),
+    } | {f"network.{name}": (parameter_count(),) for name in networks}
+    for name, shape in expected.items():
+        if name not in arrays:
+            raise InputError(f"{folder}/bundle.safetensors lacks {name!r}; rebuild the decoder")
+        if arrays[name].shape != shape:
+            raise InputError(
+                f"{folder}/bundle.safetensors: {name} has shape {arrays[name].shape}, "
+                f"expected {shape} for {n} markers; the two files are of different builds"
+            )
+        if name != "tip_on_px" and not np.isfinite(arrays[name]).all():
+            raise InputError(
+                f"{folder}/bundle.safetensors: {name} holds numbers that are not finite"
+            )
+
+
+def _assemble(meta: dict[str, Any], arrays: dict[str, Any]) -> Bundle:
+    camera = meta["camera"]
+    if camera["model"] != "pinhole":
+        raise ValueError(f"camera model {camera['model']!r} is not known")
+    networks = {
+        name: CascadeNetwork(
+            parameters=arrays[f"network.{name}"],
+            activation=item["activation"],
+            scale_in=np.asarray(item["scale_in"], dtype=np.float64),
+            scale_out=float(item["scale_out"]),
+        )
+        for name, item in meta["networks"].items()
+    }
+    return Bundle(
+        design=str(meta["design"]),
+        design_hash=str(meta["design_hash"]),
+        camera=PinholeCamera(
+            width_px=int(camera["width_px"]),
+            height_px=int(camera["height_px"]),
+            focal_px=float(camera["focal_px"]),
+            centre_px=np.asarray(camera["centre_px"], dtype=np.float64),
+            position_mm=np.asarray(camera["position_mm"], dtype=np.float64),
+            rotation=np.asarray(camera["rotation"], dtype=np.float64),
+        ),
+        colours=ColourModel(
+            names=tuple(meta["colours"]["names"]),
+            chroma=np.asarray(meta["colours"]["chroma"], dtype=np.float64),
+            floor=float(meta["colours"]["floor"]),
+        ),
+        colour=arrays["colour"],
+        position_mm=arrays["position_mm"],
+        rest_px=arrays["rest_px"],
+        tip_bias_px=arrays["tip_bias_px"],
+        tips=TipModel(
+            on_px=arrays["tip_on_px"],
+            red_rest_px=arrays["tip_red_rest_px"],
+            red_on_px=arrays["tip_red_on_px"],
+        ),
+        model=ForceModel(
+            shift_to_mm=arrays["shift_to_mm"],
+            stiffness=arrays["stiffness"],
+            compliance_px=arrays["compliance_px"],
+            height_z_mm=arrays["height_z_mm"],
+            neighbours=arrays["neighbours"],
+            networks=networks,
+        ),
+        notes=dict(meta["notes"]),
+    )

@@ -1,0 +1,126 @@
+"""One frame in, a force on every marker out."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from decoder.bundle import Bundle
+from decoder.matching import Matched, match_markers
+from decoder.segmentation import check_image, segment
+from decoder.switches import read_switches
+from shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
+from shapes.errors import InputError
+
+FOUND_MIN = 0.5
+"""A frame that shows fewer than this fraction of the markers is refused."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decoded:
+    """Forces of one frame.
+
+    Attributes
+    ----------
+    forces_N : (n,) float
+        Inward force on each marker; zero off the key nodes of interest.
+    koi : (m,) int
+        Key nodes of interest: markers whose switch is on.
+    shift_px : (n, 2) float
+        Shift of each marker against the rest frame; NaN where not found.
+    found : (n,) bool
+        Markers that were seen.
+    """
+
+    forces_N: FloatArray
+    koi: IntArray
+    shift_px: FloatArray
+    found: BoolArray
+
+
+def read_image(path: Path) -> ImageArray:
+    """Read an image file as BGR.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or not an image.
+    """
+    if not path.is_file():
+        raise InputError(f"no image at {path}")
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        raise InputError(f"{path} is not an image that can be read (PNG, JPEG, BMP, TIFF)")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def locate_markers(bundle: Bundle, image_bgr: ImageArray) -> tuple[Matched, BoolArray]:
+    """Marker positions and switch bits of one image.
+
+    Raises
+    ------
+    InputError
+        If the image has another size than the bundle's camera, or shows too few markers.
+    """
+    camera = bundle.camera
+    check_image(image_bgr, width_px=camera.width_px, height_px=camera.height_px)
+    blobs = segment(image_bgr, bundle.colours)
+    matched = match_markers(
+        blobs,
+        rest_px=bundle.rest_px,
+        colour=bundle.colour,
+        neighbours=bundle.model.neighbours,
+    )
+    if matched.found.mean() < FOUND_MIN:
+        raise InputError(
+            f"found {int(matched.found.sum())} of {len(matched.found)} markers; is this a frame "
+            f"of the sensor {bundle.design!r}, lit and in focus?"
+        )
+    bits = read_switches(
+        blobs,
+        bundle.tips,
+        red_index=bundle.colours.names.index("red"),
+        shift_px=matched.position_px - bundle.rest_px,
+    )
+    return matched, bits
+
+
+def rest_positions(bundle: Bundle, rest_bgr: ImageArray | None) -> FloatArray:
+    """Rest positions (n, 2) px: measured in the unloaded frame where there is one."""
+    if rest_bgr is None:
+        return bundle.rest_px
+    matched, _ = locate_markers(bundle, rest_bgr)
+    return np.where(matched.found[:, None], matched.position_px, bundle.rest_px)
+
+
+def decode_frame(
+    bundle: Bundle,
+    image_bgr: ImageArray,
+    *,
+    rest_px: FloatArray | None = None,
+    estimator: str = "koi_inverse",
+) -> Decoded:
+    """Decode one frame.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        The sensor's decoder.
+    image_bgr : (h, w, 3) uint8
+        Camera frame.
+    rest_px : (n, 2) float, optional
+        From :func:`rest_positions`; the bundle's prediction if not given.
+    estimator : str
+        One of ``decoder.estimators.ESTIMATORS``.
+    """
+    matched, bits = locate_markers(bundle, image_bgr)
+    rest = bundle.rest_px if rest_px is None else rest_px
+    shift = matched.position_px - rest - np.where(bits[:, None], bundle.tip_bias_px, 0.0)
+    koi = np.flatnonzero(bits)
+    return Decoded(
+        forces_N=bundle.model.forces(estimator, shift, koi),
+        koi=koi,
+        shift_px=shift,
+        found=matched.found,
+    )

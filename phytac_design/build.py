@@ -1,0 +1,240 @@
+"""A build: which stages, in which order, from the cache where it can, into an exports folder."""
+
+import json
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from phytac_design import cache
+from phytac_design.accuracy import PRESETS
+from phytac_design.check import check_design
+from phytac_design.design_file import design_hash, parse_design, to_toml
+from phytac_design.spec import Design
+from phytac_design.stage import EXPORT, Context, Stage
+from phytac_design.stages import STAGES
+from shapes.errors import DesignError, OutputError
+
+MANIFEST = "manifest.json"
+PARTS = ("numpy", "scipy", "manifold3d", "cadquery", "pyrender", "torch", "opencv-contrib-python-headless")
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BuildResult:
+    """What a build did.
+
+    Attributes
+    ----------
+    out : Path
+        The exports folder.
+    ran, cached : tuple of str
+        Stages that ran, and those taken from the cache.
+    seconds : float
+        Wall time of this call.
+    timing_s : dict
+        Seconds each stage took when it ran.
+    """
+
+    out: Path
+    ran: tuple[str, ...]
+    cached: tuple[str, ...]
+    seconds: float
+    timing_s: dict[str, float]
+
+
+def select_stages(only: Sequence[str] | None) -> list[Stage]:
+    """Stages in order: all, or the named ones with everything they need.
+
+    Raises
+    ------
+    DesignError
+        If a name is not a stage.
+    """
+    known = {stage.name: stage for stage in STAGES}
+    wanted = set(only or known)
+    for name in sorted(wanted - set(known)):
+        near = get_close_matches(name, known, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise DesignError(f"unknown stage {name!r}{hint} (stages: {', '.join(known)})")
+    for stage in reversed(STAGES):
+        if stage.name in wanted:
+            wanted |= set(stage.needs)
+    return [stage for stage in STAGES if stage.name in wanted]
+
+
+def build(
+    design: Design,
+    out: Path,
+    *,
+    accuracy: str = "standard",
+    only: Sequence[str] | None = None,
+    seed: int = 0,
+    force: bool = False,
+    progress: Progress = print,
+) -> BuildResult:
+    """Build a design into ``out``; the same inputs give the same files.
+
+    Raises
+    ------
+    DesignError
+        If the design cannot be built; nothing has been written then.
+    OutputError
+        If the folder is not writable, or holds another design and ``force`` is not set.
+    """
+    begin = time.perf_counter()
+    stages = select_stages(only)
+    context = Context(design=design, accuracy=PRESETS[accuracy], seed=seed, progress=progress)
+    check_design(design)
+    _claim(out, design, force=force)
+    keys: dict[str, str] = {}
+    ran: list[str] = []
+    timing: dict[str, float] = {}
+    for number, stage in enumerate(stages, start=1):
+        needed = {name: context.folders[name] for name in stage.needs}
+        keys[stage.name] = cache.stage_key(stage.name, stage.inputs(context, keys))
+        folder = cache.lookup(stage.name, keys[stage.name])
+        if folder is None:
+            progress(f"[{number}/{len(stages)}] {stage.name} …")
+            stage_context = replace(context, folders=needed)
+            folder = cache.publish(stage.name, keys[stage.name], _timed(stage, stage_context))
+            ran.append(stage.name)
+            seconds = cache.record(folder)["seconds"]
+            progress(f"[{number}/{len(stages)}] {stage.name} {seconds:.1f} s")
+        context.folders[stage.name] = folder
+        timing[stage.name] = float(cache.record(folder)["seconds"])
+    _export(out, design, stages, context, accuracy=accuracy, seed=seed)
+    return BuildResult(
+        out=out,
+        ran=tuple(ran),
+        cached=tuple(stage.name for stage in stages if stage.name not in ran),
+        seconds=time.perf_counter() - begin,
+        timing_s=timing,
+    )
+
+
+def _timed(stage: Stage, context: Context) -> Callable[[Path], dict[str, Any]]:
+    def work(folder: Path) -> dict[str, Any]:
+        start = time.perf_counter()
+        stage.run(context, folder)
+        return {"stage": stage.name, "seconds": round(time.perf_counter() - start, 3)}
+
+    return work
+
+
+def _claim(out: Path, design: Design, *, force: bool) -> None:
+    """Make the folder ours, before any long work: refuse another design's or an unwritable one."""
+    manifest = out / MANIFEST
+    if manifest.is_file():
+        try:
+            other = json.loads(manifest.read_text(encoding="utf-8")).get("design", {})
+        except (ValueError, OSError):
+            other = {}
+        if other.get("name") != design.name and not force:
+            raise OutputError(
+                f"{out} holds the design {other.get('name')!r}, not {design.name!r}; "
+                "choose another --out, or overwrite it with --force"
+            )
+    elif out.is_dir() and any(out.iterdir()) and not (out / "design.toml").is_file() and not force:
+        raise OutputError(
+            f"{out} is not empty and not a build; choose another --out, or use --force"
+        )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe = out / ".writable"
+        probe.write_text("")
+        probe.unlink()
+    except OSError as error:
+        raise OutputError(
+            f"cannot write {out}: {error.strerror}; choose another --out"
+        ) from None
+
+
+def _export(
+    out: Path,
+    design: Design,
+    stages: Sequence[Stage],
+    context: Context,
+    *,
+    accuracy: str,
+    seed: int,
+) -> None:
+    """Copy the stages' files, the resolved design and the manifest; drop stale files of ours."""
+    (out / "design.toml").write_text(to_toml(design), encoding="utf-8")
+    files = [_entry(out, Path("design.toml"), "design", 0.0)]
+    for stage in stages:
+        source = context.folders[stage.name] / EXPORT
+        seconds = float(cache.record(context.folders[stage.name])["seconds"])
+        for path in sorted(item for item in source.rglob("*") if item.is_file()):
+            relative = path.relative_to(source)
+            target = out / relative
+            target.parent.mkdir(parents=True, exist_ok=True)
+            partial = target.with_name(f".{target.name}.part")
+            shutil.copyfile(path, partial)
+            partial.replace(target)
+            files.append(_entry(out, relative, stage.name, seconds))
+    kept = {item["path"] for item in files}
+    identity = {
+        "design": {"name": design.name, "hash": design_hash(design)},
+        "accuracy": accuracy,
+        "seed": seed,
+    }
+    others = _settle_old_files(out, kept, {stage.name for stage in stages}, identity)
+    manifest = identity | {
+        "format": "phytac-exports",
+        "schema_version": "1.0",
+        "versions": {"phytac-design": metadata.version("phytac-design")}
+        | {name: metadata.version(name) for name in PARTS},
+        "files": sorted(files + others, key=lambda item: str(item["path"])),
+    }
+    partial = out / f".{MANIFEST}.part"
+    partial.write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    partial.replace(out / MANIFEST)
+
+
+def _settle_old_files(
+    out: Path, kept: set[str], stages: set[str], identity: dict[str, Any]
+) -> list[dict[str, Any]]:
+    """Remove what no longer belongs; return the entries of other stages' files that still do.
+
+    A file of an earlier build stays only if that build was of the same design, accuracy and seed
+    and this build did not run its stage: no two files in a folder may disagree.
+    """
+    try:
+        old = json.loads((out / MANIFEST).read_text(encoding="utf-8"))
+        entries = [item for item in old["files"] if item["path"] not in kept]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+    same = all(old.get(name) == value for name, value in identity.items())
+    staying = []
+    for item in entries:
+        path = out / item["path"]
+        if same and item["stage"] not in stages and path.is_file():
+            staying.append(item)
+        elif path.resolve().is_relative_to(out.resolve()):
+            path.unlink(missing_ok=True)
+    return staying
+
+
+def _entry(out: Path, relative: Path, stage: str, seconds: float) -> dict[str, Any]:
+    path = out / relative
+    return {
+        "path": relative.as_posix(),
+        "sha256": cache.file_hash(path),
+        "bytes": path.stat().st_size,
+        "stage": stage,
+        "seconds": seconds,
+    }
+
+
+def copy_of(design: Design, **tables: dict[str, Any]) -> Design:
+    """Design with some fields changed: ``copy_of(design, layout={"kind": "straight"})``."""
+    data = design.model_dump(mode="json")
+    for name, changes in tables.items():
+        data[name] = {**data[name], **changes}
+    return parse_design(data, f"variant of {design.name}")

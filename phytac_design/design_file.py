@@ -1,0 +1,178 @@
+"""Design files: TOML in, typed design out; the resolved and the commented file back."""
+
+import json
+import tomllib
+from difflib import get_close_matches
+from hashlib import sha256
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from pydantic import BaseModel, ValidationError
+from tomlkit.items import Table
+
+from phytac_design.spec import SHAPE_MODELS, Design
+from shapes.errors import DesignError, OutputError
+
+
+def shipped_designs() -> list[str]:
+    """Names of the designs that come with the package."""
+    folder = resources.files("phytac_design") / "designs"
+    return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.is_file())
+
+
+def load_design(name_or_path: str) -> Design:
+    """Read a shipped design by name, or any design file by path.
+
+    Raises
+    ------
+    DesignError
+        If there is no such design, it is not TOML, or a key or value is not acceptable.
+    """
+    text, where = _read(name_or_path)
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise DesignError(
+            f"{where} is not TOML: {error}; see `phytac new` for a template"
+        ) from None
+    return parse_design(data, where)
+
+
+def parse_design(data: dict[str, Any], where: str) -> Design:
+    """Validate a parsed design file; every problem is in the one error."""
+    try:
+        return Design.model_validate(data)
+    except ValidationError as error:
+        lines = [_explain(item, data) for item in error.errors()]
+        raise DesignError(f"{where}: " + "; ".join(lines)) from None
+
+
+def _read(name_or_path: str) -> tuple[str, str]:
+    path = Path(name_or_path)
+    if name_or_path in shipped_designs() and not path.is_file():
+        source = resources.files("phytac_design") / "designs" / f"{name_or_path}.toml"
+        return source.read_text(encoding="utf-8"), name_or_path
+    try:
+        return path.read_text(encoding="utf-8"), str(path)
+    except UnicodeDecodeError:
+        raise DesignError(f"{path} is not TOML: it is not even text") from None
+    except OSError as error:
+        near = get_close_matches(name_or_path, shipped_designs(), n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise DesignError(
+            f"no design {name_or_path!r} ({error.strerror}){hint} "
+            f"(shipped: {', '.join(shipped_designs())}; or give the path of a design file)"
+        ) from None
+
+
+def _explain(item: Any, data: dict[str, Any]) -> str:
+    """One problem as a sentence: where, what, got, and what would do."""
+    parts = [part for part in item["loc"] if part not in SHAPE_MODELS]
+    where = ".".join(str(part) for part in parts)
+    kind = item["type"]
+    if kind == "extra_forbidden":
+        known = _known_keys(parts[:-1], data)
+        near = get_close_matches(str(parts[-1]), known, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else f" (known: {', '.join(known)})"
+        return f"unknown key {where!r}{hint}"
+    if kind == "missing":
+        return f"{where} is missing"
+    if kind.startswith("union_tag"):
+        return (
+            f"{where}.kind must be one of {', '.join(SHAPE_MODELS)} "
+            f"(got {data.get('shape', {}).get('kind')!r})"
+        )
+    message = item["msg"][0].lower() + item["msg"][1:]
+    got = item["input"]
+    shown = "" if isinstance(got, dict) else f" (got {got!r})"
+    return f"{where or 'design'}: {message.removeprefix('value error, ')}{shown}"
+
+
+def _known_keys(parts: list[Any], data: dict[str, Any]) -> list[str]:
+    if not parts:
+        return list(Design.model_fields)
+    if parts[0] == "shape":
+        kind = data.get("shape", {}).get("kind")
+        return list(SHAPE_MODELS[kind].model_fields) if kind in SHAPE_MODELS else ["kind"]
+    model = Design.model_fields[parts[0]].annotation
+    if isinstance(model, type) and issubclass(model, BaseModel):
+        return list(model.model_fields)
+    return []
+
+
+def design_hash(design: Design) -> str:
+    """Hash of the resolved design, the same for the same fields in any order."""
+    text = json.dumps(design.model_dump(mode="json"), sort_keys=True)
+    return sha256(text.encode()).hexdigest()
+
+
+def assumptions(design: Design) -> dict[str, Any]:
+    """Fields that the paper does not state, with the values used: ``{"camera.focal_px": 970}``."""
+    out: dict[str, Any] = {}
+    for name in Design.model_fields:
+        section = getattr(design, name)
+        if not isinstance(section, BaseModel):
+            continue
+        for key, info in type(section).model_fields.items():
+            extra = info.json_schema_extra
+            if isinstance(extra, dict) and extra.get("assumption"):
+                out[f"{name}.{key}"] = getattr(section, key)
+    return out
+
+
+def to_toml(design: Design) -> str:
+    """Resolved design with every field, its meaning and its range as comments; rebuilds the same."""
+    document = tomlkit.document()
+    document.add(tomlkit.comment("Lengths in mm, forces in N, moduli in MPa, angles in degrees."))
+    document.add(tomlkit.comment("(assumed): not stated by the paper; set it to your own parts."))
+    values = design.model_dump(mode="json")
+    for name, info in Design.model_fields.items():
+        section = getattr(design, name)
+        if not isinstance(section, BaseModel):
+            if info.description:
+                document.add(tomlkit.comment(info.description))
+            document.add(name, values[name])
+            continue
+        document.add(tomlkit.nl())
+        document.add(name, _table(section, values[name]))
+    return tomlkit.dumps(document)
+
+
+def _table(section: BaseModel, values: dict[str, Any]) -> Table:
+    table = tomlkit.table()
+    if type(section).__doc__:
+        table.comment(" ".join((type(section).__doc__ or "").split()))
+    for key, info in type(section).model_fields.items():
+        extra = info.json_schema_extra
+        assumed = isinstance(extra, dict) and bool(extra.get("assumption"))
+        limits = [
+            f"{sign} {getattr(rule, name):g}"
+            for rule in info.metadata
+            for name, sign in (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
+            if isinstance(getattr(rule, name, None), int | float)
+        ]
+        text = (info.description or key) + (f" [{', '.join(limits)}]" if limits else "")
+        table.add(tomlkit.comment(text + (" (assumed)" if assumed else "")))
+        table.add(key, values[key])
+    return table
+
+
+def write_new_design(name: str, source: str, path: Path) -> Path:
+    """Write a commented copy of a design under a new name.
+
+    Raises
+    ------
+    OutputError
+        If the file exists already or cannot be written.
+    """
+    base = load_design(source).model_dump(mode="json")
+    design = parse_design({**base, "name": name}, f"new design {name!r}")
+    if path.exists():
+        raise OutputError(f"{path} exists already; choose another name or remove it")
+    try:
+        path.write_text(to_toml(design), encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror}") from None
+    return path

@@ -1,0 +1,1 @@
+"""Mechanics: meshes, shell element, solve, loads, compliance, and meshes for other solvers."""

@@ -1,0 +1,155 @@
+"""How markers move under unit forces: everything the decoder needs of the shell."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from phytac_design.layout import Markers
+from phytac_design.mechanics.loads import patch_loads
+from phytac_design.mechanics.locate import locate
+from phytac_design.mechanics.mesh import ShellMesh
+from phytac_design.mechanics.solve import ShellModel, Solution
+from shapes import Surface
+from shapes.arrays import FloatArray, IntArray
+from shapes.errors import NumericalError
+
+SYMMETRY_TOL = 1e-9
+"""Largest misfit of the mesh turned by one column onto itself, as a fraction of its size."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerCompliance:
+    """Motion of every marker per unit inward force at every marker.
+
+    Attributes
+    ----------
+    motion : (n, 6, m) float
+        Translation (mm) and rotation (rad), global axes, of the middle face at each of n markers
+        per 1 N pressed inward, spread over a disc at each of m = n markers.
+    load_radius_mm : float
+        Radius of that disc.
+    solves : int
+        Right-hand sides really solved; fewer than m where the shell repeats itself around.
+    error : float
+        Rounding error of the solution (:class:`solve.Solution`).
+    """
+
+    motion: FloatArray
+    load_radius_mm: float
+    solves: int
+    error: float
+
+
+def marker_compliance(
+    model: ShellModel,
+    mesh: ShellMesh,
+    surface: Surface,
+    markers: Markers,
+    *,
+    load_radius_mm: float,
+    use_symmetry: bool = True,
+) -> MarkerCompliance:
+    """Compliance of all markers by one factorisation.
+
+    Where mesh and stiffness map onto themselves when turned by one column (checked, not assumed)
+    only the loads of column 0 are solved and the others follow by rotation.
+
+    Parameters
+    ----------
+    model, mesh : ShellModel, ShellMesh
+        The shell and its mesh; the mesh must be aligned with the markers.
+    surface, markers : Surface, Markers
+        The outer face and the receptors on it.
+    load_radius_mm : float
+        Radius of the disc that the unit force is spread over; 0 for a point force (never
+        converges with the mesh; see DESIGN §2).
+    use_symmetry : bool
+        False solves every load.
+
+    Raises
+    ------
+    NumericalError
+        If the mesh is not aligned with these markers, or the solve fails.
+    """
+    if len(mesh.marker_nodes) != markers.count:
+        raise NumericalError(
+            f"the mesh has {len(mesh.marker_nodes)} marker nodes for {markers.count} markers; "
+            "make it with marker_mesh from the same markers"
+        )
+    columns = markers.lattice.columns
+    turn = _turn(model, mesh, columns) if use_symmetry else None
+    wanted = np.arange(markers.count) if turn is None else np.flatnonzero(markers.column == 0)
+    loads = patch_loads(mesh, surface, markers.uv[wanted], load_radius_mm)
+    solution = model.solve(loads)
+    motion = solution.motion[mesh.marker_nodes]
+    if turn is not None:
+        motion = _spread_around(motion, turn, columns)
+    return MarkerCompliance(
+        motion=motion, load_radius_mm=load_radius_mm, solves=len(wanted), error=solution.error
+    )
+
+
+def probe_motion(mesh: ShellMesh, solution: Solution, uv: FloatArray) -> FloatArray:
+    """Translation and rotation (n, 6, m) at chart positions ``uv`` (n, 2), bilinear in the chart.
+
+    For markers on a mesh that is not aligned with them.
+    """
+    nodes, weights = locate(mesh, uv)
+    out = np.zeros((len(nodes), *solution.motion.shape[1:]))
+    for corner in range(4):
+        out += weights[:, corner, None, None] * solution.motion[nodes[:, corner]]
+    return out
+
+
+def point_motion(motion: FloatArray, arm: FloatArray) -> FloatArray:
+    """Translation of points that stand off the shell rigidly: u + θ × arm.
+
+    Parameters
+    ----------
+    motion : (n, 6, m) float
+        Motion of the middle face, mm and rad.
+    arm : (n, 3) float
+        From the middle face to the point, mm, e.g. ``markers.tip_mm - markers.mid_mm``.
+
+    Returns
+    -------
+    (n, 3, m) float
+        mm.
+    """
+    return np.asarray(motion[:, :3] + np.cross(motion[:, 3:], arm[:, :, None], axis=1))
+
+
+def _turn(model: ShellModel, mesh: ShellMesh, columns: int) -> FloatArray | None:
+    """Rotation (3, 3) by one column if shell and supports repeat themselves under it, else None."""
+    around = len(mesh.sets["BOTTOM"])
+    if columns < 2 or around % columns or not np.isfinite(mesh.period_v):
+        return None
+    angle = 2.0 * np.pi / columns
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    image = _shifted(mesh, around, around // columns)
+    gap = np.abs(mesh.nodes_mm @ turn.T - mesh.nodes_mm[image]).max()
+    lean = np.abs(mesh.normals @ turn.T - mesh.normals[image]).max()
+    if gap > SYMMETRY_TOL * np.abs(mesh.nodes_mm).max() or lean > SYMMETRY_TOL:
+        return None
+    if not np.array_equal(model.fixed, model.fixed[image]) or not model.uniform:
+        return None
+    return turn
+
+
+def _shifted(mesh: ShellMesh, around: int, step: int) -> IntArray:
+    """Node that each node lands on when its line turns by ``step`` nodes."""
+    line, place = np.divmod(np.arange(len(mesh.nodes_mm)), around)
+    return np.asarray(line * around + np.mod(place + step, around))
+
+
+def _spread_around(motion: FloatArray, turn: FloatArray, columns: int) -> FloatArray:
+    """Motion (n, 6, n) under all loads from that under the loads of column 0, (n, 6, rows)."""
+    rows = motion.shape[2]
+    base = motion.reshape(rows, columns, 2, 3, rows)
+    out = np.zeros((rows, columns, 2, 3, rows, columns))
+    for k in range(columns):
+        power = np.linalg.matrix_power(turn, k)
+        turned = np.einsum("xy,rcayl->rcaxl", power, base)
+        out[..., k] = np.roll(turned, k, axis=1)
+    return out.reshape(rows * columns, 6, rows * columns)

@@ -1,0 +1,98 @@
+"""A picture as a person would see it, drawn by OpenGL (pyrender on EGL), anti-aliased.
+
+The light is that of ``optics.light``, the geometry and its visibility are OpenGL's own: an
+independent look at the same scene.
+
+The only module that touches OpenGL, and only when a picture is asked for. One context is made per
+picture and deleted; do not call from several threads at once.
+"""
+
+import os
+from typing import Any
+
+import numpy as np
+
+from decoder.camera import PinholeCamera
+from phytac_design.optics.light import triangle_light
+from phytac_design.optics.paint import BACKGROUND
+from phytac_design.optics.scene import Scene
+from shapes.arrays import ImageArray
+from shapes.errors import MissingPartError
+
+GL_FIX = (
+    "install the system libraries (Debian, Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri) "
+    "and the Python extra (pip install 'phytac-design[design]'); frames of optics.frame need none"
+)
+NEAR_LEAST_MM = 0.2
+GL_TO_CV = np.diag([1.0, -1.0, -1.0])
+"""OpenGL's camera looks along -z with y up."""
+
+
+def render_picture(scene: Scene, camera: PinholeCamera) -> ImageArray:
+    """Anti-aliased 8-bit picture (h, w, 3), BGR, in the camera's own pixels.
+
+    Raises
+    ------
+    MissingPartError
+        If pyrender or an EGL driver is not there; says which packages to install.
+    """
+    pyrender = _pyrender()
+    background = [*(np.array(BACKGROUND) / 255.0), 1.0]
+    stage = pyrender.Scene(bg_color=background, ambient_light=np.ones(3))
+    stage.add(pyrender.Mesh([_primitive(pyrender, scene, camera)]))
+    near, far = _depth_range(scene, camera)
+    eye = pyrender.IntrinsicsCamera(
+        camera.focal_px,
+        camera.focal_px,
+        # OpenGL counts pixel edges, our pixel centres are integers.
+        *(camera.centre_px + 0.5),
+        znear=near,
+        zfar=far,
+    )
+    pose = np.eye(4)
+    pose[:3, :3] = camera.rotation.T @ GL_TO_CV
+    pose[:3, 3] = camera.position_mm
+    stage.add(eye, pose=pose)
+    try:
+        renderer = pyrender.OffscreenRenderer(camera.width_px, camera.height_px)
+    except Exception as error:  # PyOpenGL raises its own kinds, by driver
+        raise MissingPartError(f"no OpenGL picture: EGL gave no context ({error}); {GL_FIX}") from (
+            error
+        )
+    try:
+        colour, _ = renderer.render(stage, flags=pyrender.RenderFlags.SKIP_CULL_FACES)
+    finally:
+        renderer.delete()
+    return np.ascontiguousarray(colour[:, :, ::-1])
+
+
+def _pyrender() -> Any:
+    """Import pyrender on EGL."""
+    os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+    try:
+        import pyrender
+    except Exception as error:  # PyOpenGL fails with ImportError, AttributeError, ... by platform
+        raise MissingPartError(f"no OpenGL picture: pyrender failed ({error}); {GL_FIX}") from error
+    return pyrender
+
+
+def _primitive(pyrender: Any, scene: Scene, camera: PinholeCamera) -> Any:
+    """All triangles, with corners of their own each in the light that the triangle sends.
+
+    Under even white light OpenGL's shader passes the corners' linear colour on to its gamma.
+    """
+    light = np.column_stack([triangle_light(scene, camera), np.ones(len(scene.triangles))])
+    return pyrender.Primitive(
+        positions=scene.vertices[scene.triangles].reshape(-1, 3).astype(np.float32),
+        color_0=np.repeat(light, 3, axis=0).astype(np.float32),
+        material=pyrender.MetallicRoughnessMaterial(
+            baseColorFactor=[1.0, 1.0, 1.0, 1.0], metallicFactor=0.0, doubleSided=True
+        ),
+    )
+
+
+def _depth_range(scene: Scene, camera: PinholeCamera) -> tuple[float, float]:
+    """Near and far plane that hold all that lies in front of the camera, mm."""
+    depth = camera.to_camera(scene.vertices)[:, 2]
+    front = depth[depth > NEAR_LEAST_MM]
+    return 0.5 * float(front.min(initial=1.0)), 1.1 * float(front.max(initial=2.0))

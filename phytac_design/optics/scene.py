@@ -1,0 +1,226 @@
+r"""Triangles of everything the camera can see, each with a part code.
+
+A receptor is one solid of revolution about the line from its foot to its tip; depth is measured
+from the end face back towards the wall::
+
+      wall  |  resin side    | painted band |
+     -------+----------------+==============+  R
+            |                               ‖  painted end face
+            |      hole      ·---------·    +  r
+     - - - -|- - - - - - - - |red tip  | - - - - axis, towards the camera's axis
+                             ·---------·
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phytac_design.layout import Markers
+from phytac_design.optics.envelope import bar_mesh, shell_mesh
+from phytac_design.optics.mesh import Mesh, joined
+from phytac_design.spec import Design
+from shapes import Surface
+from shapes.arrays import BoolArray, FloatArray, IntArray
+
+NONE, SHELL, BAR, RESIN = 0, 1, 2, 3
+"""Part codes: nothing, shell and rims, light bar, unpainted receptor (side, hole, hole's end)."""
+FIRST_MARKER = 16
+"""Codes from here: ``16 + 2 i`` is the paint of marker i, ``17 + 2 i`` its switch's red tip."""
+SEGMENTS_MIN = 12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """A triangle soup in the sensor frame; shapes: V vertices, T triangles, n markers.
+
+    Attributes
+    ----------
+    vertices : (V, 3) float64
+        Positions, mm.
+    triangles : (T, 3) int32
+        Vertex indices; both sides are visible.
+    part : (T,) int32
+        Part code (see ``SHELL``, ``BAR``, ``RESIN``, ``FIRST_MARKER``).
+    vertex_owner : (V,) int32
+        Marker that the vertex moves with; -1 for fixed parts.
+    colour : (n,) int64
+        Index of each marker's paint in ``paints``.
+    paints : tuple of str
+        Names of the markers' paints, keys of ``paint.PAINTS``.
+    """
+
+    vertices: FloatArray
+    triangles: NDArray[np.int32]
+    part: NDArray[np.int32]
+    vertex_owner: NDArray[np.int32]
+    colour: IntArray
+    paints: tuple[str, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of markers."""
+        return len(self.colour)
+
+    @property
+    def triangle_owner(self) -> NDArray[np.int32]:
+        """Marker that each triangle belongs to, (T,); -1 for fixed parts."""
+        owner: NDArray[np.int32] = self.vertex_owner[self.triangles[:, 0]]
+        return owner
+
+    def moved(self, translation: FloatArray, rotation: FloatArray, pivots: FloatArray) -> "Scene":
+        """Scene with each receptor moved as a rigid body; shell and bar stay.
+
+        ``p' = pivot + R(rotation) (p - pivot) + translation``, with Rodrigues' exact rotation.
+
+        Parameters
+        ----------
+        translation : (n, 3) float
+            Displacement of each pivot, mm.
+        rotation : (n, 3) float
+            Rotation vector, rad.
+        pivots : (n, 3) float
+            Usually ``markers.mid_mm``, the mesh nodes.
+        """
+        own = self.vertex_owner >= 0
+        owner = self.vertex_owner[own]
+        turns = rotation_matrices(np.asarray(rotation, dtype=np.float64))
+        pivot = np.asarray(pivots, dtype=np.float64)[owner]
+        arm = self.vertices[own] - pivot
+        vertices = self.vertices.copy()
+        # Adding the change, not the sum of all parts, keeps a zero motion exact to the last bit.
+        change = np.einsum("nij,nj->ni", turns[owner] - np.eye(3), arm)
+        vertices[own] += change + np.asarray(translation, dtype=np.float64)[owner]
+        return replace(self, vertices=vertices)
+
+
+def rotation_matrices(vectors: FloatArray) -> FloatArray:
+    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3), Rodrigues' formula."""
+    angle = np.linalg.norm(vectors, axis=1)
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+    first = np.sinc(angle / np.pi)  # sin(a) / a
+    second = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2  # (1 - cos(a)) / a²
+    return np.asarray(
+        np.eye(3) + first[:, None, None] * cross + second[:, None, None] * (cross @ cross)
+    )
+
+
+def paint_owner(part: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Marker whose *paint* each part code is, same shape; -1 for anything else."""
+    index = part - FIRST_MARKER
+    return np.where((index >= 0) & (index % 2 == 0), index // 2, -1).astype(np.int32)
+
+
+def red_owner(part: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Marker whose *red tip* each part code is, same shape; -1 for anything else."""
+    index = part - FIRST_MARKER
+    return np.where((index >= 0) & (index % 2 == 1), index // 2, -1).astype(np.int32)
+
+
+def segments_of(radius_mm: float, tolerance_mm: float) -> int:
+    """Sides of a polygon on a circle of ``radius_mm`` that stays within ``tolerance_mm`` of it."""
+    ratio = min(max(tolerance_mm / max(radius_mm, 1e-12), 1e-7), 1.0)
+    return max(SEGMENTS_MIN, int(np.ceil(np.pi / np.arccos(1.0 - ratio))))
+
+
+def build_scene(
+    design: Design,
+    surface: Surface,
+    markers: Markers,
+    *,
+    tolerance_mm: float,
+    switch_on: BoolArray | None = None,
+) -> Scene:
+    """Shell, rims, light bar and all receptors as triangles.
+
+    Parameters
+    ----------
+    tolerance_mm : float
+        Largest distance between a polygon and the circle it stands for.
+    switch_on : (n,) bool, optional
+        Switches whose red tip is out; none by default.
+    """
+    on = np.zeros(markers.count, dtype=bool) if switch_on is None else np.asarray(switch_on)
+    shell_tolerance = min(tolerance_mm, 0.1 * float(markers.height_mm.min(initial=np.inf)))
+    fixed = [
+        (shell_mesh(design, surface, tolerance_mm=shell_tolerance), SHELL),
+        (bar_mesh(design, surface, tolerance_mm=tolerance_mm), BAR),
+    ]
+    receptors, part, owner = _receptors(design, markers, on, tolerance_mm)
+    whole = joined([mesh for mesh, _ in fixed] + [receptors])
+    codes = [np.full(len(mesh.triangles), code, dtype=np.int32) for mesh, code in fixed]
+    owners = [np.full(len(mesh.vertices), -1, dtype=np.int32) for mesh, _ in fixed]
+    return Scene(
+        vertices=whole.vertices,
+        triangles=whole.triangles,
+        part=np.concatenate([*codes, part]),
+        vertex_owner=np.concatenate([*owners, owner]),
+        colour=markers.colour,
+        paints=tuple(design.layout.colours),
+    )
+
+
+def _receptors(
+    design: Design, markers: Markers, on: BoolArray, tolerance_mm: float
+) -> tuple[Mesh, NDArray[np.int32], NDArray[np.int32]]:
+    """All receptors: mesh, part of each triangle, owner of each vertex; marker after marker."""
+    outer, hole = design.receptor.diameter_outer_mm / 2, design.receptor.diameter_hole_mm / 2
+    tip = design.switch.tip_diameter_mm / 2
+    radius, depth = _profile(design, markers, on, (outer, hole, tip))
+    sides = segments_of(outer, tolerance_mm)
+    n, rings = depth.shape
+    axis = markers.tip_mm - markers.foot_mm
+    axis = axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    across = np.cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    third = np.cross(axis, across)
+    turn = 2.0 * np.pi * np.arange(sides) / sides
+    around = np.cos(turn)[:, None] * across[:, None] + np.sin(turn)[:, None] * third[:, None]
+    centre = markers.tip_mm[:, None] - depth[:, :, None] * axis[:, None]
+    vertices = centre[:, :, None] + radius[None, :, None, None] * around[:, None]  # (n, ring, side)
+    # Strips between two rings; the code is added to twice the marker id where it is a marker's.
+    paint, red = FIRST_MARKER, FIRST_MARKER + 1
+    strips = [(0, 1, RESIN), (1, 2, paint), (2, 3, paint), (3, 4, RESIN), (4, 5, RESIN)]
+    strips += [(6, 7, red), (7, 8, red)]
+    here, step = np.arange(sides), (np.arange(sides) + 1) % sides
+    faces, codes = [], []
+    for low, high, value in strips:
+        a, b = low * sides + here, low * sides + step
+        c, d = high * sides + here, high * sides + step
+        strip = [np.column_stack([a, b, c])]
+        if radius[high] > 0.0:
+            strip.append(np.column_stack([b, d, c]))
+        faces.extend(strip)
+        codes.append(np.full(sides * len(strip), value, dtype=np.int32))
+    template, code = np.concatenate(faces), np.concatenate(codes)
+    base = (np.arange(n) * rings * sides)[:, None, None]
+    marker = np.arange(n, dtype=np.int32)
+    part = code[None] + np.where(code >= FIRST_MARKER, 2, 0)[None] * marker[:, None]
+    mesh = Mesh(
+        vertices=vertices.reshape(-1, 3),
+        triangles=(template[None] + base).reshape(-1, 3).astype(np.int32),
+    )
+    return mesh, part.reshape(-1).astype(np.int32), np.repeat(marker, rings * sides)
+
+
+def _profile(
+    design: Design, markers: Markers, on: BoolArray, radii: tuple[float, float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Radius (9,) and depth behind the end face (n, 9) of the rings of a receptor, mm.
+
+    The foot is sunk by half the wall, so that no light passes under it on any surface. The red
+    side is one stroke and one recess long; the hole is closed behind it.
+    """
+    outer, hole, tip = radii
+    switch = design.switch
+    height = markers.height_mm
+    foot = height + design.wall.thickness_mm / 2.0
+    band = np.minimum(design.receptor.band_marker_mm, height)
+    front = switch.tip_recess_mm - np.where(on, switch.stroke_mm, 0.0)
+    back = front + switch.stroke_mm + switch.tip_recess_mm
+    face = np.zeros_like(height)
+    radius = np.array([outer, outer, outer, hole, hole, 0.0, tip, tip, 0.0])
+    depth = np.stack([foot, band, face, face, back, back, back, front, front], axis=1)
+    return radius, depth

@@ -1,0 +1,128 @@
+"""Train the paper's network, judge every estimator on held-out contacts, write the bundle."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from decoder.estimators import ESTIMATORS, ForceModel
+from phytac_design.stage import EXPORT, Context, Stage, write_facts
+from phytac_design.twin.dataset import Dataset, decode_points, key_node_data
+from shapes.arrays import FloatArray
+
+MIDDLE = (0.125, 0.792)
+"""Middle of the sensor as fractions of its length: heights 15 to 95 mm of 120 (paper)."""
+
+
+def along_mm(context: Context, uv: FloatArray) -> FloatArray:
+    """Distance of chart positions from the near rim along the unwrapped surface, mm."""
+    low = context.surface.domain[0, 0]
+    flat = context.surface.unwrap(uv)[:, 1]
+    start = np.column_stack([np.full(len(uv), low), uv[:, 1]])
+    return np.asarray(flat - context.surface.unwrap(start)[:, 1])
+
+
+def middle_mm(context: Context) -> tuple[float, float]:
+    """Heights that count as the middle of this sensor."""
+    (u0, u1), (v0, _) = context.surface.domain
+    length = float(along_mm(context, np.array([[u1, v0]]))[0])
+    del u0
+    return MIDDLE[0] * length, MIDDLE[1] * length
+
+
+def run(context: Context, folder: Path) -> None:
+    """Write ``decoder/bundle.{json,safetensors}`` and the table of estimators."""
+    from decoder.bundle import Bundle, save_bundle
+    from decoder.switches import TipModel
+    from decoder.train import split_samples, train_network
+    from phytac_design.design_file import design_hash
+    from phytac_design.optics.view import camera_of
+    from phytac_design.twin.expected import colour_model
+    from phytac_design.twin.judge import judge
+
+    design, surface, markers = context.design, context.surface, context.markers
+    response, views, twin = (context.arrays(name) for name in ("response", "views", "twin"))
+    model = ForceModel(
+        shift_to_mm=response["shift_to_mm"],
+        stiffness=response["stiffness"],
+        compliance_px=response["compliance_px"],
+        height_z_mm=markers.mid_mm[:, 2].copy(),
+        neighbours=markers.neighbours,
+        networks={},
+    )
+    data = Dataset.from_arrays(twin, "train")
+    rows = key_node_data(model, data)
+    first, second, third = split_samples(data.contacts.samples, seed=context.seed)
+    training: dict[str, Any] = {"key_nodes": len(rows.force_N), "samples": data.contacts.samples}
+    for name, activation in (("fem_nn", "rectified"), ("fem_nn_identity", "identity")):
+        context.progress(f"decoder: training {name}")
+        fit = train_network(
+            rows.take(first), rows.take(second), activation=activation, seed=context.seed
+        )
+        model.networks[name] = fit.network
+        training[name] = {
+            "seconds": fit.seconds,
+            "rounds": fit.rounds,
+            "rmse_train_N": fit.rmse_train_N,
+            "rmse_validation_N": fit.rmse_validation_N,
+            "rmse_test_split_N": _rmse(fit.network, rows.take(third)),
+        }
+    scores: dict[str, Any] = {}
+    for name in ("test", "anywhere"):
+        held_out = Dataset.from_arrays(twin, name)
+        height = along_mm(context, held_out.contacts.uv)
+        scores[name] = {}
+        for estimator in ESTIMATORS:
+            start = time.perf_counter()
+            forces = decode_points(model, held_out, estimator)
+            seconds = time.perf_counter() - start
+            scores[name][estimator] = judge(
+                forces,
+                held_out.contacts,
+                held_out.switching,
+                height_mm=height,
+                middle_mm=middle_mm(context),
+            ) | {"milliseconds_per_frame": 1e3 * seconds / held_out.contacts.samples}
+    colours, classes = colour_model(design)
+    bundle = Bundle(
+        design=design.name,
+        design_hash=design_hash(design),
+        camera=camera_of(design, surface),
+        colours=colours,
+        colour=classes[markers.colour],
+        position_mm=surface.point(markers.uv),
+        rest_px=views["rest_px"],
+        tip_bias_px=views["tip_bias_px"],
+        tips=TipModel(
+            on_px=views["tip_on_px"],
+            red_rest_px=views["tip_red_rest_px"],
+            red_on_px=views["tip_red_on_px"],
+        ),
+        model=model,
+        notes={
+            "data": context.facts("twin")["model"],
+            "training_samples": data.contacts.samples,
+            "seed": context.seed,
+            "test_relative_error": {
+                name: scores["test"][name]["relative_error"] for name in ESTIMATORS
+            },
+        },
+    )
+    save_bundle(bundle, folder / EXPORT / "decoder")
+    write_facts(folder, {"training": training, **scores})
+
+
+def _rmse(network: Any, rows: Any) -> float:
+    """Force error (root mean square, N) of a network on some key nodes."""
+    error = rows.stiffness_force_N + network(rows.features) * rows.apparent_mm - rows.force_N
+    return float(np.sqrt((error**2).mean())) if len(error) else float("nan")
+
+
+DECODER = Stage(
+    name="decoder",
+    tables=("name", "shape", "wall", "layout", "camera", "receptor", "switch", "material"),
+    needs=("views", "response", "twin"),
+    seeded=True,
+    run=run,
+)

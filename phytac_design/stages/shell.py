@@ -1,0 +1,63 @@
+"""Printable shell: STL and 3MF from manifold3d, STEP from OpenCASCADE, from one geometry."""
+
+from pathlib import Path
+
+from phytac_design.stage import Context, Stage, export_path, write_facts
+from shapes.errors import NumericalError
+
+TABLES = ("name", "shape", "wall", "layout", "receptor", "print_rules")
+VOLUME_TOL = 1e-3
+"""Largest relative difference of the two kernels' volumes that a build accepts."""
+
+
+def run_shell(context: Context, folder: Path) -> None:
+    """Write ``shell/shell.stl`` and ``shell/shell.3mf`` and the shell's facts."""
+    from phytac_design.fabrication.export import write_3mf, write_stl
+    from phytac_design.fabrication.facts import shell_facts
+    from phytac_design.fabrication.solid_mesh import (
+        painted_manifolds,
+        shell_manifold,
+        to_triangles,
+    )
+
+    design, surface, markers = context.design, context.surface, context.markers
+    tolerance = context.accuracy.cad_tolerance_mm
+    solid = shell_manifold(design, surface, markers, tolerance_mm=tolerance)
+    facts = shell_facts(solid, surface, markers).as_dict()
+    write_stl(to_triangles(solid), export_path(folder, "shell/shell.stl"))
+    context.progress("shell: painted bodies")
+    painted = painted_manifolds(design, surface, markers, tolerance_mm=tolerance)
+    bodies = {name: to_triangles(body) for name, body in painted.items()}
+    write_3mf(bodies, export_path(folder, "shell/shell.3mf"), name=design.name)
+    facts["body_volume_mm3"] = {name: body.volume() for name, body in painted.items()}
+    write_facts(folder, facts)
+
+
+def run_step(context: Context, folder: Path) -> None:
+    """Write ``shell/shell.step`` and compare its volume with the printed mesh."""
+    from phytac_design.fabrication.cad import cad_facts, shell_cad, write_step
+
+    solid = shell_cad(context.design, context.surface, context.markers)
+    facts = cad_facts(solid)
+    volume = float(context.facts("shell")["volume_mm3"])
+    difference = volume / facts.volume_mm3 - 1.0
+    if not (facts.valid and facts.solids == 1 and abs(difference) <= VOLUME_TOL):
+        raise NumericalError(
+            f"the STEP shell is not sound: valid {facts.valid}, {facts.solids} solids, volume "
+            f"{facts.volume_mm3:.1f} mm³ against {volume:.1f} mm³ of the printed mesh; please "
+            "report this design"
+        )
+    write_step(solid, export_path(folder, "shell/shell.step"), name=context.design.name)
+    write_facts(
+        folder,
+        {
+            "step_volume_mm3": facts.volume_mm3,
+            "step_valid": facts.valid,
+            "step_solids": facts.solids,
+            "volume_difference": difference,
+        },
+    )
+
+
+SHELL = Stage(name="shell", tables=TABLES, knobs=("cad_tolerance_mm",), run=run_shell)
+STEP = Stage(name="step", tables=TABLES, needs=("shell",), run=run_step)

@@ -1,0 +1,149 @@
+"""The decoder's own mechanics (response) and, on another mesh, simulated data (twin)."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phytac_design.spec import Design
+from phytac_design.stage import Context, Stage, write_arrays, write_facts
+from shapes.arrays import FloatArray
+
+MECHANICS = ("shape", "wall", "layout", "receptor", "camera", "material", "switch")
+SETS = ("train", "test", "anywhere")
+"""Data sets: to learn from, held out likewise, and held out with contacts anywhere."""
+
+
+def arms_mm(context: Context) -> FloatArray:
+    """From each marker's place on the middle face to the paint that the camera sees, (n, 3)."""
+    return np.asarray(context.arrays("views")["paint_point_mm"] - context.markers.mid_mm)
+
+
+def run_response(context: Context, folder: Path) -> None:
+    """Condense the decoder's mesh to what the camera sees of the markers."""
+    from phytac_design.mechanics.compliance import marker_compliance, point_motion
+    from phytac_design.mechanics.mesh import marker_mesh
+    from phytac_design.mechanics.solve import clamped_model
+    from phytac_design.optics.view import camera_of
+    from phytac_design.twin.condense import condense
+
+    design, surface, markers = context.design, context.surface, context.markers
+    mesh = marker_mesh(
+        surface,
+        markers,
+        thickness_mm=design.wall.thickness_mm,
+        refine=context.accuracy.refine,
+    )
+    model = clamped_model(
+        mesh, modulus_MPa=design.material.modulus_MPa, poisson=design.material.poisson
+    )
+    compliance = marker_compliance(
+        model,
+        mesh,
+        surface,
+        markers,
+        load_radius_mm=design.switch.footprint_diameter_mm / 2.0,
+    )
+    arm = arms_mm(context)
+    condensed = condense(
+        camera_of(design, surface),
+        watched_mm=markers.mid_mm + arm,
+        normal=markers.normal,
+        motion_mm=point_motion(compliance.motion, arm),
+    )
+    write_arrays(
+        folder,
+        {
+            "shift_to_mm": condensed.shift_to_mm,
+            "compliance_px": condensed.compliance_px,
+            "stiffness": condensed.stiffness,
+        },
+    )
+    write_facts(folder, {"nodes": len(mesh.nodes_mm), "condition": condensed.condition})
+
+
+def run_twin(context: Context, folder: Path) -> None:
+    """Draw contacts, solve them on the finer mesh, project and add noise."""
+    from phytac_design.optics.view import camera_of
+    from phytac_design.twin.contacts import draw_contacts, switch_states
+    from phytac_design.twin.dataset import Dataset
+    from phytac_design.twin.response import point_responses, superpose
+    from phytac_design.twin.shell import truth_shell
+
+    design, surface, markers = context.design, context.surface, context.markers
+    rng = np.random.default_rng([context.seed, 1])
+    count = samples_of(design, context.accuracy.sample_share)
+    drawn = {
+        name: draw_contacts(
+            design,
+            surface,
+            markers,
+            samples=count[name],
+            rng=rng,
+            placement="anywhere" if name == "anywhere" else "receptor",
+        )
+        for name in SETS
+    }
+    mesh, model = truth_shell(design, surface, context.accuracy)
+    arm = arms_mm(context)
+    responses = point_responses(
+        model,
+        mesh,
+        surface,
+        markers,
+        arm_mm=arm,
+        uv=np.concatenate([item.uv for item in drawn.values()]),
+        radius_mm=np.concatenate([item.radius_mm for item in drawn.values()]),
+        progress=context.progress,
+    )
+    camera = camera_of(design, surface)
+    watched = markers.mid_mm + arm
+    arrays: dict[str, Any] = {}
+    start = 0
+    for name, item in drawn.items():
+        end = start + len(item.force_N)
+        moved = superpose(responses[start:end], item)
+        start = end
+        exact = camera.project((watched + moved).reshape(-1, 3)).reshape(*moved.shape[:2], 2)
+        shift = exact - camera.project(watched)
+        noise = rng.normal(0.0, design.camera.noise_centroid_px, shift.shape)
+        switching = switch_states(design, surface, markers, item)
+        arrays |= Dataset(
+            contacts=item, switching=switching, shift_px=shift + noise
+        ).arrays(name)
+    write_arrays(folder, arrays)
+    write_facts(
+        folder,
+        {
+            "model": "linear shell on a finer, non-nested mesh; simulated",
+            "nodes": len(mesh.nodes_mm),
+            "samples": count,
+            "contacts": {name: len(item.force_N) for name, item in drawn.items()},
+            "tripped_no_switch": {
+                name: int((~arrays[f"{name}.tripped"]).sum()) for name in SETS
+            },
+        },
+    )
+
+
+def samples_of(design: Design, share: float) -> dict[str, int]:
+    """Samples of each set."""
+    test = max(round(share * design.training.samples_test), 10)
+    return {
+        "train": max(round(share * design.training.samples), 20),
+        "test": test,
+        "anywhere": max(test // 2, 10),
+    }
+
+
+RESPONSE = Stage(
+    name="response", tables=MECHANICS, knobs=("refine",), needs=("views",), run=run_response
+)
+TWIN = Stage(
+    name="twin",
+    tables=(*MECHANICS, "training"),
+    knobs=("truth_around", "truth_along", "sample_share"),
+    needs=("views",),
+    seeded=True,
+    run=run_twin,
+)

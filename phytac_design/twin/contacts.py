@@ -1,0 +1,168 @@
+"""Drawing contacts: patches on the surface with a force, and which switches they trip."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from phytac_design.layout import Markers
+from phytac_design.mechanics.contact import footprint_force_share
+from phytac_design.spec import Design
+from shapes import Surface
+from shapes.arrays import BoolArray, FloatArray, IntArray
+
+Placement = Literal["receptor", "anywhere"]
+JITTER_MM = 1.0
+"""A rig that presses on receptors hits them within this distance, along and around."""
+TRIES = 400
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contacts:
+    """Contacts of many samples; arrays run over c contacts.
+
+    Attributes
+    ----------
+    sample : (c,) int
+        Sample each contact belongs to.
+    uv : (c, 2) float
+        Centre, chart coordinates.
+    radius_mm : (c,) float
+        Radius of the patch.
+    force_N : (c,) float
+        Inward normal force, spread evenly over the patch.
+    samples : int
+        Number of samples.
+    """
+
+    sample: IntArray
+    uv: FloatArray
+    radius_mm: FloatArray
+    force_N: FloatArray
+    samples: int
+
+    @property
+    def counts(self) -> IntArray:
+        """Contacts in each sample, (samples,)."""
+        return np.bincount(self.sample, minlength=self.samples)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Switching:
+    """What the contacts do to the switches.
+
+    Attributes
+    ----------
+    bits : (samples, n) bool
+        Switches that are on: force on the footprint above the threshold.
+    owner : (samples, n) int
+        Contact (global index) that presses most on a switch that is on; -1 where off.
+    receptor_force_N : (samples, n) float
+        The truth per receptor: a contact's force is shared among the switches it tripped in
+        proportion to their footprint forces, so that they sum to the contact's force.
+    tripped : (c,) bool
+        Contacts that tripped at least one switch.
+    """
+
+    bits: BoolArray
+    owner: IntArray
+    receptor_force_N: FloatArray
+    tripped: BoolArray
+
+
+def draw_contacts(
+    design: Design,
+    surface: Surface,
+    markers: Markers,
+    *,
+    samples: int,
+    rng: np.random.Generator,
+    placement: Placement = "receptor",
+    most: int = 5,
+) -> Contacts:
+    """Draw samples of one contact, and (a share of them) of two to ``most`` at once.
+
+    Forces are uniform in the design's range, radii in theirs. ``receptor`` presses on receptors
+    within ``JITTER_MM``, as the paper's rig traverses them; ``anywhere`` is uniform over the chart.
+    Contacts of one sample keep apart by more than both radii and a footprint.
+    """
+    training = design.training
+    domain = surface.domain
+    rows: list[tuple[int, float, float, float, float]] = []
+    for sample in range(samples):
+        multi = rng.random() < training.multi_contact and most > 1
+        wanted = int(rng.integers(2, most + 1)) if multi else 1
+        placed: list[tuple[FloatArray, float]] = []
+        for _ in range(TRIES):
+            if len(placed) == wanted:
+                break
+            uv = _place(surface, markers, domain, placement, rng)
+            radius = rng.uniform(training.patch_radius_min_mm, training.patch_radius_max_mm)
+            point = surface.point(uv[None])[0]
+            room = radius + design.switch.footprint_diameter_mm
+            if all(np.linalg.norm(point - other) > room + size for other, size in placed):
+                placed.append((point, radius))
+                force = rng.uniform(training.force_min_N, training.force_max_N)
+                rows.append((sample, float(uv[0]), float(uv[1]), radius, force))
+    table = np.array(rows)
+    return Contacts(
+        sample=table[:, 0].astype(np.int64),
+        uv=table[:, 1:3],
+        radius_mm=table[:, 3],
+        force_N=table[:, 4],
+        samples=samples,
+    )
+
+
+def _place(
+    surface: Surface,
+    markers: Markers,
+    domain: FloatArray,
+    placement: Placement,
+    rng: np.random.Generator,
+) -> FloatArray:
+    if placement == "anywhere":
+        return np.asarray(rng.uniform(domain[:, 0], domain[:, 1]))
+    uv = markers.uv[int(rng.integers(markers.count))]
+    scale = np.sqrt(np.diagonal(surface.metric(uv[None])[0]))
+    moved = uv + rng.uniform(-JITTER_MM, JITTER_MM, size=2) / scale
+    return np.asarray(
+        [
+            value if closed else np.clip(value, low, high)
+            for value, closed, (low, high) in zip(moved, surface.periodic, domain, strict=True)
+        ]
+    )
+
+
+def switch_states(
+    design: Design, surface: Surface, markers: Markers, contacts: Contacts
+) -> Switching:
+    """Apply the activation law: a switch is on when its footprint carries over its threshold.
+
+    Pressure is even over a patch, so a footprint carries the force times the overlapped share.
+    """
+    share = footprint_force_share(
+        surface,
+        contacts.uv,
+        contacts.radius_mm,
+        markers.uv,
+        design.switch.footprint_diameter_mm / 2.0,
+    )
+    carried = share * contacts.force_N[:, None]
+    total = np.zeros((contacts.samples, markers.count))
+    np.add.at(total, contacts.sample, carried)
+    bits = total > design.switch.threshold_N
+    owner = np.full((contacts.samples, markers.count), -1, dtype=np.int64)
+    most = np.zeros((contacts.samples, markers.count))
+    for index, sample in enumerate(contacts.sample):
+        better = bits[sample] & (carried[index] > most[sample])
+        owner[sample, better] = index
+        most[sample, better] = carried[index, better]
+    mine = owner[contacts.sample] == np.arange(len(contacts.sample))[:, None]
+    tripped = mine.any(axis=1)
+    weight = np.where(mine, carried, 0.0)
+    norm = weight.sum(axis=1, keepdims=True)
+    parts = contacts.force_N[:, None] * weight / np.where(norm > 0.0, norm, 1.0)
+    truth = np.zeros_like(total)
+    np.add.at(truth, contacts.sample, parts)
+    return Switching(bits=bits, owner=owner, receptor_force_N=truth, tripped=tripped)

@@ -1,0 +1,150 @@
+import io
+import shutil
+import struct
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phytac_design.fabrication.export import (
+    STL_HEADER,
+    stl_bytes,
+    threemf_bytes,
+    write_3mf,
+    write_stl,
+)
+from phytac_design.fabrication.solid_mesh import painted_manifolds, shell_manifold, to_triangles
+from phytac_design.fabrication.triangles import TriangleMesh
+from phytac_design.rules import check_design
+from tests.fabrication.cases import built, design, shipped
+
+SINGLE = 3e-6
+"""Relative rounding of 32-bit coordinates, summed over a thin shell."""
+
+
+@pytest.fixture(scope="module")
+def small() -> TriangleMesh:
+    return to_triangles(shell_manifold(*built(design())))
+
+
+@pytest.fixture(scope="module")
+def bodies() -> dict[str, TriangleMesh]:
+    painted = painted_manifolds(*built(design()))
+    return {name: to_triangles(body) for name, body in painted.items()}
+
+
+def test_stl_opens_in_trimesh_as_it_was(small: TriangleMesh, tmp_path: Path) -> None:
+    import trimesh
+
+    write_stl(small, tmp_path / "shell.stl")
+    body = trimesh.load_mesh(tmp_path / "shell.stl")
+    assert body.is_watertight
+    assert body.is_winding_consistent
+    assert len(body.faces) == len(small.triangles)
+    assert body.volume == pytest.approx(small.volume_mm3, rel=SINGLE)
+    assert 1 - body.euler_number // 2 == 13
+
+
+def test_stl_layout(small: TriangleMesh) -> None:
+    data = stl_bytes(small)
+    assert data[:80] == STL_HEADER
+    assert not data.startswith(b"solid")
+    assert struct.unpack("<I", data[80:84]) == (len(small.triangles),)
+    assert len(data) == 84 + 50 * len(small.triangles)
+    normal = np.array(struct.unpack("<3f", data[84:96]))
+    assert np.linalg.norm(normal) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_3mf_opens_with_names_units_and_volumes(
+    bodies: dict[str, TriangleMesh], small: TriangleMesh, tmp_path: Path
+) -> None:
+    import lib3mf
+
+    write_3mf(bodies, tmp_path / "shell.3mf", name="case")
+    model = lib3mf.get_wrapper().CreateModel()
+    reader = model.QueryReader("3mf")
+    reader.SetStrictModeActive(True)
+    reader.ReadFromFile(str(tmp_path / "shell.3mf"))
+    assert reader.GetWarningCount() == 0
+    assert model.GetUnit() == lib3mf.ModelUnit.MilliMeter
+    found, volume = [], 0.0
+    objects = model.GetMeshObjects()
+    while objects.MoveNext():
+        body = objects.GetCurrentMeshObject()
+        found.append(body.GetName())
+        assert body.IsManifoldAndOriented()
+        mesh = TriangleMesh(
+            vertices_mm=np.array([tuple(v.Coordinates) for v in body.GetVertices()]),
+            triangles=np.array([tuple(t.Indices) for t in body.GetTriangleIndices()]),
+        )
+        assert mesh.volume_mm3 == pytest.approx(bodies[found[-1]].volume_mm3, rel=10 * SINGLE)
+        volume += mesh.volume_mm3
+    assert found == ["resin", "blue", "green"]
+    assert volume == pytest.approx(small.volume_mm3, rel=SINGLE)
+    items = model.GetBuildItems()
+    assert items.Count() == 1
+
+
+def test_files_do_not_change_from_run_to_run(
+    bodies: dict[str, TriangleMesh], small: TriangleMesh
+) -> None:
+    again = to_triangles(shell_manifold(*built(design())))
+    assert stl_bytes(again) == stl_bytes(small)
+    assert threemf_bytes(bodies, name="case") == threemf_bytes(bodies, name="case")
+    assert threemf_bytes(bodies, name="other") != threemf_bytes(bodies, name="case")
+
+
+def test_another_process_writes_the_same_bytes() -> None:
+    code = (
+        "import hashlib;from tests.fabrication.cases import *;"
+        "from phytac_design.fabrication.solid_mesh import *;"
+        "from phytac_design.fabrication.export import *;"
+        "c=built(shipped('cylinder60'));h=hashlib.sha256();"
+        "h.update(stl_bytes(to_triangles(shell_manifold(*c))));"
+        "h.update(threemf_bytes({k:to_triangles(b) for k,b in painted_manifolds(*c).items()},"
+        "name='x'));print(h.hexdigest())"
+    )
+    root = Path(__file__).parents[2]
+    digests = {
+        subprocess.run(
+            [sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=True
+        ).stdout
+        for _ in range(2)
+    }
+    assert len(digests) == 1
+
+
+def test_3mf_holds_no_dates(bodies: dict[str, TriangleMesh]) -> None:
+    with zipfile.ZipFile(io.BytesIO(threemf_bytes(bodies, name="case"))) as archive:
+        assert archive.testzip() is None
+        assert {info.date_time for info in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+
+
+@pytest.mark.skipif(shutil.which("admesh") is None, reason="admesh is not on PATH")
+@pytest.mark.parametrize("name", ["cylinder60", "cylinder40"])
+def test_admesh_finds_nothing_to_repair(name: str, tmp_path: Path) -> None:
+    case = shipped(name)
+    surface, markers = check_design(case)
+    write_stl(to_triangles(shell_manifold(case, surface, markers)), tmp_path / "shell.stl")
+    report = subprocess.run(
+        ["admesh", str(tmp_path / "shell.stl")], capture_output=True, text=True, check=True
+    ).stdout
+    fields = {}
+    for line in report.splitlines():
+        label, _, rest = line.partition(":")
+        fields[label.strip()] = rest.split()
+    assert fields["Number of parts"][0] == "1"
+    for label in (
+        "Degenerate facets",
+        "Edges fixed",
+        "Facets removed",
+        "Facets added",
+        "Facets reversed",
+        "Backwards edges",
+        "Normals fixed",
+        "Total disconnected facets",
+    ):
+        assert fields[label][0] == "0", label
