@@ -18,13 +18,11 @@ FOUND_MIN = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Decoded:
-    """Forces of one frame.
+class Measured:
+    """What one frame shows.
 
     Attributes
     ----------
-    forces_N : (n,) float
-        Inward force on each marker; zero off the key nodes of interest.
     koi : (m,) int
         Key nodes of interest: markers whose switch is on.
     shift_px : (n, 2) float
@@ -33,10 +31,13 @@ class Decoded:
         Markers that were seen.
     """
 
-    forces_N: FloatArray
     koi: IntArray
     shift_px: FloatArray
     found: BoolArray
+
+    def forces_N(self, bundle: Bundle, estimator: str) -> FloatArray:
+        """Inward force (n,) N on each marker; zero off the key nodes of interest."""
+        return bundle.model.forces(estimator, self.shift_px, self.koi)
 
 
 def read_image(path: Path) -> ImageArray:
@@ -94,14 +95,10 @@ def rest_positions(bundle: Bundle, rest_bgr: ImageArray | None) -> FloatArray:
     return np.where(matched.found[:, None], matched.position_px, bundle.rest_px)
 
 
-def decode_frame(
-    bundle: Bundle,
-    image_bgr: ImageArray,
-    *,
-    rest_px: FloatArray | None = None,
-    estimator: str = "koi_inverse",
-) -> Decoded:
-    """Decode one frame.
+def measure_frame(
+    bundle: Bundle, image_bgr: ImageArray, *, rest_px: FloatArray | None = None
+) -> Measured:
+    """Find markers and switches in one frame.
 
     Parameters
     ----------
@@ -111,16 +108,12 @@ def decode_frame(
         Camera frame.
     rest_px : (n, 2) float, optional
         From :func:`rest_positions`; the bundle's prediction if not given.
-    estimator : str
-        One of ``decoder.estimators.ESTIMATORS``.
     """
     matched, bits = locate_markers(bundle, image_bgr)
     rest = bundle.rest_px if rest_px is None else rest_px
-    shift = matched.position_px - rest - np.where(bits[:, None], bundle.tip_bias_px, 0.0)
-    koi = np.flatnonzero(bits)
-    return Decoded(
-        forces_N=bundle.model.forces(estimator, shift, koi),
-        koi=koi,
-        shift_px=shift,
+    bias = np.where(bits[:, None], bundle.tip_bias_px, 0.0)
+    return Measured(
+        koi=np.flatnonzero(bits),
+        shift_px=matched.position_px - rest - bias,
         found=matched.found,
     )

@@ -14,12 +14,10 @@ class Accuracy:
     ----------
     cad_tolerance_mm : float
         Chordal tolerance of printed meshes.
-    view_tolerance_mm : float
-        Chordal tolerance of the camera scene.
     refine : int
         Elements of the decoder's mesh per marker pitch around the sensor.
-    truth_around, truth_along : int
-        Elements of the simulated sensor's own, finer mesh, which is not nested in the decoder's.
+    truth_refine : int
+        The same of the simulated sensor's own, finer mesh, which is not nested in the decoder's.
     sample_share : float
         Fraction of the design's training and test samples that is simulated.
     frames : int
@@ -27,10 +25,8 @@ class Accuracy:
     """
 
     cad_tolerance_mm: float
-    view_tolerance_mm: float
     refine: int
-    truth_around: int
-    truth_along: int
+    truth_refine: int
     sample_share: float
     frames: int
 
@@ -42,28 +38,22 @@ class Accuracy:
 PRESETS: dict[str, Accuracy] = {
     "draft": Accuracy(
         cad_tolerance_mm=0.05,
-        view_tolerance_mm=0.05,
         refine=2,
-        truth_around=90,
-        truth_along=50,
+        truth_refine=5,
         sample_share=0.3,
         frames=5,
     ),
     "standard": Accuracy(
         cad_tolerance_mm=0.01,
-        view_tolerance_mm=0.02,
         refine=4,
-        truth_around=150,
-        truth_along=82,
+        truth_refine=9,
         sample_share=1.0,
         frames=50,
     ),
     "fine": Accuracy(
         cad_tolerance_mm=0.005,
-        view_tolerance_mm=0.01,
         refine=6,
-        truth_around=210,
-        truth_along=114,
+        truth_refine=13,
         sample_share=1.0,
         frames=100,
     ),

@@ -20,7 +20,15 @@ from phytac_design.stages import STAGES
 from shapes.errors import DesignError, OutputError
 
 MANIFEST = "manifest.json"
-PARTS = ("numpy", "scipy", "manifold3d", "cadquery", "pyrender", "torch", "opencv-contrib-python-headless")
+PARTS = (
+    "numpy",
+    "scipy",
+    "manifold3d",
+    "cadquery",
+    "pyrender",
+    "torch",
+    "opencv-contrib-python-headless",
+)
 
 Progress = Callable[[str], None]
 
@@ -150,9 +158,7 @@ def _claim(out: Path, design: Design, *, force: bool) -> None:
         probe.write_text("")
         probe.unlink()
     except OSError as error:
-        raise OutputError(
-            f"cannot write {out}: {error.strerror}; choose another --out"
-        ) from None
+        raise OutputError(f"cannot write {out}: {error.strerror}; choose another --out") from None
 
 
 def _export(

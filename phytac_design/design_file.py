@@ -123,7 +123,7 @@ def assumptions(design: Design) -> dict[str, Any]:
 
 
 def to_toml(design: Design) -> str:
-    """Resolved design with every field, its meaning and its range as comments; rebuilds the same."""
+    """Resolved design: every field, with meaning and range as comments; rebuilds the same."""
     document = tomlkit.document()
     document.add(tomlkit.comment("Lengths in mm, forces in N, moduli in MPa, angles in degrees."))
     document.add(tomlkit.comment("(assumed): not stated by the paper; set it to your own parts."))

@@ -36,8 +36,8 @@ def check_design(design: Design) -> tuple[Surface, Markers]:
     check_sizes(design)
     surface = design.surface()
     check_wall(design, surface)
-    check_heights(design, surface)
     markers = make_markers(design, surface)
+    check_heights(design, surface, markers)
     check_reach(design, surface, markers)
     check_ends(design, surface, markers)
     check_receptor_gaps(design, surface, markers)
@@ -127,7 +127,9 @@ def _lower_heights(design: Design, surface: Surface) -> str:
     Empty if no height fits: then the height is not what is wrong.
     """
     layout = design.layout
-    fields = {"height_near_mm": layout.height_near_mm, "height_far_mm": layout.height_far_mm}
+    fields = {"height_near_mm": layout.height_near_mm}
+    if layout.rows > 1:
+        fields["height_far_mm"] = layout.height_far_mm
     fitting, failing = 0, int(np.ceil(max(fields.values()) * 10.0))
     while failing - fitting > 1:
         middle = (fitting + failing) // 2
@@ -152,11 +154,10 @@ def _room_mm(design: Design, surface: Surface) -> float:
     return float(min(room, gap - design.print_rules.gap_min_mm + SLACK_mm, *reach))
 
 
-def check_heights(design: Design, surface: Surface) -> None:
+def check_heights(design: Design, surface: Surface, markers: Markers) -> None:
     """Check that no receptor is longer than the way to where the normals meet."""
-    layout = design.layout
-    height = max(layout.height_near_mm, layout.height_far_mm)
-    row = layout.rows - 1 if layout.height_far_mm == height else 0
+    tallest = int(np.argmax(markers.height_mm))
+    row, height = markers.row[tallest], markers.height_mm[tallest]
     room = surface.inner_reach_mm() - design.wall.thickness_mm
     if height >= room:
         mend = _lower_heights(design, surface) or "lower the receptors' heights"

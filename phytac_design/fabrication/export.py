@@ -48,7 +48,9 @@ def write_stl(mesh: TriangleMesh, path: Path) -> None:
 def threemf_bytes(bodies: Mapping[str, TriangleMesh], *, name: str) -> bytes:
     """3MF of named bodies in one frame, mm: one part of several components, one build item.
 
-    Slicers load it as one object with one volume for each body, which keeps the paints in place.
+    Bodies share one frame: a slicer must keep them together (one object of several parts).
+    PrusaSlicer 2.5 opens the components as separate objects at their right places; there, load
+    them as a single object with multiple parts.
 
     Parameters
     ----------

@@ -23,6 +23,8 @@ from shapes import Surface
 from shapes.arrays import FloatArray
 from shapes.errors import NumericalError
 
+BAND_MIN_mm = 1e-3
+"""A shorter painted band is no solid; its paint is left out."""
 TOLERANCE_mm = 0.01
 """Default distance between the mesh and the true faces; a tenth of what a printer resolves."""
 
@@ -114,8 +116,11 @@ def painted_manifolds(
     """Bodies that tile the shell, by name: ``resin`` first, then each paint in use.
 
     A paint body is the last ``band_marker_mm`` of each tube of that colour, full tube wall and
-    end face; a receptor not taller than the band is painted down to the wall.
+    end face; a receptor not taller than the band is painted down to the wall. Without a band
+    (shorter than ``BAND_MIN_mm``) there is only resin.
     """
+    if design.receptor.band_marker_mm < BAND_MIN_mm:
+        return {"resin": shell_manifold(design, surface, markers, tolerance_mm=tolerance_mm)}
     parts = _parts(design, surface, markers, tolerance_mm)
     axes = parts.axes
     bare = ~axes.painted

@@ -31,16 +31,21 @@ def smallest_receptor_gap_mm(
                 markers.foot_mm[pairs[:, 1]],
                 markers.tip_mm[pairs[:, 1]],
             )
-            at = int(np.argmin(distance))
+            at = _least(distance)
             if distance[at] < best:
                 best, pair = float(distance[at]), (int(pairs[at, 0]), int(pairs[at, 1]))
     return best - diameter, pair
 
 
+def _least(values_mm: FloatArray) -> int:
+    """Index of the least value; of values equal but for rounding, the first."""
+    return int(np.argmin(np.round(values_mm, 9)))
+
+
 def nearest_pair(points_mm: FloatArray) -> tuple[float, tuple[int, int]]:
     """Smallest distance between two of at least two points (n, 3), and their ids in order."""
     distance, other = cKDTree(points_mm).query(points_mm, k=2)
-    first = int(np.argmin(distance[:, 1]))
+    first = _least(distance[:, 1])
     # Coincident points may list a point after its twin: take whichever is not itself.
     second = next(int(i) for i in other[first] if i != first)
     return float(distance[first, 1]), (min(first, second), max(first, second))

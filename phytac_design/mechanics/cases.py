@@ -233,7 +233,7 @@ def twisted_beam(
 def raasch_hook(n: int, *, drilling: float = DRILLING) -> float:
     """Strip curved 60° at radius 14, then 150° at 46, tip force 1 across it; over 5.022.
 
-    ``n`` elements along, n/4 across the width of 20.
+    ``n`` elements along, n/2 across the width of 20.
     """
     first, second = np.radians(60.0), np.radians(150.0)
     split = 14.0 * first / (14.0 * first + 46.0 * second)
@@ -251,12 +251,12 @@ def raasch_hook(n: int, *, drilling: float = DRILLING) -> float:
         two = centre + 46.0 * np.column_stack([-np.sin(heading), np.cos(heading)])
         return np.where((a <= joint)[:, None], one, two)
 
-    mesh = patch(lambda a, b: np.column_stack([line(a), 20.0 * b]), n, max(1, n // 4))
+    mesh = patch(lambda a, b: np.column_stack([line(a), 20.0 * b]), n, max(1, n // 2))
     fixed = no_support(mesh)
     hold(fixed, mesh.ab[:, 0] == 0.0, (0, 1, 2, 3, 4, 5))
     end = mesh.ab[:, 0] == 1.0
     loads = np.zeros((len(mesh.nodes), 6))
-    loads[end, 2] = np.where(np.isin(mesh.ab[:, 1], (0.0, 1.0)), 0.5, 1.0)[end] / max(1, n // 4)
+    loads[end, 2] = np.where(np.isin(mesh.ab[:, 1], (0.0, 1.0)), 0.5, 1.0)[end] / max(1, n // 2)
     motion = solve_case(
         mesh, fixed, loads, modulus=3300.0, poisson=0.35, thickness=2.0, drilling=drilling
     )

@@ -1,6 +1,7 @@
 """How markers move under unit forces: everything the decoder needs of the shell."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -77,7 +78,7 @@ def marker_compliance(
             "make it with marker_mesh from the same markers"
         )
     columns = markers.lattice.columns
-    turn = _turn(model, mesh, columns) if use_symmetry else None
+    turn = column_turn(model, mesh, columns) if use_symmetry else None
     wanted = np.arange(markers.count) if turn is None else np.flatnonzero(markers.column == 0)
     loads = patch_loads(mesh, surface, markers.uv[wanted], load_radius_mm)
     solution = model.solve(loads)
@@ -101,6 +102,21 @@ def probe_motion(mesh: ShellMesh, solution: Solution, uv: FloatArray) -> FloatAr
     return out
 
 
+def probe_loads(
+    model: ShellModel, mesh: ShellMesh, loads: Any, uv: FloatArray, *, batch: int = 256
+) -> FloatArray:
+    """Motion (n, 6, m) at chart positions ``uv`` (n, 2) under many loads (6N, m).
+
+    The same as :meth:`ShellModel.solve` and :func:`probe_motion`, ``batch`` loads at a time, so
+    that the memory does not grow with the whole mesh times all loads.
+    """
+    parts = [
+        probe_motion(mesh, model.solve(loads[:, first : first + batch]), uv)
+        for first in range(0, loads.shape[1], batch)
+    ]
+    return np.concatenate([np.zeros((len(uv), 6, 0)), *parts], axis=2)
+
+
 def point_motion(motion: FloatArray, arm: FloatArray) -> FloatArray:
     """Translation of points that stand off the shell rigidly: u + θ × arm.
 
@@ -119,7 +135,7 @@ def point_motion(motion: FloatArray, arm: FloatArray) -> FloatArray:
     return np.asarray(motion[:, :3] + np.cross(motion[:, 3:], arm[:, :, None], axis=1))
 
 
-def _turn(model: ShellModel, mesh: ShellMesh, columns: int) -> FloatArray | None:
+def column_turn(model: ShellModel, mesh: ShellMesh, columns: int) -> FloatArray | None:
     """Rotation (3, 3) by one column if shell and supports repeat themselves under it, else None."""
     around = len(mesh.sets["BOTTOM"])
     if columns < 2 or around % columns or not np.isfinite(mesh.period_v):

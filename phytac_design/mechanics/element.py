@@ -101,7 +101,7 @@ def element_stiffness(
     weights: list[FloatArray] = []
     for r in (-GAUSS, GAUSS):
         for s in (-GAUSS, GAUSS):
-            frame, j = _frame(X, r, s, frame0[:, 0])
+            frame, j = _frame(X, r, s, frame0)
             A = _inverse_jacobian(X, frame, r, s)
             T = _plane_transform(A)
             w = np.sqrt(j)[:, None, None]
@@ -166,17 +166,25 @@ def shape(r: float, s: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _frame(
-    X: FloatArray, r: float, s: float, axis: FloatArray | None
+    X: FloatArray, r: float, s: float, start: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Local axes (E, 3, 3), rows e1, e2, n, and Jacobian (E,); e1 follows ``axis`` or g_r."""
+    """Local axes (E, 3, 3), rows e1, e2, n, and Jacobian (E,).
+
+    The axes are those of ``start`` turned by the least rotation that carries its normal here, so
+    that nothing depends on the corner that an element's numbering starts from; without ``start``
+    e1 follows g_r.
+    """
     g = np.einsum("ai,eik->eak", shape(r, s)[1], X)
     normal = np.cross(g[:, 0], g[:, 1])
     j = np.linalg.norm(normal, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         n = normal / j[:, None]
-        e1 = g[:, 0] if axis is None else axis
-        e1 = e1 - np.sum(e1 * n, axis=1)[:, None] * n
-        e1 = e1 / np.linalg.norm(e1, axis=1)[:, None]
+        if start is None:
+            e1 = g[:, 0] / np.linalg.norm(g[:, 0], axis=1)[:, None]
+        else:
+            e1, n0 = start[:, 0], start[:, 2]
+            lean = np.sum(e1 * n, axis=1) / (1.0 + np.sum(n0 * n, axis=1))
+            e1 = e1 - lean[:, None] * (n0 + n)
     return np.stack([e1, np.cross(n, e1), n], axis=1), j
 
 

@@ -21,6 +21,8 @@ from shapes.errors import DesignError
 
 MATCH_TOL = 1e-6
 """Largest distance (in units of the element size) between a marker and its node."""
+RIM_REFINE = 2
+"""Elements along are this much shorter next to the rims, where clamped edges bend sharply."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,6 +168,7 @@ def _lines(
     length = np.diff(stops) * np.sqrt(metric[:, 0, 0])
     width = pitch * np.sqrt(metric[:, 1, 1])
     counts = np.maximum(1, np.rint(length / width)).astype(np.int64)
+    counts[[0, -1]] *= RIM_REFINE
     marks = np.concatenate([[0], np.cumsum(counts)])
     at = np.arange(marks[-1] + 1)
     u = np.interp(at, marks, stops)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from decoder.camera import PinholeCamera
 from phytac_design.optics.light import triangle_light
 from phytac_design.optics.paint import BACKGROUND, to_linear, to_srgb
-from phytac_design.optics.raster import Projected, fill, in_bands, kernel, project_scene
+from phytac_design.optics.raster import fill, in_bands, kernel, project_scene
 from phytac_design.optics.scene import Scene
-from shapes.arrays import ImageArray
+from shapes.arrays import FloatArray, ImageArray
 
 BAND_ROWS = 128
 LEVELS = 4096
@@ -25,7 +25,7 @@ def render_frame(
     *,
     noise_std: float = 0.0,
     rng: np.random.Generator | None = None,
-    supersample: int = 2,
+    samples: int = 8,
 ) -> ImageArray:
     """Anti-aliased 8-bit frame (h, w, 3), BGR.
 
@@ -33,17 +33,28 @@ def render_frame(
     ----------
     noise_std : float
         Standard deviation of the sensor noise, grey levels; needs ``rng`` if not 0.
-    supersample : int
-        Samples per pixel along each side.
+    samples : int
+        Samples per pixel, see ``sample_offsets``.
     """
-    view = project_scene(scene, finer(camera, supersample))
+    view = project_scene(scene, camera)
+    offsets = sample_offsets(samples)
+    shifted = [
+        view._replace(image=view.image - d, lens=view.lens - np.array([0.0, *d])) for d in offsets
+    ]
     light = np.concatenate([triangle_light(scene, camera), to_linear(np.array([BACKGROUND]))])
     light = light[:, ::-1].astype(np.float32)
     encode = to_srgb(np.arange(LEVELS) / (LEVELS - 1.0)).astype(np.float32)
     frame = np.zeros((camera.height_px, camera.width_px, 3), dtype=np.uint8)
 
     def band(first: int, last: int) -> None:
-        _shade(view, light, encode, (supersample, first), frame[first:last])
+        owner = np.zeros((last - first, camera.width_px), dtype=np.int32)
+        inverse = np.zeros(owner.shape)
+        total = np.zeros((*owner.shape, 3), dtype=np.float32)
+        for one in shifted:
+            owner[:], inverse[:] = -1, 0.0
+            fill(one, 0, first, owner, inverse)
+            _add(owner, light, total)
+        _encode(total, encode, float(samples), frame[first:last])
 
     in_bands(band, camera.height_px, band_rows=BAND_ROWS)
     if noise_std > 0.0:
@@ -63,45 +74,36 @@ def add_noise(image: ImageArray, std: float, rng: np.random.Generator) -> ImageA
     return noise.astype(np.uint8)
 
 
-def finer(camera: PinholeCamera, factor: int) -> PinholeCamera:
-    """Camera whose pixels are the ``factor`` x ``factor`` parts of this camera's pixels."""
-    return PinholeCamera(
-        width_px=camera.width_px * factor,
-        height_px=camera.height_px * factor,
-        focal_px=camera.focal_px * factor,
-        centre_px=camera.centre_px * factor + (factor - 1) / 2.0,
-        position_mm=camera.position_mm,
-        rotation=camera.rotation,
-    )
+def sample_offsets(count: int) -> FloatArray:
+    """Offsets (count, 2) of the samples in a pixel, px, in [-0.5, 0.5].
+
+    Every sample has a column and a row of its own (n rooks, rows in the order of the golden
+    ratio's multiples; 4 give the rotated grid): edges along the image's axes, which a square grid
+    moves by half a pixel at once, move by 1 / count.
+    """
+    index = np.arange(count)
+    golden = np.mod((index + 1) * (np.sqrt(5.0) - 1.0) / 2.0, 1.0)
+    return (np.column_stack([index, golden.argsort().argsort()]) + 0.5) / count - 0.5
 
 
 @kernel
-def _shade(
-    view: Projected,
-    light: NDArray[np.float32],
-    encode: NDArray[np.float32],
-    place: tuple[int, int],
-    frame: ImageArray,
-) -> None:
-    """Fill one band of rows at a multiple of the resolution; average and encode into ``frame``.
+def _add(owner: NDArray[np.int32], light: NDArray[np.float32], total: NDArray[np.float32]) -> None:
+    """Add the light of each pixel's triangle; ``light[-1]`` is the background's, for index -1."""
+    for row in range(owner.shape[0]):
+        for column in range(owner.shape[1]):
+            t = owner[row, column]
+            for channel in range(3):
+                total[row, column, channel] += light[t, channel]
 
-    ``place`` is that multiple and the band's first row.
-    The last entry of ``light`` is the background, which index -1 finds.
-    """
-    factor, top = place
-    rows, columns = frame.shape[:2]
-    owner = np.full((rows * factor, columns * factor), -1, dtype=np.int32)
-    fill(view, 0, top * factor, owner, np.zeros(owner.shape))
-    scale = np.float32((len(encode) - 1) / factor**2)
-    for row in range(rows):
-        for column in range(columns):
-            blue, green, red = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-            for i in range(factor):
-                for j in range(factor):
-                    t = owner[row * factor + i, column * factor + j]
-                    blue += light[t, 0]
-                    green += light[t, 1]
-                    red += light[t, 2]
-            frame[row, column, 0] = np.uint8(encode[int(blue * scale + 0.5)] + 0.5)
-            frame[row, column, 1] = np.uint8(encode[int(green * scale + 0.5)] + 0.5)
-            frame[row, column, 2] = np.uint8(encode[int(red * scale + 0.5)] + 0.5)
+
+@kernel
+def _encode(
+    total: NDArray[np.float32], encode: NDArray[np.float32], samples: float, frame: ImageArray
+) -> None:
+    """Write the mean of the samples as 8-bit sRGB."""
+    scale = np.float32((len(encode) - 1) / samples)
+    for row in range(frame.shape[0]):
+        for column in range(frame.shape[1]):
+            for channel in range(3):
+                level = int(total[row, column, channel] * scale + np.float32(0.5))
+                frame[row, column, channel] = np.uint8(encode[level] + np.float32(0.5))

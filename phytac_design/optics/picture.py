@@ -60,7 +60,7 @@ def render_picture(scene: Scene, camera: PinholeCamera) -> ImageArray:
             error
         )
     try:
-        colour, _ = renderer.render(stage, flags=pyrender.RenderFlags.SKIP_CULL_FACES)
+        colour, _ = renderer.render(stage)
     finally:
         renderer.delete()
     return np.ascontiguousarray(colour[:, :, ::-1])

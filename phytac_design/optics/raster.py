@@ -29,8 +29,8 @@ AREA_PX2 = 1e-15
 
 
 def kernel(function: Kernel) -> Kernel:
-    """Compile with numba, cached on disk, free of the interpreter lock."""
-    return cast("Kernel", numba.njit(cache=True, nogil=True)(function))
+    """Compile with numba, cached on disk, free of the interpreter lock; 1 / 0 is inf."""
+    return cast("Kernel", numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,12 +88,13 @@ def rasterise(scene: Scene, camera: PinholeCamera) -> Buffers:
     """
     view = project_scene(scene, camera)
     shape = (camera.height_px, camera.width_px)
-    triangle = np.full(shape, -1, dtype=np.int32)
+    triangle = np.zeros(shape, dtype=np.int32)
     part = np.zeros(shape, dtype=np.int32)
     depth = np.zeros(shape)
 
     def band(first: int, last: int) -> None:
         rows = slice(first, last)
+        triangle[rows] = -1
         fill(view, 0, first, triangle[rows], depth[rows])
         _finish(triangle[rows], scene.part, part[rows], depth[rows])
 

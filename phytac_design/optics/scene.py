@@ -27,7 +27,7 @@ NONE, SHELL, BAR, RESIN = 0, 1, 2, 3
 """Part codes: nothing, shell and rims, light bar, unpainted receptor (side, hole, hole's end)."""
 FIRST_MARKER = 16
 """Codes from here: ``16 + 2 i`` is the paint of marker i, ``17 + 2 i`` its switch's red tip."""
-SEGMENTS_MIN = 12
+SIDES_MIN = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,10 +119,11 @@ def red_owner(part: NDArray[np.int32]) -> NDArray[np.int32]:
     return np.where((index >= 0) & (index % 2 == 1), index // 2, -1).astype(np.int32)
 
 
-def segments_of(radius_mm: float, tolerance_mm: float) -> int:
-    """Sides of a polygon on a circle of ``radius_mm`` that stays within ``tolerance_mm`` of it."""
-    ratio = min(max(tolerance_mm / max(radius_mm, 1e-12), 1e-7), 1.0)
-    return max(SEGMENTS_MIN, int(np.ceil(np.pi / np.arccos(1.0 - ratio))))
+def sides_of(radius_mm: float, tolerance_mm: FloatArray) -> IntArray:
+    """Sides (n,) of polygons on a circle that stay within tolerances (n,) of it; multiples of 4."""
+    ratio = np.clip(tolerance_mm / radius_mm, 1e-7, 0.5)
+    quarter = np.ceil(np.pi / np.arccos(1.0 - ratio) / 4.0).astype(np.int64)
+    return np.maximum(SIDES_MIN, 4 * quarter)
 
 
 def build_scene(
@@ -130,55 +131,60 @@ def build_scene(
     surface: Surface,
     markers: Markers,
     *,
-    tolerance_mm: float,
+    tolerance_mm: FloatArray | float,
     switch_on: BoolArray | None = None,
 ) -> Scene:
     """Shell, rims, light bar and all receptors as triangles.
 
     Parameters
     ----------
-    tolerance_mm : float
-        Largest distance between a polygon and the circle it stands for.
+    tolerance_mm : float or (n,) float
+        Largest distance between a receptor's polygons and the circles that they stand for; the
+        least of them holds for shell and bar. See ``view.tolerance_mm``.
     switch_on : (n,) bool, optional
         Switches whose red tip is out; none by default.
     """
     on = np.zeros(markers.count, dtype=bool) if switch_on is None else np.asarray(switch_on)
-    shell_tolerance = min(tolerance_mm, 0.1 * float(markers.height_mm.min(initial=np.inf)))
+    tolerance = np.broadcast_to(np.asarray(tolerance_mm, dtype=np.float64), markers.count)
+    least = float(tolerance.min())
+    shell_tolerance = min(least, 0.1 * float(markers.height_mm.min()))
     fixed = [
         (shell_mesh(design, surface, tolerance_mm=shell_tolerance), SHELL),
-        (bar_mesh(design, surface, tolerance_mm=tolerance_mm), BAR),
+        (bar_mesh(design, surface, tolerance_mm=least), BAR),
     ]
-    receptors, part, owner = _receptors(design, markers, on, tolerance_mm)
-    whole = joined([mesh for mesh, _ in fixed] + [receptors])
+    sides = sides_of(design.receptor.diameter_outer_mm / 2.0, tolerance)
+    groups = [
+        _receptors(design, markers, on, np.flatnonzero(sides == value), int(value))
+        for value in np.unique(sides)
+    ]
+    whole = joined([mesh for mesh, _ in fixed] + [mesh for mesh, _, _ in groups])
     codes = [np.full(len(mesh.triangles), code, dtype=np.int32) for mesh, code in fixed]
     owners = [np.full(len(mesh.vertices), -1, dtype=np.int32) for mesh, _ in fixed]
     return Scene(
         vertices=whole.vertices,
         triangles=whole.triangles,
-        part=np.concatenate([*codes, part]),
-        vertex_owner=np.concatenate([*owners, owner]),
+        part=np.concatenate([*codes, *(part for _, part, _ in groups)]),
+        vertex_owner=np.concatenate([*owners, *(owner for _, _, owner in groups)]),
         colour=markers.colour,
         paints=tuple(design.layout.colours),
     )
 
 
 def _receptors(
-    design: Design, markers: Markers, on: BoolArray, tolerance_mm: float
+    design: Design, markers: Markers, on: BoolArray, chosen: IntArray, sides: int
 ) -> tuple[Mesh, NDArray[np.int32], NDArray[np.int32]]:
-    """All receptors: mesh, part of each triangle, owner of each vertex; marker after marker."""
-    outer, hole = design.receptor.diameter_outer_mm / 2, design.receptor.diameter_hole_mm / 2
-    tip = design.switch.tip_diameter_mm / 2
-    radius, depth = _profile(design, markers, on, (outer, hole, tip))
-    sides = segments_of(outer, tolerance_mm)
+    """Chosen receptors: mesh, part of each triangle, owner of each vertex; marker after marker."""
+    radius, depth = _profile(design, markers.height_mm[chosen], on[chosen])
     n, rings = depth.shape
-    axis = markers.tip_mm - markers.foot_mm
-    axis = axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    tip = markers.tip_mm[chosen]
+    axis = tip - markers.foot_mm[chosen]
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     across = np.cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     third = np.cross(axis, across)
     turn = 2.0 * np.pi * np.arange(sides) / sides
     around = np.cos(turn)[:, None] * across[:, None] + np.sin(turn)[:, None] * third[:, None]
-    centre = markers.tip_mm[:, None] - depth[:, :, None] * axis[:, None]
+    centre = tip[:, None] - depth[:, :, None] * axis[:, None]
     vertices = centre[:, :, None] + radius[None, :, None, None] * around[:, None]  # (n, ring, side)
     # Strips between two rings; the code is added to twice the marker id where it is a marker's.
     paint, red = FIRST_MARKER, FIRST_MARKER + 1
@@ -196,7 +202,7 @@ def _receptors(
         codes.append(np.full(sides * len(strip), value, dtype=np.int32))
     template, code = np.concatenate(faces), np.concatenate(codes)
     base = (np.arange(n) * rings * sides)[:, None, None]
-    marker = np.arange(n, dtype=np.int32)
+    marker = chosen.astype(np.int32)
     part = code[None] + np.where(code >= FIRST_MARKER, 2, 0)[None] * marker[:, None]
     mesh = Mesh(
         vertices=vertices.reshape(-1, 3),
@@ -205,17 +211,15 @@ def _receptors(
     return mesh, part.reshape(-1).astype(np.int32), np.repeat(marker, rings * sides)
 
 
-def _profile(
-    design: Design, markers: Markers, on: BoolArray, radii: tuple[float, float, float]
-) -> tuple[FloatArray, FloatArray]:
+def _profile(design: Design, height: FloatArray, on: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Radius (9,) and depth behind the end face (n, 9) of the rings of a receptor, mm.
 
     The foot is sunk by half the wall, so that no light passes under it on any surface. The red
     side is one stroke and one recess long; the hole is closed behind it.
     """
-    outer, hole, tip = radii
+    outer, hole = design.receptor.diameter_outer_mm / 2.0, design.receptor.diameter_hole_mm / 2.0
+    tip = design.switch.tip_diameter_mm / 2.0
     switch = design.switch
-    height = markers.height_mm
     foot = height + design.wall.thickness_mm / 2.0
     band = np.minimum(design.receptor.band_marker_mm, height)
     front = switch.tip_recess_mm - np.where(on, switch.stroke_mm, 0.0)

@@ -11,7 +11,7 @@ from shapes.arrays import FloatArray
 from shapes.errors import DesignError
 
 TOLERANCE_PX = 0.1
-"""Polygons stay this close to the circles they stand for, in pixels of the nearest receptor."""
+"""Polygons stay this close to the circles they stand for, in pixels."""
 
 
 def camera_of(design: Design, surface: Surface) -> PinholeCamera:
@@ -108,8 +108,7 @@ def refuse_swallowed(design: Design, surface: Surface, markers: Markers) -> None
         )
 
 
-def tolerance_mm(camera: PinholeCamera, markers: Markers) -> float:
-    """Tessellation tolerance: ``TOLERANCE_PX`` pixels at the receptor nearest the camera, mm."""
+def tolerance_mm(camera: PinholeCamera, markers: Markers) -> FloatArray:
+    """Tessellation tolerance of each receptor: ``TOLERANCE_PX`` pixels at its end face, (n,) mm."""
     depth = camera.to_camera(markers.tip_mm)[:, 2]
-    nearest = max(float(depth.min()), 1e-3)
-    return TOLERANCE_PX * nearest / camera.focal_px
+    return np.asarray(TOLERANCE_PX * np.maximum(depth, 1e-3) / camera.focal_px)

@@ -23,6 +23,8 @@ PIXELS_MIN = 12
 """A marker is occluded below this visible fraction or below this many visible pixels."""
 PIXELS_FUSED = 3
 """A segmented blob holds a marker if it has at least this many pixels of its paint."""
+SAMPLES = 4
+"""Samples per pixel of the frame that decides on fusion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +120,7 @@ def see(
     visible, centroid, point = _means(buffers, marker, camera, rest.count)
     alone = pixels_alone(rest, camera)[0]
     fraction = np.divide(visible, alone, out=np.zeros(len(alone)), where=alone > 0)
-    frame = render_frame(rest, camera, noise_std=noise_std, rng=rng)
+    frame = render_frame(rest, camera, noise_std=noise_std, rng=rng, samples=SAMPLES)
     return Visibility(
         visible_px=visible,
         alone_px=alone,

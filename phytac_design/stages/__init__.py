@@ -1,0 +1,25 @@
+"""The stages of a build, in order."""
+
+from phytac_design.stage import Stage
+from phytac_design.stages.decoder import DECODER
+from phytac_design.stages.frames import FRAMES
+from phytac_design.stages.mesh import MESH
+from phytac_design.stages.report import REPORT
+from phytac_design.stages.shell import SHELL, STEP
+from phytac_design.stages.twin import RESPONSE, TWIN
+from phytac_design.stages.views import COMPARE, VIEWS
+
+STAGES: tuple[Stage, ...] = (
+    VIEWS,
+    COMPARE,
+    SHELL,
+    STEP,
+    MESH,
+    RESPONSE,
+    TWIN,
+    DECODER,
+    FRAMES,
+    REPORT,
+)
+
+__all__ = ["STAGES"]

@@ -7,10 +7,13 @@ from typing import Any
 import numpy as np
 
 from decoder.estimators import ESTIMATORS, ForceModel
+from decoder.network import Activation
 from phytac_design.stage import EXPORT, Context, Stage, write_facts
 from phytac_design.twin.dataset import Dataset, decode_points, key_node_data
 from shapes.arrays import FloatArray
 
+ACTIVATIONS: dict[str, Activation] = {"fem_nn": "rectified", "fem_nn_identity": "identity"}
+"""Networks of the bundle: both readings of the paper's \"linear unit\"."""
 MIDDLE = (0.125, 0.792)
 """Middle of the sensor as fractions of its length: heights 15 to 95 mm of 120 (paper)."""
 
@@ -55,7 +58,7 @@ def run(context: Context, folder: Path) -> None:
     rows = key_node_data(model, data)
     first, second, third = split_samples(data.contacts.samples, seed=context.seed)
     training: dict[str, Any] = {"key_nodes": len(rows.force_N), "samples": data.contacts.samples}
-    for name, activation in (("fem_nn", "rectified"), ("fem_nn_identity", "identity")):
+    for name, activation in ACTIVATIONS.items():
         context.progress(f"decoder: training {name}")
         fit = train_network(
             rows.take(first), rows.take(second), activation=activation, seed=context.seed

@@ -2,26 +2,25 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from phytac_design.stage import EXPORT, Context, Stage, export_path, write_facts
 from phytac_design.stages.decoder import along_mm, middle_mm
-from phytac_design.stages.views import picture_or_frame, write_image
+from phytac_design.stages.views import write_image
 
 
 def run(context: Context, folder: Path) -> None:
     """Decode rendered frames of one to five contacts each and judge the forces."""
     from decoder.bundle import load_bundle
     from decoder.estimators import ESTIMATORS
-    from decoder.run import decode_frame, rest_positions
-    from phytac_design.optics.frame import add_noise
+    from decoder.run import measure_frame, rest_positions
+    from phytac_design.optics.frame import render_frame
     from phytac_design.optics.scene import build_scene
     from phytac_design.optics.view import camera_of, tolerance_mm
     from phytac_design.twin.contacts import draw_contacts, switch_states
     from phytac_design.twin.judge import judge
-    from phytac_design.twin.response import marker_motions
+    from phytac_design.twin.response import motion_responses, superpose
     from phytac_design.twin.shell import truth_shell
 
     design, surface, markers = context.design, context.surface, context.markers
@@ -29,18 +28,18 @@ def run(context: Context, folder: Path) -> None:
     count = context.accuracy.frames
     contacts = draw_contacts(design, surface, markers, samples=count, rng=rng)
     switching = switch_states(design, surface, markers, contacts)
-    mesh, model = truth_shell(design, surface, context.accuracy)
-    motion = marker_motions(model, mesh, surface, markers, contacts)
+    mesh, model = truth_shell(design, surface, context.accuracy.truth_refine)
+    responses = motion_responses(
+        model, mesh, surface, markers, uv=contacts.uv, radius_mm=contacts.radius_mm
+    )
+    motion = superpose(responses, contacts)
     camera = camera_of(design, surface)
     tolerance = tolerance_mm(camera, markers)
     noise = design.camera.noise_pixel
     bundle = load_bundle(context.folders["decoder"] / EXPORT / "decoder")
 
-    def shoot(scene: Any) -> tuple[Any, str]:
-        image, renderer = picture_or_frame(scene, camera)
-        return add_noise(image, noise, rng), renderer
-
-    rest_frame, renderer = shoot(build_scene(design, surface, markers, tolerance_mm=tolerance))
+    rest = build_scene(design, surface, markers, tolerance_mm=tolerance)
+    rest_frame = render_frame(rest, camera, noise_std=noise, rng=rng)
     rest_px = rest_positions(bundle, rest_frame)
     write_image(export_path(folder, "views/frame_rest.png"), rest_frame)
     forces = {name: np.zeros((count, markers.count)) for name in ESTIMATORS}
@@ -50,14 +49,14 @@ def run(context: Context, folder: Path) -> None:
         bits = switching.bits[index]
         scene = build_scene(design, surface, markers, tolerance_mm=tolerance, switch_on=bits)
         scene = scene.moved(motion[index, :, :3], motion[index, :, 3:], markers.mid_mm)
-        frame, _ = shoot(scene)
+        frame = render_frame(scene, camera, noise_std=noise, rng=rng)
+        measured = measure_frame(bundle, frame, rest_px=rest_px)
         for name in ESTIMATORS:
-            decoded = decode_frame(bundle, frame, rest_px=rest_px, estimator=name)
-            forces[name][index] = decoded.forces_N
-        found = np.isin(np.arange(markers.count), decoded.koi)
+            forces[name][index] = measured.forces_N(bundle, name)
+        found = np.isin(np.arange(markers.count), measured.koi)
         missed += int((bits & ~found).sum())
         false += int((found & ~bits).sum())
-        lost += int((~decoded.found).sum())
+        lost += int((~measured.found).sum())
         if index == 0:
             write_image(export_path(folder, "views/frame_pressed.png"), frame)
             truth = switching.receptor_force_N[0]
@@ -76,7 +75,7 @@ def run(context: Context, folder: Path) -> None:
         folder,
         {
             "frames": count,
-            "renderer": renderer,
+            "renderer": "own rasteriser, 2x2 supersampling, sensor noise",
             "contacts": len(contacts.force_N),
             "tripped_no_switch": int((~switching.tripped).sum()),
             "koi": on,
@@ -101,7 +100,7 @@ FRAMES = Stage(
         "material",
         "training",
     ),
-    knobs=("truth_around", "truth_along", "frames"),
+    knobs=("truth_refine", "frames"),
     needs=("decoder",),
     seeded=True,
     run=run,

@@ -25,21 +25,22 @@ def run(context: Context, folder: Path) -> None:
         refine=context.accuracy.refine,
     )
     middle = surface.domain.mean(axis=1)[None]
-    nearest = int(np.argmin(np.linalg.norm(surface.point(middle) - surface.point(markers.uv), axis=1)))
+    nearest = int(
+        np.argmin(np.linalg.norm(surface.point(middle) - surface.point(markers.uv), axis=1))
+    )
     radius = design.training.patch_radius_max_mm
     load = LOAD_N * patch_loads(mesh, surface, markers.uv[[nearest]], np.array([radius]))
-    loads = np.asarray(load.toarray()).reshape(-1, 6)
     model = clamped_model(
         mesh, modulus_MPa=design.material.modulus_MPa, poisson=design.material.poisson
     )
-    motion = model.solve(loads.reshape(-1, 1)).motion[:, :, 0]
+    motion = model.solve(load).motion[:, :, 0]
     write_inp(
         export_path(folder, "mesh/shell.inp"),
         mesh,
         modulus_MPa=design.material.modulus_MPa,
         poisson=design.material.poisson,
-        loads=loads,
-        title=design.name,
+        load=load,
+        name=design.name,
     )
     write_msh(export_path(folder, "mesh/shell.msh"), mesh)
     write_vtu(export_path(folder, "mesh/shell.vtu"), mesh, motion=motion)

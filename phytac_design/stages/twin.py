@@ -19,6 +19,16 @@ def arms_mm(context: Context) -> FloatArray:
     return np.asarray(context.arrays("views")["paint_point_mm"] - context.markers.mid_mm)
 
 
+def finger_radius_mm(design: Design) -> float:
+    """Radius over which the decoder assumes a contact spreads: the mean of the design's range.
+
+    A force on a shell this thin dents it by an amount that depends on the patch; a decoder that
+    assumes the switch's footprint (2.3 mm) instead of a fingertip (5.5 mm) errs twice as much.
+    """
+    training = design.training
+    return (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
+
+
 def run_response(context: Context, folder: Path) -> None:
     """Condense the decoder's mesh to what the camera sees of the markers."""
     from phytac_design.mechanics.compliance import marker_compliance, point_motion
@@ -42,7 +52,7 @@ def run_response(context: Context, folder: Path) -> None:
         mesh,
         surface,
         markers,
-        load_radius_mm=design.switch.footprint_diameter_mm / 2.0,
+        load_radius_mm=finger_radius_mm(design),
     )
     arm = arms_mm(context)
     condensed = condense(
@@ -67,7 +77,7 @@ def run_twin(context: Context, folder: Path) -> None:
     from phytac_design.optics.view import camera_of
     from phytac_design.twin.contacts import draw_contacts, switch_states
     from phytac_design.twin.dataset import Dataset
-    from phytac_design.twin.response import point_responses, superpose
+    from phytac_design.twin.response import motion_responses, point_motions, superpose
     from phytac_design.twin.shell import truth_shell
 
     design, surface, markers = context.design, context.surface, context.markers
@@ -84,14 +94,13 @@ def run_twin(context: Context, folder: Path) -> None:
         )
         for name in SETS
     }
-    mesh, model = truth_shell(design, surface, context.accuracy)
+    mesh, model = truth_shell(design, surface, context.accuracy.truth_refine)
     arm = arms_mm(context)
-    responses = point_responses(
+    responses = motion_responses(
         model,
         mesh,
         surface,
         markers,
-        arm_mm=arm,
         uv=np.concatenate([item.uv for item in drawn.values()]),
         radius_mm=np.concatenate([item.radius_mm for item in drawn.values()]),
         progress=context.progress,
@@ -102,15 +111,13 @@ def run_twin(context: Context, folder: Path) -> None:
     start = 0
     for name, item in drawn.items():
         end = start + len(item.force_N)
-        moved = superpose(responses[start:end], item)
+        moved = point_motions(superpose(responses[start:end], item), arm)
         start = end
         exact = camera.project((watched + moved).reshape(-1, 3)).reshape(*moved.shape[:2], 2)
         shift = exact - camera.project(watched)
         noise = rng.normal(0.0, design.camera.noise_centroid_px, shift.shape)
         switching = switch_states(design, surface, markers, item)
-        arrays |= Dataset(
-            contacts=item, switching=switching, shift_px=shift + noise
-        ).arrays(name)
+        arrays |= Dataset(contacts=item, switching=switching, shift_px=shift + noise).arrays(name)
     write_arrays(folder, arrays)
     write_facts(
         folder,
@@ -119,9 +126,7 @@ def run_twin(context: Context, folder: Path) -> None:
             "nodes": len(mesh.nodes_mm),
             "samples": count,
             "contacts": {name: len(item.force_N) for name, item in drawn.items()},
-            "tripped_no_switch": {
-                name: int((~arrays[f"{name}.tripped"]).sum()) for name in SETS
-            },
+            "tripped_no_switch": {name: int((~arrays[f"{name}.tripped"]).sum()) for name in SETS},
         },
     )
 
@@ -137,12 +142,16 @@ def samples_of(design: Design, share: float) -> dict[str, int]:
 
 
 RESPONSE = Stage(
-    name="response", tables=MECHANICS, knobs=("refine",), needs=("views",), run=run_response
+    name="response",
+    tables=(*MECHANICS, "training"),
+    knobs=("refine",),
+    needs=("views",),
+    run=run_response,
 )
 TWIN = Stage(
     name="twin",
     tables=(*MECHANICS, "training"),
-    knobs=("truth_around", "truth_along", "sample_share"),
+    knobs=("truth_refine", "sample_share"),
     needs=("views",),
     seeded=True,
     run=run_twin,

@@ -52,7 +52,7 @@ def red_centroids(part: Any, count: int) -> FloatArray:
     number = np.bincount(ids, minlength=count).astype(float)
     number[number == 0] = np.nan
     sums = [np.bincount(ids, weights=c, minlength=count) for c in (x, y)]
-    return np.column_stack(sums) / number[:, None]
+    return np.asarray(np.column_stack(sums) / number[:, None])
 
 
 def run_views(context: Context, folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""What the decoder's own eyes see of the rendered sensor: its expectations before the first frame."""
+"""What the decoder's own eyes see of the rendered sensor, before the first real frame."""
 
 from dataclasses import dataclass
 
@@ -34,7 +34,7 @@ class Expected:
 
 def colour_model(design: Design) -> tuple[ColourModel, IntArray]:
     """Colour model of the paints in use, and the class of each of the design's colours."""
-    names = tuple(dict.fromkeys(design.layout.colours)) + ("red",)
+    names = (*dict.fromkeys(design.layout.colours), "red")
     model = ColourModel.from_rgb({name: PAINTS[name] for name in names})
     return model, np.array([names.index(name) for name in design.layout.colours])
 

@@ -40,9 +40,7 @@ def score(estimate_N: FloatArray, truth_N: FloatArray) -> Score:
     """Score estimated against true contact forces, (c,) each."""
     if len(truth_N) == 0:
         nan = float("nan")
-        return Score(
-            mae_N=nan, sd_N=nan, rmse_N=nan, bias_N=nan, relative_error=nan, samples=0
-        )
+        return Score(mae_N=nan, sd_N=nan, rmse_N=nan, bias_N=nan, relative_error=nan, samples=0)
     error = estimate_N - truth_N
     return Score(
         mae_N=float(np.abs(error).mean()),
@@ -54,10 +52,8 @@ def score(estimate_N: FloatArray, truth_N: FloatArray) -> Score:
     )
 
 
-def contact_forces(
-    receptor_N: FloatArray, contacts: Contacts, switching: Switching
-) -> FloatArray:
-    """Sum decoded receptor forces (samples, n) over the switches that each contact tripped, (c,)."""
+def contact_forces(receptor_N: FloatArray, contacts: Contacts, switching: Switching) -> FloatArray:
+    """Decoded forces (samples, n) summed over the switches that each contact tripped, (c,)."""
     out = np.zeros(len(contacts.sample))
     sample, marker = np.nonzero(switching.owner >= 0)
     np.add.at(out, switching.owner[sample, marker], receptor_N[sample, marker])

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from phytac_design.layout import Markers
+from phytac_design.mechanics.compliance import column_turn
 from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.locate import locate
 from phytac_design.mechanics.mesh import ShellMesh
@@ -34,95 +35,66 @@ def motion_probe(mesh: ShellMesh, uv: FloatArray) -> csr_matrix:
     return csr_matrix((value.ravel(), (row.ravel(), column.ravel())), shape=shape)
 
 
-def point_probe(motion_probe: csr_matrix, arm_mm: FloatArray) -> csr_matrix:
-    """Rows of the translation u + θ x arm of body-fixed points, (3n, 6N).
-
-    Parameters
-    ----------
-    motion_probe : (6n, 6N) sparse
-        Rows of (u, θ) at each marker.
-    arm_mm : (n, 3) float
-        From the marker's place on the middle face to the point.
-    """
-    count = len(arm_mm)
-    x, y, z = arm_mm.T
-    zero, one = np.zeros(count), np.ones(count)
-    # θ × r = (θy·rz − θz·ry, θz·rx − θx·rz, θx·ry − θy·rx)
-    blocks = np.stack(
-        [
-            np.stack([one, zero, zero, zero, z, -y], axis=1),
-            np.stack([zero, one, zero, -z, zero, x], axis=1),
-            np.stack([zero, zero, one, y, -x, zero], axis=1),
-        ],
-        axis=1,
-    )
-    row = np.repeat(np.arange(3 * count), 6)
-    column = np.broadcast_to(6 * np.arange(count)[:, None, None] + np.arange(6), blocks.shape)
-    combine = csr_matrix((blocks.ravel(), (row, column.ravel())), shape=(3 * count, 6 * count))
-    return combine @ motion_probe
-
-
-def point_responses(
+def motion_responses(
     model: ShellModel,
     mesh: ShellMesh,
     surface: Surface,
     markers: Markers,
     *,
-    arm_mm: FloatArray,
     uv: FloatArray,
     radius_mm: FloatArray,
     progress: Callable[[str], None] = lambda _: None,
 ) -> FloatArray:
-    """Translation of each marker's point per newton of each patch, (c, n, 3) mm/N.
+    """Motion of every marker per newton of each patch, (c, n, 6): translation mm, rotation rad.
+
+    Where the shell repeats itself around (checked), only the adjoints of column 0 are solved and
+    turned: d_k(f) = R^k d_0(R^-k f).
 
     Parameters
     ----------
     model, mesh : ShellModel, ShellMesh
         The shell.
-    arm_mm : (n, 3) float
-        From ``markers.mid_mm`` to the point of the receptor that is watched.
     uv : (c, 2) float
         Patch centres.
     radius_mm : (c,) float
         Patch radii.
     """
-    probe = point_probe(motion_probe(mesh, markers.uv), arm_mm)
+    columns = markers.lattice.columns
+    turn = column_turn(model, mesh, columns)
+    base = np.arange(markers.count) if turn is None else np.flatnonzero(markers.column == 0)
+    adjoint = _adjoints(model, motion_probe(mesh, markers.uv[base]), progress)
     patches = patch_loads(mesh, surface, uv, radius_mm).T.tocsr()
-    out = np.empty((len(uv), probe.shape[0]))
+    if turn is None:
+        return np.asarray(patches @ adjoint).reshape(len(uv), markers.count, 6)
+    around = len(mesh.sets["BOTTOM"])
+    field = adjoint.reshape(-1, around, 2, 3, adjoint.shape[1])
+    out = np.empty((len(uv), markers.lattice.rows_u.size, columns, 2, 3))
+    for k in range(columns):
+        power = np.linalg.matrix_power(turn, k)
+        turned = np.einsum("xy,lacym->lacxm", power, np.roll(field, k * around // columns, axis=1))
+        response = np.asarray(patches @ turned.reshape(adjoint.shape))
+        out[:, :, k] = response.reshape(len(uv), -1, 2, 3) @ power.T
+    return out.reshape(len(uv), markers.count, 6)
+
+
+def _adjoints(model: ShellModel, probe: csr_matrix, progress: Callable[[str], None]) -> FloatArray:
+    """Shell motion (6N, r) under the unit load of each of r probe rows."""
+    out = np.empty(probe.shape[::-1])
     for first in range(0, probe.shape[0], CHUNK):
         rows = slice(first, first + CHUNK)
-        motion = model.solve(probe[rows].T).motion
-        out[:, rows] = patches @ motion.reshape(patches.shape[1], -1)
+        out[:, rows] = model.solve(probe[rows].T).motion.reshape(probe.shape[1], -1)
         done = min(first + CHUNK, probe.shape[0])
         progress(f"response: {done} of {probe.shape[0]} adjoint loads")
-    return out.reshape(len(uv), markers.count, 3)
-
-
-def superpose(responses: FloatArray, contacts: Contacts) -> FloatArray:
-    """Translation of every marker's point in every sample, (samples, n, 3) mm: linear sum."""
-    out = np.zeros((contacts.samples, *responses.shape[1:]))
-    np.add.at(out, contacts.sample, contacts.force_N[:, None, None] * responses)
     return out
 
 
-def marker_motions(
-    model: ShellModel,
-    mesh: ShellMesh,
-    surface: Surface,
-    markers: Markers,
-    contacts: Contacts,
-) -> FloatArray:
-    """Translation (mm) and rotation (rad) of every marker in every sample, (samples, n, 6)."""
-    patches = patch_loads(mesh, surface, contacts.uv, contacts.radius_mm)
-    count = len(contacts.force_N)
-    gather = csr_matrix(
-        (contacts.force_N, (np.arange(count), contacts.sample)), shape=(count, contacts.samples)
-    )
-    probe = motion_probe(mesh, markers.uv)
-    loads = (patches @ gather).tocsc()
-    out = np.empty((contacts.samples, markers.count, 6))
-    for first in range(0, contacts.samples, CHUNK):
-        motion = model.solve(loads[:, first : first + CHUNK]).motion
-        flat = probe @ motion.reshape(probe.shape[1], -1)
-        out[first : first + CHUNK] = flat.T.reshape(-1, markers.count, 6)
+def point_motions(motion: FloatArray, arm_mm: FloatArray) -> FloatArray:
+    """Translation u + θ x arm of body-fixed points, (…, n, 3) mm, for motion (…, n, 6)."""
+    return np.asarray(motion[..., :3] + np.cross(motion[..., 3:], arm_mm))
+
+
+def superpose(responses: FloatArray, contacts: Contacts) -> FloatArray:
+    """Linear sum over the contacts of each sample, (samples, n, 6), of (c, n, 6) per newton."""
+    out = np.zeros((contacts.samples, *responses.shape[1:]))
+    np.add.at(out, contacts.sample, contacts.force_N[:, None, None] * responses)
     return out

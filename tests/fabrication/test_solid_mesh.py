@@ -21,7 +21,6 @@ from phytac_design.fabrication.triangles import TriangleMesh, prisms, sides_for
 from phytac_design.layout import make_markers
 from phytac_design.rules import check_design
 from phytac_design.spec import Design, WallSection
-from shapes import Surface
 from shapes.errors import DesignError, NumericalError
 from tests.fabrication.cases import Barrel, built, design, scaled, shipped
 
@@ -78,10 +77,10 @@ def test_doubly_curved_wall_converges_to_the_spherical_shell() -> None:
     closed = 4.0 / 3.0 * np.pi * (40.0**3 - 39.2**3) * np.sin(surface.latitude)
     errors = [
         abs(wall_mesh(surface, WallSection(**NO_RIM), tolerance_mm=t).volume_mm3 / closed - 1.0)
-        for t in (0.1, 0.01)
+        for t in (0.03, 0.003)
     ]
-    assert errors[1] < 1e-3
-    assert errors[1] < errors[0] / 3.0
+    assert errors[1] < 1e-4
+    assert errors[1] < errors[0] / 5.0
 
 
 def test_shell_on_a_doubly_curved_surface_is_one_body() -> None:
@@ -212,8 +211,7 @@ def test_paints_and_resin_tile_the_shell(band: float) -> None:
     shell = shell_manifold(case, surface, markers)
     bodies = painted_manifolds(case, surface, markers)
     if band == 0.0:
-        bodies = {name: body for name, body in bodies.items() if body.num_tri()}
-        assert set(bodies) == {"resin"}
+        assert list(bodies) == ["resin"]
     else:
         assert list(bodies) == ["resin", "blue", "green"]
     total = sum(body.volume() for body in bodies.values())
@@ -277,22 +275,21 @@ def small_designs() -> st.SearchStrategy[Design]:
             receptor={"band_marker_mm": band},
             light={"bar_radius_mm": 0.0},
         ),
-        st.floats(20.0, 200.0),
+        st.floats(14.0, 120.0),
         st.floats(25.0, 200.0),
         st.floats(0.5, 3.0),
-        st.integers(1, 4),
-        st.integers(1, 6),
+        st.integers(1, 7),
+        st.integers(1, 12),
         st.floats(-80.0, 80.0),
         st.floats(0.1, 6.0),
-        st.floats(0.1, 12.0),
+        st.floats(0.1, 16.0),
         st.floats(0.0, 3.0),
     )
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(case=small_designs())
 def test_every_accepted_design_builds_one_body_of_the_right_genus(case: Design) -> None:
-    surface: Surface
     try:
         surface, markers = check_design(case)
     except DesignError as refusal:

@@ -1,0 +1,284 @@
+"""Shell: facts, closed forms, mesh against CAD, time to STL by both routes, STEP, outside programs.
+
+Run ``python -m benchmarks.fabrication`` (``--quick`` for a smoke run, not written).
+"""
+
+import shutil
+import subprocess
+import tempfile
+import time
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import phytac_design
+from benchmarks.harness import Table, arguments, median_of
+from phytac_design.fabrication.cad import (
+    cad_facts,
+    read_step,
+    shell_cad,
+    write_step,
+    write_stl_by_cad,
+)
+from phytac_design.fabrication.export import write_3mf, write_stl
+from phytac_design.fabrication.facts import expected_genus, manifold_facts, trimesh_facts
+from phytac_design.fabrication.profile import wall_mesh
+from phytac_design.fabrication.solid_mesh import (
+    TOLERANCE_mm,
+    painted_manifolds,
+    shell_manifold,
+    to_triangles,
+)
+from phytac_design.layout import Markers
+from phytac_design.rules import check_design
+from phytac_design.spec import Design, WallSection
+from shapes import Surface
+
+ANGLE_rad = 0.5
+"""Angular tolerance of OpenCASCADE's mesher: loose, so that the chord alone decides."""
+ADMESH_ROWS = (
+    "Degenerate facets",
+    "Edges fixed",
+    "Facets removed",
+    "Facets added",
+    "Facets reversed",
+    "Backwards edges",
+    "Normals fixed",
+    "Total disconnected facets",
+)
+Case = tuple[Design, Surface, Markers]
+
+
+def load(name: str, *, rows: int | None = None) -> Case:
+    """Read a shipped design, checked; ``rows`` shortens the lattice for a smoke run."""
+    path = Path(phytac_design.__file__).parent / "designs" / f"{name}.toml"
+    data: dict[str, Any] = tomllib.loads(path.read_text())
+    if rows is not None:
+        data["layout"] = {**data.get("layout", {}), "rows": rows}
+    design = Design.model_validate(data)
+    return design, *check_design(design)
+
+
+def facts(table: Table, case: Case) -> None:
+    """Facts of the mesh, by manifold3d and by trimesh, against what the holes make them."""
+    design, surface, markers = case
+    solid = shell_manifold(*case)
+    genus = expected_genus(surface, markers)
+    for program, found in (
+        ("manifold3d", manifold_facts(solid)),
+        ("trimesh", trimesh_facts(to_triangles(solid))),
+    ):
+        label = f"{design.name}, {program}"
+        table.add(
+            f"{label}: watertight",
+            float(found.watertight),
+            "-",
+            reference=1,
+            source="every edge has two triangles",
+            target="== 1",
+        )
+        table.add(
+            f"{label}: bodies",
+            found.bodies,
+            "-",
+            reference=1,
+            source="one printed part",
+            target="== 1",
+        )
+        table.add(
+            f"{label}: genus",
+            found.genus,
+            "-",
+            reference=genus,
+            source="ring 1 + one for each through-hole (derived here)",
+            target=f"== {genus}",
+        )
+    table.add(
+        f"{design.name}: triangles",
+        int(solid.num_tri()),
+        "-",
+        reference=TOLERANCE_mm,
+        source="within this distance (mm) of the true faces",
+    )
+    tiles = sum(body.volume() for body in painted_manifolds(*case).values())
+    table.add(
+        f"{design.name}: resin and paints against shell, volume",
+        abs(tiles / solid.volume() - 1.0),
+        "relative",
+        reference=float(solid.volume()),
+        source="shell, mm3",
+        target="<= 1e-9",
+    )
+
+
+def wall(table: Table) -> None:
+    """Wall of cylinder60 against the closed form, without and with rims."""
+    surface = load("cylinder60")[1]
+    bare = np.pi * (30.0**2 - 29.2**2) * 120.0
+    rims = 2.0 * np.pi * (31.6**2 - 29.2**2) * 4.0
+    for label, section, closed in (
+        ("wall", WallSection(rim_length_mm=0.0), bare),
+        ("wall and rims", WallSection(), bare + rims),
+    ):
+        volume = wall_mesh(surface, section, tolerance_mm=TOLERANCE_mm).volume_mm3
+        table.add(
+            f"cylinder60: {label} against closed form",
+            abs(volume / closed - 1.0),
+            "relative",
+            reference=closed,
+            source="π(R² − r²)·L, mm3",
+            target="<= 1e-5",
+        )
+
+
+def routes(table: Table, case: Case, folder: Path) -> None:
+    """Time design → STL by manifold3d and by CadQuery/OCC in the same run, and STEP."""
+    design = case[0]
+    check = median_of(lambda: check_design(design))
+    table.add(f"{design.name}: rules", 1e3 * check, "ms", reference="-", source="median of 5")
+    mesh_time = median_of(
+        lambda: write_stl(to_triangles(shell_manifold(*case)), folder / "shell.stl")
+    )
+    cad_facts(shell_cad(*load("cylinder60", rows=1)))  # imports are not timed
+    start = time.perf_counter()
+    solid = shell_cad(*case)
+    solid_time = time.perf_counter() - start
+    write_stl_by_cad(solid, folder / "occ.stl", tolerance_mm=TOLERANCE_mm, angle_rad=ANGLE_rad)
+    cad_time = time.perf_counter() - start
+    start = time.perf_counter()
+    write_step(solid, folder / "shell.step", name=design.name)
+    step_time = time.perf_counter() - start
+    source = f"chord {TOLERANCE_mm} mm both, same run; OCC once, mesh median of 5"
+    table.add(f"{design.name}: STL by manifold3d", mesh_time, "s", reference="-", source=source)
+    table.add(f"{design.name}: STL by CadQuery/OCC", cad_time, "s", reference="-", source=source)
+    table.add(
+        f"{design.name}: STL, CadQuery/OCC over manifold3d",
+        cad_time / mesh_time,
+        "ratio",
+        reference=cad_time,
+        source=source,
+        target=">= 8",
+    )
+    table.add(
+        f"{design.name}: STEP, solid and file",
+        solid_time + step_time,
+        "s",
+        reference="-",
+        source="one fuse, one cut, no pcurves",
+        target="<= 15",
+    )
+    agreement(table, case, solid, folder)
+
+
+def agreement(table: Table, case: Case, solid: Any, folder: Path) -> None:
+    """Volumes of mesh, CAD solid, and STEP file opened again; validity; size of OCC's STL."""
+    name, mine, again = case[0].name, cad_facts(solid), cad_facts(read_step(folder / "shell.step"))
+    mesh = shell_manifold(*case).volume()
+    table.add(
+        f"{name}: volume, manifold3d against OCC",
+        abs(mesh / mine.volume_mm3 - 1.0),
+        "relative",
+        reference=mine.volume_mm3,
+        source="OpenCASCADE GProp, mm3",
+        target="<= 0.001",
+    )
+    table.add(
+        f"{name}: volume, STEP opened again",
+        abs(again.volume_mm3 / mine.volume_mm3 - 1.0),
+        "relative",
+        reference=mine.volume_mm3,
+        source="before writing, mm3",
+        target="<= 0.0001",
+    )
+    for label, found in (("CAD", mine), ("STEP opened again", again)):
+        table.add(
+            f"{name}: {label} valid, one solid",
+            float(found.valid and found.solids == 1),
+            "-",
+            reference=1,
+            source="BRepCheck",
+            target="== 1",
+        )
+    ours, theirs = ((folder / file).stat().st_size for file in ("shell.stl", "occ.stl"))
+    table.add(
+        f"{name}: STL size against OCC's",
+        ours / theirs,
+        "ratio",
+        reference=theirs,
+        source=f"bytes of OCC's STL, angle {ANGLE_rad} rad",
+    )
+
+
+def outside(table: Table, case: Case, folder: Path) -> None:
+    """Run admesh and prusa-slicer on the files as they are."""
+    name = case[0].name
+    stl = folder / "shell.stl"
+    write_stl(to_triangles(shell_manifold(*case)), stl)
+    if shutil.which("admesh"):
+        report = subprocess.run(
+            ["admesh", str(stl)], capture_output=True, text=True, check=True
+        ).stdout
+        fields = dict(line.split(":", 1) for line in report.splitlines() if ":" in line)
+        counts = {key.strip(): value.split() for key, value in fields.items()}
+        repairs = sum(int(counts[row][0]) for row in ADMESH_ROWS)
+        table.add(
+            f"{name}: repairs by admesh",
+            repairs,
+            "-",
+            reference=0,
+            source="admesh, all its counts of faults",
+            target="== 0",
+        )
+    bodies = {label: to_triangles(body) for label, body in painted_manifolds(*case).items()}
+    write_3mf(bodies, folder / "shell.3mf", name=name)
+    if shutil.which("prusa-slicer"):
+        for file in (stl, folder / "shell.3mf"):
+            slice_file(table, name, file)
+
+
+def slice_file(table: Table, name: str, file: Path) -> None:
+    """Slice a file by prusa-slicer's default printer; the time and whether G-code came out."""
+    target = file.with_suffix(file.suffix + ".gcode")
+    start = time.perf_counter()
+    done = subprocess.run(
+        ["prusa-slicer", "--export-gcode", str(file), "-o", str(target)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    seconds = time.perf_counter() - start
+    sliced = done.returncode == 0 and target.exists() and target.stat().st_size > 100_000
+    table.add(
+        f"{name}: {file.suffix[1:]} sliced by prusa-slicer",
+        float(sliced),
+        "-",
+        reference=1,
+        source=f"G-code written in {seconds:.1f} s",
+        target="== 1",
+        note="" if file.suffix == ".stl" else "PrusaSlicer 2.5 loads the bodies as objects",
+    )
+
+
+def main() -> None:
+    """Run all rows."""
+    quick = arguments(__doc__.splitlines()[0] if __doc__ else "").quick
+    table = Table("fabrication")
+    main_case = load("cylinder60", rows=4 if quick else None)
+    wall(table)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        facts(table, main_case)
+        routes(table, main_case, folder)
+        outside(table, main_case, folder)
+        if not quick:
+            other = load("cylinder40")
+            facts(table, other)
+            outside(table, other, folder)
+    if not quick:
+        table.write()
+
+
+if __name__ == "__main__":
+    main()

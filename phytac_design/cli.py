@@ -1,0 +1,186 @@
+"""The command ``phytac``: short calls into the library, one clear line for every error."""
+
+import json
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from shapes.errors import DesignError, PhytacError
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="From one design file: a camera-based force sensor, printable, proven visible, decoded.",
+)
+
+
+class Preset(StrEnum):
+    """Accuracy presets."""
+
+    draft = "draft"
+    standard = "standard"
+    fine = "fine"
+
+
+class Estimator(StrEnum):
+    """Force estimators of a bundle."""
+
+    fem = "fem"
+    fem_nn = "fem_nn"
+    fem_nn_identity = "fem_nn_identity"
+    koi_inverse = "koi_inverse"
+
+
+DesignArgument = Annotated[str, typer.Argument(help="A shipped design or the path of a file.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
+SeedOption = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
+
+
+def say(text: str) -> None:
+    """Progress goes to standard error, so that standard output stays clean."""
+    typer.echo(text, err=True)
+
+
+@app.command()
+def build(
+    design: DesignArgument,
+    out: Annotated[Path | None, typer.Option(help="Exports folder.")] = None,
+    accuracy: Annotated[Preset, typer.Option(help="Speed against accuracy.")] = Preset.standard,
+    only: Annotated[str, typer.Option(help="Stages, comma separated, with what they need.")] = "",
+    seed: SeedOption = 0,
+    force: Annotated[bool, typer.Option(help="Overwrite another design's folder.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Build everything of a design: shell, views, mesh, decoder, report."""
+    from phytac_design.build import build as run_build
+    from phytac_design.design_file import load_design
+
+    loaded = load_design(design)
+    target = out or Path("exports") / loaded.name
+    names = [name.strip() for name in only.split(",") if name.strip()]
+    result = run_build(
+        loaded,
+        target,
+        accuracy=accuracy.value,
+        only=names or None,
+        seed=seed,
+        force=force,
+        progress=say,
+    )
+    if as_json:
+        summary = {
+            "out": str(result.out),
+            "ran": list(result.ran),
+            "cached": list(result.cached),
+            "seconds": round(result.seconds, 3),
+            "timing_s": result.timing_s,
+        }
+        typer.echo(json.dumps(summary, indent=1))
+        return
+    typer.echo(
+        f"{target}: {len(result.ran)} stages run, {len(result.cached)} from the cache, "
+        f"{result.seconds:.1f} s"
+    )
+    page = target / "report" / "report.html"
+    if page.is_file():
+        typer.echo(f"open {page}")
+
+
+@app.command()
+def check(design: DesignArgument, seed: SeedOption = 0, as_json: JsonOption = False) -> None:
+    """Check rules, visibility and density alone: no solid, no mesh."""
+    from phytac_design.checkup import checkup
+    from phytac_design.design_file import load_design
+
+    report = checkup(load_design(design), seed=seed)
+    if as_json:
+        typer.echo(json.dumps(report, indent=1))
+    else:
+        _print_check(report)
+    if not report["clear"]:
+        raise typer.Exit(DesignError.exit_code)
+
+
+def _print_check(report: dict[str, Any]) -> None:
+    density, seen = report["markers"], report["visibility"]
+    typer.echo(
+        f"{report['design']}: {density['count']} markers on {density['sensing_area_cm2']:.1f} cm² "
+        f"({density['density_per_cm2']:.2f} /cm², {density['surface_class']} to the optical axis)"
+    )
+    typer.echo(f"camera {report['stand_off_mm']:.2f} mm in front of the near rim")
+    for key, value in seen.items():
+        typer.echo(f"  {key:26s} {value:g}")
+    verdict = "every marker is seen and told apart" if report["clear"] else "NOT clear"
+    typer.echo(f"{verdict} ({report['seconds']:.1f} s)")
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(help="Name of the new design.")],
+    source: Annotated[str, typer.Option("--from", help="Design to start from.")] = "cylinder60",
+    out: Annotated[Path | None, typer.Option(help="File to write; NAME.toml if not given.")] = None,
+) -> None:
+    """Write a commented design file to edit."""
+    from phytac_design.design_file import write_new_design
+
+    typer.echo(f"wrote {write_new_design(name, source, out or Path(f'{name}.toml'))}")
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of design files."""
+    from phytac_design.spec import Design
+
+    typer.echo(json.dumps(Design.model_json_schema(), indent=1, ensure_ascii=False))
+
+
+@app.command()
+def decode(
+    bundle: Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")],
+    frame: Annotated[Path, typer.Argument(help="Camera frame.")],
+    rest: Annotated[Path | None, typer.Option(help="Frame of the unloaded sensor.")] = None,
+    estimator: Annotated[Estimator, typer.Option(help="Force estimator.")] = Estimator.koi_inverse,
+    as_json: JsonOption = False,
+) -> None:
+    """Decode one camera frame to forces in newtons."""
+    from decoder.bundle import load_bundle
+    from decoder.run import measure_frame, read_image, rest_positions
+
+    loaded = load_bundle(bundle)
+    image = read_image(frame)
+    rest_px = rest_positions(loaded, read_image(rest)) if rest else None
+    measured = measure_frame(loaded, image, rest_px=rest_px)
+    forces = measured.forces_N(loaded, estimator.value)
+    if as_json:
+        result = {
+            "design": loaded.design,
+            "estimator": estimator.value,
+            "found": int(measured.found.sum()),
+            "forces_N": {str(i): round(float(forces[i]), 4) for i in measured.koi},
+            "total_N": round(float(forces.sum()), 4),
+        }
+        typer.echo(json.dumps(result, indent=1))
+        return
+    typer.echo(f"{loaded.design}: {int(measured.found.sum())} of {len(forces)} markers found")
+    for marker in measured.koi:
+        x, y, z = loaded.position_mm[marker]
+        typer.echo(
+            f"  marker {marker:4d} at ({x:6.1f}, {y:6.1f}, {z:6.1f}) mm  {forces[marker]:7.2f} N"
+        )
+    typer.echo(f"total {forces.sum():.2f} N on {len(measured.koi)} switched receptors")
+
+
+def main() -> None:
+    """Run the command line; a user's error is one line on standard error and an exit code."""
+    try:
+        app()
+    except PhytacError as error:
+        typer.echo(f"error: {error}", err=True)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        typer.echo("stopped; run the same command again to go on where it was", err=True)
+        sys.exit(130)

@@ -1,0 +1,1 @@
+"""The page a person reads: report.json and report.html."""

@@ -1,0 +1,193 @@
+"""Gather every stage's figures into report.json, and show them on one page."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from decoder.run import read_image
+from phytac_design import cache
+from phytac_design.design_file import assumptions
+from phytac_design.report import figures, page
+from phytac_design.spec import Design
+from phytac_design.stage import EXPORT, Context, Stage, export_path, write_facts
+
+NEEDS = ("views", "compare", "shell", "step", "mesh", "response", "twin", "decoder", "frames")
+SIMULATED = (
+    "All decoder figures are in simulation: contacts are solved with a linear shell model (on a "
+    "finer mesh than the decoder's own), projected through the camera, and given pixel noise. "
+    "Large displacement, printed scatter and real frames are not in them."
+)
+PAPER = "paper, on a real sensor: FEM 18 % (49 % below 5 N), FEM-NN 2.3 % and 0.11 N"
+
+
+def gather(context: Context) -> dict[str, Any]:
+    """Every figure of the build, as report.json holds it."""
+    design = context.design
+    views, shell, step = (context.facts(name) for name in ("views", "shell", "step"))
+    decoder, frames, twin = (context.facts(name) for name in ("decoder", "frames", "twin"))
+    density = views["density"]
+    timing = {name: cache.record(context.folders[name])["seconds"] for name in NEEDS}
+    return {
+        "schema_version": "1.0",
+        "design": design.name,
+        "description": design.description,
+        "simulated": SIMULATED,
+        "markers": {
+            "count": density["count"],
+            "rows": design.layout.rows,
+            "columns": design.layout.columns,
+            "density_per_cm2": density["per_cm2"],
+            "sensing_area_cm2": density["area_cm2"],
+            "surface_class": density["surface_class"],
+            "height_near_mm": design.layout.height_near_mm,
+            "height_far_mm": design.layout.height_far_mm,
+        },
+        "visibility": views["visibility"],
+        "straight": context.facts("compare")["straight"],
+        "camera": {
+            "stand_off_mm": views["stand_off_mm"],
+            "picture": views["renderer"],
+            "rest_centroid_bias_px": views["centroid_bias_px"],
+        },
+        "shell": shell | step,
+        "mesh": context.facts("mesh"),
+        "decoder": {name: decoder["test"][name] for name in decoder["test"]},
+        "decoder_anywhere": decoder["anywhere"],
+        "training": decoder["training"],
+        "twin": twin,
+        "condition_compliance": context.facts("response")["condition"],
+        "frames": {key: value for key, value in frames.items() if key != "estimators"},
+        "decoder_frames": frames["estimators"],
+        "assumptions": assumptions(design),
+        "accuracy": context.accuracy.as_dict(),
+        "seed": context.seed,
+        "timing_s": timing | {"total": round(sum(timing.values()), 3)},
+    }
+
+
+def finite(value: Any) -> Any:
+    """Plain JSON: figures that do not exist (NaN, infinite) become null."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def lead_of(report: dict[str, Any]) -> str:
+    """Verdict at the top of the page."""
+    seen, shell = report["visibility"], report["shell"]
+    clear = seen["occluded"] == 0 and seen["fused"] == 0
+    told = (
+        "every marker is seen and told apart"
+        if clear
+        else f"{seen['occluded']} markers are hidden and {seen['fused']} fuse: see Camera"
+    )
+    solid = "one watertight body" if shell["watertight"] else "NOT watertight"
+    best = report["decoder_frames"]["koi_inverse"]
+    return (
+        f'<p class="verdict{"" if clear else " bad"}">{report["markers"]["count"]} markers, '
+        f"{report['markers']['density_per_cm2']:.2f} per cm² of a surface "
+        f"{report['markers']['surface_class']} to the optical axis; {told}; the shell is {solid}; "
+        f"rendered frames decode to {100.0 * best['relative_error']:.1f} % and "
+        f"{best['mae_N']:.2f} N (KOI-restricted inverse, simulated).</p>"
+        f'<p class="note">{SIMULATED}</p>'
+    )
+
+
+def sections_of(context: Context, report: dict[str, Any]) -> list[tuple[str, str]]:
+    """Sections of the page."""
+    arrays = context.arrays("views")
+    colours = [
+        context.design.layout.colours[index % len(context.design.layout.colours)]
+        for index in context.markers.colour
+    ]
+    flat = context.surface.unwrap(context.markers.uv)
+    paper = f"<p>({page.number(PAPER)}.)</p>"
+    layouts = page.table(
+        ("", "this layout", "straight, same counts"),
+        [(key, value, report["straight"][key]) for key, value in report["visibility"].items()],
+    )
+
+    def view(stage: str, name: str, caption: str) -> str:
+        image = read_image(context.folders[stage] / EXPORT / "views" / name)
+        return page.figure(figures.thumbnail(image, 900), caption, "jpeg")
+
+    def unrolled(values: Any, title: str, label: str) -> str:
+        data = figures.unrolled_map(flat, values, title=title, label=label, colours=colours)
+        return page.figure(data, title)
+
+    gap = np.minimum(arrays["gap_same_colour_px"], 60.0)
+    return [
+        (
+            "Camera",
+            '<div class="pair">'
+            + view("views", "camera.png", "What the camera sees, at rest")
+            + view("compare", "straight.png", "The same counts in straight rows")
+            + view("views", "camera_all_on.png", "All switches on: red tips out")
+            + view("views", "ids.png", "Exact ID map: one colour per marker")
+            + "</div>"
+            + layouts
+            + unrolled(arrays["visible_fraction"], "Visible fraction of each marker", "fraction")
+            + unrolled(
+                gap, "Gap to the nearest marker of the same colour (60 px and more alike)", "px"
+            )
+            + page.facts(report["camera"]),
+        ),
+        ("Markers", page.facts(report["markers"])),
+        ("Shell", page.facts(report["shell"])),
+        ("Mesh", page.facts(report["mesh"])),
+        (
+            "Decoder: rendered frames",
+            page.score_table(report["decoder_frames"])
+            + paper
+            + '<div class="pair">'
+            + view("frames", "frame_rest.png", "Frame of the unloaded sensor")
+            + view("frames", "frame_pressed.png", "A pressed frame that was decoded")
+            + "</div>"
+            + page.facts(report["frames"]),
+        ),
+        (
+            "Decoder: held-out contacts, points",
+            page.score_table(report["decoder"])
+            + paper
+            + page.figure(
+                figures.error_bars(report["decoder"], title="Contacts on receptors"),
+                "Relative error of the estimators",
+            )
+            + "<p>Contacts anywhere on the surface, between receptors too:</p>"
+            + page.score_table(report["decoder_anywhere"])
+            + "<p>Contacts that trip no switch cannot be decoded and are counted apart.</p>"
+            + page.facts({"training": report["training"], "twin": report["twin"]}),
+        ),
+        (
+            "Assumptions",
+            "<p>Not stated by the paper; set these to your own parts.</p>"
+            + page.facts(report["assumptions"]),
+        ),
+        ("Settings and time", page.facts({k: report[k] for k in ("accuracy", "seed", "timing_s")})),
+    ]
+
+
+def run(context: Context, folder: Path) -> None:
+    """Write ``report/report.json`` and ``report/report.html``."""
+    report = gather(context)
+    text = json.dumps(finite(report), indent=1, ensure_ascii=False)
+    export_path(folder, "report/report.json").write_text(text + "\n", encoding="utf-8")
+    title = f"{report['design']}: camera-based force sensor"
+    html = page.page(title, sections_of(context, report), lead_of(report))
+    export_path(folder, "report/report.html").write_text(html, encoding="utf-8")
+    write_facts(folder, {"page_bytes": len(html)})
+
+
+REPORT = Stage(
+    name="report",
+    tables=tuple(Design.model_fields),
+    needs=NEEDS,
+    run=run,
+)

@@ -1,0 +1,64 @@
+"""Published shell problems (see ``phytac_design.mechanics.cases`` for their sources)."""
+
+import numpy as np
+import pytest
+
+from phytac_design.mechanics import cases
+
+
+@pytest.mark.parametrize(("n", "tolerance"), [(16, 0.03), (32, 0.015)])
+@pytest.mark.parametrize("case", ["scordelis_lo", "hemisphere_with_hole"])
+def test_curved_shells(case: str, n: int, tolerance: float) -> None:
+    assert getattr(cases, case)(n) == pytest.approx(1.0, abs=tolerance)
+
+
+@pytest.mark.parametrize(("n", "tolerance"), [(16, 0.07), (32, 0.015)])
+def test_pinched_cylinder(n: int, tolerance: float) -> None:
+    assert cases.pinched_cylinder(n) == pytest.approx(1.0, abs=tolerance)
+
+
+@pytest.mark.parametrize("in_plane", [True, False])
+@pytest.mark.parametrize("thickness", [0.32, 0.0032])
+def test_twisted_beam(thickness: float, in_plane: bool) -> None:
+    value = cases.twisted_beam(12, thickness=thickness, in_plane=in_plane)
+    assert value == pytest.approx(1.0, abs=0.02)
+
+
+def test_raasch_hook() -> None:
+    assert cases.raasch_hook(32) == pytest.approx(1.0, abs=0.015)
+
+
+@pytest.mark.parametrize("thickness", cases.HYPERBOLOID)
+def test_free_hyperboloid_bends_without_locking_however_thin(thickness: float) -> None:
+    assert cases.hyperboloid(32, thickness=thickness) == pytest.approx(1.0, abs=0.015)
+
+
+def test_second_order_convergence_of_the_roof() -> None:
+    fine = cases.scordelis_lo(48)
+    errors = [abs(cases.scordelis_lo(n) - fine) for n in (6, 12)]
+    assert np.log2(errors[0] / errors[1]) > 1.7
+
+
+@pytest.mark.parametrize("case", ["scordelis_lo", "hemisphere_with_hole"])
+def test_a_jittered_mesh_stays_close(case: str) -> None:
+    assert getattr(cases, case)(24, jitter=0.25) == pytest.approx(1.0, abs=0.03)
+
+
+def test_value_of_the_design_page() -> None:
+    # DESIGN §2: middle face R 30, L 120, t 0.8, E 2200, ν 0.38, clamped, 1 N at one node of the
+    # middle: 0.0326 mm with *quadratic* shells 64 × 46. Ours are linear: twice as many, and a
+    # quarter of the shell.
+    mesh = cases.patch(
+        lambda a, b: np.column_stack([30 * np.cos(np.pi * a), 30 * np.sin(np.pi * a), 60.0 * b]),
+        64,
+        46,
+    )
+    fixed = cases.no_support(mesh)
+    cases.hold(fixed, (mesh.ab[:, 0] == 0.0) | (mesh.ab[:, 0] == 1.0), cases.SYMMETRY[1])
+    cases.hold(fixed, mesh.ab[:, 1] == 0.0, (0, 1, 2, 3, 4, 5))
+    cases.hold(fixed, mesh.ab[:, 1] == 1.0, cases.SYMMETRY[2])
+    loads = np.zeros((len(mesh.nodes), 6))
+    node = cases.at(mesh, 0.0, 1.0)
+    loads[node, 0] = -0.25
+    motion = cases.solve_case(mesh, fixed, loads, modulus=2200.0, poisson=0.38, thickness=0.8)
+    assert -motion[node, 0] == pytest.approx(0.0326, rel=0.01)

@@ -1,0 +1,43 @@
+"""Small versions of the published sensor."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from phytac_design.layout import make_markers
+from phytac_design.optics.scene import Scene, build_scene
+from phytac_design.optics.view import camera_of, tolerance_mm
+from phytac_design.spec import Design
+from shapes.arrays import BoolArray
+
+FULL = {"width_px": 2592, "height_px": 1944, "focal_px": 970.0}
+"""The paper's large camera."""
+
+
+def make_design(**sections: Mapping[str, Any]) -> Design:
+    """Published sensor before a camera with a quarter of the pixels; ``sections`` replace."""
+    data: dict[str, Any] = {
+        "name": "small",
+        "shape": {"kind": "cylinder", "diameter_outer_mm": 60.0, "length_mm": 120.0},
+        "camera": {"width_px": 648, "height_px": 486, "focal_px": 242.5},
+    }
+    return Design.model_validate(data | sections)
+
+
+class Bench:
+    """A design with its surface, markers and camera."""
+
+    def __init__(self, design: Design) -> None:
+        self.design = design
+        self.surface = design.surface()
+        self.markers = make_markers(design, self.surface)
+        self.camera = camera_of(design, self.surface)
+
+    def scene(self, switch_on: BoolArray | None = None) -> Scene:
+        """Scene at rest."""
+        return build_scene(
+            self.design,
+            self.surface,
+            self.markers,
+            tolerance_mm=tolerance_mm(self.camera, self.markers),
+            switch_on=switch_on,
+        )

@@ -1,0 +1,89 @@
+from typing import Any
+
+import numpy as np
+import pytest
+
+from decoder.camera import PinholeCamera
+from phytac_design.layout import make_markers
+from phytac_design.optics.view import camera_of, refuse_swallowed, tolerance_mm
+from shapes import Cylinder
+from shapes.arrays import FloatArray
+from shapes.errors import DesignError
+from tests.optics.cases import FULL, make_design
+
+
+def camera_for(**camera: Any) -> PinholeCamera:
+    design = make_design(camera=FULL | camera)
+    return camera_of(design, design.surface())
+
+
+def test_fit_fills_the_smaller_side_with_the_near_rim() -> None:
+    camera = camera_for(fill=0.975)
+    assert camera.position_mm[2] == pytest.approx(-970.0 * 29.2 / (972.0 * 0.975))
+    edge = camera.project(np.array([[0.0, 29.2, 0.0]]))[0] - camera.centre_px
+    assert edge[1] == pytest.approx(0.975 * 972.0)
+
+
+def test_tolerance_is_a_tenth_of_a_pixel_at_the_end_face() -> None:
+    design = make_design(camera=FULL)
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    camera = camera_of(design, surface)
+    aside = np.array([1.0, 0.0, 0.0]) * tolerance_mm(camera, markers)[:, None]
+    moved = camera.project(markers.tip_mm + aside) - camera.project(markers.tip_mm)
+    np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 0.1, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("camera", "light", "words"),
+    [
+        ({"stand_off_mm": -5.0}, {}, ("inside the sensor", "z = 5.00 mm", '"fit"', "29.89")),
+        ({"stand_off_mm": 0.0}, {}, ("inside the sensor", "stand_off_mm = 0")),
+        ({"stand_off_mm": 20.0}, {}, ("cannot see the near rim", "1416", "972", "29.14")),
+        ({"stand_off_mm": 30.0}, {"bar_start_mm": -40.0}, ("inside the light bar", "-40.00")),
+    ],
+)
+def test_a_camera_that_cannot_work_is_refused(
+    camera: dict[str, Any], light: dict[str, Any], words: tuple[str, ...]
+) -> None:
+    design = make_design(camera=FULL | camera, light=light)
+    with pytest.raises(DesignError) as caught:
+        camera_of(design, design.surface())
+    for word in words:
+        assert word in str(caught.value)
+
+
+class Lid(Cylinder):
+    """A cylinder whose chart takes any point to a lid in front of the camera."""
+
+    name = "lid"
+
+    def chart(self, points_mm: FloatArray) -> FloatArray:
+        return np.tile([3.0, 1.0], (len(points_mm), 1))
+
+    def normal(self, uv: FloatArray) -> FloatArray:
+        lid = uv[:, :1] == 3.0
+        return np.asarray(np.where(lid, [0.0, 0.0, -1.0], super().normal(uv)))
+
+    def point(self, uv: FloatArray, offset_mm: FloatArray | float = 0.0) -> FloatArray:
+        lid = uv[:, :1] == 3.0
+        return np.asarray(np.where(lid, [0.0, 0.0, -30.2], super().point(uv, offset_mm)))
+
+
+def test_a_camera_in_the_wall_is_refused() -> None:
+    # No on-axis camera can stand in a cylinder's wall; in a shape that closes over the axis, it
+    # can. Its outer face here is at z = -30.2, the camera 0.31 mm behind it.
+    surface = Lid(diameter_outer_mm=60.0, length_mm=120.0)
+    with pytest.raises(DesignError, match=r"inside the shell wall \(0\.31 mm below"):
+        camera_of(make_design(camera=FULL), surface)
+
+
+def test_a_light_bar_that_swallows_tips_is_refused() -> None:
+    def check(radius: float) -> None:
+        design = make_design(camera=FULL, light={"bar_radius_mm": radius})
+        surface = design.surface()
+        refuse_swallowed(design, surface, make_markers(design, surface))
+
+    check(16.4)  # tips with their switch on end at 29.2 - 11.5 - 1.2 = 16.5 mm
+    with pytest.raises(DesignError, match=r"row 22 .* 16\.50 mm"):
+        check(16.6)
