@@ -16,7 +16,7 @@ from safetensors.numpy import load_file, save_file
 
 from decoder.camera import PinholeCamera
 from decoder.estimators import ForceModel
-from decoder.network import CascadeNetwork, parameter_count
+from decoder.network import ACTIVATIONS, CascadeNetwork, parameter_count
 from decoder.segmentation import ColourModel
 from decoder.switches import TipModel
 from shapes.arrays import FloatArray, IntArray
@@ -83,7 +83,7 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
             "model": "pinhole",
             "width_px": camera.width_px,
             "height_px": camera.height_px,
-            "focal_px": camera.focal_px,
+            "focal_px": float(camera.focal_px),
             "centre_px": camera.centre_px.tolist(),
             "position_mm": camera.position_mm.tolist(),
             "rotation": camera.rotation.tolist(),
@@ -210,6 +210,9 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any]) -> Bundle:
     camera = meta["camera"]
     if camera["model"] != "pinhole":
         raise ValueError(f"camera model {camera['model']!r} is not known")
+    for name, item in meta["networks"].items():
+        if item["activation"] not in ACTIVATIONS:
+            raise ValueError(f"network {name!r} has an unknown activation {item['activation']!r}")
     networks = {
         name: CascadeNetwork(
             parameters=arrays[f"network.{name}"],

@@ -22,7 +22,7 @@ class ForceModel:
     stiffness : (n, n) float
         K, N/mm: condensed to u, all other motions load-free (inverse of the compliance in u).
     compliance_px : (2n, n) float
-        C, px/N: pixel shifts (x0, y0, x1, y1, …) per newton pressed inward on each footprint.
+        C, px/N: pixel shifts (x0, y0, x1, y1, …) per newton pressed inward on each marker's cell.
     height_z_mm : (n,) float
         z of each marker, the network's tenth input.
     neighbours : (n, 8) int

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from shapes.arrays import FloatArray, IntArray
 
 Activation = Literal["rectified", "identity"]
+ACTIVATIONS: tuple[str, ...] = get_args(Activation)
 INPUTS, HIDDEN = 10, 10
 SHAPES: dict[str, tuple[int, ...]] = {
     "w1": (HIDDEN, INPUTS),

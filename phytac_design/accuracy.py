@@ -38,7 +38,7 @@ class Accuracy:
 PRESETS: dict[str, Accuracy] = {
     "draft": Accuracy(
         cad_tolerance_mm=0.05,
-        refine=2,
+        refine=3,
         truth_refine=5,
         sample_share=0.3,
         frames=5,

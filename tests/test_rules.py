@@ -212,6 +212,13 @@ def test_the_suggested_height_passes_and_a_little_more_does_not() -> None:
         check_design(design(layout={"rows": 23, "columns": 16, "height_far_mm": 20.8}))
 
 
+def test_the_far_height_of_a_single_row_is_not_blamed() -> None:
+    one = {"rows": 1, "columns": 1, "height_near_mm": 30.0, "height_far_mm": 30.0}
+    with pytest.raises(DesignError, match=r"lower layout.height_near_mm to \d") as caught:
+        check_design(design(layout=one))
+    assert "height_far_mm" not in str(caught.value)
+
+
 def test_lengths_that_meet_a_rule_exactly_pass() -> None:
     check_design(
         design(
@@ -223,7 +230,7 @@ def test_lengths_that_meet_a_rule_exactly_pass() -> None:
 
 
 def test_no_bar_no_bar_rule() -> None:
-    tall = {"rows": 23, "columns": 2, "height_far_mm": 26.5}
+    tall = {"rows": 23, "columns": 1, "height_far_mm": 29.0}
     check_design(design(layout=tall, light={"bar_radius_mm": 0.0}))
     with pytest.raises(DesignError, match="light bar"):
         check_design(design(layout=tall))

@@ -28,10 +28,10 @@ def clip_near(
         behind it), and the index of the triangle that each came from, in rising order.
     """
     front = points[:, 2] >= NEAR_MM
-    count = front[triangles].sum(axis=1)
     source = np.arange(len(triangles), dtype=np.int32)
-    if bool(np.all(count == 3)):
+    if bool(front.all()):
         return points, triangles, source
+    count = front[triangles].sum(axis=1)
     cut = np.flatnonzero((count == 1) | (count == 2))
     # Turn each cut triangle so that the vertex alone on its side comes first.
     side = front[triangles[cut]]

@@ -19,14 +19,16 @@ def arms_mm(context: Context) -> FloatArray:
     return np.asarray(context.arrays("views")["paint_point_mm"] - context.markers.mid_mm)
 
 
-def finger_radius_mm(design: Design) -> float:
-    """Radius over which the decoder assumes a contact spreads: the mean of the design's range.
+def cell_radius_mm(context: Context) -> float:
+    """Radius of the disc that has the area of one marker's cell.
 
-    A force on a shell this thin dents it by an amount that depends on the patch; a decoder that
-    assumes the switch's footprint (2.3 mm) instead of a fingertip (5.5 mm) errs twice as much.
+    The decoder lets each receptor carry the force on its own cell, as a node of the paper's mesh
+    carries the load of the elements around it. How far a force spreads matters: a wall this thin
+    dents half as much again under a switch's footprint (radius 2.3 mm) as under a cell (4.4 mm),
+    and the estimators err accordingly.
     """
-    training = design.training
-    return (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
+    area = context.surface.area_mm2() / context.markers.count
+    return float(np.sqrt(area / np.pi))
 
 
 def run_response(context: Context, folder: Path) -> None:
@@ -52,7 +54,7 @@ def run_response(context: Context, folder: Path) -> None:
         mesh,
         surface,
         markers,
-        load_radius_mm=finger_radius_mm(design),
+        load_radius_mm=cell_radius_mm(context),
     )
     arm = arms_mm(context)
     condensed = condense(
@@ -143,7 +145,7 @@ def samples_of(design: Design, share: float) -> dict[str, int]:
 
 RESPONSE = Stage(
     name="response",
-    tables=(*MECHANICS, "training"),
+    tables=MECHANICS,
     knobs=("refine",),
     needs=("views",),
     run=run_response,

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from phytac_design.layout import Markers, make_markers
-from phytac_design.mechanics.locate import locate
+from phytac_design.mechanics.locate import _inverse_bilinear, locate
 from phytac_design.mechanics.mesh import ShellMesh, chart_mesh, marker_mesh
 from phytac_design.spec import Design
 from shapes import Surface
+from shapes.arrays import FloatArray
 from shapes.cylinder import Cylinder
 from shapes.errors import DesignError, NumericalError
 
@@ -95,6 +96,28 @@ def test_locate_interpolates_linear_chart_functions_and_wraps() -> None:
     own, share = locate(mesh, mesh.uv)
     hit = np.where(own == np.arange(len(own))[:, None], share, 0.0).sum(axis=1)
     np.testing.assert_allclose(hit, 1.0, atol=1e-9)
+
+
+def test_inverse_bilinear_map_of_any_convex_quad() -> None:
+    rng = np.random.default_rng(4)
+    square = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
+    corners = square + rng.uniform(-0.4, 0.4, (300, 4, 2))
+    rs = rng.uniform(-1, 1, (300, 2))
+    h = 0.25 * (1 + rs[:, :1] * square[:, 0]) * (1 + rs[:, 1:] * square[:, 1])
+    target = np.einsum("ni,nik->nk", h, corners)
+    np.testing.assert_allclose(_inverse_bilinear(corners, target), rs, atol=1e-10)
+
+
+def test_a_chart_that_turns_the_other_way_still_faces_outward() -> None:
+    class Mirrored(Cylinder):
+        def normal(self, uv: FloatArray) -> FloatArray:
+            return super().normal(uv * [1.0, -1.0])
+
+    surface = Mirrored(diameter_outer_mm=60.0, length_mm=120.0)
+    mesh = chart_mesh(surface, thickness_mm=0.8, n_along=4, n_around=12)
+    corner = mesh.nodes_mm[mesh.quads]
+    facing = np.cross(corner[:, 2] - corner[:, 0], corner[:, 3] - corner[:, 1])
+    assert np.all(np.sum(facing * mesh.normals[mesh.quads].mean(axis=1), axis=1) > 0.0)
 
 
 def test_positions_off_the_shell_are_refused() -> None:

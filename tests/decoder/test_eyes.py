@@ -1,0 +1,132 @@
+"""Segmentation, matching and the digital channel on images with a known answer."""
+
+import cv2
+import numpy as np
+import pytest
+
+from decoder.matching import match_markers, nearest_same_colour_px
+from decoder.segmentation import ColourModel, check_image, segment
+from decoder.switches import TipModel, read_switches
+from shapes.errors import InputError
+
+PAINTS = {"blue": (28, 72, 214), "green": (24, 168, 62), "red": (214, 30, 34)}
+MODEL = ColourModel.from_rgb(PAINTS)
+GREY = (160, 170, 176)
+
+
+def discs(
+    centres: list[tuple[float, float]], names: list[str], *, radius: float = 5.0, scale: int = 8
+) -> np.ndarray:
+    """Anti-aliased discs on grey, drawn large and averaged down."""
+    image = np.full((120 * scale, 160 * scale, 3), GREY, dtype=np.uint8)
+    y, x = np.mgrid[0 : 120 * scale, 0 : 160 * scale]
+    for (cx, cy), name in zip(centres, names, strict=True):
+        # Pixel centres of the small image are integers: big pixel b is at (b + 0.5)/scale - 0.5.
+        inside = np.hypot((x + 0.5) / scale - 0.5 - cx, (y + 0.5) / scale - 0.5 - cy) < radius
+        image[inside] = PAINTS[name][::-1]
+    return cv2.resize(image, (160, 120), interpolation=cv2.INTER_AREA)
+
+
+def test_centroids_are_sub_pixel() -> None:
+    rng = np.random.default_rng(5)
+    centres = [(20 + 30 * i + rng.uniform(), 30 + 40 * j + rng.uniform()) for i in range(4) for j in range(2)]
+    names = ["blue", "green"] * 4
+    image = discs(centres, names)
+    noisy = np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
+    blobs = segment(noisy, MODEL)
+    assert len(blobs.colour) == 8
+    error = np.linalg.norm(blobs.centroid_px[:, None] - np.array(centres)[None], axis=2).min(axis=1)
+    assert np.sqrt((error**2).mean()) < 0.04
+
+
+@pytest.mark.parametrize("gain", [0.35, 0.6, 1.0])
+def test_colour_survives_shade(gain: float) -> None:
+    image = discs([(30, 30), (60, 30), (90, 30)], ["blue", "green", "red"])
+    dark = (image * gain).astype(np.uint8)
+    blobs = segment(dark, MODEL)
+    assert sorted(blobs.colour.tolist()) == [0, 1, 2]
+    order = np.argsort(blobs.centroid_px[:, 0])
+    assert blobs.colour[order].tolist() == [0, 1, 2]
+
+
+def test_grey_holds_no_blob() -> None:
+    rng = np.random.default_rng(0)
+    noise = np.clip(rng.normal(GREY, 4, (120, 160, 3)), 0, 255).astype(np.uint8)
+    assert len(segment(noise, MODEL).colour) == 0
+
+
+def test_touching_colours_stay_apart() -> None:
+    blobs = segment(discs([(50, 50), (59.0, 50)], ["blue", "green"]), MODEL)
+    assert sorted(blobs.colour.tolist()) == [0, 1]
+
+
+def test_wrong_images_are_refused() -> None:
+    with pytest.raises(InputError, match="160x120 px, the decoder was made for 640x480"):
+        check_image(np.zeros((120, 160, 3), np.uint8), width_px=640, height_px=480)
+    with pytest.raises(InputError, match="8-bit colour"):
+        check_image(np.zeros((120, 160), np.uint8), width_px=160, height_px=120)
+
+
+def lattice() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """5 × 6 markers 24 px apart, colours by column, with their neighbours."""
+    row, column = np.divmod(np.arange(30), 6)
+    rest = np.column_stack([20.0 + 24 * column, 10.0 + 24 * row])
+    steps = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
+    near = np.full((30, 8), -1)
+    for slot, (a, b) in enumerate(steps):
+        ok = (row + a >= 0) & (row + a < 5) & (column + b >= 0) & (column + b < 6)
+        near[ok, slot] = ((row + a) * 6 + column + b)[ok]
+    return rest, column % 2, near
+
+
+def test_matching_names_every_marker_under_motion() -> None:
+    rest, colour, near = lattice()
+    rng = np.random.default_rng(2)
+    centre = np.array([80.0, 58.0])
+    arm = rest - centre
+    push = 9.0 * np.exp(-np.sum(arm**2, axis=1) / 900.0)[:, None] * np.array([0.6, 0.8])
+    moved = rest + push + rng.normal(0, 0.1, rest.shape)
+    names = [("blue", "green")[c] for c in colour]
+    blobs = segment(discs([tuple(p) for p in moved], names, radius=3.5), MODEL)
+    found = match_markers(blobs, rest_px=rest, colour=colour, neighbours=near)
+    assert found.found.all()
+    assert np.abs(found.position_px - moved).max() < 0.2
+
+
+def test_a_hidden_marker_is_reported_not_invented() -> None:
+    rest, colour, near = lattice()
+    keep = np.arange(30) != 14
+    names = [("blue", "green")[c] for c in colour[keep]]
+    blobs = segment(discs([tuple(p) for p in rest[keep]], names, radius=3.5), MODEL)
+    found = match_markers(blobs, rest_px=rest, colour=colour, neighbours=near)
+    assert not found.found[14]
+    assert np.isnan(found.position_px[14]).all()
+    assert found.found[keep].all()
+
+
+def test_split_marker_is_one_marker() -> None:
+    rest, colour, near = lattice()
+    names = [("blue", "green")[c] for c in colour]
+    image = discs([tuple(p) for p in rest], names, radius=5.0)
+    x, y = rest[8].astype(int)
+    image[y, x - 8 : x + 9] = GREY  # a scratch across one marker
+    found = match_markers(segment(image, MODEL), rest_px=rest, colour=colour, neighbours=near)
+    assert found.found.all()
+    assert np.abs(found.position_px[8] - rest[8]).max() < 0.2
+
+
+def test_nearest_same_colour() -> None:
+    rest, colour, _ = lattice()
+    assert np.allclose(nearest_same_colour_px(rest, colour), 24.0)
+
+
+def test_switch_bits_follow_the_red() -> None:
+    tips = TipModel(
+        on_px=np.array([[40.0, 40.0], [100.0, 40.0], [70.0, 90.0]]),
+        red_rest_px=np.array([0.0, 30.0, 0.0]),
+        red_on_px=np.array([78.0, 78.0, 78.0]),
+    )
+    image = discs([(41.0, 40.0), (100.0, 40.0)], ["red", "red"], radius=5.0)
+    image[36:45, 100:112] = GREY  # half of the second tip is still in its hole
+    bits = read_switches(segment(image, MODEL), tips, red_index=2, shift_px=np.zeros((3, 2)))
+    assert bits.tolist() == [True, False, False]

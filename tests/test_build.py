@@ -1,0 +1,276 @@
+"""A whole build: the folder's contract, the cache, refusals, determinism, decoding its frames."""
+
+import json
+import shutil
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from decoder.bundle import load_bundle
+from decoder.estimators import ESTIMATORS
+from decoder.run import measure_frame, read_image, rest_positions
+from phytac_design import cache
+from phytac_design.build import BuildResult, build
+from phytac_design.design_file import load_design, parse_design, to_toml
+from phytac_design.layout import make_markers
+from phytac_design.stages import STAGES
+from shapes.errors import DesignError, InputError, OutputError, PhytacError
+from tests.designs import changed, small
+
+CONTRACT = {
+    "design.toml",
+    "shell/shell.step",
+    "shell/shell.stl",
+    "shell/shell.3mf",
+    "views/camera.png",
+    "views/camera_all_on.png",
+    "views/ids.png",
+    "views/straight.png",
+    "views/frame_rest.png",
+    "views/frame_pressed.png",
+    "views/frame_pressed.json",
+    "mesh/shell.inp",
+    "mesh/shell.msh",
+    "mesh/shell.vtu",
+    "decoder/bundle.json",
+    "decoder/bundle.safetensors",
+    "report/report.json",
+    "report/report.html",
+}
+
+
+def quiet(_: str) -> None:
+    """No progress."""
+
+
+def manifest_of(out: Path) -> dict:
+    return json.loads((out / "manifest.json").read_text())
+
+
+def test_folder_is_the_contract(built: BuildResult) -> None:
+    files = {p.relative_to(built.out).as_posix() for p in built.out.rglob("*") if p.is_file()}
+    assert files == CONTRACT | {"manifest.json"}
+    entries = {item["path"]: item for item in manifest_of(built.out)["files"]}
+    assert set(entries) == CONTRACT
+    for path, item in entries.items():
+        assert item["sha256"] == cache.file_hash(built.out / path)
+        assert item["bytes"] == (built.out / path).stat().st_size
+    assert built.ran == tuple(stage.name for stage in STAGES)
+
+
+def test_report_holds_the_figures(built: BuildResult) -> None:
+    report = json.loads((built.out / "report" / "report.json").read_text())
+    assert report["markers"]["count"] == 112
+    assert report["markers"]["density_per_cm2"] == pytest.approx(112 / (0.6 * np.pi * 60), rel=1e-9)
+    seen = report["visibility"]
+    for key in ("occluded", "fused", "min_visible_fraction", "min_visible_px", "min_gap_px"):
+        assert key in seen
+    assert seen["occluded"] == 0
+    assert report["shell"]["watertight"] is True
+    assert report["shell"]["bodies"] == 1
+    assert report["shell"]["genus"] == 113
+    assert abs(report["shell"]["volume_difference"]) < 1e-3
+    for table in ("decoder", "decoder_frames"):
+        for name in ESTIMATORS:
+            row = report[table][name]
+            assert {"mae_N", "relative_error", "samples"} <= row.keys()
+    assert report["decoder"]["koi_inverse"]["relative_error"] < 0.25
+    assert report["frames"]["koi_missed"] == 0
+    assert report["frames"]["koi_false"] == 0
+    assert set(report["timing_s"]) == {s.name for s in STAGES if s.name != "report"} | {"total"}
+
+
+def test_page_opens_alone(built: BuildResult) -> None:
+    page = (built.out / "report" / "report.html").read_text()
+    for marker in ('src="http', "src='http", "<link", "<script src"):
+        assert marker not in page
+    assert "In simulation" in page or "in simulation" in page
+    assert "camera.focal_px" in page
+
+
+def test_second_build_is_all_cache(built: BuildResult, tmp_path: Path) -> None:
+    again = build(small(), tmp_path / "again", accuracy="draft", progress=quiet)
+    assert again.ran == ()
+    first, second = manifest_of(built.out), manifest_of(again.out)
+    assert first == second
+
+
+def test_resolved_design_rebuilds_the_same(built: BuildResult, tmp_path: Path) -> None:
+    design = parse_design(tomllib.loads((built.out / "design.toml").read_text()), "resolved")
+    again = build(design, tmp_path / "again", accuracy="draft", progress=quiet)
+    assert again.ran == ()
+    assert manifest_of(again.out) == manifest_of(built.out)
+
+
+def test_same_inputs_give_the_same_files(
+    built: BuildResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From an empty cache: all files but those that hold times."""
+    monkeypatch.setenv("PHYTAC_CACHE", str(tmp_path / "cache"))
+    only = ["shell", "step", "mesh", "decoder"]
+    again = build(small(), tmp_path / "again", accuracy="draft", only=only, progress=quiet)
+    first = {item["path"]: item["sha256"] for item in manifest_of(built.out)["files"]}
+    second = {item["path"]: item["sha256"] for item in manifest_of(again.out)["files"]}
+    assert len(second) > 8
+    for path, digest in second.items():
+        assert first[path] == digest, path
+
+
+@pytest.mark.parametrize(
+    ("change", "stages"),
+    [
+        ({"description": "other words"}, {"report"}),
+        ({"material": {"modulus_MPa": 1800.0}}, {"mesh", "response", "twin", "decoder", "frames"}),
+        ({"print_rules": {"gap_min_mm": 0.31}}, {"shell", "step"}),
+        ({"training": {"force_max_N": 24.0}}, {"mesh", "twin", "decoder", "frames"}),
+    ],
+)
+def test_a_change_runs_only_what_reads_it(change: dict, stages: set[str]) -> None:
+    from phytac_design.accuracy import PRESETS
+    from phytac_design.stage import Context
+
+    def keys(design: object) -> dict[str, str]:
+        context = Context(design=design, accuracy=PRESETS["draft"], seed=0)
+        out: dict[str, str] = {}
+        for stage in STAGES:
+            out[stage.name] = cache.stage_key(stage.name, stage.inputs(context, out))
+        return out
+
+    before, after = keys(small()), keys(small(**change))
+    assert {name for name in before if before[name] != after[name]} == stages | {"report"}
+
+
+def test_only_runs_what_is_needed(tmp_path: Path, built: BuildResult) -> None:
+    result = build(small(), tmp_path / "x", accuracy="draft", only=["mesh"], progress=quiet)
+    assert result.cached == ("mesh",)
+    assert {p.name for p in (tmp_path / "x" / "mesh").iterdir()} == {
+        "shell.inp",
+        "shell.msh",
+        "shell.vtu",
+    }
+    with pytest.raises(DesignError, match="unknown stage 'mseh'; did you mean 'mesh'"):
+        build(small(), tmp_path / "y", only=["mseh"], progress=quiet)
+    assert not (tmp_path / "y").exists()
+
+
+def test_partial_build_of_a_changed_design_leaves_nothing_stale(
+    tmp_path: Path, built: BuildResult
+) -> None:
+    out = tmp_path / "x"
+    shutil.copytree(built.out, out)
+    softer = small(material={"modulus_MPa": 1900.0})
+    build(softer, out, accuracy="draft", only=["mesh"], progress=quiet)
+    files = {p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()}
+    assert files == {
+        "design.toml",
+        "manifest.json",
+        "mesh/shell.inp",
+        "mesh/shell.msh",
+        "mesh/shell.vtu",
+    }
+
+
+def test_another_designs_folder_is_safe(tmp_path: Path, built: BuildResult) -> None:
+    out = tmp_path / "x"
+    shutil.copytree(built.out, out)
+    before = manifest_of(out)
+    with pytest.raises(OutputError, match="holds the design 'small', not 'other'"):
+        build(small(name="other"), out, accuracy="draft", only=["mesh"], progress=quiet)
+    assert manifest_of(out) == before
+    foreign = tmp_path / "mine"
+    foreign.mkdir()
+    (foreign / "thesis.tex").write_text("precious")
+    with pytest.raises(OutputError, match="is not empty and not a build"):
+        build(small(), foreign, accuracy="draft", only=["mesh"], progress=quiet)
+    forced = build(
+        small(name="other"), out, accuracy="draft", only=["mesh"], force=True, progress=quiet
+    )
+    assert manifest_of(forced.out)["design"]["name"] == "other"
+
+
+def test_interrupted_build_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C in the second stage: the first is kept, nothing half-made is, a re-run finishes."""
+    monkeypatch.setenv("PHYTAC_CACHE", str(tmp_path / "cache"))
+    design = small(description="interrupted")
+
+    def stop_at_step(text: str) -> None:
+        if "step …" in text:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build(design, tmp_path / "x", accuracy="draft", only=["step"], progress=stop_at_step)
+    result = build(design, tmp_path / "x", accuracy="draft", only=["step"], progress=quiet)
+    assert result.cached == ("shell",)
+    assert result.ran == ("step",)
+    assert not [p for p in (tmp_path / "cache").rglob(".*") if p.is_dir()]
+
+
+REFUSALS = [
+    ({"wall": {"thickness_mm": 31.0}}, "wall"),
+    ({"layout": {"height_far_mm": 31.0}}, "axis|bar"),
+    ({"layout": {"columns": 80}}, "row"),
+    ({"receptor": {"diameter_hole_mm": 2.6}, "switch": {"tip_diameter_mm": 1.0}}, "wall"),
+    ({"camera": {"stand_off_mm": -5.0}}, "camera"),
+    ({"camera": {"stand_off_mm": 5.0}}, "rim"),
+    ({"light": {"bar_radius_mm": 25.0}}, "bar"),
+    ({"switch": {"release_N": 0.6}}, "release"),
+]
+
+
+@pytest.mark.parametrize(("change", "word"), REFUSALS, ids=lambda v: str(v)[:40])
+def test_impossible_designs_write_nothing(change: dict, word: str, tmp_path: Path) -> None:
+    with pytest.raises(DesignError, match=word):
+        build(small(**change), tmp_path / "x", accuracy="draft", progress=quiet)
+    assert not (tmp_path / "x").exists()
+
+
+def test_unwritable_folder(tmp_path: Path) -> None:
+    blocker = tmp_path / "file"
+    blocker.write_text("")
+    with pytest.raises(OutputError, match="cannot write"):
+        build(small(), blocker / "x", accuracy="draft", only=["mesh"], progress=quiet)
+
+
+def test_built_frames_decode(built: BuildResult) -> None:
+    bundle = load_bundle(built.out / "decoder")
+    rest = read_image(built.out / "views" / "frame_rest.png")
+    frame = read_image(built.out / "views" / "frame_pressed.png")
+    truth = json.loads((built.out / "views" / "frame_pressed.json").read_text())
+    measured = measure_frame(bundle, frame, rest_px=rest_positions(bundle, rest))
+    forces = measured.forces_N(bundle, "koi_inverse")
+    assert set(measured.koi) == {int(key) for key in truth}
+    assert forces.sum() == pytest.approx(sum(truth.values()), rel=0.3)
+    unloaded = measure_frame(bundle, rest, rest_px=rest_positions(bundle, rest))
+    assert len(unloaded.koi) == 0
+    assert np.abs(unloaded.shift_px).max() == 0.0
+    black = np.zeros_like(frame)
+    with pytest.raises(InputError, match="found 0 of 112 markers"):
+        measure_frame(bundle, black)
+
+
+def test_rest_positions_are_close_in_mm(built: BuildResult) -> None:
+    """Rest coordinates of one noisy frame, on the surface: the paper reports 0.18 mm RMSE."""
+    bundle = load_bundle(built.out / "decoder")
+    rest = rest_positions(bundle, read_image(built.out / "views" / "frame_rest.png"))
+    error = np.linalg.norm(rest - bundle.rest_px, axis=1)
+    assert np.sqrt((error**2).mean()) < 0.1
+
+
+@pytest.mark.parametrize("name", ["cylinder60", "cylinder40"])
+def test_shipped_designs_pass_their_checks(name: str) -> None:
+    from phytac_design.check import check_design
+
+    surface, markers = check_design(load_design(name))
+    assert markers.count == make_markers(load_design(name), surface).count
+
+
+def test_resolved_file_is_stable() -> None:
+    design = changed(name="again")
+    assert to_toml(parse_design(tomllib.loads(to_toml(design)), "x")) == to_toml(design)
+
+
+def test_every_error_is_a_phytac_error() -> None:
+    codes = {kind.__name__: kind.exit_code for kind in PhytacError.__subclasses__()}
+    assert len(set(codes.values())) == len(codes)

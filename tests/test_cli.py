@@ -1,0 +1,84 @@
+"""The command line as a person uses it: output, exit codes, one line for every error."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from phytac_design.build import BuildResult
+
+PHYTAC = [sys.executable, "-c", "from phytac_design.cli import main; main()"]
+
+
+def phytac(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*PHYTAC, *words], capture_output=True, text=True, check=False, cwd=cwd)
+
+
+def test_help_lists_the_commands() -> None:
+    out = phytac("--help")
+    assert out.returncode == 0
+    for word in ("build", "check", "decode", "new", "schema"):
+        assert word in out.stdout
+
+
+def test_schema_is_json() -> None:
+    schema = json.loads(phytac("schema").stdout)
+    assert schema["additionalProperties"] is False
+    assert "wall" in schema["properties"]
+
+
+def test_new_then_check(tmp_path: Path) -> None:
+    made = phytac("new", "mine", "--from", "cylinder60", cwd=tmp_path)
+    assert made.returncode == 0
+    text = (tmp_path / "mine.toml").read_text()
+    small_camera = (
+        text.replace("width_px = 2592", "width_px = 1296")
+        .replace("height_px = 1944", "height_px = 972")
+        .replace("focal_px = 970.0", "focal_px = 485.0")
+        .replace("rows = 23", "rows = 10")
+    )
+    (tmp_path / "mine.toml").write_text(small_camera)
+    out = phytac("check", "mine.toml", "--json", cwd=tmp_path)
+    assert out.returncode == 0, out.stderr
+    report = json.loads(out.stdout)
+    assert report["markers"]["count"] == 160
+    assert report["clear"] is True
+    assert not (tmp_path / "exports").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (("check", "cylinder6"), 2, "error: no design 'cylinder6'"),
+        (("build", "cylinder60", "--only", "mseh"), 2, "did you mean 'mesh'"),
+        (("decode", "nowhere", "x.png"), 4, "error: no decoder bundle in nowhere"),
+    ],
+)
+def test_errors_are_one_line(words: tuple[str, ...], code: int, message: str, tmp_path: Path) -> None:
+    out = phytac(*words, cwd=tmp_path)
+    assert out.returncode == code
+    assert message in out.stderr
+    assert len(out.stderr.strip().splitlines()) == 1
+    assert "Traceback" not in out.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_decode_prints_newtons(built: BuildResult, tmp_path: Path) -> None:
+    views, decoder = built.out / "views", str(built.out / "decoder")
+    words = ("decode", decoder, str(views / "frame_pressed.png"))
+    out = phytac(*words, "--rest", str(views / "frame_rest.png"), "--json")
+    assert out.returncode == 0, out.stderr
+    result = json.loads(out.stdout)
+    truth = json.loads((views / "frame_pressed.json").read_text())
+    assert set(result["forces_N"]) == set(truth)
+    assert result["total_N"] == pytest.approx(sum(truth.values()), rel=0.3)
+    plain = phytac(*words)
+    assert "markers found" in plain.stdout
+    assert " N on " in plain.stdout
+    wrong = phytac("decode", decoder, str(views / "straight.png")[:-4] + ".jpg")
+    assert wrong.returncode == 4
+    assert "no image at" in wrong.stderr
+    (tmp_path / "not.png").write_text("hello")
+    assert "is not an image" in phytac("decode", decoder, str(tmp_path / "not.png")).stderr

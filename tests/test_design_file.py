@@ -1,0 +1,87 @@
+"""Design files: what is read, what is refused, and that the resolved file is the same design."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from phytac_design.design_file import (
+    assumptions,
+    design_hash,
+    load_design,
+    parse_design,
+    shipped_designs,
+    to_toml,
+    write_new_design,
+)
+from phytac_design.spec import Design
+from shapes.errors import DesignError, OutputError
+
+MINIMAL = {"name": "a", "shape": {"kind": "cylinder", "diameter_outer_mm": 60, "length_mm": 120}}
+
+
+@pytest.mark.parametrize("name", shipped_designs())
+def test_resolved_design_is_the_same_design(name: str) -> None:
+    design = load_design(name)
+    again = parse_design(tomllib.loads(to_toml(design)), "resolved")
+    assert again == design
+    assert design_hash(again) == design_hash(design)
+    assert to_toml(again) == to_toml(design)
+
+
+def test_every_field_is_documented() -> None:
+    schema = Design.model_json_schema()
+    for name, model in [("Design", schema), *schema["$defs"].items()]:
+        for key, info in model["properties"].items():
+            described = "description" in info or "$ref" in info or "allOf" in info
+            assert described, f"{name}.{key}"
+
+
+def test_assumptions_are_what_the_paper_does_not_state() -> None:
+    named = assumptions(load_design("cylinder60"))
+    assert named["camera.focal_px"] == 970.0
+    assert named["receptor.band_marker_mm"] == 1.0
+    assert named["material.modulus_MPa"] == 2200.0
+    assert "wall.thickness_mm" not in named
+    assert "layout.spiral_angle_deg" not in named
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"layuot": {}}, "unknown key 'layuot'; did you mean 'layout'"),
+        ({"wall": {"thicknes_mm": 1}}, "unknown key 'wall.thicknes_mm'; did you mean 'thickness_mm'"),
+        ({"wall": {"thickness_mm": -1}}, r"wall.thickness_mm: input should be greater than 0 \(got -1\)"),
+        ({"wall": {"thickness_mm": "thick"}}, "wall.thickness_mm: input should be a valid number"),
+        ({"wall": {"thickness_mm": float("nan")}}, "wall.thickness_mm: input should be a finite number"),
+        ({"camera": {"width_px": 10**9}}, "camera.width_px: input should be less than or equal"),
+        ({"shape": {"kind": "sphere"}}, "shape.kind"),
+        ({"shape": {"kind": "cylinder", "length_mm": 1}}, "shape.diameter_outer_mm is missing"),
+        ({"name": "../x"}, "name: string should match pattern"),
+        ({"training": {"force_min_N": 9, "force_max_N": 2}}, "force_max_N must exceed force_min_N"),
+    ],
+)
+def test_bad_values_are_explained(change: dict, message: str) -> None:
+    with pytest.raises(DesignError, match=message):
+        parse_design({**MINIMAL, **change}, "bad.toml")
+
+
+def test_files_that_are_not_designs(tmp_path: Path) -> None:
+    path = tmp_path / "x.toml"
+    path.write_text("name = [unclosed")
+    with pytest.raises(DesignError, match="is not TOML"):
+        load_design(str(path))
+    path.write_bytes(b"\xff\xfe\x00binary")
+    with pytest.raises(DesignError, match="not even text"):
+        load_design(str(path))
+    with pytest.raises(DesignError, match="did you mean 'cylinder60'"):
+        load_design("cylinder6")
+
+
+def test_new_design_is_commented_and_never_overwrites(tmp_path: Path) -> None:
+    path = write_new_design("mine", "cylinder60", tmp_path / "mine.toml")
+    assert "# Wall thickness, inward from the outer face." in path.read_text()
+    assert "(assumed)" in path.read_text()
+    assert load_design(str(path)).name == "mine"
+    with pytest.raises(OutputError, match="exists already"):
+        write_new_design("mine", "cylinder60", path)

@@ -1,0 +1,183 @@
+"""Contacts, the activation law, adjoint responses, condensation and scores."""
+
+import numpy as np
+import pytest
+
+from decoder.camera import PinholeCamera
+from decoder.estimators import ForceModel
+from phytac_design.layout import make_markers
+from phytac_design.mechanics.compliance import marker_compliance, probe_motion
+from phytac_design.mechanics.loads import patch_loads
+from phytac_design.mechanics.mesh import marker_mesh
+from phytac_design.mechanics.solve import clamped_model
+from phytac_design.twin import response as response_module
+from phytac_design.twin.condense import condense
+from phytac_design.twin.contacts import Contacts, draw_contacts, switch_states
+from phytac_design.twin.dataset import Dataset, decode_points, key_node_data
+from phytac_design.twin.judge import contact_forces, score
+from phytac_design.twin.response import motion_responses, point_motions, superpose
+from phytac_design.twin.shell import truth_shell
+from shapes.errors import NumericalError
+from tests.designs import small
+
+DESIGN = small()
+SURFACE = DESIGN.surface()
+MARKERS = make_markers(DESIGN, SURFACE)
+
+
+def contacts_at(uv: np.ndarray, force: list[float], sample: list[int], radius: float) -> Contacts:
+    return Contacts(
+        sample=np.array(sample),
+        uv=uv,
+        radius_mm=np.full(len(uv), radius),
+        force_N=np.array(force),
+        samples=max(sample) + 1,
+    )
+
+
+@pytest.mark.parametrize("placement", ["receptor", "anywhere"])
+def test_drawn_contacts_keep_their_ranges_and_apart(placement: str) -> None:
+    rng = np.random.default_rng(0)
+    drawn = draw_contacts(DESIGN, SURFACE, MARKERS, samples=200, rng=rng, placement=placement)
+    limits = DESIGN.training
+    assert set(drawn.sample) == set(range(200))
+    assert (drawn.force_N >= limits.force_min_N).all()
+    assert (drawn.force_N <= limits.force_max_N).all()
+    assert drawn.counts.min() == 1
+    assert 2 < drawn.counts.max() <= 5
+    multi = float((drawn.counts > 1).mean())
+    assert multi == pytest.approx(limits.multi_contact, abs=0.12)
+    point = SURFACE.point(drawn.uv)
+    for sample in np.flatnonzero(drawn.counts > 1):
+        mine = np.flatnonzero(drawn.sample == sample)
+        for i in mine:
+            for j in mine[mine > i]:
+                gap = np.linalg.norm(point[i] - point[j])
+                assert gap > max(drawn.radius_mm[i], drawn.radius_mm[j])
+
+
+def test_drawing_is_deterministic() -> None:
+    a, b = (
+        draw_contacts(DESIGN, SURFACE, MARKERS, samples=20, rng=np.random.default_rng(4))
+        for _ in range(2)
+    )
+    assert (a.uv == b.uv).all()
+    assert (a.force_N == b.force_N).all()
+
+
+def test_switches_follow_the_activation_law() -> None:
+    # A patch larger than the footprint: the footprint carries force · (area ratio).
+    foot, radius = DESIGN.switch.footprint_diameter_mm / 2, 5.0
+    threshold = DESIGN.switch.threshold_N * (radius / foot) ** 2
+    uv = MARKERS.uv[[33, 33]]
+    contacts = contacts_at(uv, [0.98 * threshold, 1.02 * threshold], [0, 1], radius)
+    state = switch_states(DESIGN, SURFACE, MARKERS, contacts)
+    assert state.bits[:, 33].tolist() == [False, True]
+    assert state.tripped.tolist() == [False, True]
+    assert state.owner[1, 33] == 1
+
+
+def test_receptor_truth_sums_to_the_contact() -> None:
+    rng = np.random.default_rng(1)
+    drawn = draw_contacts(DESIGN, SURFACE, MARKERS, samples=60, rng=rng, placement="anywhere")
+    state = switch_states(DESIGN, SURFACE, MARKERS, drawn)
+    back = contact_forces(state.receptor_force_N, drawn, state)
+    assert np.allclose(back[state.tripped], drawn.force_N[state.tripped])
+    assert (back[~state.tripped] == 0).all()
+    assert ((state.owner >= 0) == state.bits).all()
+
+
+def test_adjoint_response_is_the_direct_solution(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh, model = truth_shell(DESIGN, SURFACE, 3)
+    rng = np.random.default_rng(2)
+    uv = rng.uniform(*SURFACE.domain.T, (6, 2))
+    radius = rng.uniform(3.0, 8.0, 6)
+    direct = probe_motion(mesh, model.solve(patch_loads(mesh, SURFACE, uv, radius)), MARKERS.uv)
+    expected = np.moveaxis(direct, 2, 0)
+    turned = motion_responses(model, mesh, SURFACE, MARKERS, uv=uv, radius_mm=radius)
+    scale = np.abs(expected).max()
+    assert np.abs(turned - expected).max() < 1e-8 * scale
+    # And the same without using the symmetry.
+    monkeypatch.setattr(response_module, "column_turn", lambda *_: None)
+    plain = motion_responses(model, mesh, SURFACE, MARKERS, uv=uv, radius_mm=radius)
+    assert np.abs(plain - expected).max() < 1e-8 * scale
+
+
+def test_tips_move_by_translation_and_rotation() -> None:
+    motion = np.zeros((1, 2, 6))
+    motion[0, :, :3] = [1.0, 2.0, 3.0]
+    motion[0, 1, 3:] = [0.0, 0.0, 0.1]
+    arm = np.array([[5.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
+    assert np.allclose(point_motions(motion, arm), [[[1, 2, 3], [1, 2.5, 3]]])
+
+
+def small_model() -> tuple[ForceModel, np.ndarray, PinholeCamera]:
+    """Decoder matrices of the small design, from tips rather than rendered paint."""
+    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=4)
+    model = clamped_model(mesh, modulus_MPa=2200.0, poisson=0.38)
+    compliance = marker_compliance(model, mesh, SURFACE, MARKERS, load_radius_mm=4.4)
+    arm = MARKERS.tip_mm - MARKERS.mid_mm
+    camera = PinholeCamera.on_axis(width_px=1296, height_px=972, focal_px=485, stand_off_mm=30)
+    motion = np.moveaxis(point_motions(np.moveaxis(compliance.motion, 2, 0), arm), 0, 2)
+    parts = condense(camera, watched_mm=MARKERS.tip_mm, normal=MARKERS.normal, motion_mm=motion)
+    force = ForceModel(
+        shift_to_mm=parts.shift_to_mm,
+        stiffness=parts.stiffness,
+        compliance_px=parts.compliance_px,
+        height_z_mm=MARKERS.mid_mm[:, 2],
+        neighbours=MARKERS.neighbours,
+        networks={},
+    )
+    return force, arm, camera
+
+
+def test_condensed_stiffness_inverts_what_the_camera_sees() -> None:
+    model, _, _ = small_model()
+    force = np.zeros(MARKERS.count)
+    force[[12, 47]] = 4.0, 9.0
+    shift = (model.compliance_px @ force).reshape(-1, 2)
+    for name in ("fem", "koi_inverse"):
+        got = model.forces(name, shift, np.array([12, 47]))
+        assert np.allclose(got, force, atol=1e-6), name
+
+
+def test_a_marker_seen_along_its_normal_is_refused() -> None:
+    camera = PinholeCamera.on_axis(width_px=100, height_px=100, focal_px=50, stand_off_mm=10)
+    with pytest.raises(NumericalError, match="looks along its"):
+        condense(
+            camera,
+            watched_mm=np.array([[0.0, 0.0, 5.0]]),
+            normal=np.array([[0.0, 0.0, 1.0]]),
+            motion_mm=np.zeros((1, 3, 1)),
+        )
+
+
+def test_decoding_another_mesh_is_close_but_not_exact() -> None:
+    """Data of the finer mesh: not the decoder's own model, so neither nonsense nor perfect."""
+    model, arm, camera = small_model()
+    rng = np.random.default_rng(3)
+    drawn = draw_contacts(DESIGN, SURFACE, MARKERS, samples=80, rng=rng, most=3)
+    mesh, shell = truth_shell(DESIGN, SURFACE, 9)
+    unit = motion_responses(
+        shell, mesh, SURFACE, MARKERS, uv=drawn.uv, radius_mm=drawn.radius_mm
+    )
+    moved = point_motions(superpose(unit, drawn), arm)
+    at_rest = camera.project(MARKERS.tip_mm)
+    image = camera.project((MARKERS.tip_mm + moved).reshape(-1, 3)).reshape(*moved.shape[:2], 2)
+    state = switch_states(DESIGN, SURFACE, MARKERS, drawn)
+    data = Dataset(contacts=drawn, switching=state, shift_px=image - at_rest)
+    seen = state.tripped
+    estimate = contact_forces(decode_points(model, data, "koi_inverse"), drawn, state)
+    result = score(estimate[seen], drawn.force_N[seen])
+    assert 0.005 < result.relative_error < 0.2
+    rows = key_node_data(model, data)
+    assert len(rows.force_N) == state.bits.sum()
+    assert np.allclose(rows.features[:, 0], rows.apparent_mm)
+
+
+def test_scores_are_what_they_say() -> None:
+    result = score(np.array([1.1, 1.8, 3.0]), np.array([1.0, 2.0, 3.0]))
+    assert result.mae_N == pytest.approx(0.1)
+    assert result.bias_N == pytest.approx(-0.1 / 3)
+    assert result.relative_error == pytest.approx((0.1 + 0.1) / 3)
+    assert np.isnan(score(np.array([]), np.array([])).mae_N)
