@@ -1,12 +1,17 @@
 """The command ``phytac``: short calls into the library, one clear line for every error."""
 
 import json
+import os
 import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+
+# One BLAS thread, set before numpy loads: the sparse solver's many small products run several
+# times slower on two.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from shapes.errors import DesignError, PhytacError
 

@@ -1,7 +1,5 @@
 """A built small sensor, made once for the whole run, in a cache of its own."""
 
-from pathlib import Path
-
 import pytest
 
 from phytac_design.build import BuildResult, build

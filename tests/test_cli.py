@@ -56,7 +56,9 @@ def test_new_then_check(tmp_path: Path) -> None:
         (("decode", "nowhere", "x.png"), 4, "error: no decoder bundle in nowhere"),
     ],
 )
-def test_errors_are_one_line(words: tuple[str, ...], code: int, message: str, tmp_path: Path) -> None:
+def test_errors_are_one_line(
+    words: tuple[str, ...], code: int, message: str, tmp_path: Path
+) -> None:
     out = phytac(*words, cwd=tmp_path)
     assert out.returncode == code
     assert message in out.stderr

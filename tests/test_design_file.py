@@ -50,10 +50,19 @@ def test_assumptions_are_what_the_paper_does_not_state() -> None:
     ("change", "message"),
     [
         ({"layuot": {}}, "unknown key 'layuot'; did you mean 'layout'"),
-        ({"wall": {"thicknes_mm": 1}}, "unknown key 'wall.thicknes_mm'; did you mean 'thickness_mm'"),
-        ({"wall": {"thickness_mm": -1}}, r"wall.thickness_mm: input should be greater than 0 \(got -1\)"),
+        (
+            {"wall": {"thicknes_mm": 1}},
+            "unknown key 'wall.thicknes_mm'; did you mean 'thickness_mm'",
+        ),
+        (
+            {"wall": {"thickness_mm": -1}},
+            r"wall.thickness_mm: input should be greater than 0 \(got -1\)",
+        ),
         ({"wall": {"thickness_mm": "thick"}}, "wall.thickness_mm: input should be a valid number"),
-        ({"wall": {"thickness_mm": float("nan")}}, "wall.thickness_mm: input should be a finite number"),
+        (
+            {"wall": {"thickness_mm": float("nan")}},
+            "wall.thickness_mm: input should be a finite number",
+        ),
         ({"camera": {"width_px": 10**9}}, "camera.width_px: input should be less than or equal"),
         ({"shape": {"kind": "sphere"}}, "shape.kind"),
         ({"shape": {"kind": "cylinder", "length_mm": 1}}, "shape.diameter_outer_mm is missing"),

@@ -42,7 +42,9 @@ def test_points_stand_on_the_wall() -> None:
     markers = make_markers(design, design.surface())
     radius = np.linalg.norm(markers.foot_mm[:, :2], axis=1)
     assert np.allclose(radius, 30.0 - 0.8)
-    assert np.allclose(markers.foot_mm - markers.tip_mm, markers.height_mm[:, None] * markers.normal)
+    assert np.allclose(
+        markers.foot_mm - markers.tip_mm, markers.height_mm[:, None] * markers.normal
+    )
     assert np.allclose(markers.mid_mm - markers.foot_mm, 0.4 * markers.normal)
 
 

@@ -29,7 +29,11 @@ def discs(
 
 def test_centroids_are_sub_pixel() -> None:
     rng = np.random.default_rng(5)
-    centres = [(20 + 30 * i + rng.uniform(), 30 + 40 * j + rng.uniform()) for i in range(4) for j in range(2)]
+    centres = [
+        (20 + 30 * i + rng.uniform(), 30 + 40 * j + rng.uniform())
+        for i in range(4)
+        for j in range(2)
+    ]
     names = ["blue", "green"] * 4
     image = discs(centres, names)
     noisy = np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)

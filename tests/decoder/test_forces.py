@@ -197,9 +197,7 @@ def test_spoilt_bundles_are_refused(tmp_path: Path) -> None:
     refused("is not JSON")
     meta_path.write_text(json.dumps({"format": "other"}))
     refused("is not a decoder bundle")
-    meta_path.write_text(
-        json.dumps({k: v for k, v in json.loads(meta).items() if k != "camera"})
-    )
+    meta_path.write_text(json.dumps({k: v for k, v in json.loads(meta).items() if k != "camera"}))
     refused("is not a decoder bundle: KeyError")
     spoilt = {**arrays, "stiffness": np.full_like(arrays["stiffness"], np.nan)}
     save_file(spoilt, arrays_path)

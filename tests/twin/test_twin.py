@@ -158,9 +158,7 @@ def test_decoding_another_mesh_is_close_but_not_exact() -> None:
     rng = np.random.default_rng(3)
     drawn = draw_contacts(DESIGN, SURFACE, MARKERS, samples=80, rng=rng, most=3)
     mesh, shell = truth_shell(DESIGN, SURFACE, 9)
-    unit = motion_responses(
-        shell, mesh, SURFACE, MARKERS, uv=drawn.uv, radius_mm=drawn.radius_mm
-    )
+    unit = motion_responses(shell, mesh, SURFACE, MARKERS, uv=drawn.uv, radius_mm=drawn.radius_mm)
     moved = point_motions(superpose(unit, drawn), arm)
     at_rest = camera.project(MARKERS.tip_mm)
     image = camera.project((MARKERS.tip_mm + moved).reshape(-1, 3)).reshape(*moved.shape[:2], 2)
