@@ -1,5 +1,10 @@
 """A built small sensor, made once for the whole run, in a cache of its own."""
 
+import os
+
+# As the command line does, before numpy loads (see ``phytac_design.cli``).
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import pytest
 
 from phytac_design.build import BuildResult, build
