@@ -119,7 +119,8 @@ def add_rest(table: Table, bundle: Bundle, rest: ImageArray, paint_mm: FloatArra
             float(np.sqrt(np.sum(part**2, axis=1).mean())),
             "mm",
             reference=0.18,
-            source="paper, real sensor; here rendered with noise, print scatter off",
+            source="paper, real sensor; here rendered with noise, print scatter off, and the "
+            "expected positions come from the same renderer",
             target=target,
         )
 

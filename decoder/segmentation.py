@@ -3,15 +3,19 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from shapes.arrays import FloatArray, ImageArray, IntArray
 from shapes.errors import InputError
 
 COSINE_MIN = 0.80
 """Chroma within about 37 degrees of a paint's own hue belongs to that paint."""
+LABELS_MAX = 65000
+"""Most labels that 16-bit labelling is trusted with."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,13 +61,15 @@ class ColourModel:
         coverage = np.clip(along / full, 0.0, 1.0)
         return table, coverage
 
-    def classify(self, image_bgr: ImageArray) -> tuple[ImageArray, IntArray]:
+    def classify(self, image_bgr: ImageArray) -> tuple[ImageArray, NDArray[np.uint16]]:
         """Class of each pixel (h, w) uint8 and its flat index into the (Cr, Cb) tables."""
         ycc = cv2.cvtColor(image_bgr, cv2.COLOR_BGR2YCrCb)
-        flat = ycc[:, :, 1].astype(np.int64) * 256 + ycc[:, :, 2]
+        flat = ycc[:, :, 1].astype(np.uint16)
+        flat <<= 8
+        flat |= ycc[:, :, 2]
         return self._tables[0][flat], flat
 
-    def coverage(self, flat: IntArray, colour: IntArray | int) -> FloatArray:
+    def coverage(self, flat: NDArray[np.uint16], colour: int) -> FloatArray:
         """How much of a paint's full chroma pixels have, in [0, 1]."""
         return np.asarray(self._tables[1][flat, colour])
 
@@ -82,15 +88,15 @@ class Blobs:
         Pixels.
     weight : (m,) float
         Sum of coverage: the blob's area with partial pixels counted in part.
-    labels : (h, w) int32
-        1 + blob index of each pixel, 0 outside blobs.
+    labels : (h, w) int32 or None
+        1 + blob index of each pixel, 0 outside blobs; only where asked for.
     """
 
     colour: IntArray
     centroid_px: FloatArray
     area_px: IntArray
     weight: FloatArray
-    labels: IntArray
+    labels: NDArray[np.int32] | None = None
 
 
 def check_image(image: ImageArray, *, width_px: int, height_px: int) -> ImageArray:
@@ -113,34 +119,33 @@ def check_image(image: ImageArray, *, width_px: int, height_px: int) -> ImageArr
     return image
 
 
-def segment(image_bgr: ImageArray, model: ColourModel, *, area_min_px: int = 3) -> Blobs:
+def segment(
+    image_bgr: ImageArray, model: ColourModel, *, area_min_px: int = 3, with_labels: bool = False
+) -> Blobs:
     """Find every painted blob of at least ``area_min_px`` pixels (8-connected, per colour)."""
     classes, flat = model.classify(image_bgr)
-    labels = np.zeros(classes.shape, dtype=np.int64)
+    labels = np.zeros(classes.shape, dtype=np.int32) if with_labels else None
     parts: list[tuple[IntArray, FloatArray, IntArray, FloatArray]] = []
     found = 0
     for colour in range(len(model.names)):
-        mask = (classes == colour + 1).astype(np.uint8)
-        count, own, stats, _ = cv2.connectedComponentsWithStats(mask, ltype=cv2.CV_32S)
-        keep = stats[:, cv2.CC_STAT_AREA] >= area_min_px
-        keep[0] = False
-        renumber = np.zeros(count, dtype=np.int64)
-        renumber[keep] = np.arange(1, int(keep.sum()) + 1)
-        y, x = np.nonzero(mask)
-        blob = renumber[own[y, x]]
-        inside = blob > 0
-        y, x, blob = y[inside], x[inside], blob[inside]
-        size = int(keep.sum()) + 1
-        weight = model.coverage(flat[y, x], colour).astype(np.float64)
+        mask = cv2.compare(classes, colour + 1, cv2.CMP_EQ)
+        own, renumber = _components(mask, area_min_px)
+        points = cv2.findNonZero(mask)
+        place = np.zeros((0, 2), dtype=np.int32) if points is None else points[:, 0]
+        blob = renumber[own[place[:, 1], place[:, 0]]]
+        place, blob = place[blob > 0], blob[blob > 0]
+        x, y = place.T
+        size = int(renumber.max(initial=0)) + 1
+        weight = model.coverage(flat[y, x], colour)
         total = np.bincount(blob, weights=weight, minlength=size)[1:]
-        cx = np.bincount(blob, weights=weight * x, minlength=size)[1:] / total
-        cy = np.bincount(blob, weights=weight * y, minlength=size)[1:] / total
-        labels[y, x] = blob + found
+        sums = [np.bincount(blob, weights=weight * c, minlength=size)[1:] for c in (x, y)]
+        if labels is not None:
+            labels[y, x] = blob + found
         found += size - 1
         parts.append(
             (
                 np.full(size - 1, colour, dtype=np.int64),
-                np.column_stack([cx, cy]),
+                np.column_stack(sums) / total[:, None],
                 np.bincount(blob, minlength=size)[1:].astype(np.int64),
                 np.asarray(total, dtype=np.float64),
             )
@@ -153,3 +158,17 @@ def segment(image_bgr: ImageArray, model: ColourModel, *, area_min_px: int = 3) 
         weight=np.concatenate(weights),
         labels=labels,
     )
+
+
+def _components(mask: ImageArray, area_min_px: int) -> tuple[NDArray[Any], IntArray]:
+    """Label image of a mask, and the blob number (0: too small) of each of its labels."""
+    # 16-bit labels are three times faster; a label starts at the beginning of a run of pixels, so
+    # an image with fewer runs than 16-bit numbers cannot overflow them.
+    runs = cv2.countNonZero(cv2.compare(mask[:, 1:], mask[:, :-1], cv2.CMP_GT)) + len(mask)
+    kind = cv2.CV_16U if runs < LABELS_MAX else cv2.CV_32S
+    count, own, stats, _ = cv2.connectedComponentsWithStats(mask, ltype=kind)
+    keep = stats[:, cv2.CC_STAT_AREA] >= area_min_px
+    keep[0] = False
+    renumber = np.zeros(count, dtype=np.int64)
+    renumber[keep] = np.arange(1, int(keep.sum()) + 1)
+    return own, renumber

@@ -161,13 +161,16 @@ def _means(
 def fused_in_frame(frame: ImageArray, marker: NDArray[np.int32], scene: Scene) -> BoolArray:
     """Markers that the decoder's segmentation of ``frame`` (BGR) does not tell apart, (n,)."""
     model = ColourModel.from_rgb(PAINTS)
-    blobs = segment(frame, model)
+    blobs = segment(frame, model, with_labels=True)
     paint = np.array([model.names.index(name) for name in scene.paints])
-    return fused_markers(blobs.labels, blobs.colour, marker, paint[scene.colour])
+    return fused_markers(np.asarray(blobs.labels), blobs.colour, marker, paint[scene.colour])
 
 
 def fused_markers(
-    labels: IntArray, blob_colour: IntArray, marker: NDArray[np.int32], marker_colour: IntArray
+    labels: NDArray[np.int32],
+    blob_colour: IntArray,
+    marker: NDArray[np.int32],
+    marker_colour: IntArray,
 ) -> BoolArray:
     """Markers that share a blob of their colour with another marker, (n,).
 

@@ -75,7 +75,7 @@ def run(context: Context, folder: Path) -> None:
         folder,
         {
             "frames": count,
-            "renderer": "own rasteriser, 2x2 supersampling, sensor noise",
+            "renderer": "own rasteriser, 8 samples a pixel, sensor noise",
             "contacts": len(contacts.force_N),
             "tripped_no_switch": int((~switching.tripped).sum()),
             "koi": on,

@@ -64,6 +64,14 @@ def test_touching_colours_stay_apart() -> None:
     assert sorted(blobs.colour.tolist()) == [0, 1]
 
 
+def test_more_blobs_than_16_bit_labels() -> None:
+    """A lattice of 75 000 single pixels: more labels than 16 bits hold."""
+    image = np.full((600, 1000, 3), GREY, dtype=np.uint8)
+    image[::2, ::4] = PAINTS["blue"][::-1]
+    blobs = segment(image, MODEL, area_min_px=1)
+    assert len(blobs.colour) == 300 * 250
+
+
 def test_wrong_images_are_refused() -> None:
     with pytest.raises(InputError, match="160x120 px, the decoder was made for 640x480"):
         check_image(np.zeros((120, 160, 3), np.uint8), width_px=640, height_px=480)

@@ -1,0 +1,113 @@
+"""Write docs/verification.md, and the short table of the README, from the committed results.
+
+``python -m benchmarks.tables``; ``--check`` only says whether they are up to date.
+"""
+
+import json
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from benchmarks.harness import RESULTS
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "verification.md"
+README = ROOT / "README.md"
+BEGIN, END = "<!-- figures: made by python -m benchmarks.tables -->", "<!-- end of figures -->"
+INTRODUCTION = """# Verification
+
+Made by `python -m benchmarks.tables` from `benchmarks/results/`. Speed is a ratio to a peer in the
+same run, accuracy an error against an independent reference; what missed its target stays in.
+"""
+SHORT: tuple[tuple[str, str], ...] = (
+    ("build", "cylinder60, standard: whole build"),
+    ("build", "cylinder60, draft: whole build"),
+    ("visibility", "cylinder60 2592x1944: pixels with the same ID"),
+    ("visibility", "cylinder60 2592x1944: times faster than Embree"),
+    ("visibility", "cylinder60 spiral: fused"),
+    ("visibility", "cylinder60 straight: fused"),
+    ("fabrication", "cylinder60: volume, manifold3d against OpenCASCADE"),
+    ("fabrication", "cylinder60: times faster"),
+    ("mechanics", "Scordelis-Lo"),
+    ("mechanics", "pinched cylinder"),
+    ("mechanics", "cylinder60: ccx"),
+    ("decoder", "rendered frames: fem relative error ("),
+    ("decoder", "rendered frames: fem_nn relative error ("),
+    ("decoder", "rendered frames: koi_inverse relative error ("),
+    ("decoder", "rest coordinates from one frame, RMSE, all"),
+)
+"""Rows of the README: benchmark and how the case begins; the first that matches is shown."""
+
+
+def cell(value: Any) -> str:
+    """A figure or text, safe in a table."""
+    text = f"{value:.4g}" if isinstance(value, float) else str(value)
+    return text.replace("|", "\\|")
+
+
+def line(row: dict[str, Any]) -> str:
+    """One row as Markdown."""
+    verdict = {True: "holds", False: "**missed**", None: ""}[row.get("holds")]
+    values = (
+        row["case"],
+        f"{cell(row['value'])} {row['unit']}",
+        f"{cell(row['reference'])} ({row['source']})",
+        row.get("target", ""),
+        verdict,
+    )
+    return "| " + " | ".join(str(value).replace("\n", " ") for value in values) + " |"
+
+
+HEAD = "| case | value | reference | target | |\n|---|---|---|---|---|\n"
+
+
+def read() -> dict[str, dict[str, Any]]:
+    """Return every committed result by name."""
+    return {path.stem: json.loads(path.read_text()) for path in sorted(RESULTS.glob("*.json"))}
+
+
+def page(results: dict[str, dict[str, Any]]) -> str:
+    """Whole verification page."""
+    parts = [INTRODUCTION]
+    for name, data in results.items():
+        machine = data["machine"]
+        parts.append(
+            f"\n## {name}\n\n`python -m benchmarks.{name}` at commit {data['commit']}, "
+            f"{machine['processor']}, {machine['cores']} cores.\n\n{HEAD}"
+            + "\n".join(line(row) for row in data["rows"])
+            + "\n"
+        )
+        notes = [f"- {row['case']}: {row['note']}" for row in data["rows"] if row.get("note")]
+        if notes:
+            parts.append("\nNotes:\n\n" + "\n".join(notes) + "\n")
+    return "".join(parts)
+
+
+def short(results: dict[str, dict[str, Any]]) -> str:
+    """README's table."""
+    rows = []
+    for name, start in SHORT:
+        match = [
+            row for row in results.get(name, {"rows": []})["rows"] if row["case"].startswith(start)
+        ]
+        rows += [line(row) for row in match[:1]]
+    return f"{BEGIN}\n{HEAD}" + "\n".join(rows) + f"\n{END}"
+
+
+def main() -> None:
+    """Write or check."""
+    results = read()
+    old = README.read_text()
+    pattern = re.compile(re.escape(BEGIN) + ".*" + re.escape(END), re.DOTALL)
+    wanted = {PAGE: page(results), README: pattern.sub(lambda _: short(results), old)}
+    stale = [path for path, text in wanted.items() if not path.exists() or path.read_text() != text]
+    if "--check" in sys.argv:
+        sys.exit(f"out of date: {', '.join(map(str, stale))}" if stale else 0)
+    for path in stale:
+        path.write_text(wanted[path])
+        print("wrote", path)
+
+
+if __name__ == "__main__":
+    main()

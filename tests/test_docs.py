@@ -1,0 +1,50 @@
+"""README and docs say what is true: the example runs, commands exist, tables are current."""
+
+import contextlib
+import io
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from phytac_design.cli import app
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+
+
+def test_the_example_runs() -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        exec(compile(code, "README.md", "exec"), {})  # noqa: S102 - our own README
+    assert out.getvalue().startswith("216 markers, heights 0.5 to 9.0\n0 hidden, 0 fused\n")
+
+
+def test_commands_of_the_docs_exist() -> None:
+    text = README + "".join(path.read_text() for path in (ROOT / "docs").glob("*.md"))
+    named = set(re.findall(r"phytac ([a-z]+)", text))
+    known = {command.name or command.callback.__name__ for command in app.registered_commands}
+    assert named <= known
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/formats.md", "exports/README.md"])
+def test_links_and_pictures_are_there(page: str) -> None:
+    path = ROOT / page
+    for target in re.findall(r"\]\(([^)#]+)\)", path.read_text()):
+        assert (path.parent / target).exists(), target
+
+
+def test_tables_are_made_from_the_committed_results() -> None:
+    words = [sys.executable, "-m", "benchmarks.tables", "--check"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_dependency_earns_its_line() -> None:
+    pins = re.findall(r'^    "([a-z0-9-]+)==', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
+    table = README.split("## Dependencies")[1]
+    assert len(pins) > 15
+    assert [name for name in pins if not re.search(rf"\b{re.escape(name)}\b", table)] == []
