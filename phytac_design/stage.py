@@ -1,9 +1,10 @@
 """What a stage is: a pure function of the design's tables and of earlier stages, writing files."""
 
+import ctypes
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,8 @@ class Stage:
         Stages it reads from.
     seeded : bool
         Whether it draws random numbers.
+    graphics : bool
+        Whether it does more where the machine has graphics libraries.
     run : callable
         Writes ``facts.json``, ``arrays.npz`` and ``export/…`` into the folder it is given.
     """
@@ -89,6 +92,7 @@ class Stage:
     knobs: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     seeded: bool = False
+    graphics: bool = False
 
     def inputs(self, context: Context, keys: dict[str, str]) -> dict[str, Any]:
         """Everything the result depends on, as plain values."""
@@ -99,7 +103,21 @@ class Stage:
             "knobs": {knob: settings[knob] for knob in self.knobs},
             "needs": {name: keys[name] for name in self.needs},
             "seed": context.seed if self.seeded else None,
+            "graphics": graphics_libraries() if self.graphics else None,
         }
+
+
+@cache
+def graphics_libraries() -> dict[str, bool]:
+    """Which of the system's graphics libraries can be loaded: installing one runs stages again."""
+    found = {}
+    for name in ("libEGL.so.1", "libGL.so.1", "libX11.so.6"):
+        try:
+            ctypes.CDLL(name)
+            found[name] = True
+        except OSError:
+            found[name] = False
+    return found
 
 
 def export_path(folder: Path, name: str) -> Path:

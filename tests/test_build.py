@@ -16,7 +16,7 @@ from phytac_design.build import BuildResult, build
 from phytac_design.design_file import load_design, parse_design, to_toml
 from phytac_design.layout import make_markers
 from phytac_design.stages import STAGES
-from shapes.errors import DesignError, InputError, OutputError, PhytacError
+from shapes.errors import DesignError, InputError, MissingPartError, OutputError, PhytacError
 from tests.designs import changed, small
 
 CONTRACT = {
@@ -205,6 +205,30 @@ def test_interrupted_build_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert result.cached == ("shell",)
     assert result.ran == ("step",)
     assert not [p for p in (tmp_path / "cache").rglob(".*") if p.is_dir()]
+
+
+def test_without_graphics_libraries_only_the_step_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A machine without libGL: cadquery cannot be imported, pyrender gets no context."""
+    from phytac_design import stage
+    from phytac_design.stages import shell, views
+
+    def absent(*_: object, **__: object) -> None:
+        raise MissingPartError("no CAD: libGL.so.1 is missing")
+
+    none = {"libEGL.so.1": False, "libGL.so.1": False, "libX11.so.6": False}
+    monkeypatch.setattr(stage, "graphics_libraries", lambda: none)
+    monkeypatch.setattr("phytac_design.fabrication.cad.shell_cad", absent)
+    monkeypatch.setattr("phytac_design.optics.picture.render_picture", absent)
+    assert shell.STEP.graphics
+    assert views.VIEWS.graphics
+    result = build(small(), tmp_path / "x", accuracy="draft", progress=quiet)
+    files = {p.relative_to(result.out).as_posix() for p in result.out.rglob("*") if p.is_file()}
+    assert files == (CONTRACT | {"manifest.json"}) - {"shell/shell.step"}
+    report = json.loads((result.out / "report" / "report.json").read_text())
+    assert "libGL" in report["shell"]["step_left_out"]
+    assert report["camera"]["picture"] == "rasteriser"
 
 
 REFUSALS = [

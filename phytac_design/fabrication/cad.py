@@ -14,7 +14,7 @@ from phytac_design.layout import Markers
 from phytac_design.spec import Design, WallSection
 from shapes import Cylinder, Surface
 from shapes.arrays import FloatArray
-from shapes.errors import DesignError, NumericalError, OutputError
+from shapes.errors import DesignError, MissingPartError, NumericalError, OutputError
 
 STEP_DATE = "2000-01-01T00:00:00"
 """Time stamp of every STEP file: the same inputs give the same file."""
@@ -30,9 +30,21 @@ class CadFacts:
     solids: int
 
 
+def _cadquery() -> Any:
+    """Import CadQuery, whose viewer links OpenGL and X11 even where nothing is drawn."""
+    try:
+        import cadquery
+    except ImportError as error:
+        raise MissingPartError(
+            f"no CAD: cadquery cannot be imported ({error}); on Debian/Ubuntu: "
+            "sudo apt-get install libgl1 libxrender1"
+        ) from error
+    return cadquery
+
+
 def revolved_wall(surface: Surface, wall: WallSection) -> Any:
     """Wall and rims of a surface of revolution with straight generators, as a CadQuery solid."""
-    import cadquery as cq
+    cq = _cadquery()
 
     v = surface.domain[1, :1]
     points = profile_points(surface, wall_profile(surface, wall), v)[0]
@@ -64,7 +76,7 @@ def shell_cad(design: Design, surface: Surface, markers: Markers) -> Any:
     NumericalError
         If OpenCASCADE does not return exactly one solid.
     """
-    import cadquery as cq
+    cq = _cadquery()
 
     if type(surface) not in WALLS:
         known = ", ".join(sorted(kind.name for kind in WALLS))
@@ -133,7 +145,7 @@ def write_step(solid: Any, path: Path, *, name: str = "shell") -> None:
 
 def read_step(path: Path) -> Any:
     """Open a STEP file again, as a CadQuery shape."""
-    import cadquery as cq
+    cq = _cadquery()
 
     return cq.importers.importStep(str(path)).val()
 

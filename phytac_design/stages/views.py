@@ -133,5 +133,5 @@ def run_compare(context: Context, folder: Path) -> None:
     write_facts(folder, {"straight": seen.summary()})
 
 
-VIEWS = Stage(name="views", tables=TABLES, seeded=True, run=run_views)
-COMPARE = Stage(name="compare", tables=TABLES, seeded=True, run=run_compare)
+VIEWS = Stage(name="views", tables=TABLES, seeded=True, graphics=True, run=run_views)
+COMPARE = Stage(name="compare", tables=TABLES, seeded=True, graphics=True, run=run_compare)
