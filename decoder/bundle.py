@@ -52,6 +52,8 @@ class Bundle:
         What is seen of the red tips.
     model : ForceModel
         Matrices and networks.
+    threshold_N : float
+        Force on a switch's footprint that turns it on: a receptor that is on carries some force.
     notes : dict
         Provenance: training data, seconds, accuracy; free of meaning to the decoder.
     """
@@ -66,6 +68,7 @@ class Bundle:
     tip_bias_px: FloatArray
     tips: TipModel
     model: ForceModel
+    threshold_N: float
     notes: dict[str, Any] = field(default_factory=dict)
 
 
@@ -101,6 +104,7 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
             }
             for name, net in model.networks.items()
         },
+        "threshold_N": float(bundle.threshold_N),
         "notes": bundle.notes,
     }
     arrays = {
@@ -144,6 +148,8 @@ def load_bundle(folder: Path) -> Bundle:
     try:
         count = int(meta["markers"])
         _check_arrays(arrays, count, sorted(meta["networks"]), folder)
+        _check_indices(arrays, count, len(meta["colours"]["names"]), folder)
+        _check_camera(meta["camera"], folder)
         return _assemble(meta, arrays)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
@@ -200,10 +206,35 @@ def _check_arrays(arrays: dict[str, Any], count: int, networks: list[str], folde
                 f"{folder}/bundle.safetensors: {name} has shape {arrays[name].shape}, "
                 f"expected {shape} for {n} markers; the two files are of different builds"
             )
+        kind = np.int64 if name in ("colour", "neighbours") else np.float64
+        if arrays[name].dtype != kind:
+            raise InputError(
+                f"{folder}/bundle.safetensors: {name} is {arrays[name].dtype}, expected "
+                f"{np.dtype(kind)}; rebuild the decoder"
+            )
         if name != "tip_on_px" and not np.isfinite(arrays[name]).all():
             raise InputError(
                 f"{folder}/bundle.safetensors: {name} holds numbers that are not finite"
             )
+
+
+def _check_indices(arrays: dict[str, Any], count: int, colours: int, folder: Path) -> None:
+    for name, low, high in (("neighbours", -1, count), ("colour", 0, colours)):
+        if arrays[name].min(initial=low) < low or arrays[name].max(initial=low) >= high:
+            raise InputError(
+                f"{folder}/bundle.safetensors: {name} points beyond the bundle's {high} entries; "
+                "rebuild the decoder"
+            )
+
+
+def _check_camera(camera: dict[str, Any], folder: Path) -> None:
+    sizes = [camera["width_px"], camera["height_px"], camera["focal_px"]]
+    pose = [*camera["centre_px"], *camera["position_mm"], *np.ravel(camera["rotation"])]
+    if not (np.isfinite([*sizes, *pose]).all() and min(sizes) > 0):
+        raise InputError(
+            f"{folder}/bundle.json: the camera's size, focal length and pose must be finite and "
+            "its sizes positive; rebuild the decoder"
+        )
 
 
 def _assemble(meta: dict[str, Any], arrays: dict[str, Any]) -> Bundle:
@@ -255,5 +286,6 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any]) -> Bundle:
             neighbours=arrays["neighbours"],
             networks=networks,
         ),
+        threshold_N=float(meta["threshold_N"]),
         notes=dict(meta["notes"]),
     )

@@ -15,6 +15,12 @@ from shapes.errors import InputError
 
 FOUND_MIN = 0.5
 """A frame that shows fewer than this fraction of the markers is refused."""
+FOUND_WELL = 0.95
+"""Below this fraction of markers found, forces are returned with a warning."""
+BLOBS_MAX = 8.0
+"""A frame with more coloured blobs than this per marker is not a frame of the sensor."""
+MOVED_PX = 0.75
+"""A median shift of all markers beyond this says that the camera has moved, not the shell."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +44,39 @@ class Measured:
     def forces_N(self, bundle: Bundle, estimator: str) -> FloatArray:
         """Inward force (n,) N on each marker; zero off the key nodes of interest."""
         return bundle.model.forces(estimator, self.shift_px, self.koi)
+
+    def warnings(self, bundle: Bundle, forces_N: FloatArray) -> list[str]:
+        """Reasons to distrust these forces, each as a sentence; empty for a sound frame.
+
+        Parameters
+        ----------
+        bundle : Bundle
+            The sensor's decoder.
+        forces_N : (n,) float
+            From :meth:`forces_N`.
+        """
+        out = []
+        share = float(self.found.mean())
+        if share < FOUND_WELL:
+            out.append(
+                f"only {int(self.found.sum())} of {len(self.found)} markers were found; check "
+                "light, focus and what stands before the camera"
+            )
+        moved = np.nanmedian(self.shift_px, axis=0)
+        if float(np.linalg.norm(moved)) > MOVED_PX:
+            out.append(
+                f"the whole image has shifted by ({moved[0]:.1f}, {moved[1]:.1f}) px: the camera "
+                "has moved; take a new rest frame"
+            )
+        weak = self.koi[forces_N[self.koi] < 0.5 * bundle.threshold_N]
+        if len(weak):
+            out.append(
+                f"{len(weak)} switched receptors ({', '.join(map(str, weak[:5]))}) decode to less "
+                f"than half the switch threshold of {bundle.threshold_N:g} N"
+            )
+        if len(self.koi) > 0.3 * len(self.found):
+            out.append(f"{len(self.koi)} of {len(self.found)} switches read as on")
+        return out
 
 
 def read_image(path: Path) -> ImageArray:
@@ -67,6 +106,11 @@ def locate_markers(bundle: Bundle, image_bgr: ImageArray) -> tuple[Matched, Bool
     camera = bundle.camera
     check_image(image_bgr, width_px=camera.width_px, height_px=camera.height_px)
     blobs = segment(image_bgr, bundle.colours)
+    if len(blobs.colour) > BLOBS_MAX * len(bundle.colour):
+        raise InputError(
+            f"the image shows {len(blobs.colour)} coloured blobs for {len(bundle.colour)} markers; "
+            f"is this a frame of the sensor {bundle.design!r}, in focus?"
+        )
     matched = match_markers(
         blobs,
         rest_px=bundle.rest_px,

@@ -8,7 +8,7 @@ import numpy as np
 from phytac_design.check import check_design
 from phytac_design.optics.density import density_of
 from phytac_design.optics.view import camera_of
-from phytac_design.optics.visibility import check_visibility
+from phytac_design.optics.visibility import check_visibility, visibility_advice
 from phytac_design.spec import Design
 
 
@@ -41,6 +41,9 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
         "occluded_markers": np.flatnonzero(seen.occluded).tolist(),
         "fused_markers": np.flatnonzero(seen.fused).tolist(),
         "clear": summary["occluded"] == 0 and summary["fused"] == 0,
+        "advice": visibility_advice(
+            design, np.flatnonzero(seen.occluded), np.flatnonzero(seen.fused)
+        ),
         "stand_off_mm": float(-camera.position_mm[2]),
         "seconds": time.perf_counter() - start,
     }

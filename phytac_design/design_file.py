@@ -45,7 +45,14 @@ def parse_design(data: dict[str, Any], where: str) -> Design:
     try:
         return Design.model_validate(data)
     except ValidationError as error:
-        lines = [_explain(item, data) for item in error.errors()]
+        places = [item["loc"] for item in error.errors()]
+        lines = [
+            _explain(item, data)
+            for item in error.errors()
+            # An item that is refused makes its list too short as well: once is enough.
+            if not any(place[: len(item["loc"])] == item["loc"] != place for place in places)
+        ]
+        lines = list(dict.fromkeys(lines))
         raise DesignError(f"{where}: " + "; ".join(lines)) from None
 
 
@@ -70,6 +77,8 @@ def _read(name_or_path: str) -> tuple[str, str]:
 def _explain(item: Any, data: dict[str, Any]) -> str:
     """One problem as a sentence: where, what, got, and what would do."""
     parts = [part for part in item["loc"] if part not in SHAPE_MODELS]
+    if parts[:2] == ["camera", "stand_off_mm"]:
+        return f"camera.stand_off_mm: must be a distance in mm or 'fit' (got {item['input']!r})"
     where = ".".join(str(part) for part in parts)
     kind = item["type"]
     if kind == "extra_forbidden":
@@ -78,7 +87,7 @@ def _explain(item: Any, data: dict[str, Any]) -> str:
         hint = f"; did you mean {near[0]!r}?" if near else f" (known: {', '.join(known)})"
         return f"unknown key {where!r}{hint}"
     if kind == "missing":
-        return f"{where} is missing"
+        return f"{where} is missing; `phytac new NAME` writes a whole design to edit"
     if kind.startswith("union_tag"):
         return (
             f"{where}.kind must be one of {', '.join(SHAPE_MODELS)} "

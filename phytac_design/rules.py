@@ -21,6 +21,8 @@ from shapes import Surface
 from shapes.arrays import FloatArray
 from shapes.errors import DesignError
 
+MARKERS_MAX = 50_000
+"""Most markers that a design may ask for; far beyond what any camera tells apart."""
 SLACK_mm = 1e-9
 """Lengths that meet a rule exactly pass in spite of rounding."""
 
@@ -43,6 +45,7 @@ def check_design(design: Design) -> tuple[Surface, Markers]:
     check_receptor_gaps(design, surface, markers)
     check_footprints(design, surface, markers)
     root_depth_mm(design, surface, markers)
+    check_training(design, surface)
     return surface, markers
 
 
@@ -53,6 +56,12 @@ def _refuse(text: str) -> NoReturn:
 def check_sizes(design: Design) -> None:
     """Check sizes against each other and against the print rules: needs no geometry."""
     receptor, switch, rules = design.receptor, design.switch, design.print_rules
+    count = design.layout.rows * design.layout.columns
+    if count > MARKERS_MAX:
+        _refuse(
+            f"{design.layout.rows} rows x {design.layout.columns} columns are {count} markers, "
+            f"more than {MARKERS_MAX}; lower layout.rows or layout.columns"
+        )
     outer, hole, tip = (
         receptor.diameter_outer_mm,
         receptor.diameter_hole_mm,
@@ -108,6 +117,25 @@ def _check_switch(design: Design) -> None:
             f"the switch's bowl does not cover the hole (footprint "
             f"{switch.footprint_diameter_mm:g} mm ≤ hole {hole:g} mm); raise "
             f"switch.footprint_diameter_mm above {hole:g}"
+        )
+
+
+def check_training(design: Design, surface: Surface) -> None:
+    """Check that contacts can trip switches at all: else there is nothing to learn from."""
+    training, switch = design.training, design.switch
+    reach = surface.inner_reach_mm()
+    if training.patch_radius_max_mm > reach:
+        _refuse(
+            f"contact patches are larger than the sensor (radius {training.patch_radius_max_mm:g} "
+            f"mm > {reach:g} mm); lower training.patch_radius_max_mm"
+        )
+    share = min(1.0, switch.footprint_diameter_mm / (2.0 * training.patch_radius_min_mm)) ** 2
+    most = share * training.force_max_N
+    if most <= switch.threshold_N:
+        _refuse(
+            f"no contact can trip a switch: the strongest one ({training.force_max_N:g} N) puts "
+            f"{most:.3g} N on a switch's footprint, its threshold is {switch.threshold_N:g} N; "
+            f"lower switch.threshold_N below {most:.3g} or raise training.force_max_N"
         )
 
 

@@ -9,6 +9,8 @@ import shapes
 from shapes import Surface
 from shapes.errors import DesignError
 
+PIXELS_MAX = 64_000_000
+"""Largest image that is rendered and segmented (about 3 GB of working memory)."""
 ColourName = Literal["blue", "green"]
 
 
@@ -27,6 +29,18 @@ class Section(BaseModel):
         allow_inf_nan=False,
         validate_default=True,
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_truth_values(cls, data: Any) -> Any:
+        """Refuse true and false, which would otherwise pass for 1 and 0."""
+        if isinstance(data, dict):
+            wrong = [str(key) for key, value in data.items() if isinstance(value, bool)]
+            if wrong:
+                raise ValueError(
+                    f"{', '.join(wrong)} must be a number or a text, not true or false"
+                )
+        return data
 
 
 class ShapeSection(Section):
@@ -150,6 +164,16 @@ class CameraSection(Section):
     noise_centroid_px: float = assumed(0.04, ge=0.0, le=10.0)
     """Standard deviation of a marker's measured centroid, for simulated measurements."""
 
+    @model_validator(mode="after")
+    def _fits_in_memory(self) -> Self:
+        pixels = self.width_px * self.height_px
+        if pixels > PIXELS_MAX:
+            raise ValueError(
+                f"{self.width_px} x {self.height_px} px are {pixels / 1e6:.0f} megapixels, more "
+                f"than {PIXELS_MAX / 1e6:.0f}; lower width_px and height_px, or bin the image"
+            )
+        return self
+
 
 class LightSection(Section):
     """The light bar on the axis; it can hide markers."""
@@ -163,7 +187,7 @@ class LightSection(Section):
 class MaterialSection(Section):
     """The printed resin, to be calibrated on the real sensor (paper, eq. 4)."""
 
-    modulus_MPa: float = assumed(2200.0, gt=0.0, le=1e6)
+    modulus_MPa: float = assumed(2200.0, ge=1e-3, le=1e6)
     """Young's modulus."""
     poisson: float = assumed(0.38, ge=0.0, lt=0.5)
     """Poisson's ratio."""

@@ -240,6 +240,9 @@ REFUSALS = [
     ({"camera": {"stand_off_mm": 5.0}}, "rim"),
     ({"light": {"bar_radius_mm": 25.0}}, "bar"),
     ({"switch": {"release_N": 0.6}}, "release"),
+    ({"switch": {"threshold_N": 1000.0}}, "no contact can trip a switch"),
+    ({"training": {"patch_radius_max_mm": 1000.0}}, "larger than the sensor"),
+    ({"layout": {"rows": 2000, "columns": 2000}}, "are 4000000 markers, more than 50000"),
 ]
 
 
@@ -248,6 +251,25 @@ def test_impossible_designs_write_nothing(change: dict, word: str, tmp_path: Pat
     with pytest.raises(DesignError, match=word):
         build(small(**change), tmp_path / "x", accuracy="draft", progress=quiet)
     assert not (tmp_path / "x").exists()
+
+
+def test_markers_that_fuse_stop_the_build_unless_forced(tmp_path: Path) -> None:
+    design = small(name="one", layout={"kind": "straight", "rows": 12, "height_far_mm": 2.0})
+    seen: list[str] = []
+    with pytest.raises(DesignError, match=r"fused with another .* use layout.kind = .*--force"):
+        build(design, tmp_path / "x", accuracy="draft", progress=seen.append)
+    assert not any("shell" in text for text in seen)
+    assert not (tmp_path / "x" / "manifest.json").exists()
+    build(design, tmp_path / "x", accuracy="draft", force=True, progress=quiet)
+    report = json.loads((tmp_path / "x" / "report" / "report.json").read_text())
+    assert report["visibility"]["fused"] > 0
+    assert "verdict bad" in (tmp_path / "x" / "report" / "report.html").read_text()
+
+
+def test_markers_too_small_to_see_are_refused_not_decoded(tmp_path: Path) -> None:
+    design = small(name="far", camera={"stand_off_mm": 2000.0})
+    with pytest.raises(DesignError, match=r"112 markers hidden \(rows 0 to 7"):
+        build(design, tmp_path / "x", accuracy="draft", progress=quiet)
 
 
 def test_unwritable_folder(tmp_path: Path) -> None:
@@ -266,6 +288,18 @@ def test_built_frames_decode(built: BuildResult) -> None:
     forces = measured.forces_N(bundle, "koi_inverse")
     assert set(measured.koi) == {int(key) for key in truth}
     assert forces.sum() == pytest.approx(sum(truth.values()), rel=0.3)
+    assert measured.warnings(bundle, forces) == []
+    moved = np.roll(frame, (3, 4), axis=(0, 1))
+    shaken = measure_frame(bundle, moved, rest_px=rest_positions(bundle, rest))
+    (first, *_) = shaken.warnings(bundle, shaken.forces_N(bundle, "koi_inverse"))
+    assert "the whole image has shifted" in first
+    half = frame.copy()
+    half[:, : frame.shape[1] * 2 // 5] = 0
+    covered = measure_frame(bundle, half, rest_px=rest_positions(bundle, rest))
+    assert "markers were found" in covered.warnings(bundle, np.zeros(112))[0]
+    noise = np.random.default_rng(0).integers(0, 256, frame.shape, dtype=np.uint8)
+    with pytest.raises(InputError, match="coloured blobs for 112 markers"):
+        measure_frame(bundle, noise)
     unloaded = measure_frame(bundle, rest, rest_px=rest_positions(bundle, rest))
     assert len(unloaded.koi) == 0
     assert np.abs(unloaded.shift_px).max() == 0.0

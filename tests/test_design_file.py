@@ -66,6 +66,7 @@ def test_assumptions_are_what_the_paper_does_not_state() -> None:
         ({"camera": {"width_px": 10**9}}, "camera.width_px: input should be less than or equal"),
         ({"shape": {"kind": "sphere"}}, "shape.kind"),
         ({"shape": {"kind": "cylinder", "length_mm": 1}}, "shape.diameter_outer_mm is missing"),
+        ({"wall": {"thickness_mm": True}}, "thickness_mm must be a number or a text, not true"),
         ({"name": "../x"}, "name: string should match pattern"),
         ({"training": {"force_min_N": 9, "force_max_N": 2}}, "force_max_N must exceed force_min_N"),
     ],

@@ -136,6 +136,33 @@ def see(
     )
 
 
+def visibility_advice(design: Design, occluded: IntArray, fused: IntArray) -> str:
+    """Say which markers cannot be seen or told apart, and what usually mends it; "" if none.
+
+    Parameters
+    ----------
+    occluded, fused : (k,) int
+        Marker ids.
+    """
+    parts = []
+    for ids, what in ((occluded, "hidden"), (fused, "fused with another of their colour")):
+        if len(ids):
+            rows = np.unique(ids // design.layout.columns)
+            shown = ", ".join(str(i) for i in ids[:5]) + (", …" if len(ids) > 5 else "")
+            parts.append(f"{len(ids)} markers {what} (rows {rows[0]} to {rows[-1]}: {shown})")
+    if not parts:
+        return ""
+    layout, mends = design.layout, []
+    if layout.height_far_mm <= layout.height_near_mm:
+        mends.append("let heights grow away from the camera (height_far_mm > height_near_mm)")
+    if layout.kind == "straight":
+        mends.append('use layout.kind = "spiral"')
+    if len(set(layout.colours)) == 1 and len(fused):
+        mends.append("use two colours")
+    mends.append("use fewer rows or columns, a narrower band_marker_mm, or more camera pixels")
+    return f"the camera cannot tell every marker: {' and '.join(parts)}; {', or '.join(mends)}"
+
+
 def _count(owner: NDArray[np.int32], markers: int) -> IntArray:
     """Pixels of each marker in an owner image (-1 for none), (n,)."""
     return np.bincount(owner[owner >= 0], minlength=markers).astype(np.int64)

@@ -103,6 +103,7 @@ def run(context: Context, folder: Path) -> None:
             red_on_px=views["tip_red_on_px"],
         ),
         model=model,
+        threshold_N=design.switch.threshold_N,
         notes={
             "data": context.facts("twin")["model"],
             "training_samples": data.contacts.samples,

@@ -1,87 +1,144 @@
 """The whole way through images: press, render, find, decode; and example frames for the user."""
 
 import json
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from phytac_design.stage import EXPORT, Context, Stage, export_path, write_facts
 from phytac_design.stages.decoder import along_mm, middle_mm
 from phytac_design.stages.views import write_image
+from phytac_design.twin.contacts import Contacts, Switching
+from shapes.arrays import FloatArray, ImageArray
+from shapes.errors import InputError
 
 
-def run(context: Context, folder: Path) -> None:
-    """Decode rendered frames of one to five contacts each and judge the forces."""
-    from decoder.bundle import load_bundle
-    from decoder.estimators import ESTIMATORS
-    from decoder.run import measure_frame, rest_positions
-    from phytac_design.optics.frame import render_frame
-    from phytac_design.optics.scene import build_scene
-    from phytac_design.optics.view import camera_of, tolerance_mm
+@dataclass(frozen=True, kw_only=True)
+class Pressed:
+    """Contacts of all frames, what they trip, and how every marker moves, (samples, n, 6)."""
+
+    contacts: Contacts
+    switching: Switching
+    motion: FloatArray
+
+
+@dataclass(kw_only=True)
+class Tally:
+    """What decoding all frames gave: forces (samples, n) by estimator, and counts."""
+
+    forces_N: dict[str, FloatArray]
+    missed: int = 0
+    false: int = 0
+    lost: int = 0
+    refused: list[str] = field(default_factory=list)
+
+
+def press(context: Context) -> Pressed:
+    """Draw contacts of one to five at once and solve them on the simulated sensor's mesh."""
     from phytac_design.twin.contacts import draw_contacts, switch_states
-    from phytac_design.twin.judge import judge
     from phytac_design.twin.response import motion_responses, superpose
     from phytac_design.twin.shell import truth_shell
 
     design, surface, markers = context.design, context.surface, context.markers
     rng = np.random.default_rng([context.seed, 2])
-    count = context.accuracy.frames
-    contacts = draw_contacts(design, surface, markers, samples=count, rng=rng)
-    switching = switch_states(design, surface, markers, contacts)
+    contacts = draw_contacts(design, surface, markers, samples=context.accuracy.frames, rng=rng)
     mesh, model = truth_shell(design, surface, context.accuracy.truth_refine)
     responses = motion_responses(
         model, mesh, surface, markers, uv=contacts.uv, radius_mm=contacts.radius_mm
     )
-    motion = superpose(responses, contacts)
-    camera = camera_of(design, surface)
-    tolerance = tolerance_mm(camera, markers)
-    noise = design.camera.noise_pixel
-    bundle = load_bundle(context.folders["decoder"] / EXPORT / "decoder")
+    return Pressed(
+        contacts=contacts,
+        switching=switch_states(design, surface, markers, contacts),
+        motion=superpose(responses, contacts),
+    )
 
-    rest = build_scene(design, surface, markers, tolerance_mm=tolerance)
-    rest_frame = render_frame(rest, camera, noise_std=noise, rng=rng)
-    rest_px = rest_positions(bundle, rest_frame)
+
+def shoot(context: Context, pressed: Pressed, index: int | None) -> ImageArray:
+    """Noisy frame of one sample, or of the unloaded sensor (None)."""
+    from phytac_design.optics.frame import render_frame
+    from phytac_design.optics.scene import build_scene
+    from phytac_design.optics.view import camera_of, tolerance_mm
+
+    design, surface, markers = context.design, context.surface, context.markers
+    camera = camera_of(design, surface)
+    bits = None if index is None else pressed.switching.bits[index]
+    tolerance = tolerance_mm(camera, markers)
+    scene = build_scene(design, surface, markers, tolerance_mm=tolerance, switch_on=bits)
+    if index is not None:
+        motion = pressed.motion[index]
+        scene = scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm)
+    rng = np.random.default_rng([context.seed, 3, 0 if index is None else index + 1])
+    return render_frame(scene, camera, noise_std=design.camera.noise_pixel, rng=rng)
+
+
+def decode_all(context: Context, folder: Path, pressed: Pressed) -> Tally:
+    """Render and decode every sample; keep the frame with the most switches on as an example."""
+    from decoder.bundle import load_bundle
+    from decoder.estimators import ESTIMATORS
+    from decoder.run import measure_frame, rest_positions
+
+    bundle = load_bundle(context.folders["decoder"] / EXPORT / "decoder")
+    bits = pressed.switching.bits
+    tally = Tally(forces_N={name: np.zeros(bits.shape) for name in ESTIMATORS})
+    rest_frame = shoot(context, pressed, None)
     write_image(export_path(folder, "views/frame_rest.png"), rest_frame)
-    forces = {name: np.zeros((count, markers.count)) for name in ESTIMATORS}
-    missed = false = lost = 0
-    for index in range(count):
-        context.progress(f"frames: {index + 1} of {count}")
-        bits = switching.bits[index]
-        scene = build_scene(design, surface, markers, tolerance_mm=tolerance, switch_on=bits)
-        scene = scene.moved(motion[index, :, :3], motion[index, :, 3:], markers.mid_mm)
-        frame = render_frame(scene, camera, noise_std=noise, rng=rng)
-        measured = measure_frame(bundle, frame, rest_px=rest_px)
-        for name in ESTIMATORS:
-            forces[name][index] = measured.forces_N(bundle, name)
-        found = np.isin(np.arange(markers.count), measured.koi)
-        missed += int((bits & ~found).sum())
-        false += int((found & ~bits).sum())
-        lost += int((~measured.found).sum())
-        if index == 0:
+    rest_px = bundle.rest_px
+    try:
+        rest_px = rest_positions(bundle, rest_frame)
+    except InputError as error:  # only a forced build of markers that cannot be seen gets here
+        tally.refused.append(str(error))
+    example = int(np.argmax(bits.sum(axis=1)))
+    for index, on in enumerate(bits):
+        context.progress(f"frames: {index + 1} of {len(bits)}")
+        frame = shoot(context, pressed, index)
+        if index == example:
             write_image(export_path(folder, "views/frame_pressed.png"), frame)
-            truth = switching.receptor_force_N[0]
+            truth = pressed.switching.receptor_force_N[index]
             export_path(folder, "views/frame_pressed.json").write_text(
-                json.dumps({f"{i}": round(float(truth[i]), 4) for i in np.flatnonzero(truth)})
+                json.dumps({str(i): round(float(truth[i]), 4) for i in np.flatnonzero(truth)})
             )
+        try:
+            measured = measure_frame(bundle, frame, rest_px=rest_px)
+        except InputError as error:
+            tally.refused.append(str(error))
+            tally.missed += int(on.sum())
+            continue
+        for name in ESTIMATORS:
+            tally.forces_N[name][index] = measured.forces_N(bundle, name)
+        found = np.isin(np.arange(len(on)), measured.koi)
+        tally.missed += int((on & ~found).sum())
+        tally.false += int((found & ~on).sum())
+        tally.lost += int((~measured.found).sum())
+    return tally
+
+
+def run(context: Context, folder: Path) -> None:
+    """Decode rendered frames of one to five contacts each and judge the forces."""
+    from phytac_design.twin.judge import judge
+
+    pressed = press(context)
+    tally = decode_all(context, folder, pressed)
+    contacts, switching = pressed.contacts, pressed.switching
     height = along_mm(context, contacts.uv)
-    scores = {
-        name: judge(
-            forces[name], contacts, switching, height_mm=height, middle_mm=middle_mm(context)
-        )
-        for name in ESTIMATORS
+    scores: dict[str, Any] = {
+        name: judge(forces, contacts, switching, height_mm=height, middle_mm=middle_mm(context))
+        for name, forces in tally.forces_N.items()
     }
-    on = int(switching.bits.sum())
     write_facts(
         folder,
         {
-            "frames": count,
+            "frames": contacts.samples,
             "renderer": "own rasteriser, 8 samples a pixel, sensor noise",
             "contacts": len(contacts.force_N),
             "tripped_no_switch": int((~switching.tripped).sum()),
-            "koi": on,
-            "koi_missed": missed,
-            "koi_false": false,
-            "markers_not_found": lost,
+            "koi": int(switching.bits.sum()),
+            "koi_missed": tally.missed,
+            "koi_false": tally.false,
+            "markers_not_found": tally.lost,
+            "refused": len(tally.refused),
+            "first_refusal": tally.refused[0] if tally.refused else "",
             "estimators": scores,
         },
     )

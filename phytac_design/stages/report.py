@@ -2,6 +2,7 @@
 
 import json
 import math
+from html import escape as html_escape
 from pathlib import Path
 from typing import Any
 
@@ -89,13 +90,18 @@ def lead_of(report: dict[str, Any]) -> str:
         else f"{seen['occluded']} markers are hidden and {seen['fused']} fuse: see Camera"
     )
     solid = "one watertight body" if shell["watertight"] else "NOT watertight"
-    best = report["decoder_frames"]["koi_inverse"]
+    frames = report["decoder_frames"]["koi_inverse"]
+    points = report["decoder"]["koi_inverse"]
+    about = html_escape(report["description"])
     return (
+        f"<p>{about}</p>"
         f'<p class="verdict{"" if clear else " bad"}">{report["markers"]["count"]} markers, '
         f"{report['markers']['density_per_cm2']:.2f} per cm² of a surface "
         f"{report['markers']['surface_class']} to the optical axis; {told}; the shell is {solid}; "
-        f"rendered frames decode to {100.0 * best['relative_error']:.1f} % and "
-        f"{best['mae_N']:.2f} N (KOI-restricted inverse, simulated).</p>"
+        f"simulated contacts decode to {100.0 * points['relative_error']:.1f} % and "
+        f"{points['mae_N']:.2f} N ({points['samples']} held-out ones), through rendered frames to "
+        f"{100.0 * frames['relative_error']:.1f} % ({frames['samples']}), by the KOI-restricted "
+        "inverse.</p>"
         f'<p class="note">{SIMULATED}</p>'
     )
 

@@ -157,6 +157,7 @@ def make_bundle() -> Bundle:
         tip_bias_px=np.zeros((N, 2)),
         tips=TipModel(on_px=rng.normal(size=(N, 2)), red_rest_px=np.zeros(N), red_on_px=np.ones(N)),
         model=force_model(),
+        threshold_N=0.5,
         notes={"why": "test"},
     )
 
@@ -204,6 +205,14 @@ def test_spoilt_bundles_are_refused(tmp_path: Path) -> None:
     refused("stiffness holds numbers that are not finite")
     save_file({k: v for k, v in arrays.items() if k != "rest_px"}, arrays_path)
     refused("lacks 'rest_px'")
+    save_file({**arrays, "stiffness": arrays["stiffness"].astype(np.float32)}, arrays_path)
+    refused("stiffness is float32, expected float64")
+    far = np.where(arrays["neighbours"] < 0, 99999, arrays["neighbours"])
+    save_file({**arrays, "neighbours": far}, arrays_path)
+    refused("neighbours points beyond the bundle's 12 entries")
+    camera = {**json.loads(meta)["camera"], "width_px": -5}
+    meta_path.write_text(json.dumps({**json.loads(meta), "camera": camera}))
+    refused("its sizes positive")
     with pytest.raises(InputError, match="no decoder bundle"):
         load_bundle(tmp_path / "nowhere")
 
