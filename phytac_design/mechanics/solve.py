@@ -86,6 +86,9 @@ class ShellModel:
         _refuse_bad_numbers(nodes_mm, directors, thickness_mm, modulus_MPa, poisson)
         self.nodes_mm = nodes_mm
         self.quads = quads
+        self.directors = directors
+        self.thickness_mm, self.modulus_MPa = thickness_mm, modulus_MPa
+        self.poisson, self.drilling = poisson, drilling
         self.uniform = np.ndim(thickness_mm) == 0 and np.ndim(modulus_MPa) == 0
         self.fixed = np.asarray(fixed, dtype=np.bool_)
         self._refuse_loose()
@@ -103,7 +106,6 @@ class ShellModel:
     @cached_property
     def _factor(self) -> tuple[Any, Any, FloatArray]:
         """Factor of the scaled free stiffness, that matrix, and its scale."""
-        from scipy.sparse import diags
         from scipy.sparse.linalg import splu
 
         free = self.stiffness[self._free][:, self._free]
@@ -114,7 +116,10 @@ class ShellModel:
                 "check thickness, modulus and Poisson's ratio"
             )
         scale = 1.0 / np.sqrt(diagonal)
-        scaled = (diags(scale) @ free @ diags(scale)).tocsc()
+        # Scaled in place: a sparse product would drop the explicit zeros, and without them the
+        # ordering no longer sees a node's six DOFs as one and leaves twice the fill.
+        scaled = free.tocsc(copy=True)
+        scaled.data *= scale[scaled.indices] * np.repeat(scale, np.diff(scaled.indptr))
         try:
             factor = splu(scaled, **SUPERLU)
         except RuntimeError as error:

@@ -1,0 +1,44 @@
+"""Pressure that follows the deformed face."""
+
+import numpy as np
+
+from phytac_design.mechanics.element import GAUSS, shape
+from phytac_design.mechanics.rotations import cross, spin
+from shapes.arrays import FloatArray, IntArray
+
+
+def pressure_forces(nodes_mm: FloatArray, quads: IntArray) -> FloatArray:
+    """Nodal forces and moments (6N,) of 1 MPa along the normals of the faces as they stand.
+
+    F_a = ∫ h_a x_r × x_s dr ds on the bilinear face; positive pressure pushes along the element's
+    normal (outward on a :class:`mesh.ShellMesh`; a finger presses with a negative one).
+
+    Parameters
+    ----------
+    nodes_mm : (N, 3) float
+        Deformed positions, mm.
+    quads : (E, 4) int
+        Corners.
+    """
+    corner = nodes_mm[quads]
+    out = np.zeros((len(nodes_mm), 6))
+    for r in (-GAUSS, GAUSS):
+        for s in (-GAUSS, GAUSS):
+            h, dh = shape(r, s)
+            g_r, g_s = np.einsum("ai,eik->aek", dh, corner)
+            np.add.at(out[:, :3], quads, h[None, :, None] * cross(g_r, g_s)[:, None])
+    return out.ravel()
+
+
+def pressure_stiffness(nodes_mm: FloatArray, quads: IntArray) -> FloatArray:
+    """Change of those forces with the nodes' motion per element, (E, 24, 24), not symmetric."""
+    corner = nodes_mm[quads]
+    K = np.zeros((len(quads), 4, 6, 4, 6))
+    for r in (-GAUSS, GAUSS):
+        for s in (-GAUSS, GAUSS):
+            h, dh = shape(r, s)
+            S_r, S_s = spin(np.einsum("ai,eik->aek", dh, corner))
+            # δ(x_r × x_s) = x̂_r δx_s − x̂_s δx_r
+            change = np.einsum("b,eij->eibj", dh[1], S_r) - np.einsum("b,eij->eibj", dh[0], S_s)
+            K[:, :, :3, :, :3] += np.einsum("a,eibj->eaibj", h, change)
+    return K.reshape(-1, 24, 24)
