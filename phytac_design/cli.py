@@ -31,6 +31,14 @@ class Preset(StrEnum):
     fine = "fine"
 
 
+class Parameter(StrEnum):
+    """Parameters of a shell that can be calibrated."""
+
+    modulus = "modulus"
+    thickness = "thickness"
+    poisson = "poisson"
+
+
 class Estimator(StrEnum):
     """Force estimators of a bundle."""
 
@@ -42,7 +50,7 @@ class Estimator(StrEnum):
 
 DesignArgument = Annotated[str, typer.Argument(help="A shipped design or the path of a file.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
-SeedOption = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
+SeedOption = Annotated[int, typer.Option(help="Seed of everything random.", min=0, max=2**31 - 1)]
 
 
 def say(text: str) -> None:
@@ -53,11 +61,16 @@ def say(text: str) -> None:
 @app.command()
 def build(
     design: DesignArgument,
-    out: Annotated[Path | None, typer.Option(help="Exports folder.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The build's own folder; exports/NAME if not given.")
+    ] = None,
     accuracy: Annotated[Preset, typer.Option(help="Speed against accuracy.")] = Preset.standard,
     only: Annotated[str, typer.Option(help="Stages, comma separated, with what they need.")] = "",
     seed: SeedOption = 0,
-    force: Annotated[bool, typer.Option(help="Overwrite another design's folder.")] = False,
+    force: Annotated[
+        bool,
+        typer.Option(help="Overwrite another design's folder; go on though markers hide or fuse."),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Build everything of a design: shell, views, mesh, decoder, report."""
@@ -67,15 +80,19 @@ def build(
     loaded = load_design(design)
     target = out or Path("exports") / loaded.name
     names = [name.strip() for name in only.split(",") if name.strip()]
-    result = run_build(
-        loaded,
-        target,
-        accuracy=accuracy.value,
-        only=names or None,
-        seed=seed,
-        force=force,
-        progress=say,
-    )
+    try:
+        result = run_build(
+            loaded,
+            target,
+            accuracy=accuracy.value,
+            only=names or None,
+            seed=seed,
+            force=force,
+            progress=say,
+        )
+    except KeyboardInterrupt:
+        say("stopped; run the same command again to go on where it was")
+        raise typer.Exit(130) from None
     if as_json:
         summary = {
             "out": str(result.out),
@@ -119,7 +136,7 @@ def _print_check(report: dict[str, Any]) -> None:
     typer.echo(f"camera {report['stand_off_mm']:.2f} mm in front of the near rim")
     for key, value in seen.items():
         typer.echo(f"  {key:26s} {value:g}")
-    verdict = "every marker is seen and told apart" if report["clear"] else "NOT clear"
+    verdict = "every marker is seen and told apart" if report["clear"] else report["advice"]
     typer.echo(f"{verdict} ({report['seconds']:.1f} s)")
 
 
@@ -160,6 +177,9 @@ def decode(
     rest_px = rest_positions(loaded, read_image(rest)) if rest else None
     measured = measure_frame(loaded, image, rest_px=rest_px)
     forces = measured.forces_N(loaded, estimator.value)
+    warnings = measured.warnings(loaded, forces)
+    for warning in warnings:
+        say(f"warning: {warning}")
     if as_json:
         result = {
             "design": loaded.design,
@@ -167,6 +187,7 @@ def decode(
             "found": int(measured.found.sum()),
             "forces_N": {str(i): round(float(forces[i]), 4) for i in measured.koi},
             "total_N": round(float(forces.sum()), 4),
+            "warnings": warnings,
         }
         typer.echo(json.dumps(result, indent=1))
         return
@@ -179,6 +200,30 @@ def decode(
     typer.echo(f"total {forces.sum():.2f} N on {len(measured.koi)} switched receptors")
 
 
+@app.command()
+def calibrate(
+    design: DesignArgument,
+    measurements: Annotated[Path, typer.Argument(help="CSV of forces and displacements.")],
+    fix: Annotated[list[Parameter] | None, typer.Option(help="Known: stays as designed.")] = None,
+    limit: Annotated[float, typer.Option(help="Widest ± accepted.", min=0.001, max=1.0)] = 0.1,
+    accuracy: Annotated[Preset, typer.Option(help="Speed against accuracy.")] = Preset.standard,
+    out: Annotated[Path | None, typer.Option(help="Design file to write, calibrated.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Fit modulus, wall and Poisson's ratio to measured forces and displacements."""
+    from phytac_design.design_file import load_design
+    from phytac_design.mechanics.calibrate_design import calibrate_design, write_calibrated
+
+    loaded = load_design(design)
+    fixed = [parameter.value for parameter in fix or []]
+    fit = calibrate_design(
+        loaded, measurements, fixed=fixed, limit=limit, accuracy=accuracy.value, progress=say
+    )
+    if out:
+        say(f"wrote {write_calibrated(loaded, fit, out)}")
+    typer.echo(json.dumps(fit.as_dict(), indent=1) if as_json else fit.text())
+
+
 def main() -> None:
     """Run the command line; a user's error is one line on standard error and an exit code."""
     try:
@@ -186,6 +231,3 @@ def main() -> None:
     except PhytacError as error:
         typer.echo(f"error: {error}", err=True)
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        typer.echo("stopped; run the same command again to go on where it was", err=True)
-        sys.exit(130)

@@ -1,0 +1,325 @@
+"""Calibration rows of ``mechanics``: E, t and ν back from noisy data of another, finer mesh.
+
+The sensor: cylinder60, made of another resin and wall than its design says. Synthetic camera
+data: the inward motion of every marker under presses of two patch sizes along the sensor, from a
+mesh that is finer than, and not aligned with, those of the calibration. Noise: 5 % of each
+displacement, 0.5 µm, and 1 % of the force of each press.
+"""
+
+import argparse
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.harness import Table
+from phytac_design.design_file import load_design
+from phytac_design.layout import make_markers
+from phytac_design.mechanics.calibration import calibrate
+from phytac_design.mechanics.calibration_result import Calibration, Name, Parameters
+from phytac_design.mechanics.loads import patch_loads
+from phytac_design.mechanics.measurements import Measurements
+from phytac_design.mechanics.mesh import chart_mesh
+from phytac_design.mechanics.probe_response import (
+    ProbeResponse,
+    Response,
+    ResponseModel,
+    probe_weights,
+)
+from phytac_design.mechanics.sensitivity import motion_rate, stiffness_rates
+from phytac_design.mechanics.solve import ShellModel, clamped_model
+from shapes import Surface
+from shapes.arrays import FloatArray
+from shapes.errors import PhytacError
+
+TRUTH = Parameters(modulus=2050.0, thickness=0.86, poisson=0.36)
+PEAK_MM = 0.06
+NOISE_RELATIVE, NOISE_FLOOR_MM, NOISE_FORCE = 0.05, 0.0005, 0.01
+RADII_MM = (3.0, 8.0)
+SOURCE = "synthetic data of a finer mesh, 5 % noise"
+
+
+class Table2d:
+    """A response as a polynomial in thickness and ν through exact solutions, for fast repeats."""
+
+    def __init__(self, exact: ProbeResponse, thickness: FloatArray, poisson: FloatArray) -> None:
+        self.grid = [thickness, poisson]
+        found = [[exact(float(t), float(v), False) for v in poisson] for t in thickness]
+        self.values = np.array([[r.value for r in row] for row in found])
+        self.errors = np.array([[r.mesh_error for r in row] for row in found])
+
+    def __call__(self, thickness_mm: float, poisson: float, with_poisson: bool, /) -> Response:
+        """Interpolate; the derivatives are those of the polynomial."""
+        (a, da), (b, db) = (
+            _lagrange(nodes, x) for nodes, x in zip(self.grid, (thickness_mm, poisson), strict=True)
+        )
+        return Response(
+            value=np.einsum("i,j,ijn->n", a, b, self.values, optimize=True),
+            thickness_rate=np.einsum("i,j,ijn->n", da, b, self.values, optimize=True),
+            poisson_rate=np.einsum("i,j,ijn->n", a, db, self.values, optimize=True)
+            if with_poisson
+            else None,
+            mesh_error=np.einsum("i,j,ijn->n", a, b, self.errors, optimize=True),
+        )
+
+
+def _lagrange(nodes: FloatArray, x: float) -> tuple[FloatArray, FloatArray]:
+    """Lagrange polynomials of the nodes at x, and their derivatives there, each (k,)."""
+    powers = np.arange(len(nodes))
+    scale, middle = np.ptp(nodes) / 2.0, nodes.mean()
+    vander = ((nodes - middle) / scale)[:, None] ** powers
+    z = (x - middle) / scale
+    slope = powers * z ** np.maximum(powers - 1, 0) / scale
+    return np.linalg.solve(vander.T, z**powers), np.linalg.solve(vander.T, slope)
+
+
+def presses(quick: bool) -> tuple[Surface, Measurements]:
+    """Places and patches of the experiment; forces and displacements still 1."""
+    design = load_design("cylinder60")
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    rows = (0, 4, 11, 20) if quick else (0, 1, 2, 4, 7, 11, 15, 18, 20, 21, 22)
+    chosen = np.array([design.layout.columns * row for row in rows])
+    contact = np.repeat(markers.uv[chosen], len(RADII_MM), axis=0)
+    radius = np.tile(RADII_MM, len(rows))
+    count = len(contact) * markers.count
+    return surface, Measurements(
+        contact_uv=np.repeat(contact, markers.count, axis=0),
+        probe_uv=np.tile(markers.uv, (len(contact), 1)),
+        radius_mm=np.repeat(radius, markers.count),
+        force_N=np.ones(count),
+        displacement_mm=np.ones(count),
+    )
+
+
+def truth(surface: Surface, rows: Measurements, counts: tuple[int, int]) -> FloatArray:
+    """Displacement of each row per newton, (n,), of the true sensor on one fine mesh."""
+    mesh = chart_mesh(surface, thickness_mm=TRUTH.thickness, n_along=counts[0], n_around=counts[1])
+    model = clamped_model(mesh, modulus_MPa=TRUTH.modulus, poisson=TRUTH.poisson)
+    key = np.column_stack([rows.contact_uv, rows.radius_mm])
+    distinct, load = np.unique(key, axis=0, return_inverse=True)
+    motion = model.solve(patch_loads(mesh, surface, distinct[:, :2], distinct[:, 2])).motion
+    nodes, weight = probe_weights(mesh, surface, rows.probe_uv)
+    return np.asarray(np.einsum("ncd,ncd->n", weight, motion[nodes, :, load[:, None]]))
+
+
+def measured(rows: Measurements, per_newton: FloatArray, seed: int) -> Measurements:
+    """Noisy data: each press as hard as it takes to move its most moved marker by PEAK_MM."""
+    rng = np.random.default_rng(seed)
+    press = rows.press
+    peak = np.zeros(press.max() + 1)
+    np.maximum.at(peak, press, per_newton)
+    force = (PEAK_MM / peak)[press]
+    n = len(press)
+    moved = force * per_newton * (1.0 + NOISE_RELATIVE * rng.standard_normal(n))
+    read = force * (1.0 + NOISE_FORCE * rng.standard_normal(len(peak)))[press]
+    moved += NOISE_FLOOR_MM * rng.standard_normal(n)
+    return replace(rows, force_N=read, displacement_mm=moved)
+
+
+def errors(fit: Calibration) -> FloatArray:
+    """Relative errors of E and t, absolute of ν, (3,)."""
+    v = fit.value
+    return np.array(
+        [
+            v.modulus / TRUTH.modulus - 1,
+            v.thickness / TRUTH.thickness - 1,
+            v.poisson - TRUTH.poisson,
+        ]
+    )
+
+
+def inside(fit: Calibration) -> list[bool]:
+    """Whether the truth lies in the interval, by parameter."""
+    names = ("modulus", "thickness", "poisson")
+    return [
+        getattr(fit.low, name) <= getattr(TRUTH, name) <= getattr(fit.high, name) for name in names
+    ]
+
+
+def sensitivities(table: Table) -> None:
+    """Derivatives of displacements against differences of whole solutions."""
+    design = load_design("cylinder60")
+    surface = design.surface()
+    mesh = chart_mesh(surface, thickness_mm=0.8, n_along=24, n_around=36)
+    loads = patch_loads(mesh, surface, np.array([[60.0, 0.0], [5.0, 1.0]]), 5.0)
+    base: dict[str, Any] = {"modulus_MPa": 2200.0, "poisson": 0.38, "thickness_mm": 0.8}
+
+    def model(**change: float) -> ShellModel:
+        return clamped_model(mesh, **(base | change))
+
+    at = model()
+    rates = stiffness_rates(at)
+    motion = at.solve(loads).motion
+    for name, key in (
+        ("modulus", "modulus_MPa"),
+        ("poisson", "poisson"),
+        ("thickness", "thickness_mm"),
+    ):
+        exact = motion_rate(at, getattr(rates, name), motion)
+        h = 1e-3 * base[key]
+        ends = [model(**{key: base[key] + k * h}).solve(loads).motion for k in (-2, -1, 1, 2)]
+        difference = (ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / (12 * h)
+        table.add(
+            f"sensitivity of displacements to {name}, largest error",
+            float(np.abs(exact - difference).max() / np.abs(exact).max()),
+            "1",
+            reference=0.0,
+            source="fourth-order difference of whole solutions",
+            target="<= 1e-8",
+        )
+
+
+def add_rows(table: Table, quick: bool) -> None:
+    """Add the rows of sensitivities and calibration to ``table``."""
+    sensitivities(table)
+    surface, rows = presses(quick)
+    per_newton = truth(surface, rows, (64, 100) if quick else (124, 196))
+    around = 48 if quick else 64
+    exact = ProbeResponse(surface=surface, rows=rows, around=around)
+    design = Parameters(modulus=2200.0, thickness=0.8, poisson=0.38)
+    known = replace(design, poisson=TRUTH.poisson)
+    start = time.perf_counter()
+    clean = _fit(
+        exact,
+        replace(
+            rows,
+            displacement_mm=per_newton * _ease(per_newton),
+            force_N=np.full(len(per_newton), _ease(per_newton)),
+        ),
+        known,
+        ("poisson",),
+    )
+    seconds = time.perf_counter() - start
+    bias = errors(clean)
+    for k, name in enumerate(("E", "t")):
+        table.add(
+            f"calibration, bias of {name} from the mesh alone (no noise)",
+            100.0 * abs(float(bias[k])),
+            "%",
+            reference=0.0,
+            source="synthetic data of a finer mesh, no noise",
+            target="<= 1",
+            note="without extrapolation over two meshes "
+            f"{100 * abs(bias[k] - list(clean.mesh_pull.values())[k]):.2g} %",
+        )
+    table.add(
+        "calibration, time of one fit",
+        seconds,
+        "s",
+        reference="none",
+        source=f"{len(per_newton)} rows, meshes of {around} and {around * 3 // 2} around",
+    )
+    grid = Table2d(exact, np.linspace(0.76, 0.94, 3 if quick else 4), np.array([0.33, 0.38, 0.43]))
+    repeats = 10 if quick else 100
+    cases: tuple[tuple[str, Parameters, tuple[Name, ...]], ...] = (
+        ("ν known", known, ("poisson",)),
+        ("ν fitted too", design, ()),
+    )
+    for label, begin, fixed in cases:
+        fits = [
+            _fit(grid, measured(rows, per_newton, seed), begin, fixed) for seed in range(repeats)
+        ]
+        _repeat_rows(table, label, fits)
+    _refusal(table, grid, rows, per_newton, design)
+
+
+def _ease(per_newton: FloatArray) -> float:
+    """Force that keeps every displacement in the linear range."""
+    return float(PEAK_MM / np.abs(per_newton).max())
+
+
+def _fit(
+    response: ResponseModel,
+    data: Measurements,
+    start: Parameters,
+    fixed: tuple[Name, ...],
+) -> Calibration:
+    return calibrate(
+        response,
+        force_N=data.force_N,
+        displacement_mm=data.displacement_mm,
+        press=data.press,
+        start=start,
+        fixed=fixed,
+    )
+
+
+def _repeat_rows(table: Table, label: str, fits: list[Calibration]) -> None:
+    off = np.array([errors(fit) for fit in fits])
+    held = np.array([inside(fit) for fit in fits])
+    first = fits[0]
+    names = [
+        ("E", "modulus", 100.0, "%"),
+        ("t", "thickness", 100.0, "%"),
+        ("ν", "poisson", 1.0, "1"),
+    ]
+    for k, (symbol, name, scale, unit) in enumerate(names):
+        if name not in first.fitted:
+            continue
+        target = "<= 1" if unit == "%" else "<= 0.01"
+        table.add(
+            f"calibration, {label}: error of {symbol}, root mean square of {len(fits)} repeats",
+            scale * float(np.sqrt(np.mean(off[:, k] ** 2))),
+            unit,
+            reference=float(getattr(TRUTH, name)),
+            source=SOURCE,
+            target=target,
+            note=f"first repeat {scale * abs(off[0, k]):.2g}, largest "
+            f"{scale * np.abs(off[:, k]).max():.2g}, within 0.01 in "
+            f"{int(np.sum(np.abs(off[:, k]) <= 0.01))} of {len(fits)}",
+        )
+        table.add(
+            f"calibration, {label}: 95 % intervals that hold {symbol}",
+            float(100.0 * held[:, k].mean()),
+            "of 100 repeats",
+            reference=95.0,
+            source=SOURCE,
+            target=">= 90",
+        )
+
+
+def _refusal(
+    table: Table, grid: Table2d, rows: Measurements, per_newton: FloatArray, design: Parameters
+) -> None:
+    """Displacements under the patches alone cannot part E and t: refused; with t fixed, fitted."""
+    data = measured(rows, per_newton, 0)
+    own = np.flatnonzero(np.all(data.contact_uv == data.probe_uv, axis=1))
+    few = replace(data, **{k: getattr(data, k)[own] for k in data.__dataclass_fields__})
+
+    def response(t: float, v: float, with_poisson: bool, /) -> Response:
+        full = grid(t, v, with_poisson)
+        turn = None if full.poisson_rate is None else full.poisson_rate[own]
+        return Response(
+            value=full.value[own],
+            thickness_rate=full.thickness_rate[own],
+            poisson_rate=turn,
+            mesh_error=full.mesh_error[own],
+        )
+
+    try:
+        _fit(response, few, design, ())
+        refused, note = 0.0, "was not refused"
+    except PhytacError as error:
+        refused, note = 1.0, str(error)
+    table.add(
+        "calibration from displacements under the patches alone: refused",
+        refused,
+        "1",
+        reference=1.0,
+        source="Fisher information",
+        target="== 1",
+        note=note,
+    )
+
+
+def main() -> None:
+    """Print the rows; they are written by ``benchmarks.mechanics``."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="smaller cases")
+    add_rows(Table("mechanics_calibration"), parser.parse_args().quick)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,129 @@
+"""Derivatives of stiffness, motion and compliance: against complex steps and whole solutions."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from phytac_design.layout import make_markers
+from phytac_design.mechanics import element
+from phytac_design.mechanics.compliance import marker_compliance
+from phytac_design.mechanics.loads import patch_loads
+from phytac_design.mechanics.mesh import ShellMesh, chart_mesh, marker_mesh
+from phytac_design.mechanics.sensitivity import (
+    RateModel,
+    StiffnessRates,
+    element_poisson_rate,
+    motion_rate,
+    stiffness_rates,
+)
+from phytac_design.mechanics.solve import ShellModel, clamped_model
+from shapes import Cylinder
+from shapes.arrays import FloatArray
+from tests.designs import small
+
+BASE: dict[str, Any] = {"modulus_MPa": 2200.0, "poisson": 0.38, "thickness_mm": 0.8}
+SURFACE = Cylinder(diameter_outer_mm=60.0, length_mm=60.0)
+SOLVED_TOL = 1e-8  # whole solutions carry 1e-12, the difference formula divides it by its step
+KEYS = (("modulus", "modulus_MPa"), ("poisson", "poisson"), ("thickness", "thickness_mm"))
+
+
+def mesh() -> ShellMesh:
+    return chart_mesh(SURFACE, thickness_mm=0.8, n_along=8, n_around=16)
+
+
+def model(**change: Any) -> ShellModel:
+    return clamped_model(mesh(), **(BASE | change))
+
+
+def rates() -> StiffnessRates:
+    return stiffness_rates(model())
+
+
+def difference(values: list[FloatArray], step: float) -> FloatArray:
+    """Fourth order, from values at -2, -1, 1, 2 steps."""
+    return (values[0] - 8.0 * values[1] + 8.0 * values[2] - values[3]) / (12.0 * step)
+
+
+def complex_root(poisson: complex) -> Any:
+    """The factor LᵀL of the plane-stress matrix in closed form: analytic in ν."""
+    a = np.sqrt(1.0 - poisson * poisson)
+    g = np.sqrt(0.5 / (1.0 + poisson))
+    return np.array([[1.0 / a, poisson / a, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, g]])
+
+
+@pytest.mark.parametrize("poisson", [0.0, 0.38, 0.4999])
+def test_element_rate_is_that_of_a_complex_step(
+    poisson: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part, grid = model(poisson=poisson), mesh()
+    nodes = part.nodes_mm + np.random.default_rng(1).uniform(-0.5, 0.5, part.nodes_mm.shape)
+    part.nodes_mm = nodes  # warped and sheared quads
+    rate = element_poisson_rate(part)
+    monkeypatch.setattr(element, "_root_plane_stress", complex_root)
+    step = 1e-30
+    exact: Any = element.element_stiffness(
+        nodes,
+        grid.quads,
+        grid.normals,
+        poisson=poisson + 1j * step,  # type: ignore[arg-type]
+    )
+    for name in ("membrane", "bending", "shear"):
+        true = getattr(exact, name).imag / step
+        gap = np.abs(getattr(rate, name) - true).max()
+        assert gap < 1e-11 * np.abs(getattr(exact, name).real).max()
+        assert np.abs(true).max() > 0.01 * np.abs(getattr(exact, name).real).max()
+
+
+@pytest.mark.parametrize(("name", "key"), KEYS)
+def test_stiffness_rates_are_those_of_the_stiffness(name: str, key: str) -> None:
+    h = 1e-3 * BASE[key]
+    ends = [model(**{key: BASE[key] + k * h}).stiffness.data for k in (-2, -1, 1, 2)]
+    rate = getattr(rates(), name).data
+    np.testing.assert_allclose(rate, difference(ends, h), atol=1e-9 * np.abs(rate).max())
+
+
+@pytest.mark.parametrize(("name", "key"), KEYS)
+def test_motions_and_reactions_follow(name: str, key: str) -> None:
+    loads = patch_loads(mesh(), SURFACE, np.array([[30.0, 0.1], [4.0, 2.0]]), 5.0)
+    found = RateModel(model(), getattr(rates(), name)).solve(loads)
+    h = 1e-3 * BASE[key]
+    ends = [model(**{key: BASE[key] + k * h}).solve(loads) for k in (-2, -1, 1, 2)]
+    for part in ("motion", "reactions"):
+        true = difference([getattr(end, part) for end in ends], h)
+        tol = SOLVED_TOL * np.abs(true).max() + 1e-12 * np.abs(getattr(ends[0], part)).max() / h
+        np.testing.assert_allclose(getattr(found, part), true, atol=tol)
+    assert np.all(found.reactions[~model().fixed] == 0.0)
+
+
+def test_a_stiffer_material_moves_less_in_proportion() -> None:
+    part = model()
+    loads = patch_loads(mesh(), SURFACE, np.array([[30.0, 0.1]]), 5.0)
+    motion = part.solve(loads).motion
+    rate = motion_rate(part, rates().modulus, motion)
+    np.testing.assert_allclose(rate, -motion / 2200.0, atol=1e-11 * np.abs(rate).max())
+
+
+def test_marker_compliance_has_its_rate_with_symmetry_too() -> None:
+    design = small()
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    grid = marker_mesh(surface, markers, thickness_mm=0.8, refine=1)
+    part = clamped_model(grid, **BASE)
+    rate = stiffness_rates(part).thickness
+    found = marker_compliance(RateModel(part, rate), grid, surface, markers, load_radius_mm=5.0)
+    assert found.solves == design.layout.rows
+    ends = []
+    for k in (-2, -1, 1, 2):
+        other = clamped_model(grid, **(BASE | {"thickness_mm": 0.8 + 1e-3 * k}))
+        ends.append(marker_compliance(other, grid, surface, markers, load_radius_mm=5.0).motion)
+    true = difference(ends, 1e-3)
+    np.testing.assert_allclose(found.motion, true, atol=1e-7 * np.abs(true).max())
+
+
+def test_walls_that_vary_are_differentiated_as_a_whole() -> None:
+    wall = np.linspace(0.6, 1.0, len(mesh().quads))
+    part = model(thickness_mm=wall)
+    rate = stiffness_rates(part).thickness
+    ends = [model(thickness_mm=wall + k * 1e-3).stiffness.data for k in (-2, -1, 1, 2)]
+    np.testing.assert_allclose(rate.data, difference(ends, 1e-3), atol=1e-9 * rate.data.max())
