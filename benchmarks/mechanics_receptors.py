@@ -1,0 +1,246 @@
+"""Receptors on the shell: cell models, and whole small sensors as solids of the true CAD.
+
+``add_rows`` adds to the table of ``mechanics``; ``python -m benchmarks.mechanics_receptors``
+prints the rows alone, ``--table`` makes the tables of ``phytac_design.mechanics.receptors``.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.harness import Table
+from phytac_design.design_file import load_design, parse_design
+from phytac_design.layout import Markers, make_markers
+from phytac_design.mechanics import receptors as rc
+from phytac_design.mechanics.compliance import point_motion
+from phytac_design.mechanics.loads import patch_loads
+from phytac_design.mechanics.mesh import marker_mesh
+from phytac_design.mechanics.solid import SolidSizes, solid_mesh
+from phytac_design.mechanics.solid_cell import Cell, cell_stiffness, ratio
+from phytac_design.mechanics.solid_export import run_ccx, write_solid_inp
+from phytac_design.mechanics.solid_load import solid_patch_load, tip_means
+from phytac_design.mechanics.solve import clamped_model
+from phytac_design.spec import Design
+from shapes import Surface
+from shapes.arrays import FloatArray
+from shapes.errors import MissingPartError
+
+SIZES = SolidSizes(wall_mm=1.6, foot_mm=0.9, tube_mm=1.4, contact_mm=1.2)
+"""Mesh of the whole small sensor: about 80 000 nodes."""
+FINER = 0.75
+CCX = "CalculiX, quadratic tetrahedra of the true CAD (gmsh)"
+NU = 0.38
+DENSE = "tables are for ν = 0.38 and one area fraction; here ν = 0.3, tubes over 27 % of the wall"
+CELLS = (  # receptors of cylinder60 (short, middle) and cylinder40, and one off the tables' grid
+    ("cylinder60, h 0.5 mm", 5.217, 11.78, 0.8, 0.5, 3.0, 1.6, 0.38),
+    ("cylinder60, h 6 mm", 5.217, 11.78, 0.8, 6.0, 3.0, 1.6, 0.38),
+    ("cylinder40, h 4 mm", 4.444, 10.47, 0.8, 4.0, 2.4, 1.4, 0.38),
+    ("dense, thin wall, nu 0.3", 5.5, 5.5, 0.5, 2.0, 3.2, 2.2, 0.3),
+)
+
+
+def small_sensor() -> Design:
+    """ø30 × 30, 4 rows × 10 columns of the receptors of cylinder60: tubes over 10 % of the wall."""
+    data = load_design("cylinder60").model_dump(mode="json")
+    data["shape"] |= {"diameter_outer_mm": 30.0, "length_mm": 30.0}
+    data["layout"] |= {"rows": 4, "columns": 10, "height_near_mm": 1.0, "height_far_mm": 5.5}
+    return parse_design(data, "small solid sensor")
+
+
+def add_rows(table: Table, *, quick: bool) -> None:
+    """Add the rows; without Gmsh or CalculiX say so and add none of theirs."""
+    try:
+        cells(table, quick=quick)
+        whole_sensor(table, quick=quick)
+    except MissingPartError as error:
+        print(f"receptor rows left out: {error}", flush=True)
+
+
+def cells(table: Table, *, quick: bool) -> None:
+    """Stiffness of cells over the plain wall, and the option's prediction of it."""
+    for name, px, py, t, h, outer, hole, nu in CELLS[: 2 if quick else None]:
+        found = cell_stiffness(
+            Cell(
+                pitch_x_mm=px,
+                pitch_y_mm=py,
+                thickness_mm=t,
+                height_mm=h,
+                diameter_outer_mm=outer,
+                diameter_hole_mm=hole,
+                poisson=nu,
+            ),
+            size_mm=(0.5 if quick else 0.3) * t,
+        )
+        share = np.array(np.pi / 4.0 * outer**2 / (px * py))
+        effect = rc.receptor_effect(outer / t, hole / outer, h / t)
+        for kind, matrix, e, mixing in (
+            ("membrane", found.membrane, effect[0], rc.MIXING_MEMBRANE),
+            ("bending", found.bending, effect[1], rc.MIXING_BENDING),
+        ):
+            truth = ratio(matrix, nu)
+            table.add(
+                f"receptor cell ({name}): {kind} stiffness over the plain wall",
+                truth,
+                "1",
+                reference=1.0,
+                source=CCX,
+            )
+            table.add(
+                f"receptor cell ({name}): {kind} stiffness predicted by the shell's option, error",
+                100.0 * abs(float(rc.mixture(share, e, mixing)) / truth - 1.0),
+                "%",
+                reference=truth,
+                source=CCX,
+                target="<= 2",
+                note=DENSE if name.startswith("dense") else "",
+            )
+
+
+def whole_sensor(table: Table, *, quick: bool) -> None:
+    """Tips of a whole sensor under two contacts: shell without and with the option."""
+    design = small_sensor()
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    contacts = [("on a receptor, radius 5 mm", markers.uv[15], 5.0)]
+    if not quick:
+        middle = (markers.uv[15] + markers.uv[16]) / 2.0
+        contacts.append(("between receptors, radius 3 mm", middle, 3.0))
+    scales = (1.2,) if quick else (1.0, FINER)
+    start = time.perf_counter()
+    solid = [solid_tips(design, surface, markers, contacts, SIZES.scaled(k)) for k in scales]
+    seconds = time.perf_counter() - start
+    for refine in (4,) if quick else (4, 16):
+        mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=refine)
+        wall, modulus = design.wall.thickness_mm, design.material.modulus_MPa
+        factors = rc.receptor_stiffness(design, markers, mesh)
+        section = factors.section(thickness_mm=wall, modulus_MPa=modulus)
+        plain = np.full(len(mesh.quads), wall), np.full(len(mesh.quads), modulus)
+        for label, (t, E), target in (
+            ("plain shell", plain, None),
+            ("shell with receptors", section, "<= 5"),
+        ):
+            model = clamped_model(
+                mesh, modulus_MPa=E, poisson=design.material.poisson, thickness_mm=t
+            )
+            for k, (name, uv, radius) in enumerate(contacts):
+                motion = model.solve(patch_loads(mesh, surface, uv[None], radius)).motion
+                tips = point_motion(motion[mesh.marker_nodes], markers.tip_mm - markers.mid_mm)
+                table.add(
+                    f"ø30 solid sensor, contact {name}: {label}, refine {refine}, tip error",
+                    error_of_peak(tips[:, :, 0], solid[-1][k]),
+                    "% of peak",
+                    reference=0.0,
+                    source=CCX,
+                    target=target,
+                )
+    if len(solid) > 1:
+        for k, (name, _, _) in enumerate(contacts):
+            table.add(
+                f"ø30 solid sensor, contact {name}: change of the solid with {FINER} the size",
+                error_of_peak(solid[0][k], solid[1][k]),
+                "% of peak",
+                reference=0.0,
+                source="the same on the coarser mesh",
+            )
+    table.add("ø30 solid sensor: all meshes and solves", seconds, "s", reference="-", source=CCX)
+
+
+def error_of_peak(ours: FloatArray, truth: FloatArray) -> float:
+    """Largest distance of tips (n, 3) in percent of the largest true motion."""
+    gap = np.linalg.norm(ours - truth, axis=1).max()
+    return float(100.0 * gap / np.linalg.norm(truth, axis=1).max())
+
+
+def solid_tips(
+    design: Design,
+    surface: Surface,
+    markers: Markers,
+    contacts: list[tuple[str, FloatArray, float]],
+    sizes: SolidSizes,
+) -> list[FloatArray]:
+    """Motion (n, 3) of all tips per newton, mm, one for each contact."""
+    mesh = solid_mesh(
+        design,
+        surface,
+        markers,
+        sizes=sizes,
+        contacts_uv=np.array([uv for _, uv, _ in contacts]),
+        contact_radius_mm=max(radius for _, _, radius in contacts),
+    )
+    mean: Any = tip_means(mesh)
+    out = []
+    for _, uv, radius in contacts:
+        with tempfile.TemporaryDirectory() as folder:
+            path = write_solid_inp(
+                Path(folder) / "sensor.inp",
+                mesh,
+                modulus_MPa=design.material.modulus_MPa,
+                poisson=design.material.poisson,
+                load=solid_patch_load(mesh, surface, uv, radius),
+                name=design.name,
+            )
+            nodes, found = run_ccx(path)[0]["displacements", "TIPS"]
+        motion = np.zeros_like(mesh.nodes_mm)
+        motion[nodes] = found
+        out.append(np.asarray(mean @ motion))
+    return out
+
+
+def effect_tables() -> None:
+    """Print the tables of ``receptors`` anew (about ten minutes)."""
+    shape = (len(rc.DIAMETER_OVER_T), len(rc.HOLE_OVER_DIAMETER), len(rc.HEIGHT_OVER_T))
+    membrane, bending = np.zeros(shape), np.zeros(shape)
+    share = np.pi / 4.0 / 2.56**2
+    for at in np.ndindex(*shape):
+        d, q, h = (
+            float(axis[i])
+            for axis, i in zip(
+                (rc.DIAMETER_OVER_T, rc.HOLE_OVER_DIAMETER, rc.HEIGHT_OVER_T), at, strict=True
+            )
+        )
+        if q == 0.0 and h == 0.0:
+            continue
+        found = cell_stiffness(
+            Cell(
+                pitch_x_mm=2.56 * d,
+                pitch_y_mm=2.56 * d,
+                thickness_mm=1.0,
+                height_mm=h,
+                diameter_outer_mm=d if h else 0.0,
+                diameter_hole_mm=q * d,
+                poisson=NU,
+            ),
+            size_mm=0.3 * float(np.sqrt(max(d / 3.0, 1.0))),
+        )
+        for out, matrix, mixing in (
+            (membrane, found.membrane, rc.MIXING_MEMBRANE),
+            (bending, found.bending, rc.MIXING_BENDING),
+        ):
+            gain = ratio(matrix, NU) - 1.0
+            out[at] = gain / (share * (1.0 + mixing * gain))
+    for name, values in (("EFFECT_MEMBRANE", membrane), ("EFFECT_BENDING", bending)):
+        print(f"{name} = np.array({np.array2string(values, precision=3, separator=', ')})")
+
+
+def main() -> None:
+    """Print the rows, or the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="smaller cases")
+    parser.add_argument("--table", action="store_true", help="make the tables of receptors.py")
+    chosen = parser.parse_args()
+    if chosen.table:
+        effect_tables()
+    else:
+        add_rows(Table("mechanics_receptors"), quick=chosen.quick)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,170 @@
+"""Receptor stiffening: bounds and identities, and the cell models that it comes from."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from phytac_design.layout import make_markers
+from phytac_design.mechanics.mesh import chart_mesh, marker_mesh
+from phytac_design.mechanics.receptors import (
+    DIAMETER_OVER_T,
+    EFFECT_BENDING,
+    EFFECT_MEMBRANE,
+    HEIGHT_OVER_T,
+    HOLE_OVER_DIAMETER,
+    MIXING_BENDING,
+    MIXING_MEMBRANE,
+    ReceptorStiffness,
+    mixture,
+    receptor_effect,
+    receptor_stiffness,
+    tube_share,
+)
+from phytac_design.mechanics.solid_cell import Cell, cell_stiffness, plain, ratio
+from phytac_design.mechanics.solve import clamped_model
+from shapes.errors import DesignError
+from tests.designs import changed, small
+from tests.mechanics.conftest import Prototype
+
+CELL_TOL = 0.015
+"""Table, interpolation and mixture against a new cell, as a share of its stiffness."""
+
+
+def needs_cells() -> None:
+    pytest.importorskip("gmsh", reason="gmsh is not installed")
+    if shutil.which("ccx") is None:
+        pytest.skip("CalculiX (ccx) is not on PATH; apt install calculix-ccx")
+
+
+def test_section_matches_both_factors_exactly() -> None:
+    rng = np.random.default_rng(0)
+    factors = ReceptorStiffness(
+        membrane=rng.uniform(0.2, 4.0, 50), bending=rng.uniform(0.2, 4.0, 50)
+    )
+    wall = rng.uniform(0.5, 1.0, 50)
+    t, E = factors.section(thickness_mm=wall, modulus_MPa=2200.0)
+    np.testing.assert_allclose(E * t, 2200.0 * wall * factors.membrane, rtol=1e-13)
+    np.testing.assert_allclose(E * t**3, 2200.0 * wall**3 * factors.bending, rtol=1e-13)
+
+
+def test_effect_reproduces_the_tables_and_stops_at_their_ends() -> None:
+    d, q, h = np.meshgrid(DIAMETER_OVER_T, HOLE_OVER_DIAMETER, HEIGHT_OVER_T, indexing="ij")
+    membrane, bending = receptor_effect(d, q, h)
+    np.testing.assert_allclose(membrane, EFFECT_MEMBRANE, atol=1e-12)
+    np.testing.assert_allclose(bending, EFFECT_BENDING, atol=1e-12)
+    assert receptor_effect(3.0, 0.5, 3.0) == receptor_effect(3.0, 0.5, 50.0)
+    for wrong in ((1.0, 0.5, 1.0), (20.0, 0.5, 1.0), (3.0, 0.9, 1.0)):
+        with pytest.raises(DesignError, match="is known from"):
+            receptor_effect(*wrong)
+
+
+def test_effect_has_the_signs_of_physics() -> None:
+    d = np.linspace(1.5, 12.0, 9)[:, None]
+    pin = receptor_effect(d, 0.0, np.array([0.5, 1.0, 3.0]))
+    assert np.all(pin[0] > 0.0)
+    assert np.all(pin[1] > pin[0])  # a pin on one face stiffens bending most
+    assert np.all(np.diff(pin[1], axis=1) > 0.0)  # taller is stiffer
+    hole = receptor_effect(d, np.array([0.3, 0.5, 0.7]), 0.0)
+    for part in hole:
+        assert np.all(part < 0.0)
+        assert np.all(np.diff(part, axis=1) < 0.0)  # wider is softer
+    # A hole of small area fraction c costs membrane stiffness about 3 c (E/(1 + 3 c), any text).
+    assert hole[0][-1, 0] == pytest.approx(-3.0 * 0.3**2, rel=0.1)
+
+
+def test_mixture_is_bounded_monotone_and_dilute_at_first() -> None:
+    share = np.linspace(0.0, 1.0, 101)
+    for effect in (-3.0, -0.5, 0.0, 0.8, 2.1):
+        factor = mixture(share, np.array(effect), MIXING_BENDING)
+        assert factor[0] == 1.0
+        assert np.all((factor >= 0.05) & (factor <= 10.0))
+        assert np.all(np.sign(effect) * np.diff(factor) >= 0.0)
+        assert mixture(np.array(1e-6), np.array(effect), MIXING_MEMBRANE) - 1.0 == pytest.approx(
+            1e-6 * effect, rel=1e-4
+        )
+
+
+def test_shares_add_up_to_the_tubes_on_any_mesh(cylinder60: Prototype) -> None:
+    surface, markers = cylinder60.surface, cylinder60.markers
+    meshes = [
+        cylinder60.mesh,
+        marker_mesh(surface, markers, thickness_mm=0.8, refine=7),
+        chart_mesh(surface, thickness_mm=0.8, n_along=61, n_around=83),
+    ]
+    for mesh in meshes:
+        share, owner = tube_share(mesh, markers, 1.5)
+        corner = mesh.nodes_mm[mesh.quads]
+        cross = np.cross(corner[:, 2] - corner[:, 0], corner[:, 3] - corner[:, 1])
+        area = np.linalg.norm(cross, axis=1) / 2.0
+        assert share @ area == pytest.approx(368 * np.pi * 1.5**2, rel=0.02)
+        assert share.min() == 0.0
+        middle = corner.mean(axis=1)
+        assert np.linalg.norm(middle - markers.mid_mm[owner], axis=1)[share > 0.0].max() < 4.0
+
+
+def test_factors_of_a_design_are_one_away_from_receptors(cylinder60: Prototype) -> None:
+    mesh = marker_mesh(cylinder60.surface, cylinder60.markers, thickness_mm=0.8, refine=6)
+    factors = receptor_stiffness(cylinder60.design, cylinder60.markers, mesh)
+    share, owner = tube_share(mesh, cylinder60.markers, 1.5)
+    bare = share == 0.0
+    assert np.all(factors.membrane[bare] == 1.0)
+    assert np.all(factors.bending[bare] == 1.0)
+    covered = share > 0.9
+    assert np.all(factors.membrane[covered] < 0.8)  # the hole of 1.6 in a tube of 3 softens it
+    tall = covered & (cylinder60.markers.height_mm[owner] > 2.0)
+    assert np.all(factors.bending[tall] > 1.5)
+    t, E = factors.section(thickness_mm=0.8, modulus_MPa=2200.0)
+    load = np.zeros(6 * len(mesh.nodes_mm))
+    at = int(mesh.marker_nodes[184])
+    load[6 * at : 6 * at + 3] = -mesh.normals[at]
+
+    def pressed(thickness: object, modulus: object) -> float:
+        model = clamped_model(
+            mesh,
+            modulus_MPa=modulus,
+            poisson=0.38,
+            thickness_mm=thickness,  # type: ignore[arg-type]
+        )
+        return float(-model.solve(load).motion[at, :3, 0] @ mesh.normals[at])
+
+    assert 0.7 < pressed(t, E) / pressed(0.8, 2200.0) < 0.95
+
+
+def test_receptors_beyond_the_tables_are_refused() -> None:
+    design = small(receptor={"diameter_outer_mm": 0.9, "diameter_hole_mm": 0.5})
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    mesh = marker_mesh(surface, markers, thickness_mm=0.8, refine=3)
+    with pytest.raises(DesignError, match="tube diameter over wall thickness"):
+        receptor_stiffness(changed(receptor={"diameter_outer_mm": 0.9}), markers, mesh)
+
+
+def test_cell_without_receptor_is_the_plain_wall() -> None:
+    needs_cells()
+    found = cell_stiffness(cell(height_mm=0.0, diameter_outer_mm=0.0, diameter_hole_mm=0.0))
+    np.testing.assert_allclose(found.membrane, plain(0.38), atol=1e-5)
+    np.testing.assert_allclose(found.bending, plain(0.38), atol=1e-5)
+    np.testing.assert_allclose(found.coupling, 0.0, atol=1e-6)
+
+
+def test_table_predicts_a_new_cell() -> None:
+    needs_cells()
+    receptor = {"height_mm": 1.7, "diameter_outer_mm": 3.0, "diameter_hole_mm": 1.6}
+    one = cell(**receptor)
+    found = cell_stiffness(one, size_mm=0.25)
+    assert np.abs(found.membrane - found.membrane.T).max() < 2e-3  # Betti
+    share = np.array(np.pi / 4 * 3.0**2 / (one.pitch_x_mm * one.pitch_y_mm))
+    membrane, bending = receptor_effect(3.0 / 0.8, 1.6 / 3.0, 1.7 / 0.8)
+    expected = mixture(share, membrane, MIXING_MEMBRANE), mixture(share, bending, MIXING_BENDING)
+    assert ratio(found.membrane, 0.38) == pytest.approx(expected[0].item(), rel=CELL_TOL)
+    assert ratio(found.bending, 0.38) == pytest.approx(expected[1].item(), rel=CELL_TOL)
+    # Each of the two is far from the wall without receptors.
+    assert ratio(found.membrane, 0.38) < 0.95
+    assert ratio(found.bending, 0.38) > 1.08
+
+
+def cell(**changes: float) -> Cell:
+    """The middle rows of cylinder60: 5.2 × 11.8 mm."""
+    base = {"pitch_x_mm": 5.217, "pitch_y_mm": 11.78, "thickness_mm": 0.8, "poisson": 0.38}
+    return Cell(**(base | changes))  # type: ignore[arg-type]
