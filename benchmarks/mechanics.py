@@ -18,19 +18,21 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import mechanics_calibration, mechanics_receptors
 from benchmarks.harness import Table, arguments, holds, median_of
 from phytac_design.layout import Markers, make_markers
-from phytac_design.mechanics import cases, large_cases
+from phytac_design.mechanics import cases
 from phytac_design.mechanics.compliance import marker_compliance
 from phytac_design.mechanics.element import element_stiffness
-from phytac_design.mechanics.estimate import check_linear
 from phytac_design.mechanics.export import write_inp
-from phytac_design.mechanics.graded import contact_mesh
+from phytac_design.mechanics.large import large_cases
+from phytac_design.mechanics.large.estimate import check_linear
+from phytac_design.mechanics.large.graded import contact_mesh
+from phytac_design.mechanics.large.newton import Loading
+from phytac_design.mechanics.large.path import solve_large
+from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_patch, run_ccx
 from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.mesh import ShellMesh, chart_mesh, marker_mesh
-from phytac_design.mechanics.newton import Loading
-from phytac_design.mechanics.path import solve_large
-from phytac_design.mechanics.quadratic import quadratic_mesh, quadratic_patch, run_ccx
 from phytac_design.mechanics.solve import SUPERLU, ShellModel, clamped_model, rigid_modes
 from phytac_design.spec import Design
 from shapes.arrays import FloatArray
@@ -391,6 +393,8 @@ def main() -> None:
     compliance(table, 2 if quick else 4)
     for refine in (2,) if quick else (4, 6):
         solver(table, refine)
+    mechanics_calibration.add_rows(table, quick)
+    mechanics_receptors.add_rows(table, quick=quick)
     if not quick:
         table.write()
 

@@ -16,17 +16,17 @@ import numpy as np
 from benchmarks.harness import Table
 from phytac_design.design_file import load_design
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.calibration import calibrate
-from phytac_design.mechanics.calibration_result import Calibration, Name, Parameters
-from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.measurements import Measurements
-from phytac_design.mechanics.mesh import chart_mesh
-from phytac_design.mechanics.probe_response import (
+from phytac_design.mechanics.calibrate.calibration import calibrate
+from phytac_design.mechanics.calibrate.calibration_result import Calibration, Name, Parameters
+from phytac_design.mechanics.calibrate.measurements import Measurements
+from phytac_design.mechanics.calibrate.probe_response import (
     ProbeResponse,
     Response,
     ResponseModel,
     probe_weights,
 )
+from phytac_design.mechanics.loads import patch_loads
+from phytac_design.mechanics.mesh import chart_mesh
 from phytac_design.mechanics.sensitivity import motion_rate, stiffness_rates
 from phytac_design.mechanics.solve import ShellModel, clamped_model
 from shapes import Surface

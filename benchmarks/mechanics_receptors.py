@@ -23,10 +23,10 @@ from phytac_design.mechanics import receptors as rc
 from phytac_design.mechanics.compliance import point_motion
 from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.mesh import marker_mesh
-from phytac_design.mechanics.solid import SolidSizes, solid_mesh
-from phytac_design.mechanics.solid_cell import Cell, cell_stiffness, ratio
-from phytac_design.mechanics.solid_export import run_ccx, write_solid_inp
-from phytac_design.mechanics.solid_load import solid_patch_load, tip_means
+from phytac_design.mechanics.solid.cell import Cell, cell_stiffness, ratio
+from phytac_design.mechanics.solid.export import run_ccx, write_solid_inp
+from phytac_design.mechanics.solid.load import solid_patch_load, tip_means
+from phytac_design.mechanics.solid.mesh import SolidSizes, solid_mesh
 from phytac_design.mechanics.solve import clamped_model
 from phytac_design.spec import Design
 from shapes import Surface

@@ -212,7 +212,10 @@ def calibrate(
 ) -> None:
     """Fit modulus, wall and Poisson's ratio to measured forces and displacements."""
     from phytac_design.design_file import load_design
-    from phytac_design.mechanics.calibrate_design import calibrate_design, write_calibrated
+    from phytac_design.mechanics.calibrate.calibrate_design import (
+        calibrate_design,
+        write_calibrated,
+    )
 
     loaded = load_design(design)
     fixed = [parameter.value for parameter in fix or []]

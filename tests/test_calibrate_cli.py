@@ -9,8 +9,8 @@ import pytest
 
 from phytac_design.design_file import load_design, to_toml
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.measurements import Measurements
-from phytac_design.mechanics.probe_response import ProbeResponse
+from phytac_design.mechanics.calibrate.measurements import Measurements
+from phytac_design.mechanics.calibrate.probe_response import ProbeResponse
 from phytac_design.spec import Design
 from tests.designs import small
 from tests.test_cli import phytac

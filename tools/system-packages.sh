@@ -6,7 +6,7 @@ set -u
 python=${PYTHON:-python3.11}
 venv=""
 "$python" -c "import ensurepip" >/dev/null 2>&1 || venv="python3.11-venv"
-needed="$venv libegl1 libgl1 libgl1-mesa-dri libxrender1"
+needed="$venv libegl1 libgl1 libgl1-mesa-dri libxrender1 libglu1-mesa libxcursor1 libxinerama1 libxft2"
 checkers="calculix-ccx admesh"
 missing=""
 for package in $needed $checkers; do

@@ -6,7 +6,7 @@ of tubes, the membrane (E t) and bending (E t³) stiffness of the wall change by
     r(f) = 1 + f e / (1 - s f e),
 
 Mori and Tanaka's (1973) mixture for round inclusions in a plate, where e depends on the receptor
-alone and s on the plate. e is tabulated from solid cell models (:mod:`solid_cell`, quadratic
+alone and s on the plate. e is tabulated from solid cell models (:mod:`solid.cell`, quadratic
 tetrahedra in CalculiX). An element takes f as the share of its own area that tubes cover, so that
 coarse meshes smear what fine ones resolve.
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.calibration import calibrate
-from phytac_design.mechanics.calibration_noise import Noise, estimate_noise, whiten
-from phytac_design.mechanics.calibration_result import Calibration, Parameters
+from phytac_design.mechanics.calibrate.calibration import calibrate
+from phytac_design.mechanics.calibrate.calibration_noise import Noise, estimate_noise, whiten
+from phytac_design.mechanics.calibrate.calibration_result import Calibration, Parameters
+from phytac_design.mechanics.calibrate.measurements import Measurements, read_measurements
+from phytac_design.mechanics.calibrate.probe_response import ProbeResponse, Response, probe_weights
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.measurements import Measurements, read_measurements
 from phytac_design.mechanics.mesh import chart_mesh
-from phytac_design.mechanics.probe_response import ProbeResponse, Response, probe_weights
 from phytac_design.mechanics.solve import clamped_model
 from shapes import Cylinder
 from shapes.arrays import FloatArray, IntArray

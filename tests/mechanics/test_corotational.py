@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phytac_design.mechanics import rotations as rot
-from phytac_design.mechanics.corotational import Configuration, Corotational
-from phytac_design.mechanics.follower import pressure_forces, pressure_stiffness
+from phytac_design.mechanics.large import rotations as rot
+from phytac_design.mechanics.large.corotational import Configuration, Corotational
+from phytac_design.mechanics.large.follower import pressure_forces, pressure_stiffness
 from phytac_design.mechanics.solve import ShellModel
 from shapes.errors import NumericalError
 

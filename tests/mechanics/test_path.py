@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from phytac_design.mechanics import large_cases, newton
-from phytac_design.mechanics.newton import Control, Equilibrium, Loading, System
-from phytac_design.mechanics.path import solve_large, trace_arc, trace_displacement
+from phytac_design.mechanics.large import large_cases, newton
+from phytac_design.mechanics.large.newton import Control, Equilibrium, Loading, System
+from phytac_design.mechanics.large.path import solve_large, trace_arc, trace_displacement
 from phytac_design.mechanics.solve import ShellModel
 from shapes.errors import NumericalError
 

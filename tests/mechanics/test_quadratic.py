@@ -6,17 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phytac_design.mechanics.graded import contact_mesh
-from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.mesh import ShellMesh, chart_mesh
-from phytac_design.mechanics.newton import Loading
-from phytac_design.mechanics.path import solve_large
-from phytac_design.mechanics.quadratic import (
+from phytac_design.mechanics.large.graded import contact_mesh
+from phytac_design.mechanics.large.newton import Loading
+from phytac_design.mechanics.large.path import solve_large
+from phytac_design.mechanics.large.quadratic import (
     _serendipity,
     quadratic_mesh,
     quadratic_patch,
     run_ccx,
 )
+from phytac_design.mechanics.loads import patch_loads
+from phytac_design.mechanics.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.solve import clamped_model
 from shapes import Surface
 from shapes.errors import DesignError, NumericalError

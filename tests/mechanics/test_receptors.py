@@ -21,7 +21,7 @@ from phytac_design.mechanics.receptors import (
     receptor_stiffness,
     tube_share,
 )
-from phytac_design.mechanics.solid_cell import Cell, cell_stiffness, plain, ratio
+from phytac_design.mechanics.solid.cell import Cell, cell_stiffness, plain, ratio
 from phytac_design.mechanics.solve import clamped_model
 from shapes.errors import DesignError
 from tests.designs import changed, small

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from phytac_design.mechanics import rotations as rot
+from phytac_design.mechanics.large import rotations as rot
 
 ANGLES = [1e-9, 1e-4, 0.05, 0.0999, 0.1001, 1.0, 3.0]
 

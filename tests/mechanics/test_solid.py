@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from phytac_design.layout import Markers, make_markers
-from phytac_design.mechanics import solid_export, solid_tets
 from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.mesh import chart_mesh
-from phytac_design.mechanics.solid import SolidMesh, SolidSizes, default_sizes, solid_mesh
-from phytac_design.mechanics.solid_load import solid_patch_load, tip_means
-from phytac_design.mechanics.solid_tets import Tetrahedra, jacobian_ratio, shape_tet
+from phytac_design.mechanics.solid import export as solid_export
+from phytac_design.mechanics.solid import tets as solid_tets
+from phytac_design.mechanics.solid.load import solid_patch_load, tip_means
+from phytac_design.mechanics.solid.mesh import SolidMesh, SolidSizes, default_sizes, solid_mesh
+from phytac_design.mechanics.solid.tets import Tetrahedra, jacobian_ratio, shape_tet
 from phytac_design.mechanics.solve import clamped_model
 from phytac_design.spec import Design
 from phytac_design.stage import graphics_libraries
@@ -85,7 +86,7 @@ def volume(mesh: Tetrahedra) -> float:
 
 def area(mesh: SolidMesh, faces: np.ndarray) -> float:
     corner = mesh.nodes_mm[mesh.triangles[faces]]
-    from phytac_design.mechanics.solid_load import _areas, cells
+    from phytac_design.mechanics.solid.load import _areas, cells
 
     return float(_areas(corner, cells(12))[1].sum())
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.layout import Markers
-from phytac_design.mechanics.solid_tets import Tetrahedra, tetrahedra
+from phytac_design.mechanics.solid.tets import Tetrahedra, tetrahedra
 from phytac_design.spec import Design
 from shapes import Surface
 from shapes.arrays import FloatArray, IntArray

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.mechanics.solid import SolidMesh
+from phytac_design.mechanics.solid.mesh import SolidMesh
 from shapes import Surface
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import NumericalError

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.mechanics import rotations as rot
 from phytac_design.mechanics.assembly import assemble, make_pattern
+from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.solve import ShellModel
 from shapes.arrays import BoolArray, FloatArray
 from shapes.errors import NumericalError

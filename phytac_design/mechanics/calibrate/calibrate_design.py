@@ -7,10 +7,10 @@ from typing import cast
 from phytac_design.accuracy import PRESETS
 from phytac_design.design_file import parse_design, to_toml
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.calibration import LIMIT, calibrate
-from phytac_design.mechanics.calibration_result import Calibration, Name, Parameters
-from phytac_design.mechanics.measurements import read_measurements
-from phytac_design.mechanics.probe_response import ProbeResponse
+from phytac_design.mechanics.calibrate.calibration import LIMIT, calibrate
+from phytac_design.mechanics.calibrate.calibration_result import Calibration, Name, Parameters
+from phytac_design.mechanics.calibrate.measurements import read_measurements
+from phytac_design.mechanics.calibrate.probe_response import ProbeResponse
 from phytac_design.spec import Design
 from shapes.errors import OutputError
 

@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from phytac_design.mechanics.calibration_noise import Noise
+from phytac_design.mechanics.calibrate.calibration_noise import Noise
 
 Name = Literal["modulus", "thickness", "poisson"]
 NAMES: tuple[Name, ...] = ("modulus", "thickness", "poisson")

@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.mechanics.solid_export import inp_material, inp_mesh, run_ccx, write_lines
-from phytac_design.mechanics.solid_tets import Tetrahedra, tetrahedra
+from phytac_design.mechanics.solid.export import inp_material, inp_mesh, run_ccx, write_lines
+from phytac_design.mechanics.solid.tets import Tetrahedra, tetrahedra
 from shapes.arrays import FloatArray, IntArray
 
 CASES = ("ex", "ey", "kx", "ky", "gxy", "kxy")

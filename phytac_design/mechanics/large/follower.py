@@ -3,7 +3,7 @@
 import numpy as np
 
 from phytac_design.mechanics.element import GAUSS, shape
-from phytac_design.mechanics.rotations import cross, spin
+from phytac_design.mechanics.large.rotations import cross, spin
 from shapes.arrays import FloatArray, IntArray
 
 

@@ -17,15 +17,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phytac_design.mechanics.calibration_noise import Noise, estimate_noise, whiten
-from phytac_design.mechanics.calibration_result import (
+from phytac_design.mechanics.calibrate.calibration_noise import Noise, estimate_noise, whiten
+from phytac_design.mechanics.calibrate.calibration_result import (
     LEVEL,
     NAMES,
     Calibration,
     Name,
     Parameters,
 )
-from phytac_design.mechanics.probe_response import Response, ResponseModel
+from phytac_design.mechanics.calibrate.probe_response import Response, ResponseModel
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import InputError, NumericalError
 

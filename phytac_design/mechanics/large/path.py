@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phytac_design.mechanics.newton import (
+from phytac_design.mechanics.large.newton import (
     Control,
     Equilibrium,
     Loading,

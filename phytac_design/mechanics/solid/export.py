@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from phytac_design.mechanics.solid import SolidMesh
-from phytac_design.mechanics.solid_tets import Tetrahedra
+from phytac_design.mechanics.solid.mesh import SolidMesh
+from phytac_design.mechanics.solid.tets import Tetrahedra
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import MissingPartError, NumericalError
 

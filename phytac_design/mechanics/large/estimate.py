@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.mechanics.corotational import Corotational
-from phytac_design.mechanics.newton import Loading, dense_vector
-from phytac_design.mechanics.path import solve_large
+from phytac_design.mechanics.large.corotational import Corotational
+from phytac_design.mechanics.large.newton import Loading, dense_vector
+from phytac_design.mechanics.large.path import solve_large
 from phytac_design.mechanics.solve import ShellModel
 from shapes.arrays import FloatArray
 from shapes.errors import NumericalError

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from phytac_design.mechanics.cases import SYMMETRY, Patch, at, hold, no_support, patch
-from phytac_design.mechanics.newton import Equilibrium, Loading
-from phytac_design.mechanics.path import solve_large, trace_arc, trace_displacement
+from phytac_design.mechanics.large.newton import Equilibrium, Loading
+from phytac_design.mechanics.large.path import solve_large, trace_arc, trace_displacement
 from phytac_design.mechanics.solve import ShellModel
 from shapes.arrays import BoolArray, FloatArray
 

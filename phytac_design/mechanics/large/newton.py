@@ -17,8 +17,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from phytac_design.mechanics.corotational import Configuration, Corotational, Local
-from phytac_design.mechanics.follower import pressure_forces, pressure_stiffness
+from phytac_design.mechanics.large.corotational import Configuration, Corotational, Local
+from phytac_design.mechanics.large.follower import pressure_forces, pressure_stiffness
 from phytac_design.mechanics.solve import SUPERLU, ShellModel
 from shapes.arrays import FloatArray
 from shapes.errors import NumericalError

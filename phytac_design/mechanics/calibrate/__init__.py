@@ -1,0 +1,1 @@
+"""Fitting modulus, wall and Poisson ratio to measurements (paper, eq. 4)."""

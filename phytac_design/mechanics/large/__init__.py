@@ -1,0 +1,1 @@
+"""Large displacement: corotational kinematics, path following, when it is needed."""
