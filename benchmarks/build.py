@@ -41,7 +41,7 @@ def add_times(table: Table, scratch: Path, presets: dict[str, str]) -> None:
             seconds,
             "s",
             reference=300.0 if accuracy == "standard" else 30.0,
-            source="DESIGN §7: 5 min on two cores, 30 s as a draft; here a step on the way",
+            source="project target: 5 min on two cores, 30 s as a draft",
             target=target,
         )
         for stage, took in summary["timing_s"].items():
@@ -78,8 +78,8 @@ def add_facts(table: Table, report: dict[str, Any]) -> None:
         ("markers", markers["count"], "-", 368, PAPER, "== 368"),
         ("density below", markers["density_per_cm2"], "/cm2", 1.63, PAPER, "<= 1.64"),
         ("density above", markers["density_per_cm2"], "/cm2", 1.63, PAPER, ">= 1.62"),
-        ("occluded", seen["occluded"], "-", 0, "DESIGN §4 definition", "== 0"),
-        ("fused", seen["fused"], "-", 0, "DESIGN §4 definition", "== 0"),
+        ("occluded", seen["occluded"], "-", 0, "definition in docs/formats.md", "== 0"),
+        ("fused", seen["fused"], "-", 0, "definition in docs/formats.md", "== 0"),
         ("bodies", shell["bodies"], "-", 1, "one part", "== 1"),
         ("genus", shell["genus"], "-", 369, "ring 1 + one per through-hole", "== 369"),
         ("STEP valid", float(shell["step_valid"]), "-", 1, "OpenCASCADE BRepCheck", "== 1"),

@@ -25,7 +25,7 @@ from phytac_design.optics.visibility import Visibility, check_visibility
 from phytac_design.spec import Design
 
 CHUNK = 500_000
-STUDY = "DESIGN.md §2 study"
+STUDY = "design study of this sensor"
 
 
 def with_layout(design: Design, kind: str) -> Design:

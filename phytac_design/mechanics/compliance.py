@@ -63,7 +63,7 @@ def marker_compliance(
         The outer face and the receptors on it.
     load_radius_mm : float
         Radius of the disc that the unit force is spread over; 0 for a point force (never
-        converges with the mesh; see DESIGN §2).
+        converges with the mesh; compare patches).
     use_symmetry : bool
         False solves every load.
 

@@ -17,7 +17,7 @@ SUPERLU = {
     "diag_pivot_thresh": 1e-6,
     "options": {"SymmetricMode": True, "Equil": False},
 }
-"""Settings that exploit the symmetry of a stiffness matrix (DESIGN §5)."""
+"""Settings that exploit the symmetry of a stiffness matrix."""
 ERROR_TOL = 1e-5
 """Largest rounding error of a solution (estimated by refinement) returned without complaint."""
 BATCH = 64

@@ -45,7 +45,7 @@ def test_a_jittered_mesh_stays_close(case: str) -> None:
 
 
 def test_value_of_the_design_page() -> None:
-    # DESIGN §2: middle face R 30, L 120, t 0.8, E 2200, ν 0.38, clamped, 1 N at one node of the
+    # Design study: middle face R 30, L 120, t 0.8, E 2200, ν 0.38, clamped, 1 N at one node of the
     # middle: 0.0326 mm with *quadratic* shells 64 × 46. Ours are linear: twice as many, and a
     # quarter of the shell.
     mesh = cases.patch(

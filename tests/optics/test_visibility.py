@@ -96,7 +96,7 @@ def test_the_published_spiral_is_seen_and_a_straight_grid_fuses(rng: np.random.G
     assert seen.visible_fraction.min() > 0.98
     straight = Bench(make_design(camera=camera, layout={"kind": "straight"}))
     other = check_visibility(straight.design, straight.surface, straight.markers, rng=rng)
-    assert 116 <= other.fused.sum() <= 316  # DESIGN §2, over painted bands of 0.5 to 1.5 mm
+    assert 116 <= other.fused.sum() <= 316  # design study, over painted bands of 0.5 to 1.5 mm
     assert other.visible_fraction.min() < seen.visible_fraction.min()
     assert np.all(seen.red_on_px > seen.red_rest_px)
 

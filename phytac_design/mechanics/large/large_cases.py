@@ -1,4 +1,4 @@
-"""Published large-displacement shells (Sze, Liu and Lo 2004) and DESIGN §2's point-loaded tube."""
+"""Published large-displacement shells (Sze, Liu and Lo 2004) and design study's point-loaded tube."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -178,7 +178,7 @@ def _turn(value: FloatArray, other: FloatArray, sign: float) -> tuple[float, flo
 
 
 DESIGN_TUBE = {10.0: 0.368, 25.0: 1.209}
-"""DESIGN §2: inward force (N) at one mid-height node to its displacement (mm)."""
+"""Design study: inward force (N) at one mid-height node to its displacement (mm)."""
 
 
 def design_tube(n_around: int, n_along: int) -> dict[float, float]:
@@ -241,7 +241,7 @@ def comparisons(*, strip: int, hemisphere: int, roof: int, tube: int) -> Iterato
                 )
     yield from _roof_at_tabled_sags(roof)
     for force, motion in design_tube(tube, round(0.73 * tube)).items():
-        name = f"tube of DESIGN §2, {force:g} N at a node, quarter {tube} a side"
+        name = f"tube of the design study, {force:g} N at a node, quarter {tube} a side"
         yield Comparison(name=name, ours=motion, reference=DESIGN_TUBE[force])
 
 
