@@ -273,7 +273,7 @@ def solver(table: Table, refine: int) -> None:
         reference=theirs_s,
         source="scipy.sparse.linalg.splu, default settings",
         target=">= 1",
-        note=f"ours {ours_s:.3f} s; an earlier measurement gave 2.5–4 for its own machine and meshes",
+        note=f"ours {ours_s:.3f} s; an earlier measurement gave 2.5–4",
     )
     table.add(
         f"elements and assembly / factorisation, {len(free)} DOF",

@@ -1,4 +1,4 @@
-"""Published large-displacement shells (Sze, Liu and Lo 2004) and design study's point-loaded tube."""
+"""Published large-displacement shells (Sze, Liu and Lo 2004), and a point-loaded tube."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
