@@ -51,7 +51,11 @@ def test_each_heavy_part_has_one_module(heavy: str) -> None:
     assert len(users) <= 1, users
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: p.relative_to(ROOT).as_posix())
+@pytest.mark.parametrize(
+    "path",
+    MODULES + sorted((ROOT / "benchmarks").glob("*.py")) + sorted((ROOT / "tests").rglob("*.py")),
+    ids=lambda p: p.relative_to(ROOT).as_posix(),
+)
 def test_modules_are_small(path: Path) -> None:
     assert len(path.read_text().splitlines()) <= 400
 
