@@ -7,14 +7,13 @@ import shutil
 import subprocess
 import tempfile
 import time
-import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import phytac_design
 from benchmarks.harness import Table, arguments, median_of
+from phytac_design.design_file import load_design
 from phytac_design.fabrication.cad import (
     cad_facts,
     read_step,
@@ -53,11 +52,10 @@ Case = tuple[Design, Surface, Markers]
 
 def load(name: str, *, rows: int | None = None) -> Case:
     """Read a shipped design, checked; ``rows`` shortens the lattice for a smoke run."""
-    path = Path(phytac_design.__file__).parent / "designs" / f"{name}.toml"
-    data: dict[str, Any] = tomllib.loads(path.read_text())
+    design = load_design(name)
     if rows is not None:
-        data["layout"] = {**data.get("layout", {}), "rows": rows}
-    design = Design.model_validate(data)
+        layout = design.layout.model_copy(update={"rows": rows})
+        design = design.model_copy(update={"layout": layout})
     return design, *check_design(design)
 
 

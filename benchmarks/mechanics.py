@@ -9,10 +9,8 @@ import shutil
 import subprocess
 import tempfile
 import time
-import tomllib
 from collections.abc import Callable
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +18,7 @@ import numpy as np
 
 from benchmarks import mechanics_calibration, mechanics_large, mechanics_receptors
 from benchmarks.harness import Table, arguments, holds, median_of
+from phytac_design.design_file import load_design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics import cases
 from phytac_design.mechanics.compliance import marker_compliance
@@ -28,7 +27,6 @@ from phytac_design.mechanics.export import write_inp
 from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.mesh import ShellMesh, marker_mesh
 from phytac_design.mechanics.solve import SUPERLU, ShellModel, clamped_model, rigid_modes
-from phytac_design.spec import Design
 from shapes.arrays import FloatArray
 
 MARKER = 184  # row 11 of 23
@@ -146,8 +144,7 @@ class Prototype:
     """The shipped cylinder60 on a marker-aligned mesh."""
 
     def __init__(self, refine: int) -> None:
-        text = (files("phytac_design") / "designs" / "cylinder60.toml").read_text(encoding="utf-8")
-        self.design = Design.model_validate(tomllib.loads(text))
+        self.design = load_design("cylinder60")
         self.surface = self.design.surface()
         self.markers: Markers = make_markers(self.design, self.surface)
         self.refine = refine

@@ -116,8 +116,11 @@ def build(
             progress(f"[{number}/{len(stages)}] {stage.name} {seconds:.1f} s")
         context.folders[stage.name] = folder
         timing[stage.name] = float(cache.record(folder)["seconds"])
-        if stage.name == "views" and not force:
-            _gate(design, context)
+        reason = stage.gate(context) if stage.gate and not force else ""
+        if reason:
+            raise DesignError(
+                f"{reason}; or go on all the same with --force, which marks the report"
+            )
     _export(out, design, stages, context, accuracy=accuracy, seed=seed)
     return BuildResult(
         out=out,
@@ -126,19 +129,6 @@ def build(
         seconds=time.perf_counter() - begin,
         timing_s=timing,
     )
-
-
-def _gate(design: Design, context: Context) -> None:
-    """Stop before anything is made of a design whose markers cannot all be told apart at rest."""
-    import numpy as np
-
-    from phytac_design.optics.visibility import visibility_advice
-
-    views = context.arrays("views")
-    occluded, fused = np.flatnonzero(views["occluded"]), np.flatnonzero(views["fused"])
-    advice = visibility_advice(design, occluded, fused)
-    if advice:
-        raise DesignError(f"{advice}; or go on all the same with --force, which marks the report")
 
 
 def _timed(stage: Stage, context: Context) -> Callable[[Path], dict[str, Any]]:

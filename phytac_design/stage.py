@@ -82,6 +82,8 @@ class Stage:
         Whether it draws random numbers.
     graphics : bool
         Whether it does more where the machine has graphics libraries.
+    gate : callable or None
+        Reads the stage's result and says why a build should stop here; "" to go on.
     run : callable
         Writes ``facts.json``, ``arrays.npz`` and ``export/…`` into the folder it is given.
     """
@@ -93,6 +95,7 @@ class Stage:
     needs: tuple[str, ...] = ()
     seeded: bool = False
     graphics: bool = False
+    gate: Callable[[Context], str] | None = None
 
     def inputs(self, context: Context, keys: dict[str, str]) -> dict[str, Any]:
         """Everything the result depends on, as plain values."""

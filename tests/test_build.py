@@ -195,10 +195,19 @@ def test_interrupted_build_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("PHYTAC_CACHE", str(tmp_path / "cache"))
     design = small(description="interrupted")
 
+    def stop_inside_the_shell(text: str) -> None:
+        if "painted bodies" in text:
+            raise KeyboardInterrupt
+
     def stop_at_step(text: str) -> None:
         if "step …" in text:
             raise KeyboardInterrupt
 
+    with pytest.raises(KeyboardInterrupt):
+        build(
+            design, tmp_path / "x", accuracy="draft", only=["shell"], progress=stop_inside_the_shell
+        )
+    assert list((tmp_path / "cache" / "shell").iterdir()) == []
     with pytest.raises(KeyboardInterrupt):
         build(design, tmp_path / "x", accuracy="draft", only=["step"], progress=stop_at_step)
     result = build(design, tmp_path / "x", accuracy="draft", only=["step"], progress=quiet)

@@ -17,7 +17,9 @@ def test_cylinder60_is_the_published_sensor() -> None:
     heights = markers.height_mm.reshape(23, 16)
     assert np.allclose(heights[:, 0], np.arange(0.5, 11.6, 0.5))
     assert (heights == heights[:, :1]).all()
-    assert set(np.unique(markers.colour)) == {0, 1}
+    # Blue and green by column: two interleaved spirals, not rings.
+    colours = markers.colour.reshape(23, 16)
+    assert (colours == np.arange(16) % 2).all()
 
 
 def test_spiral_angle_is_measured_from_the_axis() -> None:

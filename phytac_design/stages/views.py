@@ -111,6 +111,15 @@ def run_views(context: Context, folder: Path) -> None:
     )
 
 
+def told_apart(context: Context) -> str:
+    """Say why nothing should be made of markers that hide or fuse at rest; "" if all are seen."""
+    from phytac_design.optics.visibility import visibility_advice
+
+    views = context.arrays("views")
+    occluded, fused = np.flatnonzero(views["occluded"]), np.flatnonzero(views["fused"])
+    return visibility_advice(context.design, occluded, fused)
+
+
 def straight_of(design: Design) -> Design:
     """The same design with its rows lined up: the paper's comparison case."""
     layout = design.layout.model_copy(update={"kind": "straight"})
@@ -133,5 +142,7 @@ def run_compare(context: Context, folder: Path) -> None:
     write_facts(folder, {"straight": seen.summary()})
 
 
-VIEWS = Stage(name="views", tables=TABLES, seeded=True, graphics=True, run=run_views)
+VIEWS = Stage(
+    name="views", tables=TABLES, seeded=True, graphics=True, gate=told_apart, run=run_views
+)
 COMPARE = Stage(name="compare", tables=TABLES, seeded=True, graphics=True, run=run_compare)

@@ -59,6 +59,12 @@ def test_grey_holds_no_blob() -> None:
     assert len(segment(noise, MODEL).colour) == 0
 
 
+def test_other_colours_are_no_paint() -> None:
+    image = np.full((60, 60, 3), GREY, dtype=np.uint8)
+    image[20:40, 20:40] = (200, 30, 200)  # magenta, between red and blue
+    assert len(segment(image, MODEL).colour) == 0
+
+
 def test_touching_colours_stay_apart() -> None:
     blobs = segment(discs([(50, 50), (59.0, 50)], ["blue", "green"]), MODEL)
     assert sorted(blobs.colour.tolist()) == [0, 1]

@@ -1,23 +1,20 @@
 """Designs and a doubly curved surface that the fabrication tests build on."""
 
-import tomllib
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from phytac_design.design_file import load_design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.spec import Design
 from shapes import Surface
 from shapes.arrays import FloatArray
 from shapes.surface import Surface as Base
 
-DESIGNS = Path(__file__).parents[2] / "phytac_design" / "designs"
-
 
 def shipped(name: str) -> Design:
-    return Design.model_validate(tomllib.loads((DESIGNS / f"{name}.toml").read_text()))
+    return load_design(name)
 
 
 def design(**sections: dict[str, Any]) -> Design:

@@ -141,6 +141,13 @@ def test_condensed_stiffness_inverts_what_the_camera_sees() -> None:
         assert np.allclose(got, force, atol=1e-6), name
 
 
+def test_apparent_displacement_is_inward_millimetres() -> None:
+    model, _, camera = small_model()
+    step = -1e-4 * MARKERS.normal
+    shift = camera.project(MARKERS.tip_mm + step) - camera.project(MARKERS.tip_mm)
+    assert np.allclose(model.apparent_mm(shift), 1e-4, rtol=1e-4)
+
+
 def test_a_marker_seen_along_its_normal_is_refused() -> None:
     camera = PinholeCamera.on_axis(width_px=100, height_px=100, focal_px=50, stand_off_mm=10)
     with pytest.raises(NumericalError, match="looks along its"):
