@@ -59,14 +59,15 @@ def _shape_model(kind: str, surface: type[Surface]) -> type[ShapeSection]:
     variables: dict[str, Any] = {}
     for item in fields(surface):  # type: ignore[arg-type]  # every registered family is a dataclass
         default = ... if item.default is MISSING else item.default
+        # Numbers in lists keep their range too: the surface itself checks it when it is made.
+        limits = (
+            {"ge": item.metadata["minimum"], "le": item.metadata["maximum"]}
+            if item.type is float
+            else {}
+        )
         variables[item.name] = (
             item.type,
-            Field(
-                default,
-                description=item.metadata["doc"],
-                ge=item.metadata["minimum"],
-                le=item.metadata["maximum"],
-            ),
+            Field(default, description=item.metadata["doc"], **limits),
         )
     tag: Any = (Literal[kind], Field(kind, description="Surface family."))
     return create_model(
@@ -239,6 +240,7 @@ class Design(Section):
     description: str = Field("", max_length=2000)
     """What it is, for the report."""
     shape: AnyShape
+    """The surface family and its variables; `phytac shapes` lists them."""
     wall: WallSection = WallSection()
     layout: LayoutSection = LayoutSection()
     receptor: ReceptorSection = ReceptorSection()

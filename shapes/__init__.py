@@ -2,11 +2,19 @@
 
 from difflib import get_close_matches
 
+from shapes.cone import Cone
+from shapes.cuboid import Cuboid
 from shapes.cylinder import Cylinder
 from shapes.errors import DesignError
+from shapes.grip import Grip
+from shapes.hemisphere import Hemisphere
+from shapes.patch import Patch
+from shapes.plane import Plane
 from shapes.surface import Surface
 
-REGISTRY: dict[str, type[Surface]] = {family.name: family for family in (Cylinder,)}
+REGISTRY: dict[str, type[Surface]] = {
+    family.name: family for family in (Cylinder, Cone, Plane, Cuboid, Hemisphere, Grip, Patch)
+}
 
 
 def family(name: str) -> type[Surface]:
@@ -26,4 +34,15 @@ def family(name: str) -> type[Surface]:
     return REGISTRY[name]
 
 
-__all__ = ["REGISTRY", "Cylinder", "Surface", "family"]
+__all__ = [
+    "REGISTRY",
+    "Cone",
+    "Cuboid",
+    "Cylinder",
+    "Grip",
+    "Hemisphere",
+    "Patch",
+    "Plane",
+    "Surface",
+    "family",
+]

@@ -1,4 +1,6 @@
-"""The surface contract, over every registered family."""
+"""The surface contract, over every registered family, on designs drawn at random."""
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -8,56 +10,232 @@ from hypothesis import strategies as st
 import shapes
 from shapes.errors import DesignError
 
-sizes = st.floats(1.0, 500.0)
 seeds = st.integers(0, 2**32 - 1)
+Maker = Callable[[np.random.Generator], shapes.Surface]
 
 
-def chart_points(surface: shapes.Surface, seed: int, count: int = 40) -> np.ndarray:
-    low, high = surface.domain.T
-    return np.random.default_rng(seed).uniform(low, high, (count, 2))
+def drawn_patch(rng: np.random.Generator) -> shapes.Surface:
+    """Patch of 3 to 5 by 3 to 5 points, gently waved and evenly spaced up to a jitter."""
+    rows, columns = rng.integers(3, 6, size=2)
+    size = rng.uniform(2.0, 40.0)
+    grid = np.zeros((rows, columns, 3))
+    grid[..., 1] = size * np.arange(rows)[:, None]
+    grid[..., 0] = size * np.arange(columns)
+    grid += rng.uniform(-0.08, 0.08, grid.shape) * size
+    return shapes.Patch(points_mm=tuple(tuple(map(tuple, row)) for row in grid.tolist()))
 
 
-@settings(max_examples=30, deadline=None)
-@given(diameter=sizes, length=sizes, seed=seeds)
-def test_chart_inverts_point(diameter: float, length: float, seed: int) -> None:
-    surface = shapes.Cylinder(diameter_outer_mm=diameter, length_mm=length)
-    uv = chart_points(surface, seed)
-    back = surface.chart(surface.point(uv, -0.3 * surface.inner_reach_mm()))
-    assert np.allclose(back, uv, atol=1e-9 * max(length, 1.0))
+def drawn_cuboid(rng: np.random.Generator) -> shapes.Surface:
+    width, depth = rng.uniform(5.0, 200.0, 2)
+    return shapes.Cuboid(
+        width_mm=width,
+        depth_mm=depth,
+        length_mm=rng.uniform(5.0, 400.0),
+        edge_radius_mm=rng.uniform(0.05, 0.45) * min(width, depth),
+    )
 
 
-@settings(max_examples=30, deadline=None)
-@given(diameter=sizes, length=sizes, seed=seeds)
-def test_normals_are_unit_and_perpendicular(diameter: float, length: float, seed: int) -> None:
-    surface = shapes.Cylinder(diameter_outer_mm=diameter, length_mm=length)
-    uv = chart_points(surface, seed)
+def drawn_cone(rng: np.random.Generator) -> shapes.Surface:
+    return shapes.Cone(
+        diameter_near_mm=rng.uniform(5.0, 200.0),
+        diameter_far_mm=rng.uniform(5.0, 200.0),
+        length_mm=rng.uniform(5.0, 300.0),
+        end="cap" if rng.random() < 0.5 else "open",
+    )
+
+
+def drawn_grip(rng: np.random.Generator) -> shapes.Surface:
+    return shapes.Grip(
+        diameters_mm=tuple(rng.uniform(30.0, 45.0, int(rng.integers(2, 7))).tolist()),
+        length_mm=rng.uniform(80.0, 300.0),
+    )
+
+
+DRAWN: dict[str, Maker] = {
+    "cylinder": lambda rng: shapes.Cylinder(
+        diameter_outer_mm=rng.uniform(1.0, 500.0), length_mm=rng.uniform(1.0, 500.0)
+    ),
+    "cone": drawn_cone,
+    "plane": lambda rng: shapes.Plane(
+        width_mm=rng.uniform(5.0, 200.0),
+        height_mm=rng.uniform(5.0, 200.0),
+        tilt_deg=rng.uniform(-60.0, 60.0),
+    ),
+    "cuboid": drawn_cuboid,
+    "hemisphere": lambda rng: shapes.Hemisphere(
+        diameter_outer_mm=rng.uniform(5.0, 300.0),
+        skirt_mm=float(rng.choice([0.0, rng.uniform(1.0, 50.0)])),
+    ),
+    "grip": drawn_grip,
+    "patch": drawn_patch,
+}
+every_shape = pytest.mark.parametrize("kind", sorted(shapes.REGISTRY))
+
+
+def draw(kind: str, seed: int) -> tuple[shapes.Surface, np.ndarray, float]:
+    """Surface, 60 chart points (a little off the poles) and its size."""
+    rng = np.random.default_rng(seed)
+    surface = DRAWN[kind](rng)
+    (u0, u1), (v0, v1) = surface.domain
+    share = rng.uniform(0.0, 0.999, (60, 2))
+    uv = np.array([u0, v0]) + share * np.array([u1 - u0, v1 - v0])
+    return surface, uv, float(np.linalg.norm(np.diff(surface.bounds_mm(), axis=0)))
+
+
+def safe_depth(surface: shapes.Surface) -> float:
+    return 0.3 * min(surface.inner_reach_mm(), 10.0)
+
+
+def test_every_family_is_drawn() -> None:
+    assert set(DRAWN) == set(shapes.REGISTRY)
+
+
+@every_shape
+@settings(max_examples=25, deadline=None)
+@given(seed=seeds)
+def test_chart_inverts_point(kind: str, seed: int) -> None:
+    surface, uv, size = draw(kind, seed)
+    for offset in (0.0, -safe_depth(surface), 0.1 * safe_depth(surface)):
+        point = surface.point(uv, offset)
+        back = surface.chart(point)
+        # Compared in space: at a pole every angle names the same point.
+        assert np.abs(surface.point(back, offset) - point).max() < 1e-9 * size
+        at = np.linalg.norm(surface.tangents(uv)[:, 1], axis=1) > 1e-3 * size
+        assert np.allclose(back[at], uv[at], atol=1e-6 * np.ptp(surface.domain, axis=1))
+
+
+@every_shape
+@settings(max_examples=25, deadline=None)
+@given(seed=seeds)
+def test_normals_are_unit_square_and_outward(kind: str, seed: int) -> None:
+    surface, uv, size = draw(kind, seed)
     normal, tangents = surface.normal(uv), surface.tangents(uv)
     assert np.allclose(np.linalg.norm(normal, axis=1), 1.0)
-    assert np.abs(np.einsum("nai,ni->na", tangents, normal)).max() < 1e-9 * diameter
-    # The chart is right-handed seen from outside: d/du × d/dv points inward on a cylinder (u = z,
-    # v = angle), so that (around, along, outward) is the right-handed triad.
-    assert (np.einsum("ni,ni->n", np.cross(tangents[:, 1], tangents[:, 0]), normal) > 0).all()
+    length = np.linalg.norm(tangents, axis=2)
+    lean = np.abs(np.einsum("nai,ni->na", tangents, normal))
+    assert (lean <= 1e-9 * length.max()).all()
+    # (around, along, outward) is the right-handed triad of every chart.
+    turn = np.einsum("ni,ni->n", np.cross(tangents[:, 1], tangents[:, 0]), normal)
+    assert (turn > 0).all()
+    step = 1e-3 * min(size, 1.0)
+    assert np.allclose(surface.point(uv, step) - surface.point(uv), step * normal, atol=1e-9 * size)
 
 
-def test_tangents_match_differences() -> None:
-    surface = shapes.Cylinder(diameter_outer_mm=60.0, length_mm=120.0)
-    uv, step = chart_points(surface, 3), 1e-6
+@every_shape
+@settings(max_examples=15, deadline=None)
+@given(seed=seeds)
+def test_tangents_and_metric_match_differences(kind: str, seed: int) -> None:
+    surface, uv, _ = draw(kind, seed)
+    slopes = []
     for axis in range(2):
-        move = step * np.eye(2)[axis]
-        slope = (surface.point(uv + move) - surface.point(uv - move)) / (2 * step)
-        assert np.allclose(slope, surface.tangents(uv)[:, axis], atol=1e-6)
+        move = 1e-5 * np.ptp(surface.domain[axis]) * np.eye(2)[axis]
+        # A kink of curvature (line into arc) costs first order, else the difference is of second.
+        slope = (surface.point(uv + move) - surface.point(uv - move)) / (2 * move[axis])
+        size = np.abs(slope).max()
+        assert np.allclose(slope, surface.tangents(uv)[:, axis], atol=2e-4 * size)
+        slopes.append(slope)
+    metric = np.einsum("ani,bni->nab", slopes, slopes)
+    assert np.allclose(metric, surface.metric(uv), atol=1e-3 * np.abs(metric).max())
 
 
-def test_area_is_the_integral_of_the_metric() -> None:
-    surface = shapes.Cylinder(diameter_outer_mm=60.0, length_mm=120.0)
-    uv = chart_points(surface, 4, 200)
-    density = np.sqrt(np.linalg.det(surface.metric(uv)))
-    domain = np.prod(np.diff(surface.domain, axis=1))
-    assert density.mean() * domain == pytest.approx(2 * np.pi * 30 * 120, rel=1e-12)
-    assert surface.area_mm2() == pytest.approx(2 * np.pi * 30 * 120, rel=1e-12)
+def quadrature(surface: shapes.Surface, offset: float, cells: int = 160) -> float:
+    """Area of an offset face from its points alone: flat triangles over a fine grid."""
+    (u0, u1), (v0, v1) = surface.domain
+    u, v = np.linspace(u0, u1, cells + 1), np.linspace(v0, v1, 2 * cells + 1)
+    grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1)
+    p = surface.point(grid.reshape(-1, 2), offset).reshape(*grid.shape[:2], 3)
+    a, b, c, d = p[:-1, :-1], p[:-1, 1:], p[1:, 1:], p[1:, :-1]
+    one = np.linalg.norm(np.cross(b - a, c - a), axis=-1)
+    two = np.linalg.norm(np.cross(c - a, d - a), axis=-1)
+    return float((one.sum() + two.sum()) / 2.0)
 
 
-def test_rays_hit_where_they_should() -> None:
+@every_shape
+@settings(max_examples=8, deadline=None)
+@given(seed=seeds)
+def test_area_and_wall_volume_match_quadrature(kind: str, seed: int) -> None:
+    surface, _, _ = draw(kind, seed)
+    depth = safe_depth(surface)
+    areas = [surface.area_mm2(-s * depth) for s in (0.0, 0.5, 1.0)]
+    for s, area in zip((0.0, 0.5, 1.0), areas, strict=True):
+        assert area == pytest.approx(quadrature(surface, -s * depth), rel=3e-3)
+    # Steiner: the area of an offset face is quadratic in the offset.
+    quarter = surface.area_mm2(-0.25 * depth)
+    assert quarter == pytest.approx(0.375 * areas[0] + 0.75 * areas[1] - 0.125 * areas[2], rel=1e-9)
+    assert dict(surface.facts())["area_outer_mm2"] == areas[0]
+
+
+@every_shape
+@settings(max_examples=5, deadline=None)
+@given(seed=seeds)
+def test_rays_hit_the_point_they_aim_at(kind: str, seed: int) -> None:
+    surface, uv, size = draw(kind, seed)
+    uv = uv[:20]
+    target = surface.point(uv)
+    origin = surface.point(uv, -0.5 * safe_depth(surface))
+    along = (target - origin) / np.linalg.norm(target - origin, axis=1, keepdims=True)
+    t = surface.intersect(origin, along)
+    assert np.allclose(origin + t[:, None] * along, target, atol=1e-6 * size)
+    assert np.isinf(surface.intersect(surface.point(uv, size), along)).all()
+
+
+@every_shape
+def test_poles_and_edges(kind: str) -> None:
+    surface, _, size = draw(kind, 7)
+    (u0, u1), (v0, v1) = surface.domain
+    v = np.linspace(v0, v1, 9)
+    for end, pole in enumerate(surface.poles):
+        ring = surface.point(np.column_stack([np.full(9, (u0, u1)[end]), v]))
+        assert (np.ptp(ring, axis=0).max() < 1e-12 * size) == pole
+    for axis, end in surface.edges():
+        assert not surface.periodic[axis]
+        assert axis == 1 or not surface.poles[end]
+
+
+def test_closed_forms() -> None:
+    dome = shapes.Hemisphere(diameter_outer_mm=40.0)
+    assert dome.area_mm2() == pytest.approx(2 * np.pi * 20.0**2, rel=1e-14)
+    assert dome.area_mm2(-1.0) == pytest.approx(2 * np.pi * 19.0**2, rel=1e-14)
+    cone = shapes.Cone(diameter_near_mm=60.0, diameter_far_mm=30.0, length_mm=80.0)
+    assert cone.area_mm2() == pytest.approx(np.pi * 45.0 * np.hypot(15.0, 80.0), rel=1e-14)
+    # A very long frustum of one diameter is a cylinder; with a cap, a capsule's half.
+    tube = shapes.Cone(diameter_near_mm=30.0, diameter_far_mm=30.0, length_mm=50.0, end="cap")
+    assert tube.area_mm2() == pytest.approx(2 * np.pi * 15 * 50 + 2 * np.pi * 15**2, rel=1e-14)
+    grip = shapes.Grip(diameters_mm=(60.0, 60.0, 60.0), length_mm=120.0)
+    assert grip.area_mm2() == pytest.approx(2 * np.pi * 30 * 120, rel=1e-13)
+    box = shapes.Cuboid(width_mm=50.0, depth_mm=40.0, length_mm=10.0, edge_radius_mm=5.0)
+    assert box.perimeter_mm == pytest.approx(2 * (40 + 30) + 2 * np.pi * 5, rel=1e-14)
+
+
+def test_patch_passes_through_its_points() -> None:
+    surface = drawn_patch(np.random.default_rng(5))
+    assert isinstance(surface, shapes.Patch)
+    grid = np.array(surface.points_mm)
+    at = np.stack(np.meshgrid(*map(np.arange, grid.shape[:2]), indexing="ij"), axis=-1)
+    assert np.allclose(surface.point(at.reshape(-1, 2).astype(float)), grid.reshape(-1, 3))
+
+
+@pytest.mark.parametrize("half_angle_deg", [0.5, 45.0, 89.0])
+def test_cones_from_needle_to_disc(half_angle_deg: float) -> None:
+    slope, far = float(np.tan(np.radians(half_angle_deg))), 4.0
+    length = min(30.0, 900.0 / slope)
+    near = far + 2.0 * length * slope
+    cone = shapes.Cone(diameter_near_mm=near, diameter_far_mm=far, length_mm=length, end="cap")
+    assert np.degrees(cone.half_angle_rad) == pytest.approx(half_angle_deg)
+    uv = np.column_stack([np.linspace(0.0, cone.domain[0, 1], 50), np.linspace(0.0, 6.2, 50)])
+    assert np.allclose(cone.chart(cone.point(uv, 0.1))[:, 0], uv[:, 0], atol=1e-9 * near)
+
+
+def test_cuboid_faces_sense_where_asked() -> None:
+    box = shapes.Cuboid(
+        width_mm=50.0, depth_mm=40.0, length_mm=10.0, edge_radius_mm=5.0, faces=("+y",)
+    )
+    uv = box.chart(np.array([[0.0, 20.0, 5.0], [25.0, 0.0, 5.0], [0.0, -20.0, 5.0]]))
+    assert box.sensing(uv).tolist() == [True, False, False]
+    assert box.reach_mm(uv).tolist() == [20.0, 25.0, 20.0]
+
+
+def test_rays_of_the_cylinder() -> None:
     surface = shapes.Cylinder(diameter_outer_mm=60.0, length_mm=120.0)
     origin = np.array([[0.0, 0.0, -30.0], [0.0, 0.0, 60.0], [0.0, 0.0, -30.0]])
     direction = np.array([[30.0, 0.0, 60.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
@@ -74,3 +252,33 @@ def test_unknown_family_names_the_nearest() -> None:
 def test_absurd_sizes_are_refused(bad: float) -> None:
     with pytest.raises(DesignError, match="length_mm must be a positive length"):
         shapes.Cylinder(diameter_outer_mm=60.0, length_mm=bad)
+    with pytest.raises(DesignError, match="length_mm must lie between"):
+        shapes.Cone(diameter_near_mm=60.0, diameter_far_mm=30.0, length_mm=bad)
+
+
+FLAT = (((0.0, 0.0, 0.0), (9.0, 0.0, 0.0)), ((0.0, 9.0, 0.0), (9.0, 9.0, 0.0)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "data", "message"),
+    [
+        ("cuboid", {"edge_radius_mm": 25.0}, "less than half of the smaller side"),
+        ("cuboid", {"faces": ("+z",)}, "faces must be some of"),
+        ("cuboid", {"faces": ()}, "got none"),
+        ("grip", {"diameters_mm": (60.0, 1.0, 60.0, 1.0, 60.0, 1.0)}, "meets the axis"),
+        ("grip", {"diameters_mm": (60.0,)}, "2 to 64 numbers"),
+        ("patch", {"points_mm": FLAT[::-1]}, "inside out"),
+        ("patch", {"points_mm": (FLAT[0], FLAT[0])}, "folds or has coincident"),
+        ("patch", {"points_mm": (FLAT[0],)}, "at least 2 x 2"),
+        ("plane", {"tilt_deg": 89.0}, "tilt_deg must lie between"),
+    ],
+)
+def test_shapes_that_cannot_be(kind: str, data: dict[str, object], message: str) -> None:
+    base: dict[str, dict[str, object]] = {
+        "cuboid": {"width_mm": 50.0, "depth_mm": 50.0, "length_mm": 9.0, "edge_radius_mm": 5.0},
+        "grip": {"length_mm": 100.0},
+        "patch": {},
+        "plane": {"width_mm": 9.0, "height_mm": 9.0},
+    }
+    with pytest.raises(DesignError, match=message):
+        shapes.family(kind)(**(base[kind] | data))
