@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Table, arguments, median_of
-from phytac_design.design_file import load_design
+from phytac_design.design_file import load_design, shipped_designs
 from phytac_design.fabrication.cad import (
     cad_facts,
     read_step,
@@ -90,7 +90,7 @@ def facts(table: Table, case: Case) -> None:
             found.genus,
             "-",
             reference=genus,
-            source="ring 1 + one for each through-hole (derived here)",
+            source="tube 1, dome and sheet 0, + one for each through-hole (derived here)",
             target=f"== {genus}",
         )
     table.add(
@@ -168,10 +168,11 @@ def routes(table: Table, case: Case, folder: Path) -> None:
         target="<= 15",
     )
     agreement(table, case, solid, folder)
+    sizes(table, design.name, folder)
 
 
 def agreement(table: Table, case: Case, solid: Any, folder: Path) -> None:
-    """Volumes of mesh, CAD solid, and STEP file opened again; validity; size of OCC's STL."""
+    """Volumes of mesh, CAD solid, and STEP file opened again; validity."""
     name, mine, again = case[0].name, cad_facts(solid), cad_facts(read_step(folder / "shell.step"))
     mesh = shell_manifold(*case).volume()
     table.add(
@@ -199,6 +200,10 @@ def agreement(table: Table, case: Case, solid: Any, folder: Path) -> None:
             source="BRepCheck",
             target="== 1",
         )
+
+
+def sizes(table: Table, name: str, folder: Path) -> None:
+    """Size of our STL against OCC's at the same chord."""
     ours, theirs = ((folder / file).stat().st_size for file in ("shell.stl", "occ.stl"))
     table.add(
         f"{name}: STL size against OCC's",
@@ -259,10 +264,48 @@ def slice_file(table: Table, name: str, file: Path) -> None:
     )
 
 
-def main() -> None:
-    """Run all rows."""
-    quick = arguments(__doc__.splitlines()[0] if __doc__ else "").quick
-    table = Table("fabrication")
+def shapes_rows(table: Table, names: list[str], folder: Path, *, rows: int | None = None) -> None:
+    """Every other shape: facts, wall against closed form, both kernels, STEP, outside programs."""
+    for name in names:
+        case = load(name, rows=rows)
+        facts(table, case)
+        bare_wall(table, case)
+        start = time.perf_counter()
+        solid = shell_cad(*case)
+        write_step(solid, folder / "shell.step", name=name)
+        seconds = time.perf_counter() - start
+        table.add(
+            f"{name}: STEP, solid and file",
+            seconds,
+            "s",
+            reference=case[2].count,
+            source="receptors; one fuse, one cut, no pcurves",
+        )
+        agreement(table, case, solid, folder)
+        outside(table, case, folder)
+
+
+def bare_wall(table: Table, case: Case) -> None:
+    """Wall without rims against offset areas integrated through it (Steiner)."""
+    design, surface, _ = case
+    thickness = design.wall.thickness_mm
+    x, w = np.polynomial.legendre.leggauss(3)
+    areas = [surface.area_mm2(-thickness * (node + 1.0) / 2.0) for node in x]
+    closed = thickness / 2.0 * float(w @ np.array(areas))
+    section = design.wall.model_copy(update={"rim_length_mm": 0.0})
+    volume = wall_mesh(surface, section, tolerance_mm=TOLERANCE_mm).volume_mm3
+    table.add(
+        f"{design.name}: wall against closed form",
+        abs(volume / closed - 1.0),
+        "relative",
+        reference=closed,
+        source="offset areas integrated through the wall, mm3",
+        target="<= 0.001",
+    )
+
+
+def add_rows(table: Table, *, quick: bool) -> None:
+    """Add all rows; ``quick`` shortens the lattices and takes fewer shapes."""
     main_case = load("cylinder60", rows=4 if quick else None)
     wall(table)
     with tempfile.TemporaryDirectory() as name:
@@ -270,10 +313,21 @@ def main() -> None:
         facts(table, main_case)
         routes(table, main_case, folder)
         outside(table, main_case, folder)
-        if not quick:
-            other = load("cylinder40")
-            facts(table, other)
-            outside(table, other, folder)
+        if quick:
+            shapes_rows(table, ["plane"], folder, rows=3)
+            return
+        other = load("cylinder40")
+        facts(table, other)
+        outside(table, other, folder)
+        rest = [item for item in shipped_designs() if not item.startswith("cylinder")]
+        shapes_rows(table, rest, folder)
+
+
+def main() -> None:
+    """Run all rows."""
+    quick = arguments(__doc__.splitlines()[0] if __doc__ else "").quick
+    table = Table("fabrication")
+    add_rows(table, quick=quick)
     if not quick:
         table.write()
 

@@ -6,7 +6,7 @@ import operator
 import platform
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,9 +29,18 @@ def holds(value: float, target: str) -> bool:
 
 @dataclass
 class Table:
-    """Rows of one benchmark; ``write`` makes ``results/NAME.json``."""
+    """Rows of one benchmark; ``write`` makes ``results/NAME.json``.
+
+    Attributes
+    ----------
+    name : str
+        Of the benchmark.
+    part : str
+        Part that rows are of while they are added; "" where there are no parts.
+    """
 
     name: str
+    part: str = ""
     rows: list[dict[str, Any]] = field(default_factory=list)
 
     def add(
@@ -57,20 +66,61 @@ class Table:
             row |= {"target": target, "holds": holds(value, target)}
         if note:
             row["note"] = note
+        if self.part:
+            row["part"] = self.part
         self.rows.append(row)
         verdict = "" if target is None else f"  target {target}: {row['holds']}"
         print(f"{case}: {value:.6g} {unit}{verdict}", flush=True)
 
-    def write(self) -> Path:
-        """Write the table as JSON beside the other results."""
+    def write(self, *, order: Sequence[str] = ()) -> Path:
+        """Write the table as JSON beside the other results.
+
+        With the ``order`` of all parts, rows of parts that were not run now are kept.
+        """
         RESULTS.mkdir(exist_ok=True)
         path = RESULTS / f"{self.name}.json"
+        if order and path.is_file():
+            run = {row["part"] for row in self.rows}
+            old = json.loads(path.read_text())["rows"]
+            self.rows += [row for row in old if row.get("part") in set(order) - run]
+            self.rows.sort(key=lambda row: order.index(row["part"]))
         commit = subprocess.run(
             ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
         ).stdout.strip()
         data = {"machine": machine(), "commit": commit or "none", "rows": self.rows}
         path.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n")
         return path
+
+
+def run_parts(
+    name: str,
+    parts: Callable[..., dict[str, Callable[[Table], None]]],
+    description: str,
+) -> None:
+    """Run a benchmark's parts, ``--parts a,b`` or all; each is written as soon as it is done.
+
+    Parameters
+    ----------
+    name : str
+        Of the benchmark.
+    parts : callable
+        ``parts(quick=...)`` gives the parts by name, in order.
+    description : str
+        For ``--help``.
+    """
+    parser = argument_parser(description)
+    parser.add_argument("--parts", default="", help="parts to run, comma separated; all if empty")
+    given = parser.parse_args()
+    known = parts(quick=given.quick)
+    chosen = [part for part in given.parts.split(",") if part] or list(known)
+    unknown = [part for part in chosen if part not in known]
+    if unknown:
+        parser.error(f"no part {unknown[0]!r}; known: {', '.join(known)}")
+    for part in chosen:
+        table = Table(name, part=part)
+        known[part](table)
+        if not given.quick:
+            table.write(order=list(known))
 
 
 def machine() -> dict[str, Any]:
@@ -97,8 +147,13 @@ def median_of(work: Callable[[], Any], repeats: int = 5) -> float:
     return sorted(times)[len(times) // 2]
 
 
-def arguments(description: str) -> argparse.Namespace:
-    """Read the command line shared by all benchmarks: ``--quick`` for a smoke run (not written)."""
+def argument_parser(description: str) -> argparse.ArgumentParser:
+    """Command line shared by all benchmarks: ``--quick`` for a smoke run (not written)."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--quick", action="store_true", help="smaller cases, result not written")
-    return parser.parse_args()
+    return parser
+
+
+def arguments(description: str) -> argparse.Namespace:
+    """Read that command line."""
+    return argument_parser(description).parse_args()

@@ -1,4 +1,4 @@
-"""Accuracy and speed of the shell: published cases, CalculiX, SciPy's default solver settings."""
+"""Accuracy and speed of the shell against published cases, closed forms and CalculiX."""
 
 import os
 
@@ -8,7 +8,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import shutil
 import subprocess
 import tempfile
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -16,8 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import mechanics_calibration, mechanics_large, mechanics_receptors
-from benchmarks.harness import Table, arguments, holds, median_of
+from benchmarks import (
+    mechanics_calibration,
+    mechanics_extremes,
+    mechanics_large,
+    mechanics_receptors,
+    mechanics_rounding,
+    mechanics_shapes,
+    mechanics_speed,
+)
+from benchmarks.harness import Table, holds, median_of, run_parts
 from phytac_design.design_file import load_design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics import cases
@@ -26,7 +33,7 @@ from phytac_design.mechanics.element import element_stiffness
 from phytac_design.mechanics.export import write_inp
 from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.mesh import ShellMesh, marker_mesh
-from phytac_design.mechanics.solve import SUPERLU, ShellModel, clamped_model, rigid_modes
+from phytac_design.mechanics.solve import ShellModel, clamped_model, rigid_modes
 from shapes.arrays import FloatArray
 
 MARKER = 184  # row 11 of 23
@@ -170,7 +177,6 @@ def against_ccx(table: Table, refine: int) -> None:
     mesh = part.mesh()
     load = part.fingertip(mesh)
     motion = part.model(mesh).solve(load).motion[mesh.marker_nodes, :3, 0]
-    ours_s = median_of(lambda: part.model(mesh).solve(load), 3)
     if shutil.which("ccx") is None:
         print("ccx is not on PATH: comparison left out")
         return
@@ -184,9 +190,7 @@ def against_ccx(table: Table, refine: int) -> None:
             load=load,
             name="cylinder60",
         )
-        start = time.perf_counter()
         subprocess.run(["ccx", "shell"], cwd=folder, capture_output=True, check=True)
-        ccx_s = time.perf_counter() - start
         theirs = _read_dat(Path(folder) / "shell.dat", mesh)
     peak = float(np.linalg.norm(theirs, axis=1).max())
     label = f"cylinder60, {FORCE_N:g} N on a {FINGERTIP_MM:g} mm fingertip patch, refine {refine}"
@@ -197,14 +201,6 @@ def against_ccx(table: Table, refine: int) -> None:
         reference=peak,
         source="CalculiX S4, the exported .inp, linear; reference is the peak in mm",
         target="<= 3",
-    )
-    table.add(
-        f"{label}: ccx seconds / ours (elements to displacements)",
-        ccx_s / ours_s,
-        "x",
-        reference=ccx_s,
-        source="ccx wall seconds with start-up and files, same mesh",
-        note=f"ours {ours_s:.3f} s; the comparison with S8R at equal error is still to be made",
     )
 
 
@@ -241,66 +237,37 @@ def compliance(table: Table, refine: int) -> None:
         )
 
 
-def solver(table: Table, refine: int) -> None:
-    """Our solver settings against SciPy's defaults on the same matrix."""
-    from scipy.sparse.linalg import splu
+def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
+    """All parts by name, in order."""
 
-    part = Prototype(refine)
-    mesh = part.mesh()
-    model = part.model(mesh)
-    free = np.flatnonzero(~model.fixed.ravel())
-    scale = 1.0 / np.sqrt(model.stiffness.diagonal())[free]
-    matrix = model.stiffness[free][:, free].multiply(scale[:, None]).multiply(scale).tocsc()
-    build_s = median_of(lambda: part.model(mesh), 3)
-    ours_s = median_of(lambda: splu(matrix, **SUPERLU), 3)
-    theirs_s = median_of(lambda: splu(matrix), 3)
-    table.add(
-        f"factorisation, {len(free)} DOF: SciPy default seconds / ours",
-        theirs_s / ours_s,
-        "x",
-        reference=theirs_s,
-        source="scipy.sparse.linalg.splu, default settings",
-        target=">= 1",
-        note=f"ours {ours_s:.3f} s; an earlier measurement gave 2.5–4",
-    )
-    table.add(
-        f"elements and assembly / factorisation, {len(free)} DOF",
-        build_s / ours_s,
-        "x",
-        reference=ours_s,
-        source="published reference",
-        target="<= 0.5",
-        note=f"{build_s:.3f} s with the checks of the input; linear in the mesh, the "
-        "factorisation is not, so the ratio falls as the mesh grows; misses on small meshes",
-    )
-    table.add(
-        f"rounding error of the solution, {len(free)} DOF",
-        model.solve(part.fingertip(mesh)).error,
-        "-",
-        reference=0,
-        source="step of iterative refinement",
-        target="<= 1e-8",
-    )
+    def linear(table: Table) -> None:
+        published(table, quick=quick)
+        if not quick:
+            soundness(table)
+        for refine in (4,) if quick else (4, 6):
+            against_ccx(table, refine)
+        compliance(table, 2 if quick else 4)
+
+    def large(table: Table) -> None:
+        mechanics_large.published(table, quick=quick)
+        mechanics_large.fingertip(table, quick=quick)
+        mechanics_large.add_rows(table, quick=quick)
+
+    return {
+        "linear": linear,
+        "rounding": mechanics_rounding.add_rows,
+        "extremes": partial(mechanics_extremes.add_rows, quick=quick),
+        "large": large,
+        "shapes": partial(mechanics_shapes.add_rows, quick=quick),
+        "calibration": partial(mechanics_calibration.add_rows, quick=quick),
+        "receptors": partial(mechanics_receptors.add_rows, quick=quick),
+        "speed": partial(mechanics_speed.add_rows, quick=quick),
+    }
 
 
 def main() -> None:
-    """Run all parts."""
-    quick = arguments(__doc__ or "").quick
-    table = Table("mechanics")
-    published(table, quick=quick)
-    if not quick:
-        soundness(table)
-    for refine in (4,) if quick else (4, 6):
-        against_ccx(table, refine)
-    mechanics_large.published(table, quick=quick)
-    mechanics_large.fingertip(table, quick=quick)
-    compliance(table, 2 if quick else 4)
-    for refine in (2,) if quick else (4, 6):
-        solver(table, refine)
-    mechanics_calibration.add_rows(table, quick)
-    mechanics_receptors.add_rows(table, quick=quick)
-    if not quick:
-        table.write()
+    """Run all parts, or those named."""
+    run_parts("mechanics", parts, __doc__ or "")
 
 
 if __name__ == "__main__":

@@ -171,7 +171,7 @@ def sensitivities(table: Table) -> None:
         )
 
 
-def add_rows(table: Table, quick: bool) -> None:
+def add_rows(table: Table, *, quick: bool) -> None:
     """Add the rows of sensitivities and calibration to ``table``."""
     sensitivities(table)
     surface, rows = presses(quick)
@@ -318,7 +318,7 @@ def main() -> None:
     """Print the rows; they are written by ``benchmarks.mechanics``."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="smaller cases")
-    add_rows(Table("mechanics_calibration"), parser.parse_args().quick)
+    add_rows(Table("mechanics_calibration"), quick=parser.parse_args().quick)
 
 
 if __name__ == "__main__":

@@ -9,24 +9,28 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
+import resource
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Table
+from benchmarks.harness import Table, median_of
 from phytac_design.design_file import load_design, parse_design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics import receptors as rc
-from phytac_design.mechanics.compliance import point_motion
+from phytac_design.mechanics.compliance import marker_compliance, point_motion
 from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.mesh import marker_mesh
+from phytac_design.mechanics.place import Place
+from phytac_design.mechanics.press import press
 from phytac_design.mechanics.solid.cell import Cell, cell_stiffness, ratio
 from phytac_design.mechanics.solid.export import run_ccx, write_solid_inp
 from phytac_design.mechanics.solid.load import solid_patch_load, tip_means
-from phytac_design.mechanics.solid.mesh import SolidSizes, solid_mesh
+from phytac_design.mechanics.solid.mesh import SolidSizes, coarsened, solid_mesh
 from phytac_design.mechanics.solve import clamped_model
 from phytac_design.spec import Design
 from shapes import Surface
@@ -39,6 +43,9 @@ FINER = 0.75
 CCX = "CalculiX, quadratic tetrahedra of the true CAD (gmsh)"
 NU = 0.38
 DENSE = "tables are for ν = 0.38 and one area fraction; here ν = 0.3, tubes over 27 % of the wall"
+CELL_MM = 4.43
+"""Radius of the disc that has the area of a marker's cell on cylinder60."""
+STIFF = "a coarse solid moves too little: at this factor the ø30 sensor 1.6 % of the peak"
 CELLS = (  # receptors of cylinder60 (short, middle) and cylinder40, and one off the tables' grid
     ("cylinder60, h 0.5 mm", 5.217, 11.78, 0.8, 0.5, 3.0, 1.6, 0.38),
     ("cylinder60, h 6 mm", 5.217, 11.78, 0.8, 6.0, 3.0, 1.6, 0.38),
@@ -58,10 +65,48 @@ def small_sensor() -> Design:
 def add_rows(table: Table, *, quick: bool) -> None:
     """Add the rows; without Gmsh or CalculiX say so and add none of theirs."""
     try:
+        compliance(table, refine=2 if quick else 4, finer=4 if quick else 12)
         cells(table, quick=quick)
         whole_sensor(table, quick=quick)
+        if not quick:
+            whole_prototype(table)
     except MissingPartError as error:
         print(f"receptor rows left out: {error}", flush=True)
+
+
+def compliance(table: Table, *, refine: int, finer: int) -> None:
+    """Compliance of all markers of cylinder60 with and without receptors: time, error of tips."""
+    design = load_design("cylinder60")
+    surface = design.surface()
+    markers = make_markers(design, surface)
+
+    def tips(level: int, *, receptors: bool) -> tuple[FloatArray, int]:
+        mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=level)
+        model = rc.sensor_model(design, markers, mesh, receptors=receptors)
+        found = marker_compliance(model, mesh, surface, markers, load_radius_mm=CELL_MM)
+        return point_motion(found.motion, markers.tip_mm - markers.mid_mm), found.solves
+
+    truth = tips(finer, receptors=True)[0]
+    peak = np.linalg.norm(truth, axis=1).max(axis=0)
+    for receptors, how, target in ((False, "plain wall", None), (True, "with receptors", "<= 3")):
+        found, solves = tips(refine, receptors=receptors)
+        table.add(
+            f"cylinder60 compliance of all markers, refine {refine}, {how}: seconds",
+            median_of(partial(tips, refine, receptors=receptors), 3),
+            "s",
+            reference=3.0,
+            source="project target",
+            target=target,
+            note=f"mesh, model, factorisation and {solves} loads of 368, the others turned",
+        )
+        error = np.linalg.norm(found - truth, axis=1).max(axis=0) / peak
+        table.add(
+            f"cylinder60 compliance of all markers, refine {refine}, {how}: tip error",
+            100.0 * float(np.sqrt(np.mean(error**2))),
+            "% of each load's peak, RMS over loads",
+            reference=0.0,
+            source=f"our shell with receptors, refine {finer}",
+        )
 
 
 def cells(table: Table, *, quick: bool) -> None:
@@ -151,6 +196,40 @@ def whole_sensor(table: Table, *, quick: bool) -> None:
                 source="the same on the coarser mesh",
             )
     table.add("ø30 solid sensor: all meshes and solves", seconds, "s", reference="-", source=CCX)
+
+
+def whole_prototype(table: Table) -> None:
+    """All of cylinder60 as a solid, as ``phytac mesh cylinder60 --solid`` writes it."""
+    design = load_design("cylinder60")
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    uv, radius = markers.uv[184], 6.0
+    factor, sizes, _ = coarsened(design, surface, markers, None)
+    start = time.perf_counter()
+    truth = solid_tips(design, surface, markers, [("", uv, radius)], sizes)[0]
+    seconds = time.perf_counter() - start
+    name = f"cylinder60 whole solid, sizes × {factor:.2g}"
+    memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6
+    table.add(f"{name}: CAD, mesh and CalculiX", seconds, "s", reference="-", source=CCX)
+    table.add(f"{name}: memory of CalculiX", memory, "GB", reference="-", source=CCX)
+    place = Place(uv=uv, radius_mm=radius, force_N=1.0)
+    for refine in (4, 12):
+        for receptors, how, target in (
+            (False, "plain shell", None),
+            (True, "shell with receptors", "<= 5"),
+        ):
+            result = press(
+                design, surface, markers, place, theory="linear", refine=refine, receptors=receptors
+            )
+            table.add(
+                f"{name}, fingertip of 6 mm: {how}, refine {refine}, tip error",
+                error_of_peak(result.tip_mm, truth),
+                "% of peak",
+                reference=0.0,
+                source=CCX,
+                target=target,
+                note=STIFF,
+            )
 
 
 def error_of_peak(ours: FloatArray, truth: FloatArray) -> float:

@@ -14,15 +14,16 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
-from decoder.camera import PinholeCamera
+from decoder.camera import Camera
 from decoder.estimators import ForceModel
+from decoder.lens import LENSES, Lens
 from decoder.network import ACTIVATIONS, CascadeNetwork, parameter_count
 from decoder.segmentation import ColourModel
 from decoder.switches import TipModel
 from shapes.arrays import FloatArray, IntArray
-from shapes.errors import InputError
+from shapes.errors import DesignError, InputError
 
-SCHEMA = (1, 0)
+SCHEMA = (1, 1)
 FORMAT = "phytac-decoder-bundle"
 
 
@@ -36,7 +37,7 @@ class Bundle:
         Name of the design.
     design_hash : str
         Hash of the resolved design it was made from.
-    camera : PinholeCamera
+    camera : Camera
         The camera it expects.
     colours : ColourModel
         Paints; the markers' colours first, ``red`` among them.
@@ -60,7 +61,7 @@ class Bundle:
 
     design: str
     design_hash: str
-    camera: PinholeCamera
+    camera: Camera
     colours: ColourModel
     colour: IntArray
     position_mm: FloatArray
@@ -83,11 +84,7 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
         "markers": len(bundle.colour),
         "units": {"length": "mm", "force": "N", "image": "px", "stiffness": "N/mm"},
         "camera": {
-            "model": "pinhole",
-            "width_px": camera.width_px,
-            "height_px": camera.height_px,
-            "focal_px": float(camera.focal_px),
-            "centre_px": camera.centre_px.tolist(),
+            **lens_table(camera.lens),
             "position_mm": camera.position_mm.tolist(),
             "rotation": camera.rotation.tolist(),
         },
@@ -149,8 +146,7 @@ def load_bundle(folder: Path) -> Bundle:
         count = int(meta["markers"])
         _check_arrays(arrays, count, sorted(meta["networks"]), folder)
         _check_indices(arrays, count, len(meta["colours"]["names"]), folder)
-        _check_camera(meta["camera"], folder)
-        return _assemble(meta, arrays)
+        return _assemble(meta, arrays, _camera(meta["camera"], folder))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{folder}/bundle.json is not a decoder bundle: {type(error).__name__} {error}"
@@ -227,20 +223,51 @@ def _check_indices(arrays: dict[str, Any], count: int, colours: int, folder: Pat
             )
 
 
-def _check_camera(camera: dict[str, Any], folder: Path) -> None:
-    sizes = [camera["width_px"], camera["height_px"], camera["focal_px"]]
-    pose = [*camera["centre_px"], *camera["position_mm"], *np.ravel(camera["rotation"])]
-    if not (np.isfinite([*sizes, *pose]).all() and min(sizes) > 0):
-        raise InputError(
-            f"{folder}/bundle.json: the camera's size, focal length and pose must be finite and "
-            "its sizes positive; rebuild the decoder"
+def lens_table(lens: Lens) -> dict[str, Any]:
+    """Lens as it stands in ``bundle.json``; focal length and centre are (x, y)."""
+    return {
+        "model": lens.model,
+        "width_px": lens.width_px,
+        "height_px": lens.height_px,
+        "focal_px": lens.focal_px.tolist(),
+        "centre_px": lens.centre_px.tolist(),
+        "distortion": list(lens.distortion),
+    }
+
+
+def _camera(table: dict[str, Any], folder: Path) -> Camera:
+    """Camera of ``bundle.json``; a bundle of schema 1.0 has one focal length and no distortion."""
+    if table["model"] not in LENSES:
+        raise ValueError(
+            f"camera model {table['model']!r} is not known (known: {', '.join(LENSES)})"
         )
+    focal = np.broadcast_to(np.asarray(table["focal_px"], dtype=np.float64), 2)
+    pose = [*table["position_mm"], *np.ravel(table["rotation"])]
+    rotation = np.asarray(table["rotation"], dtype=np.float64)
+    if rotation.shape != (3, 3) or not np.isfinite(pose).all():
+        raise InputError(
+            f"{folder}/bundle.json: the camera's pose must be finite; rebuild the decoder"
+        )
+    try:
+        lens = LENSES[table["model"]](
+            width_px=int(table["width_px"]),
+            height_px=int(table["height_px"]),
+            fx_px=float(focal[0]),
+            fy_px=float(focal[1]),
+            cx_px=float(table["centre_px"][0]),
+            cy_px=float(table["centre_px"][1]),
+            distortion=tuple(float(value) for value in table.get("distortion", ())),
+        )
+    except DesignError as error:
+        raise InputError(f"{folder}/bundle.json: {error}; rebuild the decoder") from error
+    return Camera(
+        lens=lens,
+        position_mm=np.asarray(table["position_mm"], dtype=np.float64),
+        rotation=rotation,
+    )
 
 
-def _assemble(meta: dict[str, Any], arrays: dict[str, Any]) -> Bundle:
-    camera = meta["camera"]
-    if camera["model"] != "pinhole":
-        raise ValueError(f"camera model {camera['model']!r} is not known")
+def _assemble(meta: dict[str, Any], arrays: dict[str, Any], camera: Camera) -> Bundle:
     for name, item in meta["networks"].items():
         if item["activation"] not in ACTIVATIONS:
             raise ValueError(f"network {name!r} has an unknown activation {item['activation']!r}")
@@ -256,14 +283,7 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any]) -> Bundle:
     return Bundle(
         design=str(meta["design"]),
         design_hash=str(meta["design_hash"]),
-        camera=PinholeCamera(
-            width_px=int(camera["width_px"]),
-            height_px=int(camera["height_px"]),
-            focal_px=float(camera["focal_px"]),
-            centre_px=np.asarray(camera["centre_px"], dtype=np.float64),
-            position_mm=np.asarray(camera["position_mm"], dtype=np.float64),
-            rotation=np.asarray(camera["rotation"], dtype=np.float64),
-        ),
+        camera=camera,
         colours=ColourModel(
             names=tuple(meta["colours"]["names"]),
             chroma=np.asarray(meta["colours"]["chroma"], dtype=np.float64),

@@ -16,19 +16,28 @@ class Accuracy:
         Chordal tolerance of printed meshes.
     refine : int
         Elements of the decoder's mesh per marker pitch around the sensor.
+    receptors : bool
+        Whether the decoder's shell has the stiffness of receptor tubes and their holes.
     truth_refine : int
         The same of the simulated sensor's own, finer mesh, which is not nested in the decoder's.
     sample_share : float
         Fraction of the design's training and test samples that is simulated.
     frames : int
         Rendered frames that are decoded for the report.
+    press_places : int
+        Places at which the sensor is pressed to see what hides or fuses under load.
+    press_tolerance : float
+        Error of linear theory that is accepted there; 1 takes it always.
     """
 
     cad_tolerance_mm: float
     refine: int
+    receptors: bool
     truth_refine: int
     sample_share: float
     frames: int
+    press_places: int
+    press_tolerance: float
 
     def as_dict(self) -> dict[str, float]:
         """Plain values, for hashing and reports."""
@@ -39,22 +48,31 @@ PRESETS: dict[str, Accuracy] = {
     "draft": Accuracy(
         cad_tolerance_mm=0.05,
         refine=3,
+        receptors=True,
         truth_refine=5,
         sample_share=0.3,
         frames=5,
+        press_places=8,
+        press_tolerance=1.0,
     ),
     "standard": Accuracy(
         cad_tolerance_mm=0.01,
         refine=4,
+        receptors=True,
         truth_refine=9,
         sample_share=1.0,
         frames=50,
+        press_places=40,
+        press_tolerance=0.05,
     ),
     "fine": Accuracy(
         cad_tolerance_mm=0.005,
         refine=6,
+        receptors=True,
         truth_refine=13,
         sample_share=1.0,
         frames=100,
+        press_places=120,
+        press_tolerance=0.02,
     ),
 }

@@ -1,6 +1,7 @@
 """Every refusal of a design in one place, before anything is written or computed."""
 
 from phytac_design.layout import Markers
+from phytac_design.optics.separability import check_paints
 from phytac_design.optics.view import camera_of, refuse_swallowed
 from phytac_design.rules import check_design as check_rules
 from phytac_design.spec import Design
@@ -16,6 +17,7 @@ def check_design(design: Design) -> tuple[Surface, Markers]:
         With what is wrong, what was got, and what would mend it.
     """
     surface, markers = check_rules(design)
+    check_paints(design)
     camera_of(design, surface)
     refuse_swallowed(design, surface, markers)
     return surface, markers

@@ -7,6 +7,7 @@ import numpy as np
 
 from phytac_design.check import check_design
 from phytac_design.optics.density import density_of
+from phytac_design.optics.separability import check_paints
 from phytac_design.optics.view import camera_of
 from phytac_design.optics.visibility import check_visibility, visibility_advice
 from phytac_design.spec import Design
@@ -31,12 +32,17 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
         "design": design.name,
         "markers": {
             "count": density.count,
-            "rows": design.layout.rows,
-            "columns": design.layout.columns,
+            "rows": len(np.unique(markers.row)) if markers.in_rows else None,
+            "columns": int(markers.column.max()) + 1 if markers.in_rows else None,
+            "layout": design.layout.kind,
             "density_per_cm2": density.per_cm2,
+            "density_local_min_per_cm2": density.local_min_per_cm2,
+            "density_local_max_per_cm2": density.local_max_per_cm2,
+            "density_times_paper": density.times_paper,
             "sensing_area_cm2": density.area_cm2,
             "surface_class": density.surface_class,
         },
+        "colours": check_paints(design).summary(),
         "visibility": summary,
         "occluded_markers": np.flatnonzero(seen.occluded).tolist(),
         "fused_markers": np.flatnonzero(seen.fused).tolist(),

@@ -13,6 +13,8 @@ import typer
 # times slower on two.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from phytac_design import cli_mechanics
+from phytac_design.cli_options import DesignArgument, JsonOption, Preset, SeedOption, say
 from shapes.errors import DesignError, PhytacError
 
 app = typer.Typer(
@@ -23,22 +25,6 @@ app = typer.Typer(
 )
 
 
-class Preset(StrEnum):
-    """Accuracy presets."""
-
-    draft = "draft"
-    standard = "standard"
-    fine = "fine"
-
-
-class Parameter(StrEnum):
-    """Parameters of a shell that can be calibrated."""
-
-    modulus = "modulus"
-    thickness = "thickness"
-    poisson = "poisson"
-
-
 class Estimator(StrEnum):
     """Force estimators of a bundle."""
 
@@ -46,16 +32,6 @@ class Estimator(StrEnum):
     fem_nn = "fem_nn"
     fem_nn_identity = "fem_nn_identity"
     koi_inverse = "koi_inverse"
-
-
-DesignArgument = Annotated[str, typer.Argument(help="A shipped design or the path of a file.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
-SeedOption = Annotated[int, typer.Option(help="Seed of everything random.", min=0, max=2**31 - 1)]
-
-
-def say(text: str) -> None:
-    """Progress goes to standard error, so that standard output stays clean."""
-    typer.echo(text, err=True)
 
 
 @app.command()
@@ -161,6 +137,20 @@ def schema() -> None:
 
 
 @app.command()
+def shapes(
+    name: Annotated[str, typer.Argument(help="A family, for its drawing and variables.")] = "",
+    as_json: JsonOption = False,
+) -> None:
+    """List the surface families and what each asks of a design file."""
+    from phytac_design.catalogue import shape_facts, shape_list, shape_page
+
+    if as_json:
+        typer.echo(json.dumps(shape_facts(), indent=1, ensure_ascii=False))
+    else:
+        typer.echo(shape_page(name) if name else shape_list())
+
+
+@app.command()
 def decode(
     bundle: Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")],
     frame: Annotated[Path, typer.Argument(help="Camera frame.")],
@@ -200,31 +190,8 @@ def decode(
     typer.echo(f"total {forces.sum():.2f} N on {len(measured.koi)} switched receptors")
 
 
-@app.command()
-def calibrate(
-    design: DesignArgument,
-    measurements: Annotated[Path, typer.Argument(help="CSV of forces and displacements.")],
-    fix: Annotated[list[Parameter] | None, typer.Option(help="Known: stays as designed.")] = None,
-    limit: Annotated[float, typer.Option(help="Widest ± accepted.", min=0.001, max=1.0)] = 0.1,
-    accuracy: Annotated[Preset, typer.Option(help="Speed against accuracy.")] = Preset.standard,
-    out: Annotated[Path | None, typer.Option(help="Design file to write, calibrated.")] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Fit modulus, wall and Poisson's ratio to measured forces and displacements."""
-    from phytac_design.design_file import load_design
-    from phytac_design.mechanics.calibrate.calibrate_design import (
-        calibrate_design,
-        write_calibrated,
-    )
-
-    loaded = load_design(design)
-    fixed = [parameter.value for parameter in fix or []]
-    fit = calibrate_design(
-        loaded, measurements, fixed=fixed, limit=limit, accuracy=accuracy.value, progress=say
-    )
-    if out:
-        say(f"wrote {write_calibrated(loaded, fit, out)}")
-    typer.echo(json.dumps(fit.as_dict(), indent=1) if as_json else fit.text())
+for command in (cli_mechanics.press, cli_mechanics.mesh, cli_mechanics.calibrate):
+    app.command()(command)
 
 
 def main() -> None:

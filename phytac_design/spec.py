@@ -3,44 +3,17 @@
 from dataclasses import MISSING, fields
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
 
-from pydantic import BaseModel, ConfigDict, Field, create_model, model_validator
+from pydantic import Field, ValidationInfo, create_model, model_validator
 
 import shapes
+from decoder.lens import LENSES, Lens
+from phytac_design.layout_section import LayoutSection, ReceptorSection
+from phytac_design.section import Section, assumed
 from shapes import Surface
 from shapes.errors import DesignError
 
 PIXELS_MAX = 64_000_000
 """Largest image that is rendered and segmented (about 3 GB of working memory)."""
-ColourName = Literal["blue", "green"]
-
-
-def assumed(default: Any, **limits: Any) -> Any:
-    """Field that the paper does not state: a default, marked as an assumption everywhere."""
-    return Field(default, json_schema_extra={"assumption": True}, **limits)
-
-
-class Section(BaseModel):
-    """A table of the design file."""
-
-    model_config = ConfigDict(
-        extra="forbid",
-        frozen=True,
-        use_attribute_docstrings=True,
-        allow_inf_nan=False,
-        validate_default=True,
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _no_truth_values(cls, data: Any) -> Any:
-        """Refuse true and false, which would otherwise pass for 1 and 0."""
-        if isinstance(data, dict):
-            wrong = [str(key) for key, value in data.items() if isinstance(value, bool)]
-            if wrong:
-                raise ValueError(
-                    f"{', '.join(wrong)} must be a number or a text, not true or false"
-                )
-        return data
 
 
 class ShapeSection(Section):
@@ -100,36 +73,6 @@ class WallSection(Section):
     """How far a rim stands out beyond the outer face, for the connectors."""
 
 
-class LayoutSection(Section):
-    """Markers on the surface, and how tall their receptors are."""
-
-    kind: Literal["spiral", "straight"] = "spiral"
-    """`spiral` turns each row against the one before; `straight` lines rows up."""
-    rows: int = Field(23, ge=1, le=2000)
-    """Markers along the sensor; row 0 is nearest the camera."""
-    columns: int = Field(16, ge=1, le=2000)
-    """Markers around the sensor."""
-    spiral_angle_deg: float = Field(50.5, gt=-89.0, lt=89.0)
-    """Angle α between a spiral and the sensor axis; each row shifts by row pitch · tan α."""
-    colours: tuple[ColourName, ...] = Field(("blue", "green"), min_length=1, max_length=16)
-    """Paints of the columns, repeated around."""
-    height_near_mm: float = Field(0.5, gt=0.0, le=1000.0)
-    """Receptor height in the row nearest the camera, from the inner face of the wall."""
-    height_far_mm: float = Field(11.5, gt=0.0, le=1000.0)
-    """Receptor height in the farthest row; rows between grow linearly."""
-
-
-class ReceptorSection(Section):
-    """The printed tube that carries a marker."""
-
-    diameter_outer_mm: float = assumed(3.0, gt=0.0, le=200.0)
-    """Outer diameter of the tube."""
-    diameter_hole_mm: float = assumed(1.6, gt=0.0, le=200.0)
-    """Through-hole for the stem of the switch, from the outer face to the end face."""
-    band_marker_mm: float = assumed(1.0, ge=0.0, le=200.0)
-    """Painted length of the tube's side below the end face; the end face is always painted."""
-
-
 class SwitchSection(Section):
     """The threshold switch: a soft bowl on the outer face, its stem, its red tip."""
 
@@ -147,23 +90,94 @@ class SwitchSection(Section):
     """How far a switch that is on pushes its tip."""
 
 
-class CameraSection(Section):
-    """An on-axis pinhole camera in front of the near rim, looking along +z."""
+CAMERA_PRESETS: dict[str, dict[str, float]] = {
+    "paper_30fps": {"width_px": 2592, "height_px": 1944, "frame_rate_Hz": 30.0, "focal_px": 970.0},
+    "paper_480fps": {"width_px": 640, "height_px": 480, "frame_rate_Hz": 480.0, "focal_px": 239.5},
+}
+"""Both cameras of the paper; it states no focal lengths: the same field of view is assumed."""
+LENS_FIELDS = (
+    "model", "width_px", "height_px", "focal_px", "focal_ratio", "centre_offset_px", "distortion",
+)  # fmt: skip
+"""Fields that a calibration file sets."""
 
+
+class CameraSection(Section):
+    """A camera on the axis: its lens, where it stands, its noise."""
+
+    preset: Literal["custom", "paper_30fps", "paper_480fps"] = "custom"
+    """Sets image size, frame rate and, unless given, focal length to those of a known camera."""
+    model: Literal["pinhole", "brown_conrady", "kannala_brandt", "omnidirectional"] = assumed(
+        "pinhole"
+    )
+    """Lens: none but perspective, barrel or pincushion distortion, fisheye, unified (Mei)."""
     width_px: int = Field(2592, ge=16, le=20000)
     """Image width."""
     height_px: int = Field(1944, ge=16, le=20000)
     """Image height."""
+    frame_rate_Hz: float = Field(30.0, gt=0.0, le=1e6)
+    """Frames per second."""
     focal_px: float = assumed(970.0, gt=0.0, le=1e6)
-    """Focal length in pixels."""
+    """Focal length in pixels, along x."""
+    focal_ratio: float = assumed(1.0, gt=0.1, lt=10.0)
+    """Focal length along y over that along x; not 1 where pixels are not square."""
+    centre_offset_px: tuple[float, float] = assumed((0.0, 0.0))
+    """Principal point, right and down from the middle of the image."""
+    distortion: tuple[float, ...] = Field((), max_length=8)
+    """Coefficients in OpenCV's order. brown_conrady: k1 k2 p1 p2 [k3 [k4 k5 k6]]; kannala_brandt:
+    k1 k2 k3 k4; omnidirectional: ξ [k1 k2 p1 p2]."""
+    calibration: str = ""
+    """File to read the lens from (OpenCV, ROS camera_info or Kalibr YAML), beside this file; its
+    numbers take the place of model, size, focal length, centre and distortion."""
+    ends: Literal["near", "far", "both"] = "near"
+    """Where cameras stand: before the near end, beyond the far one (looking back), or both."""
     stand_off_mm: float | Literal["fit"] = assumed("fit")
     """Distance from the camera's centre to the near rim's plane; `fit` fills the image with it."""
     fill: float = assumed(0.975, gt=0.05, le=1.0)
-    """For `fit`: inner radius of the near rim as a fraction of half the smaller image side."""
+    """For `fit`: reach of the near rim's inner edge, as a fraction of half the smaller side."""
+    f_number: float = assumed(2.8, ge=0.5, le=64.0)
+    """Focal length over aperture, for depth of field and blur."""
+    pixel_um: float = assumed(1.4, gt=0.0, le=100.0)
+    """Width of a pixel on the sensor chip, for depth of field and blur."""
+    focus_mm: float = assumed(0.0, ge=0.0, le=1e6)
+    """Distance of sharp focus from the camera; 0 for where near and far markers blur alike."""
     noise_pixel: float = assumed(2.0, ge=0.0, le=128.0)
     """Standard deviation of the sensor noise in grey levels (of 255), for rendered frames."""
     noise_centroid_px: float = assumed(0.04, ge=0.0, le=10.0)
     """Standard deviation of a marker's measured centroid, for simulated measurements."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_camera(cls, data: Any, info: ValidationInfo) -> Any:
+        """Put a preset's and a calibration file's numbers in the place of fields."""
+        if not isinstance(data, dict):
+            return data
+        data = dict(data)
+        known = CAMERA_PRESETS.get(str(data.get("preset")), {})
+        for key, value in known.items():
+            if data.setdefault(key, value) != value and key != "focal_px":
+                raise ValueError(
+                    f"preset {data['preset']!r} has {key} = {value:g} (got {data[key]!r}); leave "
+                    f'{key} out or set preset = "custom"'
+                )
+        if data.get("calibration"):
+            from phytac_design.optics.camera_files import calibrated_fields
+
+            folder = (info.context or {}).get("folder", ".")
+            twice = [key for key in LENS_FIELDS if key in data]
+            if twice:
+                raise ValueError(
+                    f"calibration sets {', '.join(twice)} as well (got both); leave out one"
+                )
+            data |= calibrated_fields(str(data.pop("calibration")), folder)
+        return data
+
+    @model_validator(mode="after")
+    def _lens_is_possible(self) -> Self:
+        try:
+            self.lens()
+        except DesignError as error:
+            raise ValueError(str(error).removeprefix("camera: ")) from None
+        return self
 
     @model_validator(mode="after")
     def _fits_in_memory(self) -> Self:
@@ -174,6 +188,24 @@ class CameraSection(Section):
                 f"than {PIXELS_MAX / 1e6:.0f}; lower width_px and height_px, or bin the image"
             )
         return self
+
+    def lens(self) -> Lens:
+        """Build the lens that this table describes.
+
+        Raises
+        ------
+        DesignError
+            If its distortion does not suit its model, or folds the image over.
+        """
+        return LENSES[self.model](
+            width_px=self.width_px,
+            height_px=self.height_px,
+            fx_px=self.focal_px,
+            fy_px=self.focal_px * self.focal_ratio,
+            cx_px=(self.width_px - 1) / 2.0 + self.centre_offset_px[0],
+            cy_px=(self.height_px - 1) / 2.0 + self.centre_offset_px[1],
+            distortion=self.distortion,
+        )
 
 
 class LightSection(Section):
@@ -232,6 +264,13 @@ class TrainingSection(Section):
         return self
 
 
+class DemandsSection(Section):
+    """What the sensor must do beyond being buildable; a build stops where it does not."""
+
+    clear_force_N: float = Field(0.0, ge=0.0, le=1e4)
+    """No marker may hide or fuse under any press up to this force; 0 to report it only."""
+
+
 class Design(Section):
     """One sensor. Lengths in mm, forces in N, moduli in MPa, angles in degrees (here only)."""
 
@@ -250,6 +289,7 @@ class Design(Section):
     material: MaterialSection = MaterialSection()
     print_rules: PrintSection = PrintSection()
     training: TrainingSection = TrainingSection()
+    demands: DemandsSection = DemandsSection()
 
     def surface(self) -> Surface:
         """Build the sensing surface."""

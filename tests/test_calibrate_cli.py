@@ -2,6 +2,7 @@
 
 import json
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from phytac_design.design_file import load_design, to_toml
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.calibrate.measurements import Measurements
 from phytac_design.mechanics.calibrate.probe_response import ProbeResponse
+from phytac_design.mechanics.receptors import receptor_stiffness
 from phytac_design.spec import Design
 from tests.designs import small
 from tests.test_cli import phytac
@@ -40,7 +42,14 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
         force_N=np.ones(384),
         displacement_mm=np.zeros(384),
     )
-    moved = 0.6 * ProbeResponse(surface=surface, rows=rows, around=20)(T, 0.38, False).value / E
+    unit = design.model_copy(update={"wall": design.wall.model_copy(update={"thickness_mm": T})})
+    part = ProbeResponse(
+        surface=surface,
+        rows=rows,
+        around=20,
+        factors=partial(receptor_stiffness, unit, markers),
+    )
+    moved = 0.6 * part(T, 0.38, False).value / E
     rng = np.random.default_rng(0)
     moved = moved * (1.0 + 0.02 * rng.standard_normal(384)) + 2e-5 * rng.standard_normal(384)
     table = np.column_stack([contact, radius, np.full(384, 0.6), probe, moved])

@@ -161,7 +161,8 @@ REFUSALS: list[tuple[str, Sections, str]] = [
         },
         (
             "switches (row 0, column 0) and (row 1, column 0) overlap on the outer face (footprint "
-            "5.22 mm, centres 5.22 mm apart); lower switch.footprint_diameter_mm to 5.2"
+            "5.22 mm, centres 5.22 mm apart); lower layout.rows or layout.columns or "
+            "switch.footprint_diameter_mm to 5.2"
         ),
     ),
     (

@@ -48,10 +48,12 @@ class ShellFacts:
 def expected_genus(surface: Surface, markers: Markers) -> int:
     """Genus of a shell with one through-hole for each marker.
 
-    A wall closed around v is a solid torus (genus 1), an open one a ball (genus 0). Tubes add
-    none; every through-hole joins inside and outside once more and adds one (derived here).
+    The wall of a tube is a solid torus (genus 1), that of a dome or a sheet a ball (genus 0).
+    Receptors add none; every through-hole joins inside and outside once more and adds one (derived
+    here).
     """
-    return int(surface.periodic[1]) + markers.count
+    tube = surface.periodic[1] and not any(surface.poles)
+    return int(tube) + markers.count
 
 
 def manifold_facts(solid: Any) -> ShellFacts:

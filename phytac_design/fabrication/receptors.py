@@ -13,6 +13,9 @@ from shapes.errors import DesignError
 OVERSHOOT_mm = 0.05
 """How far a hole's cutter runs past the end face, so that the faces never coincide."""
 
+FOOT_STEPS = 1
+"""Steps to the foot of a point one tube radius away; the height's error is of fourth order."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ReceptorAxes:
@@ -40,62 +43,95 @@ class ReceptorAxes:
     painted: BoolArray
 
 
-def rim_sag_mm(surface: Surface, markers: Markers, radius_mm: float) -> tuple[FloatArray, ...]:
-    """Highest and lowest point of a tangent disc's edge above the outer face, (n,) mm each.
+def _outer_mm(design: Design, surface: Surface, markers: Markers) -> FloatArray:
+    """Where the receptors' axes meet the outer face, (n, 3) mm (its tangent plane if leaning)."""
+    if design.receptor.direction == "normal":
+        return surface.point(markers.uv)
+    cosine = -np.sum(markers.direction * markers.normal, axis=1)
+    back = (design.wall.thickness_mm / 2.0 / cosine)[:, None] * markers.direction
+    return np.asarray(markers.mid_mm - back)
 
-    A disc of ``radius_mm`` in the tangent plane of each marker: positive where its edge stands
-    out of the surface (convex), negative where it dips under it (concave).
+
+def rim_sag_mm(
+    surface: Surface, markers: Markers, centre_mm: FloatArray, radius_mm: float
+) -> tuple[FloatArray, ...]:
+    """Highest and lowest point of a disc's edge above the outer face, (n,) mm each.
+
+    A disc of ``radius_mm`` around ``centre_mm`` (n, 3), square to each receptor's axis: positive
+    where its edge stands out of the surface (convex, or leaning), negative where it dips under it.
     """
     along = surface.tangents(markers.uv)[:, 0]
+    along = along - np.sum(along * markers.direction, axis=1)[:, None] * markers.direction
     first = along / np.linalg.norm(along, axis=1, keepdims=True)
-    second = np.cross(markers.normal, first)
+    second = np.cross(markers.direction, first)
     angle = np.pi / 4.0 * np.arange(8)
     ring = first[:, None] * np.cos(angle)[:, None] + second[:, None] * np.sin(angle)[:, None]
-    centre = surface.point(markers.uv)
-    points = (centre[:, None] + radius_mm * ring).reshape(-1, 3)
-    foot = surface.chart(points)
+    points = (centre_mm[:, None] + radius_mm * ring).reshape(-1, 3)
+    foot = _near_feet(surface, np.repeat(markers.uv, 8, axis=0), points)
     height = np.einsum("ni,ni->n", points - surface.point(foot), surface.normal(foot))
     height = height.reshape(-1, 8)
     return height.max(axis=1), height.min(axis=1)
 
 
+def _near_feet(surface: Surface, uv: FloatArray, points_mm: FloatArray) -> FloatArray:
+    """Feet (n, 2) of points (n, 3) that lie near known chart places, by Gauss-Newton steps.
+
+    Cheaper than a chart that must look for its start; at a pole only that will do.
+    """
+    if any(surface.poles):
+        return surface.chart(points_mm)
+    foot = uv
+    for _ in range(FOOT_STEPS):
+        tangents = surface.tangents(foot)
+        (e, f), (_, g) = np.moveaxis(np.einsum("nai,nbi->nab", tangents, tangents), 0, -1)
+        a, b = np.moveaxis(np.einsum("nai,ni->na", tangents, points_mm - surface.point(foot)), 1, 0)
+        det = e * g - f * f
+        foot = foot + np.stack([g * a - f * b, e * b - f * a], axis=1) / det[:, None]
+    return foot
+
+
 def root_depth_mm(design: Design, surface: Surface, markers: Markers) -> FloatArray:
-    """Depth below the outer face at which each tube's flat root lies wholly in the wall, (n,) mm.
+    """Way along the axis from the outer face to where a flat root lies in the wall, (n,) mm.
 
     Raises
     ------
     DesignError
-        If the wall curves away so much under a tube that no flat root stays inside it.
+        If the wall curves away so much under a tube, or the tube leans so much, that no flat root
+        stays inside the wall.
     """
-    thickness = design.wall.thickness_mm
-    high, low = rim_sag_mm(surface, markers, design.receptor.diameter_outer_mm / 2.0)
+    thickness, radius = design.wall.thickness_mm, design.receptor.diameter_outer_mm / 2.0
+    outer = _outer_mm(design, surface, markers)
+    high, low = rim_sag_mm(surface, markers, outer, radius)
     least, most = np.maximum(high, 0.0), thickness + np.minimum(low, 0.0)
     bad = np.flatnonzero(most - least <= 0.05 * thickness)
     if bad.size:
-        worst = bad[np.argmin((most - least)[bad])]
+        worst = int(bad[np.argmin((most - least)[bad])])
+        lean = "" if design.receptor.direction == "normal" else "the lean of the receptors, "
         raise DesignError(
-            f"a receptor of row {markers.row[worst]} does not fit the curved wall: under its "
+            f"a receptor of {markers.place(worst)} does not fit the curved wall: under its "
             f"{design.receptor.diameter_outer_mm:g} mm tube the surface falls by "
-            f"{high[worst]:.2f} mm in a wall of {thickness:g} mm; lower "
+            f"{high[worst]:.2f} mm in a wall of {thickness:g} mm; lower {lean}"
             "receptor.diameter_outer_mm or raise wall.thickness_mm"
         )
-    return (least + most) / 2.0
+    cosine = -np.sum(markers.direction * markers.normal, axis=1)
+    return np.asarray((least + most) / 2.0 / cosine)
 
 
 def receptor_axes(design: Design, surface: Surface, markers: Markers) -> ReceptorAxes:
     """Axes of all tubes, bands and holes."""
     receptor = design.receptor
     depth = root_depth_mm(design, surface, markers)
-    root = surface.point(markers.uv, -depth)
+    outer = _outer_mm(design, surface, markers)
+    root = outer + depth[:, None] * markers.direction
     painted = receptor.band_marker_mm >= markers.height_mm - 1e-9
-    band = markers.tip_mm + receptor.band_marker_mm * markers.normal
+    band = markers.tip_mm - receptor.band_marker_mm * markers.direction
     # Half a tube diameter outside, the whole disc of the cutter is clear of any sane surface.
-    outside = surface.point(markers.uv, receptor.diameter_outer_mm / 2.0)
+    outside = outer - receptor.diameter_outer_mm / 2.0 * markers.direction
     return ReceptorAxes(
         root_mm=root,
         tip_mm=markers.tip_mm,
         band_mm=np.where(painted[:, None], root, band),
         hole_start_mm=outside,
-        hole_end_mm=markers.tip_mm - OVERSHOOT_mm * markers.normal,
+        hole_end_mm=markers.tip_mm + OVERSHOOT_mm * markers.direction,
         painted=painted,
     )

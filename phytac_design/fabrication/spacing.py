@@ -44,11 +44,13 @@ def _least(values_mm: FloatArray) -> int:
 
 def nearest_pair(points_mm: FloatArray) -> tuple[float, tuple[int, int]]:
     """Smallest distance between two of at least two points (n, 3), and their ids in order."""
-    distance, other = cKDTree(points_mm).query(points_mm, k=2)
+    distance, other = cKDTree(points_mm).query(points_mm, k=min(len(points_mm), 8))
     first = _least(distance[:, 1])
-    # Coincident points may list a point after its twin: take whichever is not itself.
-    second = next(int(i) for i in other[first] if i != first)
-    return float(distance[first, 1]), (min(first, second), max(first, second))
+    least = float(distance[first, 1])
+    # Coincident points may list a point after its twin; of equals the lowest id is named.
+    equal = other[first][distance[first] <= least + 1e-9]
+    second = int(equal[equal != first].min())
+    return least, (min(first, second), max(first, second))
 
 
 def _candidates(markers: Markers, reach_mm: float) -> IntArray:

@@ -38,16 +38,37 @@ class TriangleMesh:
         return TriangleMesh(vertices_mm=self.vertices_mm, triangles=self.triangles[:, ::-1])
 
 
-def torus_triangles(stations: int, nodes: int) -> IntArray:
-    """Triangles of a grid that closes on itself both ways, (2·stations·nodes, 3).
+def grid_triangles(ids: IntArray, *, closed: bool) -> IntArray:
+    """Triangles of a grid of vertex ids (rows, columns).
 
-    Vertex id of (station, node) is ``station · nodes + node``.
+    ``closed`` joins the last column to the first. Counter-clockwise where columns run to the right
+    and rows upward. Triangles with a vertex twice (at a pole) are left out.
     """
-    station, node = np.divmod(np.arange(stations * nodes), nodes)
-    onward, upward = (station + 1) % stations, (node + 1) % nodes
-    a, b = station * nodes + node, onward * nodes + node
-    c, d = onward * nodes + upward, station * nodes + upward
-    return np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    onward = np.roll(ids, -1, axis=1) if closed else ids[:, 1:]
+    here = ids if closed else ids[:, :-1]
+    a, b, c, d = (part.ravel() for part in (here[:-1], onward[:-1], onward[1:], here[1:]))
+    return _proper(np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])]))
+
+
+def strip_triangles(first: IntArray, second: IntArray, *, mirrored: bool = False) -> IntArray:
+    """Triangles of a closed strip between two rings of vertex ids (s,), the first on the left.
+
+    Vertices may repeat; triangles with a vertex twice are left out. ``mirrored`` cuts the cells
+    along their other diagonal.
+    """
+    a, b = np.roll(first, -1), np.roll(second, -1)
+    if mirrored:
+        return _proper(
+            np.concatenate([np.column_stack([a, first, b]), np.column_stack([first, second, b])])
+        )
+    return _proper(
+        np.concatenate([np.column_stack([a, first, second]), np.column_stack([a, second, b])])
+    )
+
+
+def _proper(triangles: IntArray) -> IntArray:
+    a, b, c = triangles.T
+    return np.asarray(triangles[(a != b) & (b != c) & (c != a)])
 
 
 def widening(sides: int) -> float:

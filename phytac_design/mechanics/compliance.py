@@ -15,7 +15,7 @@ from shapes.arrays import FloatArray, IntArray
 from shapes.errors import NumericalError
 
 SYMMETRY_TOL = 1e-9
-"""Largest misfit of the mesh turned by one column onto itself, as a fraction of its size."""
+"""Largest misfit of mesh or section turned by one column onto itself, as a fraction of its size."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +77,7 @@ def marker_compliance(
             f"the mesh has {len(mesh.marker_nodes)} marker nodes for {markers.count} markers; "
             "make it with marker_mesh from the same markers"
         )
-    columns = markers.lattice.columns
+    columns = markers.lattice.columns if markers.lattice else 1
     turn = column_turn(model, mesh, columns) if use_symmetry else None
     wanted = np.arange(markers.count) if turn is None else np.flatnonzero(markers.column == 0)
     loads = patch_loads(mesh, surface, markers.uv[wanted], load_radius_mm)
@@ -137,25 +137,37 @@ def point_motion(motion: FloatArray, arm: FloatArray) -> FloatArray:
 
 def column_turn(model: ShellModel, mesh: ShellMesh, columns: int) -> FloatArray | None:
     """Rotation (3, 3) by one column if shell and supports repeat themselves under it, else None."""
-    around = len(mesh.sets["BOTTOM"])
-    if columns < 2 or around % columns or not np.isfinite(mesh.period_v):
+    around = mesh.around
+    if columns < 2 or around is None or around % columns:
+        return None
+    if len(mesh.nodes_mm) % around or len(mesh.quads) % around:
         return None
     angle = 2.0 * np.pi / columns
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    image = _shifted(mesh, around, around // columns)
+    image = _shifted(len(mesh.nodes_mm), around, around // columns)
+    landed = _shifted(len(mesh.quads), around, around // columns)
     gap = np.abs(mesh.nodes_mm @ turn.T - mesh.nodes_mm[image]).max()
     lean = np.abs(mesh.normals @ turn.T - mesh.normals[image]).max()
-    if gap > SYMMETRY_TOL * np.abs(mesh.nodes_mm).max() or lean > SYMMETRY_TOL:
-        return None
-    if not np.array_equal(model.fixed, model.fixed[image]) or not model.uniform:
-        return None
-    return turn
+    alike = (
+        gap <= SYMMETRY_TOL * np.abs(mesh.nodes_mm).max()
+        and lean <= SYMMETRY_TOL
+        and np.array_equal(model.fixed, model.fixed[image])
+        and np.array_equal(np.sort(image[mesh.quads]), np.sort(mesh.quads[landed]))
+        and all(_repeats(part, landed) for part in (model.thickness_mm, model.modulus_MPa))
+    )
+    return turn if alike else None
 
 
-def _shifted(mesh: ShellMesh, around: int, step: int) -> IntArray:
-    """Node that each node lands on when its line turns by ``step`` nodes."""
-    line, place = np.divmod(np.arange(len(mesh.nodes_mm)), around)
+def _repeats(value: float | FloatArray, landed: IntArray) -> bool:
+    """Whether a section, one or one per element, is the same where each element lands."""
+    section = np.broadcast_to(np.asarray(value, dtype=np.float64), len(landed))
+    return bool(np.abs(section[landed] - section).max() <= SYMMETRY_TOL * section.max())
+
+
+def _shifted(count: int, around: int, step: int) -> IntArray:
+    """Node (or element) that each lands on when its line of ``around`` turns by ``step``."""
+    line, place = np.divmod(np.arange(count), around)
     return np.asarray(line * around + np.mod(place + step, around))
 
 

@@ -11,6 +11,9 @@ import numpy as np
 from shapes import Surface
 from shapes.arrays import FloatArray
 
+TINY = 1e-300
+"""Keeps divisions finite."""
+
 
 def disc_overlap_share(
     distance: FloatArray, r_contact: FloatArray | float, r_foot: FloatArray | float
@@ -35,21 +38,38 @@ def _segment(half: FloatArray) -> FloatArray:
 
 
 def on_shell_share(surface: Surface, uv: FloatArray, radius_mm: FloatArray | float) -> FloatArray:
-    """Share of each disc's area between the rims (u of the domain), (m,).
+    """Share of each disc's area between the open edges of the surface, (m,).
 
-    A rim is taken as straight across the disc, its distance as the length along u at the disc's
-    centre.
+    An edge is taken as straight across the disc, its distance as the length square to it at the
+    disc's centre, and edges of different chart axes as square to each other; a pole is no edge.
     """
-    uv = np.asarray(uv, dtype=np.float64)
-    if surface.periodic[0]:
-        return np.ones(len(uv))
-    stretch = np.sqrt(surface.metric(uv)[:, 0, 0])
-    u0, u1 = surface.domain[0]
+    uv = np.asarray(uv, dtype=np.float64).reshape(-1, 2)
+    radius = np.broadcast_to(np.asarray(radius_mm, dtype=np.float64), len(uv))
+    metric, domain = surface.metric(uv), surface.domain
+    sizes = np.sqrt(metric[:, [0, 1], [0, 1]])
+    # At a pole, where all v meet, u still is a length.
+    lean = np.where(
+        sizes.min(axis=1) > 0.0, metric[:, 0, 1] / np.maximum(sizes.prod(axis=1), TINY), 0.0
+    )
+    sine = np.sqrt(np.maximum(1.0 - lean**2, 0.0))
+    beyond: tuple[list[FloatArray], list[FloatArray]] = ([], [])
+    for axis, end in surface.edges():
+        gap = np.abs(uv[:, axis] - domain[axis, end]) * sizes[:, axis] * sine
+        beyond[axis].append(np.minimum(gap / np.maximum(radius, TINY), 1.0))
     share = np.ones(len(uv))
-    for distance in ((uv[:, 0] - u0) * stretch, (u1 - uv[:, 0]) * stretch):
-        half = np.arccos(np.clip(distance / radius_mm, -1.0, 1.0))
-        share -= _segment(half) / np.pi
+    for distance in (*beyond[0], *beyond[1]):
+        share -= _segment(np.arccos(distance)) / np.pi
+    for a in beyond[0]:
+        for b in beyond[1]:
+            share += _corner(a, b) / np.pi
     return np.clip(share, 0.0, 1.0)
+
+
+def _corner(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Area of a unit disc where x > a and y > b, for a and b in [0, 1] (derived here)."""
+    quarter = np.pi / 2.0 - np.arcsin(a) - np.arcsin(b)
+    sides = a * np.sqrt(1.0 - a * a) + b * np.sqrt(1.0 - b * b)
+    return np.where(a * a + b * b < 1.0, 0.5 * (quarter - sides) + a * b, 0.0)
 
 
 def footprint_force_share(

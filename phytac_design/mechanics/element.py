@@ -37,6 +37,12 @@ DRILLING_VARIATION = 1e-3
 """Share of that stiffness against variations of the tie within an element (see ``_tie_rows``)."""
 FLAT_TOL = 1e-12
 """Smallest Jacobian at a corner, as a fraction of the element's mean, that still counts."""
+CHUNK = 512
+"""Elements at a time: few enough that their matrices stay in cache, enough to hide the calls."""
+POINTS = GAUSS * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
+"""The four integration points (r, s)."""
+TYING = np.array([[0.0, 1.0], [0.0, -1.0], [1.0, 0.0], [-1.0, 0.0]])
+"""Mid-sides A, B, where strains along r are tied, and C, D, along s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +66,13 @@ class ElementStiffness:
         """Stiffness (E, 24, 24) for modulus and thickness, scalar or one per element (E,)."""
         E = np.asarray(modulus_MPa, dtype=np.float64)[..., None, None]
         t = np.asarray(thickness_mm, dtype=np.float64)[..., None, None]
-        return np.asarray(E * (t * (self.membrane + self.shear) + t**3 * self.bending))
+        out = self.membrane + self.shear
+        out *= E * t
+        bend = np.broadcast_to(E * t**3, (len(out), 1, 1))
+        for first in range(0, len(out), CHUNK):
+            part = slice(first, first + CHUNK)
+            out[part] += bend[part] * self.bending[part]
+        return np.asarray(out)
 
 
 def element_stiffness(
@@ -91,65 +103,35 @@ def element_stiffness(
     NumericalError
         If an element is degenerate (a corner of 180° or more, coincident nodes, not finite).
     """
-    X = nodes_mm[quads]
-    D = directors[quads] if directors.ndim == 2 else directors
-    frame0, j0 = _frame(X, 0.0, 0.0, None)
-    _refuse_degenerate(X, frame0[:, 2], j0)
-    A0 = _inverse_jacobian(X, frame0, 0.0, 0.0)
-    tying = _tying(X, D)
-    rows: dict[str, list[FloatArray]] = {"m": [], "b": [], "s": [], "d": [], "em": [], "ed": []}
-    weights: list[FloatArray] = []
-    for r in (-GAUSS, GAUSS):
-        for s in (-GAUSS, GAUSS):
-            frame, j = _frame(X, r, s, frame0)
-            A = _inverse_jacobian(X, frame, r, s)
-            T = _plane_transform(A)
-            w = np.sqrt(j)[:, None, None]
-            rows["m"].append(w * (T @ _membrane(tying, r, s)))
-            rows["b"].append(w * (T @ _bending(X, D, r, s)))
-            rows["s"].append(w * (A @ _shear(tying, r, s)))
-            enhanced_m, enhanced_d = _enhanced(A0, (j0 / j)[:, None], r, s)
-            drill, lean = _drilling(D, frame, A, r, s)
-            rows["em"].append(w * enhanced_m)
-            rows["d"].append(w * drill)
-            rows["ed"].append(w * (lean[:, None, None] * enhanced_d))
-            weights.append(w[:, :, 0])
+    X = np.ascontiguousarray(nodes_mm[quads].transpose(1, 2, 0))  # (4, 3, E): elements last
+    D = np.ascontiguousarray(
+        (directors[quads] if directors.ndim == 2 else directors).transpose(1, 2, 0)
+    )
+    _refuse_degenerate(X)
     G = 0.5 / (1.0 + poisson)
     root = _root_plane_stress(poisson)
-    stacked = {key: np.stack(part, axis=1) for key, part in rows.items()}  # (E, 4, k, 24 or 4)
-    tie_u, tie_a = (np.sqrt(drilling * G) * _tie_rows(stacked[k], weights) for k in ("d", "ed"))
-    u_part = np.concatenate([_flat(root @ stacked["m"]), tie_u], axis=1)
-    a_part = np.concatenate([_flat(root @ stacked["em"]), tie_a], axis=1)
-    coupling = _gram(a_part, u_part)
-    enhanced = np.linalg.solve(_gram(a_part, a_part), coupling)
-    membrane = _gram(u_part, u_part) - np.swapaxes(coupling, 1, 2) @ enhanced
-    bend = _flat(root @ stacked["b"]) / np.sqrt(12.0)
-    shear = _flat(stacked["s"]) * np.sqrt(SHEAR_FACTOR * G)
-    return ElementStiffness(
-        membrane=(membrane + np.swapaxes(membrane, 1, 2)) / 2.0,
-        bending=_gram(bend, bend),
-        shear=_gram(shear, shear),
-    )
+    shape_of_all = (len(quads), 24, 24)
+    out = {name: np.zeros(shape_of_all, root.dtype) for name in ("membrane", "bending", "shear")}
+    for first in range(0, len(quads), CHUNK):
+        part = slice(first, first + CHUNK)
+        here = _Points(X[:, :, part], D[:, :, part], root)
+        _fill(out["membrane"][part], *_membrane(here, np.sqrt(drilling * G)))
+        _fill(out["bending"][part], *_bending(here))
+        _fill(out["shear"][part], *_shear(here, np.sqrt(SHEAR_FACTOR * G)))
+    return ElementStiffness(**out)
 
 
-def _flat(rows: FloatArray) -> FloatArray:
-    return rows.reshape(len(rows), -1, rows.shape[-1])
+def _fill(out: FloatArray, rows: FloatArray, middle: FloatArray) -> None:
+    """Write ZᵀMZ (E, 24, 24) for strain rows Z (k, 24, E) and symmetric M (E, k, k)."""
+    Z = np.ascontiguousarray(rows.transpose(2, 0, 1))
+    half = np.swapaxes(Z, 1, 2) @ (0.5 * (middle @ Z))
+    np.add(half, np.swapaxes(half, 1, 2), out=out)
 
 
-def _gram(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(np.swapaxes(a, 1, 2) @ b)
-
-
-def _tie_rows(rows: FloatArray, weights: list[FloatArray]) -> FloatArray:
-    """Mean of the tie over each element at full strength, its variation at a small one.
-
-    One tie for each element meets one drilling rotation for each node, so the nodes can satisfy
-    them all and the tie stores no energy, however stiff. The variation only keeps the pattern of
-    alternating drilling rotations from being free. ``rows`` (E, 4, 1, k) carry √j already.
-    """
-    w = np.stack(weights, axis=1)[:, :, :, None]  # (E, 4, 1, 1), √j
-    mean = np.sum(w * rows, axis=1) / np.sqrt(np.sum(w * w, axis=1))  # (E, 1, k)
-    return np.concatenate([mean, np.sqrt(DRILLING_VARIATION) * _flat(rows)], axis=1)
+def _gram(a: FloatArray) -> FloatArray:
+    """AᵀA (E, k, k) of A (m, k, E)."""
+    first = np.ascontiguousarray(a.transpose(2, 0, 1))
+    return np.asarray(np.swapaxes(first, 1, 2) @ first)
 
 
 def _root_plane_stress(poisson: float) -> FloatArray:
@@ -165,141 +147,233 @@ def shape(r: float, s: float) -> tuple[FloatArray, FloatArray]:
     return h, 0.25 * np.stack([R * (1.0 + s * S), S * (1.0 + r * R)])
 
 
-def _frame(
-    X: FloatArray, r: float, s: float, start: FloatArray | None
-) -> tuple[FloatArray, FloatArray]:
-    """Local axes (E, 3, 3), rows e1, e2, n, and Jacobian (E,).
+def _shapes(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Shape functions (p, 4) and their derivatives (2, p, 4) at points (p, 2)."""
+    r, s = points.T[:, :, None]
+    dh = np.stack([R * (1.0 + s * S), S * (1.0 + r * R)])
+    return 0.25 * (1.0 + r * R) * (1.0 + s * S), 0.25 * dh
 
-    The axes are those of ``start`` turned by the least rotation that carries its normal here, so
-    that nothing depends on the corner that an element's numbering starts from; without ``start``
-    e1 follows g_r.
+
+def _at(weights: FloatArray, corners: FloatArray) -> FloatArray:
+    """Sums (…, 3, E) of corner vectors (4, 3, E) with weights (…, 4)."""
+    flat = weights.reshape(-1, 4) @ corners.reshape(4, -1)
+    return np.asarray(flat.reshape(*weights.shape[:-1], *corners.shape[1:]))
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Vector product along the axis before the last."""
+    ax, ay, az = a[..., 0, :], a[..., 1, :], a[..., 2, :]
+    bx, by, bz = b[..., 0, :], b[..., 1, :], b[..., 2, :]
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-2)
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Scalar product along the axis before the last, which stays with length 1."""
+    return np.asarray(np.sum(a * b, axis=-2, keepdims=True))
+
+
+class _Points:
+    """Geometry of a chunk of elements at their integration points; elements on the last axis.
+
+    The local axes are those of the centre (e1 along g_r) turned by the least rotation that carries
+    its normal to the point's, so that nothing depends on the corner that a numbering starts from.
     """
-    g = np.einsum("ai,eik->eak", shape(r, s)[1], X)
-    normal = np.cross(g[:, 0], g[:, 1])
-    j = np.linalg.norm(normal, axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        n = normal / j[:, None]
-        if start is None:
-            e1 = g[:, 0] / np.linalg.norm(g[:, 0], axis=1)[:, None]
-        else:
-            e1, n0 = start[:, 0], start[:, 2]
-            lean = np.sum(e1 * n, axis=1) / (1.0 + np.sum(n0 * n, axis=1))
-            e1 = e1 - lean[:, None] * (n0 + n)
-    return np.stack([e1, np.cross(n, e1), n], axis=1), j
+
+    def __init__(self, X: FloatArray, D: FloatArray, root: FloatArray) -> None:
+        self.X, self.D, self.root = np.ascontiguousarray(X), np.ascontiguousarray(D), root
+        self.h, self.dh = _shapes(POINTS)
+        centre = _at(shape(0.0, 0.0)[1], self.X)  # (2, 3, E)
+        normal = _cross(centre[0], centre[1])
+        j0 = np.sqrt(_dot(normal, normal))  # (1, E)
+        n0 = normal / j0
+        e1 = centre[0] / np.sqrt(_dot(centre[0], centre[0]))
+        self.A0 = _inverse_jacobian(centre, e1, _cross(n0, e1))
+        self.g = _at(self.dh, self.X)  # (2, p, 3, E)
+        normal = _cross(self.g[0], self.g[1])
+        self.j = np.sqrt(_dot(normal, normal))  # (p, 1, E)
+        self.n = normal / self.j
+        self.e1 = e1 - _dot(e1, self.n) / (1.0 + _dot(n0, self.n)) * (n0 + self.n)
+        self.e2 = _cross(self.n, self.e1)
+        self.A = _inverse_jacobian(self.g, self.e1, self.e2)
+        self.weight = np.sqrt(self.j[:, 0])  # (p, E)
+        self.ratio = j0 / self.j[:, 0]
+        h, dh = _shapes(TYING)
+        along = np.stack([dh[0, 0], dh[0, 1], dh[1, 2], dh[1, 3]])
+        self.tying = h, along, _at(along, self.X)
+
+    def strain_weights(self) -> FloatArray:
+        """From covariant (e_rr, e_ss, 2e_rs) to √(j D)·(ε_11, ε_22, 2ε_12), (3, 3, p, E)."""
+        (a, b), (c, d) = self.A
+        T = np.stack(
+            [a * a, b * b, a * b, c * c, d * d, c * d, 2 * a * c, 2 * b * d, a * d + b * c]
+        )
+        T *= self.weight
+        return np.asarray((self.root @ T.reshape(3, -1)).reshape(3, 3, *a.shape))
 
 
-def _inverse_jacobian(X: FloatArray, frame: FloatArray, r: float, s: float) -> FloatArray:
-    """A (E, 2, 2) with ∂/∂x_i = A[i, a] ∂/∂ξ_a in the local axes."""
-    g = np.einsum("ai,eik->eak", shape(r, s)[1], X)
-    J = np.einsum("eak,eik->eai", g, frame[:, :2])
-    return np.asarray(np.linalg.inv(J))
+def _inverse_jacobian(g: FloatArray, e1: FloatArray, e2: FloatArray) -> FloatArray:
+    """A (2, 2, …, E) with ∂/∂x_i = A[i, a] ∂/∂ξ_a in the local axes, from g (2, …, 3, E)."""
+    r1, r2, s1, s2 = (_dot(part, e)[..., 0, :] for part in g for e in (e1, e2))
+    scale = 1.0 / (r1 * s2 - r2 * s1)
+    return np.stack([np.stack([s2, -r2]), np.stack([-s1, r1])]) * scale
 
 
-def _refuse_degenerate(X: FloatArray, n0: FloatArray, j0: FloatArray) -> None:
-    corner = np.stack(
-        [np.cross(*np.einsum("ai,eik->aek", shape(r, s)[1], X)) for r, s in zip(R, S, strict=True)],
-        axis=1,
-    )
-    least = np.einsum("eck,ek->ec", corner, n0).min(axis=1)
-    bad = ~(least > FLAT_TOL * j0)
+def _refuse_degenerate(X: FloatArray) -> None:
+    _, dh = _shapes(np.column_stack([R, S]))
+    with np.errstate(invalid="ignore"):
+        n0 = _cross(*_at(shape(0.0, 0.0)[1], X))
+        least = _dot(_cross(*_at(dh, X)), n0)[:, 0].min(axis=0)
+        bad = ~(least > FLAT_TOL * _dot(n0, n0)[0])
     if np.any(bad):
         where = int(np.argmax(bad))
         raise NumericalError(
             f"shell element {where} is degenerate ({int(bad.sum())} in all): coincident nodes, a "
             f"corner of 180° or more, or a coordinate that is not finite; corners (mm): "
-            f"{np.round(X[where], 6).tolist()}"
+            f"{np.round(X[:, :, where], 6).tolist()}"
         )
 
 
-def _plane_transform(A: FloatArray) -> FloatArray:
-    """Covariant (e_rr, e_ss, 2e_rs) to local (ε_11, ε_22, 2ε_12), (E, 3, 3)."""
-    a, b, c, d = A[:, 0, 0], A[:, 0, 1], A[:, 1, 0], A[:, 1, 1]
-    rows = [[a * a, b * b, a * b], [c * c, d * d, c * d], [2 * a * c, 2 * b * d, a * d + b * c]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
+def _rows(u: FloatArray, theta: FloatArray | None = None) -> FloatArray:
+    """Rows (k, 24, E) from coefficients of u_i and θ_i, each (k, 4, 3, E)."""
+    both = np.stack([u, np.zeros_like(u) if theta is None else theta], axis=2)
+    return both.reshape(len(u), 24, -1)
 
 
-def _both(u: FloatArray, theta: FloatArray) -> FloatArray:
-    """One row (E, 24) from coefficients of u_i and θ_i, each (E, 4, 3)."""
-    return np.concatenate([u, theta], axis=2).reshape(len(u), 24)
+def _membrane(at: _Points, tie: float) -> tuple[FloatArray, FloatArray]:
+    """Tying rows A … E and four drilling rows, (9, 24, E); their matrix, modes condensed out.
+
+    ``tie`` is the root of the drilling stiffness.
+    """
+    _, along, g = at.tying
+    count = at.X.shape[2]
+    x_r, x_s, x_d = _at(0.25 * np.stack([R, S, R * S]), at.X)
+    inner = 0.125 * (R[:, None, None] * x_s + S[:, None, None] * x_r)
+    strain = _rows(np.concatenate([along[:, :, None, None] * g[:, None], inner[None]]))
+    weights = at.strain_weights()
+    modes, turn = _enhanced(at)
+    drill, lean = _drilling(at)
+    tied = _tie_weights(at) * tie  # (5, p, E)
+    part = np.zeros((17, 13, count), np.result_type(weights, tied))
+    covariant = _tied_strains(x_r, x_s, x_d)  # (3, p, 5, E)
+    part[:12, :5] = np.sum(weights[:, :, :, None] * covariant, axis=1).reshape(12, 5, count)
+    part[:12, 9:] = (at.root @ (modes * at.weight[:, None]).reshape(3, -1)).reshape(12, 4, count)
+    part[12:, 5:9] = tied
+    part[12:, 9:] = np.sum(tied[:, :, None] * (lean[:, None] * turn), axis=1)
+    gram = _gram(part)
+    coupling = gram[:, 9:, :9]
+    middle = gram[:, :9, :9] - np.swapaxes(coupling, 1, 2) @ np.linalg.solve(
+        gram[:, 9:, 9:], coupling
+    )
+    return np.concatenate([strain, drill]), middle
 
 
-def _tying(X: FloatArray, D: FloatArray) -> dict[str, FloatArray]:
-    """Strain rows (E, 24) at the tying points, and the in-plane distortion (c_r, c_s)."""
-    out: dict[str, FloatArray] = {}
-    none = np.zeros_like(X)
-    for name, r, s in (("A", 0.0, 1.0), ("B", 0.0, -1.0), ("C", 1.0, 0.0), ("D", -1.0, 0.0)):
-        h, dh = shape(r, s)
-        k = 0 if name in "AB" else 1
-        g = np.einsum("i,eik->ek", dh[k], X)[:, None]
-        d = np.einsum("i,eik->ek", h, D)[:, None]
-        out["m" + name] = _both(dh[k][:, None] * g, none)
-        out["s" + name] = _both(dh[k][:, None] * d, h[:, None] * np.cross(D, g))
-    x_r, x_s, x_d = (0.25 * np.einsum("i,eik->ek", c, X) for c in (R, S, R * S))
-    both = 0.125 * (R[:, None] * x_s[:, None] + S[:, None] * x_r[:, None])
-    out["mE"] = _both(both, none)
-    n = np.cross(x_r, x_s)
-    nn = np.sum(n * n, axis=1)
-    out["c_r"] = np.sum(np.cross(x_s, n) * x_d, axis=1) / nn
-    out["c_s"] = np.sum(np.cross(n, x_r) * x_d, axis=1) / nn
-    return out
-
-
-def _membrane(tying: dict[str, FloatArray], r: float, s: float) -> FloatArray:
-    """MITC4+ membrane rows (e_rr, e_ss, 2e_rs), (E, 3, 24)."""
-    c_r, c_s = tying["c_r"][:, None], tying["c_s"][:, None]
-    A, B, C, D, E = (tying["m" + name] for name in "ABCDE")
-    d = c_r**2 + c_s**2 - 1.0  # negative for every convex quad
-    a_A, a_B = c_r * (c_r - 1.0) / (2.0 * d), c_r * (c_r + 1.0) / (2.0 * d)
-    a_C, a_D = c_s * (c_s - 1.0) / (2.0 * d), c_s * (c_s + 1.0) / (2.0 * d)
+def _tied_strains(x_r: FloatArray, x_s: FloatArray, x_d: FloatArray) -> FloatArray:
+    """MITC4+ membrane strains (e_rr, e_ss, 2e_rs) at the points from rows A … E, (3, p, 5, E)."""
+    n = _cross(x_r, x_s)
+    nn = _dot(n, n)[0]
+    c_r = _dot(_cross(x_s, n), x_d)[0] / nn
+    c_s = _dot(_cross(n, x_r), x_d)[0] / nn
+    d = 2.0 * (c_r**2 + c_s**2 - 1.0)  # negative for every convex quad
     # The coefficient of the bilinear term, x_d·u_d, of a flat quad.
-    bilinear = a_A * A + a_B * B + a_C * C + a_D * D + 2.0 * c_r * c_s / d * E
-    e_rr = 0.5 * (1.0 + s) * A + 0.5 * (1.0 - s) * B + (s * s - 1.0) * bilinear
-    e_ss = 0.5 * (1.0 + r) * C + 0.5 * (1.0 - r) * D + (r * r - 1.0) * bilinear
-    e_rs = E + 0.25 * r * (A - B) + 0.25 * s * (C - D) + r * s * bilinear
-    return np.stack([e_rr, e_ss, 2.0 * e_rs], axis=1)
+    parts = (c_r * (c_r - 1.0), c_r * (c_r + 1.0), c_s * (c_s - 1.0), c_s * (c_s + 1.0))
+    bilinear = np.stack([*parts, 4.0 * c_r * c_s]) / d  # (5, E)
+    r, s = POINTS.T
+    none, one = np.zeros(4), np.ones(4)
+    plain = np.array(
+        [
+            [0.5 * (1.0 + s), 0.5 * (1.0 - s), none, none, none],
+            [none, none, 0.5 * (1.0 + r), 0.5 * (1.0 - r), none],
+            [0.5 * r, -0.5 * r, 0.5 * s, -0.5 * s, 2.0 * one],
+        ]
+    ).transpose(0, 2, 1)
+    share = np.stack([s * s - 1.0, r * r - 1.0, 2.0 * r * s])
+    return np.asarray(plain[..., None] + share[:, :, None, None] * bilinear)
 
 
-def _shear(tying: dict[str, FloatArray], r: float, s: float) -> FloatArray:
-    """MITC4 shear rows (γ_r, γ_s), (E, 2, 24)."""
-    g_r = 0.5 * (1.0 + s) * tying["sA"] + 0.5 * (1.0 - s) * tying["sB"]
-    g_s = 0.5 * (1.0 + r) * tying["sC"] + 0.5 * (1.0 - r) * tying["sD"]
-    return np.stack([g_r, g_s], axis=1)
+def _enhanced(at: _Points) -> tuple[FloatArray, FloatArray]:
+    """Enhanced strain (3, p, 4, E), rotation (p, 4, E) of modes û_1(r²), û_1(s²), û_2, û_2."""
+    r, s = POINTS.T[:, :, None]
+    a_r, a_s = (c * at.ratio * at.A0[:, k, None] for k, c in enumerate((r, s)))  # (2, p, E)
+    none = np.zeros_like(a_r[0])
+    strain = [
+        np.stack([a_r[0], a_s[0], none, none], axis=1),
+        np.stack([none, none, a_r[1], a_s[1]], axis=1),
+        np.stack([a_r[1], a_s[1], a_r[0], a_s[0]], axis=1),
+    ]
+    return np.stack(strain), np.stack([-a_r[1], -a_s[1], a_r[0], a_s[0]], axis=1) / 2.0
 
 
-def _bending(X: FloatArray, D: FloatArray, r: float, s: float) -> FloatArray:
-    """Curvature rows (κ_rr, κ_ss, 2κ_rs), (E, 3, 24)."""
-    dh = shape(r, s)[1]
-    g = np.einsum("ai,eik->aek", dh, X)[:, :, None]
-    d = np.einsum("ai,eik->aek", dh, D)[:, :, None]
-
-    def part(a: int, b: int) -> FloatArray:
-        return _both(dh[b][:, None] * d[a], dh[b][:, None] * np.cross(D, g[a]))
-
-    return np.stack([part(0, 0), part(1, 1), part(0, 1) + part(1, 0)], axis=1)
-
-
-def _enhanced(
-    A0: FloatArray, ratio: FloatArray, r: float, s: float
-) -> tuple[FloatArray, FloatArray]:
-    """Enhanced strain (E, 3, 4) and rotation (E, 1, 4) of the modes û_1(r²), û_1(s²), û_2, û_2."""
-    a_r, a_s = ratio * r * A0[:, :, 0], ratio * s * A0[:, :, 1]
-    none = np.zeros(len(A0))
-    first = [np.stack([a[:, 0], none, a[:, 1]], axis=1) for a in (a_r, a_s)]
-    second = [np.stack([none, a[:, 1], a[:, 0]], axis=1) for a in (a_r, a_s)]
-    turn = np.stack([-a_r[:, 1], -a_s[:, 1], a_r[:, 0], a_s[:, 0]], axis=1) / 2.0
-    return np.stack(first + second, axis=2), turn[:, None]
+def _drilling(at: _Points) -> tuple[FloatArray, FloatArray]:
+    """Rows (p, 24, E), rotation of the face about the director minus Σ h_i d_i·θ_i; d·n (p, E)."""
+    d = _at(at.h, at.D)  # (p, 3, E)
+    d1, d2, dn = (_dot(d, e)[:, None] for e in (at.e1, at.e2, at.n))  # (p, 1, 1, E)
+    slope = at.dh[..., None]  # (2, p, 4, 1)
+    h_1, h_2 = (
+        (a[:, None] * slope[0] + b[:, None] * slope[1])[:, :, None] for a, b in at.A
+    )  # local Cartesian derivatives, (p, 4, 1, E)
+    row = dn * (0.5 * h_1) * at.e2[:, None] - dn * (0.5 * h_2) * at.e1[:, None]
+    row += (d1 * h_2 - d2 * h_1) * at.n[:, None]
+    return _rows(row, -at.h[:, :, None, None] * at.D), dn[:, 0, 0]
 
 
-def _drilling(
-    D: FloatArray, frame: FloatArray, A: FloatArray, r: float, s: float
-) -> tuple[FloatArray, FloatArray]:
-    """Tie row (E, 1, 24), rotation of the face about the director minus Σ h_i d_i·θ_i; and d·n."""
-    h, dh = shape(r, s)
-    e1, e2, n = frame[:, 0], frame[:, 1], frame[:, 2]
-    d = np.einsum("i,eik->ek", h, D)
-    h_1, h_2 = np.einsum("eja,ai->jei", A, dh)  # local Cartesian derivatives, (E, 4)
-    d1, d2, dn = (np.sum(d * e, axis=1)[:, None, None] for e in (e1, e2, n))
-    about_n = 0.5 * (h_1[:, :, None] * e2[:, None] - h_2[:, :, None] * e1[:, None])
-    tilt = (d1 * h_2[:, :, None] - d2 * h_1[:, :, None]) * n[:, None]
-    row = _both(dn * about_n + tilt, -h[:, None] * D)
-    return row[:, None], dn[:, 0, 0]
+def _tie_weights(at: _Points) -> FloatArray:
+    """Mean of the tie over each element at full strength, its variation at a small one (5, p, E).
+
+    One tie for each element meets one drilling rotation for each node, so the nodes can satisfy
+    them all and the tie stores no energy, however stiff. The variation only keeps the pattern of
+    alternating drilling rotations from being free.
+    """
+    j = at.weight**2
+    mean = j / np.sqrt(np.sum(j, axis=0))
+    each = np.sqrt(DRILLING_VARIATION) * np.eye(4)[:, :, None] * at.weight
+    return np.concatenate([mean[None], each])
+
+
+def _bending(at: _Points) -> tuple[FloatArray, FloatArray]:
+    """Rows (8, 24, E), κ_rr at two s, κ_ss at two r and 2κ_rs at the points; their matrix."""
+    d = _at(at.dh, at.D)  # (2, p, 3, E)
+
+    def kappa(a: int, b: int, points: list[int]) -> tuple[FloatArray, FloatArray]:
+        slope = at.dh[b, points][:, :, None, None]
+        return slope * d[a, points][:, None], slope * _cross(at.D, at.g[a, points][:, None])
+
+    every = [0, 1, 2, 3]
+    twice = [p + q for p, q in zip(kappa(0, 1, every), kappa(1, 0, every), strict=True)]
+    rr, ss = kappa(0, 0, [0, 1]), kappa(1, 1, [0, 2])
+    rows = [_rows(*pair) for pair in (rr, ss, twice)]
+    weights = at.strain_weights() / np.sqrt(12.0)  # (3, 3, p, E)
+    part = np.zeros((3, 4, 8, weights.shape[-1]), weights.dtype)
+    part[:, [0, 2], 0] = weights[:, 0, [0, 2]]
+    part[:, [1, 3], 1] = weights[:, 0, [1, 3]]
+    part[:, [0, 1], 2] = weights[:, 1, [0, 1]]
+    part[:, [2, 3], 3] = weights[:, 1, [2, 3]]
+    part[:, every, [4, 5, 6, 7]] = weights[:, 2]
+    return np.concatenate(rows), _gram(part.reshape(12, 8, -1))
+
+
+def _shear(at: _Points, root: float) -> tuple[FloatArray, FloatArray]:
+    """MITC4 rows (4, 24, E) at the tying points and their matrix; ``root`` of the shear modulus."""
+    h, along, g = at.tying
+    d = _at(h, at.D)
+    rows = _rows(
+        along[:, :, None, None] * d[:, None],
+        h[:, :, None, None] * _cross(at.D, g[:, None]),
+    )
+    r, s = POINTS.T[:, :, None]
+    half = 0.5 * root * at.weight
+    (a, b), (c, e) = at.A
+    part = np.stack(
+        [
+            np.stack(
+                [
+                    x * half * (1.0 + s),
+                    x * half * (1.0 - s),
+                    y * half * (1.0 + r),
+                    y * half * (1.0 - r),
+                ],
+                axis=1,
+            )
+            for x, y in ((a, b), (c, e))
+        ]
+    )  # (2, p, 4, E)
+    return rows, _gram(part.reshape(8, 4, -1))

@@ -16,8 +16,17 @@ from shapes.errors import NumericalError
 
 PER_LINE = 12
 """Labels per line of a set (Abaqus allows 16)."""
-PHYSICAL = {"SHELL": (1, 2), "TOP": (2, 1), "BOTTOM": (3, 1), "MARKERS": (4, 0)}
-"""Gmsh physical groups: tag and dimension."""
+RIMS = ("TOP", "BOTTOM", "LEFT", "RIGHT")
+"""Node sets of the open edges, in the order of the files."""
+PHYSICAL = {
+    "SHELL": (1, 2),
+    "TOP": (2, 1),
+    "BOTTOM": (3, 1),
+    "MARKERS": (4, 0),
+    "LEFT": (5, 1),
+    "RIGHT": (6, 1),
+}
+"""Gmsh physical groups: tag and dimension; a file has those that its mesh fills."""
 
 
 def write_inp(
@@ -25,9 +34,10 @@ def write_inp(
 ) -> Path:
     """Write a job that ``ccx`` (and Abaqus) runs as it is.
 
-    S4 shells in element set SHELL with node sets TOP, BOTTOM, MARKERS, both rims fixed in all
-    DOFs, and one linear *STATIC step with the load as *CLOAD. Displacements of all nodes go to
-    the result file, those of the markers and the reactions of the rims also to the printed file.
+    S4 shells in element set SHELL; node sets MARKERS, one for each open edge of the shape (TOP,
+    BOTTOM, LEFT, RIGHT) and CLAMPED, all of these edges, fixed in all DOFs; one linear *STATIC
+    step with the load as *CLOAD. Displacements of all nodes go to the result file, those of the
+    markers also to the printed file.
 
     Parameters
     ----------
@@ -64,10 +74,15 @@ def _inp_mesh(mesh: ShellMesh, name: str) -> Iterator[str]:
     yield "*ELEMENT, TYPE=S4, ELSET=SHELL"
     for label, corners in enumerate((mesh.quads + 1).tolist(), start=1):
         yield f"{label}, {', '.join(map(str, corners))}"
-    for key in ("TOP", "BOTTOM", "MARKERS"):
-        if len(mesh.sets[key]):
-            yield f"*NSET, NSET={key}"
-            yield from _wrapped(mesh.sets[key])
+    for key, nodes in (*_filled(mesh).items(), ("CLAMPED", mesh.clamped)):
+        yield f"*NSET, NSET={key}"
+        yield from _wrapped(nodes)
+
+
+def _filled(mesh: ShellMesh) -> dict[str, IntArray]:
+    """Node sets that have nodes: open edges and markers."""
+    sets = {key: mesh.sets[key] for key in (*RIMS, "MARKERS") if key in mesh.sets}
+    return {key: nodes for key, nodes in sets.items() if len(nodes)}
 
 
 def _wrapped(nodes: IntArray) -> Iterator[str]:
@@ -83,8 +98,7 @@ def _inp_model(mesh: ShellMesh, modulus_MPa: float, poisson: float) -> Iterator[
     yield "*SHELL SECTION, ELSET=SHELL, MATERIAL=RESIN"
     yield f"{mesh.thickness_mm:.9g}"
     yield "*BOUNDARY"
-    yield "TOP, 1, 6"
-    yield "BOTTOM, 1, 6"
+    yield "CLAMPED, 1, 6"
 
 
 def _inp_step(mesh: ShellMesh, load: FloatArray) -> Iterator[str]:
@@ -104,25 +118,22 @@ def _inp_step(mesh: ShellMesh, load: FloatArray) -> Iterator[str]:
 
 
 def write_msh(path: Path, mesh: ShellMesh) -> Path:
-    """Write Gmsh 2.2 (text) with physical groups SHELL, TOP, BOTTOM (lines), MARKERS (points)."""
+    """Write Gmsh 2.2 (text): physical groups SHELL, one of lines per open edge, MARKERS."""
     import meshio
 
     cells: list[tuple[str, IntArray]] = [("quad", mesh.quads)]
     tags = [PHYSICAL["SHELL"][0]]
-    for key, kind, part in (
-        ("TOP", "line", _edges(mesh, mesh.sets["TOP"])),
-        ("BOTTOM", "line", _edges(mesh, mesh.sets["BOTTOM"])),
-        ("MARKERS", "vertex", mesh.sets["MARKERS"][:, None]),
-    ):
-        if len(part):
-            cells.append((kind, part))
-            tags.append(PHYSICAL[key][0])
+    filled = _filled(mesh)
+    for key, nodes in filled.items():
+        rim = key in RIMS
+        cells.append(("line", _edges(mesh, nodes)) if rim else ("vertex", nodes[:, None]))
+        tags.append(PHYSICAL[key][0])
     label = [np.full(len(part), tag) for (_, part), tag in zip(cells, tags, strict=True)]
     out = meshio.Mesh(
         mesh.nodes_mm,
         cells,
         cell_data={"gmsh:physical": label, "gmsh:geometrical": label},
-        field_data={key: np.array(value) for key, value in PHYSICAL.items()},
+        field_data={key: np.array(PHYSICAL[key]) for key in ("SHELL", *filled)},
     )
     meshio.write(path, out, file_format="gmsh22", binary=False)
     return path
@@ -139,8 +150,8 @@ def write_vtu(path: Path, mesh: ShellMesh, *, motion: FloatArray | None = None) 
     marker = np.full(count, -1, dtype=np.int64)
     marker[mesh.marker_nodes] = np.arange(len(mesh.marker_nodes))
     data: dict[str, Any] = {"normal": mesh.normals, "uv": mesh.uv, "marker": marker}
-    for key in ("TOP", "BOTTOM", "MARKERS"):
-        data[key] = np.isin(np.arange(count), mesh.sets[key]).astype(np.int64)
+    for key, nodes in mesh.sets.items():
+        data[key] = np.isin(np.arange(count), nodes).astype(np.int64)
     if motion is not None:
         data |= {"displacement_mm": motion[:, :3], "rotation_rad": motion[:, 3:]}
     out = meshio.Mesh(mesh.nodes_mm, [("quad", mesh.quads)], point_data=data)

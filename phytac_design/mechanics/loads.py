@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.mechanics.element import R, S
-from phytac_design.mechanics.locate import element_uv, locate
+from phytac_design.mechanics.locate import locate
 from phytac_design.mechanics.mesh import ShellMesh
 from shapes import Surface
 from shapes.arrays import FloatArray, IntArray
@@ -61,7 +61,7 @@ def patch_loads(
     radii = np.broadcast_to(np.asarray(radii_mm, dtype=np.float64), len(centres))
     if not (np.all(np.isfinite(radii)) and np.all(radii >= 0.0)):
         raise NumericalError("a patch radius is negative or not finite; give radii in mm, >= 0")
-    nodes, weights = locate(mesh, centres)  # also refuses centres off the shell
+    nodes, weights = locate(mesh, centres, surface)  # also refuses centres off the shell
     inward = -surface.normal(centres)
     load, node, force, cell = _spread(mesh, surface, centres, radii)
     total = np.bincount(load, np.sum(force * inward[load], axis=1), minlength=len(centres))
@@ -88,15 +88,10 @@ def _spread(
     """Unscaled nodal forces: patch (k,), node (k,), force (k, 3); and cell size per patch (m,)."""
     from scipy.spatial import cKDTree
 
-    corners = element_uv(mesh)
-    middle = surface.point(corners.mean(axis=1))
-    outer = surface.point(mesh.uv)[mesh.quads]
+    outer, middle, area = outer_elements(mesh)
     reach = np.linalg.norm(outer - middle[:, None], axis=2).max(axis=1)
-    area = (
-        np.linalg.norm(np.cross(outer[:, 2] - outer[:, 0], outer[:, 3] - outer[:, 1]), axis=1) / 2.0
-    )
     size = np.sqrt(area) / CELLS
-    at = surface.point(centres)
+    at, facing = surface.point(centres), surface.normal(centres)
     limit = float(radii.max(initial=0.0) + reach.max() + size.max())
     pairs = cKDTree(at).sparse_distance_matrix(cKDTree(middle), limit, output_type="ndarray")
     near = pairs["v"] <= radii[pairs["i"]] + reach[pairs["j"]] + size[pairs["j"]]
@@ -107,10 +102,8 @@ def _spread(
     r, s = (grid.ravel() for grid in np.meshgrid(side, side))
     h = 0.25 * (1.0 + np.multiply.outer(r, R)) * (1.0 + np.multiply.outer(s, S))  # (q, 4)
     used, slot = np.unique(element, return_inverse=True)
-    spots = (h @ corners[used]).reshape(-1, 2)
-    points = surface.point(spots).reshape(len(used), len(h), 3)
-    push = -surface.normal(spots).reshape(points.shape)
-    push *= _cell_area(outer[used], r, s)[:, :, None]
+    points, normals = curved_points(outer[used], mesh.normals[mesh.quads[used]], h)
+    push = -normals * _cell_area(outer[used], r, s)[:, :, None]
     force = np.zeros((len(patch), 4, 3))
     for first in range(0, len(patch), PAIRS):
         part = slice(first, first + PAIRS)
@@ -118,8 +111,45 @@ def _spread(
         distance = np.linalg.norm(points[k] - at[i][:, None], axis=2)
         inside = (radii[i][:, None] - distance) / size[used[k]][:, None] + 0.5
         inside = np.clip(inside, 0.0, 1.0)
+        # A wall behind, within the radius of a thin sensor, faces away and is not touched.
+        inside *= np.einsum("pqx,px->pq", push[k], facing[i]) < 0.0
         force[part] = np.einsum("pq,qi,pqx->pix", inside, h, push[k], optimize=True)
     return np.repeat(patch, 4), mesh.quads[element].ravel(), force.reshape(-1, 3), cell
+
+
+def outer_elements(mesh: ShellMesh) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Corners (E, 4, 3) on the outer face, centres on it (E, 3), mm, and areas (E,), mm²."""
+    normals = mesh.normals[mesh.quads]
+    outer = mesh.nodes_mm[mesh.quads] + 0.5 * mesh.thickness_mm * normals
+    centre = curved_points(outer, normals, np.full((1, 4), 0.25))[0][:, 0]
+    across = np.cross(outer[:, 2] - outer[:, 0], outer[:, 3] - outer[:, 1])
+    return outer, centre, np.linalg.norm(across, axis=1) / 2.0
+
+
+def curved_points(
+    corners: FloatArray, normals: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Points and unit normals, (E, q, 3), of the curved face through element corners.
+
+    Each bilinear point is moved halfway to the mean of its feet on the corners' tangent planes
+    (Phong tessellation, Boubekeur and Alexa 2008, with α = 1/2): exact for faces of second order,
+    and free of any chart.
+
+    Parameters
+    ----------
+    corners, normals : (E, 4, 3) float
+        Corners, mm, and unit normals there.
+    weights : (q, 4) float
+        Bilinear weights of the points.
+    """
+    flat = np.einsum("qi,eix->eqx", weights, corners, optimize=True)
+    out = np.einsum("qi,eix->eqx", weights, normals, optimize=True)
+    points = flat.copy()
+    for i in range(4):
+        normal = normals[:, None, i]
+        above = np.sum((flat - corners[:, None, i]) * normal, axis=2) * weights[:, i]
+        points -= 0.5 * above[:, :, None] * normal
+    return points, out / np.linalg.norm(out, axis=2, keepdims=True)
 
 
 def _cell_area(corner: FloatArray, r: FloatArray, s: FloatArray) -> FloatArray:

@@ -1,22 +1,35 @@
-"""Where a chart position lies on a mesh: the element and its bilinear weights."""
+"""Where a position of the surface lies on a mesh: the element and its bilinear weights.
+
+The search is made in space, along the normal of the surface, so that seams and poles of the chart
+are places like any other.
+"""
 
 import numpy as np
 
 from phytac_design.mechanics.element import R, S
 from phytac_design.mechanics.mesh import ShellMesh
-from shapes.arrays import FloatArray, IntArray
+from shapes import Surface
+from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import NumericalError
 
-CANDIDATES = 9
-"""Elements tried for each position, nearest centre first."""
+CANDIDATES = 8
+"""Elements tried first for each position, nearest centre first; four times as many each round."""
 EDGE_TOL = 1e-6
-"""How far outside an element, in its own coordinates (-1 … 1), a position may lie."""
+"""How far outside the chart, as a share of its span, a position may lie; and how far outside an
+element, in its own coordinates (-1 … 1), at first."""
+RIM_TOL = 0.1
+"""The same next to a rim that is curved, where chords of the rim leave a sliver uncovered."""
 STEPS = 12
 """Newton steps of the inverse bilinear map."""
+PAIRS = 200_000
+"""(position, element) pairs worked on at once, to bound the memory."""
 
 
 def element_uv(mesh: ShellMesh) -> FloatArray:
-    """Chart corners of every element, (E, 4, 2), unwrapped: no element jumps over the seam."""
+    """Chart corners of every element, (E, 4, 2), unwrapped: no element jumps over the seam.
+
+    Of use on tubes and sheets; next to a pole chart coordinates are no measure of place.
+    """
     uv = mesh.uv[mesh.quads]
     if np.isfinite(mesh.period_v):
         turn = (uv[:, :, 1] - uv[:, :1, 1]) / mesh.period_v
@@ -24,51 +37,111 @@ def element_uv(mesh: ShellMesh) -> FloatArray:
     return np.asarray(uv)
 
 
-def locate(mesh: ShellMesh, uv: FloatArray) -> tuple[IntArray, FloatArray]:
+def locate(
+    mesh: ShellMesh, uv: FloatArray, surface: Surface | None = None
+) -> tuple[IntArray, FloatArray]:
     """Nodes (n, 4) and bilinear weights (n, 4) of chart positions ``uv`` (n, 2).
 
-    Bilinear in the chart, as the elements are; positions are taken modulo the period of v.
+    The element is the one that the surface's normal through the position pierces, the weights are
+    those of the point where it does. Positions are taken modulo the period of v.
+
+    Parameters
+    ----------
+    mesh : ShellMesh
+        Mesh of the middle face.
+    uv : (n, 2) float
+        Chart positions.
+    surface : Surface, optional
+        The outer face; that of the mesh if not given.
 
     Raises
     ------
     NumericalError
-        If a position lies on no element.
+        If a position lies on no element, or the mesh has no surface and none is given.
     """
-    from scipy.spatial import cKDTree
-
     uv = np.asarray(uv, dtype=np.float64).reshape(-1, 2)
+    surface = mesh.surface if surface is None else surface
+    if surface is None:
+        raise NumericalError("this mesh does not know its surface; hand the surface to locate too")
     if not np.all(np.isfinite(uv)):
         raise NumericalError("a chart position is not finite (NaN or inf); check the contacts")
-    corners = element_uv(mesh)
-    centre = corners.mean(axis=1)
-    scale = np.abs(corners - centre[:, None]).mean(axis=(0, 1))
-    points, seeds, owner = uv / scale, centre / scale, np.arange(len(centre))
-    if np.isfinite(mesh.period_v):
-        period = mesh.period_v / scale[1]
-        low = float(mesh.uv[:, 1].min() / scale[1])
-        points[:, 1] = low + np.mod(points[:, 1] - low, period)
-        seeds = np.concatenate([seeds + np.array([0.0, k * period]) for k in (-1, 0, 1)])
-        owner = np.tile(owner, 3)
-    count = min(CANDIDATES, len(seeds))
-    near = cKDTree(seeds).query(points, k=count)[1].reshape(len(points), count)
-    # The positions relative to each candidate's own (possibly wrapped) copy.
-    element = owner[near]
-    local = (points[:, None] - seeds[near]) * scale
-    rs = _inverse_bilinear(corners[element] - centre[element][:, :, None], local)
-    outside = np.abs(rs).max(axis=2)
-    best = np.argmin(outside, axis=1)
-    here = np.arange(len(uv))
-    lost = ~(outside[here, best] <= 1.0 + EDGE_TOL)
+    lost = _outside(surface, uv)
+    element, rs = np.zeros(len(uv), dtype=np.int64), np.full((len(uv), 2), np.inf)
+    todo = np.flatnonzero(~lost)
+    element[todo], rs[todo] = _search(
+        mesh, surface.point(uv[todo], -mesh.thickness_mm / 2.0), surface.normal(uv[todo])
+    )
+    lost |= ~(np.abs(rs).max(axis=1, initial=0.0) <= 1.0 + RIM_TOL)
     if np.any(lost):
         where = uv[np.argmax(lost)]
+        (u0, u1), (v0, v1) = surface.domain
         raise NumericalError(
             f"position (u, v) = ({where[0]:.6g}, {where[1]:.6g}) lies on no element "
-            f"({int(lost.sum())} in all); the mesh spans u from {mesh.uv[:, 0].min():.6g} to "
-            f"{mesh.uv[:, 0].max():.6g}"
+            f"({int(lost.sum())} in all); the surface spans u from {u0:.6g} to {u1:.6g}, v from "
+            f"{v0:.6g} to {v1:.6g}{' and around' if surface.periodic[1] else ''}"
         )
-    r, s = rs[here, best].T
+    r, s = np.clip(rs, -1.0, 1.0).T
     weights = 0.25 * (1.0 + np.multiply.outer(r, R)) * (1.0 + np.multiply.outer(s, S))
-    return mesh.quads[element[here, best]], weights
+    return mesh.quads[element], weights
+
+
+def _outside(surface: Surface, uv: FloatArray) -> BoolArray:
+    out = np.zeros(len(uv), dtype=np.bool_)
+    for axis in (0, 1):
+        if not surface.periodic[axis]:
+            low, high = surface.domain[axis]
+            slack = EDGE_TOL * (high - low)
+            out |= (uv[:, axis] < low - slack) | (uv[:, axis] > high + slack)
+    return out
+
+
+def _search(
+    mesh: ShellMesh, points: FloatArray, normals: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Element (n,) and its coordinates (n, 2) where the normal through each point pierces it."""
+    from scipy.spatial import cKDTree
+
+    corners = mesh.nodes_mm[mesh.quads]
+    tree = cKDTree(corners.mean(axis=1))
+    element, rs = np.zeros(len(points), dtype=np.int64), np.full((len(points), 2), np.inf)
+    todo, count = np.arange(len(points)), min(CANDIDATES, len(corners))
+    while len(todo):
+        step = max(1, PAIRS // count)
+        for first in range(0, len(todo), step):
+            part = todo[first : first + step]
+            near = tree.query(points[part], k=count)[1].reshape(len(part), count)
+            found = _pierce(corners[near], points[part], normals[part])
+            size = np.abs(found).max(axis=2)
+            best = np.argmin(size, axis=1)
+            here = np.arange(len(part))
+            better = size[here, best] < np.abs(rs[part]).max(axis=1)
+            element[part[better]] = near[here, best][better]
+            rs[part[better]] = found[here, best][better]
+        todo = todo[np.abs(rs[todo]).max(axis=1) > 1.0 + EDGE_TOL]
+        if count == len(corners):
+            break
+        # Nearly all are found at once; the rest lie in long elements or next to a curved rim.
+        count = min(4 * count, len(corners)) if count < 4**3 * CANDIDATES else len(corners)
+    return element, rs
+
+
+def _pierce(corners: FloatArray, points: FloatArray, normals: FloatArray) -> FloatArray:
+    """Coordinates (n, c, 2) where lines meet elements of ``corners`` (n, c, 4, 3); inf: nowhere"""
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    least = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+    first = np.cross(normals, least)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    frame = np.stack([first, np.cross(normals, first), normals], axis=1)
+    local = np.einsum("nkx,ncix->ncik", frame, corners - points[:, None, None])
+    flat, height = local[..., :2], local[..., 2]
+    size = np.linalg.norm(local[..., 2, :] - local[..., 0, :], axis=-1)
+    rs = _inverse_bilinear(flat, np.zeros((*flat.shape[:2], 2)))
+    h = 0.25 * (1.0 + rs[..., :1] * R) * (1.0 + rs[..., 1:] * S)
+    miss = np.linalg.norm(np.einsum("nci,ncik->nck", h, flat), axis=-1)
+    # Newton may end nowhere in an element far off; and the line goes on to the other side of the
+    # sensor. Neither is a candidate.
+    rs[(miss > EDGE_TOL * size) | (np.abs(height).min(axis=2) > size)] = np.inf
+    return rs
 
 
 def _inverse_bilinear(corners: FloatArray, target: FloatArray) -> FloatArray:

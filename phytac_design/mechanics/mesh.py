@@ -1,12 +1,7 @@
-r"""Structured quadrilateral meshes of the middle face, aligned with the markers or not.
+"""Quadrilateral meshes of the middle face of the wall, aligned with the markers or not.
 
-::
-
-    line l+1   o-----o-----M-----o-----o      every line of nodes is equally spaced around (v);
-                \     \     \     \     \     lines are shifted against each other so that
-    line l       o-----o-----o-----o-----o    markers (M) are nodes and no element shears by
-                  \     \     \     \     \   more than half its width
-    line l-1       M-----o-----o-----M-----o
+Three kinds of surface, told apart by their chart alone: *tubes* close around v, *domes* close
+around v and end in a pole, *sheets* are open both ways.
 """
 
 from collections.abc import Mapping
@@ -15,14 +10,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from phytac_design.layout import Lattice, Markers
+from phytac_design.mechanics.mesh_dome import dome_grid
+from phytac_design.mechanics.mesh_grid import EDGE_NAMES, MAX_TURN, Grid, axis_lines, product_grid
+from phytac_design.mechanics.mesh_lattice import MATCH_TOL, lattice_grid, shifted_grid
+from phytac_design.mechanics.mesh_snap import scaled_jacobian, snap
 from shapes import Surface
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import DesignError
 
-MATCH_TOL = 1e-6
-"""Largest distance (in units of the element size) between a marker and its node."""
-RIM_REFINE = 2
-"""Elements along are this much shorter next to the rims, where clamped edges bend sharply."""
+LEAST_JACOBIAN = 0.35
+"""Scaled Jacobian that a mesh moved onto markers must keep in every element."""
+LEAST_SIDE = 0.05
+"""Share of its length that a side of an element must keep when nodes move onto markers."""
+TRIES = 6
+"""Meshes tried for markers that are no lattice."""
+FINER = 0.8
+"""Element size of each try over that of the one before."""
+LEAST_ACROSS = 8
+"""Elements across a surface at least, taken as a square of its area."""
+UNEVEN = 1.5
+"""A tube bends unevenly where an element turns this much more than the mean element around."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,11 +49,18 @@ class ShellMesh:
     marker_nodes : (n,) int
         Node of each marker in marker order; empty if the mesh is not aligned with markers.
     sets : mapping of str to (k,) int
-        Node sets: ``TOP`` (far rim), ``BOTTOM`` (near rim), ``MARKERS``.
+        Node sets: ``BOTTOM`` (near rim, u0), ``TOP`` (far rim, u1), of sheets also ``LEFT`` (v0)
+        and ``RIGHT`` (v1); empty where there is no such rim. ``CLAMPED``: all open edges;
+        ``MARKERS``.
     thickness_mm : float
         Wall thickness that the middle face belongs to.
     period_v : float
-        Chart period of v; inf where the chart does not close on itself.
+        Chart period of v; inf where the chart does not close on itself or ends in a pole.
+    surface : Surface or None
+        The outer face; None only for meshes that are looked up through another one.
+    around : int or None
+        Nodes of each line around, where all nodes come in lines of as many, evenly spaced; only
+        such a mesh can map onto itself when turned by a column.
     """
 
     nodes_mm: FloatArray
@@ -57,6 +71,18 @@ class ShellMesh:
     sets: Mapping[str, IntArray]
     thickness_mm: float
     period_v: float
+    surface: Surface | None = None
+    around: int | None = None
+
+    @property
+    def clamped(self) -> IntArray:
+        """Nodes of all open edges, (k,)."""
+        rims = [self.sets[key] for key in EDGE_NAMES.values() if key in self.sets]
+        return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *rims]))
+
+    def scaled_jacobian(self) -> FloatArray:
+        """Least sine of the corner angles of each element, (E,): 1 for rectangles."""
+        return scaled_jacobian(self.nodes_mm, self.quads, self.normals)
 
 
 def marker_mesh(
@@ -64,45 +90,90 @@ def marker_mesh(
 ) -> ShellMesh:
     """Mesh in which every marker is a node and the rims are lines of nodes.
 
+    A lattice on a tube gives a structured mesh. Other markers, and other surfaces, start from a
+    mesh without them; then the nearest nodes move onto the markers and the others follow. Where
+    that spoils an element (scaled Jacobian below ``LEAST_JACOBIAN``) the mesh is made finer.
+
     Parameters
     ----------
     surface : Surface
-        The outer face; v must be periodic (so far).
+        The outer face.
     markers : Markers
-        Receptors on that surface; their lattice defines the lines of nodes.
+        Receptors on that surface.
     thickness_mm : float
         Wall thickness; nodes lie at half of it below the outer face.
     refine : int
-        Elements per marker pitch around; along, the count that makes elements about square.
+        Elements per marker pitch: that around, for a lattice on a tube (along, the count that
+        makes elements about square); else √(area / number of markers).
 
     Raises
     ------
     DesignError
-        If the chart is not periodic around, if ``refine`` gives fewer than 3 elements around,
-        or if a marker is not on its node.
+        If the wall has no middle face, ``refine`` is too small, a marker is not on its node, or
+        markers lie too close together or to a rim.
     """
     _check(surface, thickness_mm)
-    if refine < 1 or refine * markers.lattice.columns < 3:
+    lattice: Lattice | None = markers.lattice
+    tube = surface.periodic[1] and not any(surface.poles)
+    if tube and lattice is not None and len(lattice.rows_u) * lattice.columns == markers.count:
+        grid, nodes = lattice_grid(surface, lattice, refine)
+        if not _uneven(surface, grid):
+            return _matching(_shell(surface, grid, thickness_mm, nodes), markers)
+    if refine < 1 or markers.count < 1:
         raise DesignError(
-            f"mesh: refine = {refine} with {markers.lattice.columns} columns gives fewer than 3 "
-            f"elements around; raise refine to {-(-3 // markers.lattice.columns)} or more"
+            f"mesh: refine and the number of markers must be at least 1 (got {refine} and "
+            f"{markers.count}); raise them"
         )
-    lattice = markers.lattice
-    around = lattice.columns * refine
-    u, shift, marker_line, marker_start = _lines(surface, lattice, refine)
-    ids = marker_start[:, None] + refine * np.arange(lattice.columns)
-    marker_nodes = (marker_line[:, None] * around + np.mod(ids, around)).ravel()
-    mesh = _structured(
-        surface, u, shift, around, thickness_mm=thickness_mm, marker_nodes=marker_nodes
+    mesh = node_mesh(
+        surface,
+        markers.uv,
+        thickness_mm=thickness_mm,
+        size_mm=marker_size_mm(surface, markers.count, refine),
     )
-    gap = float(np.abs(mesh.nodes_mm[marker_nodes] - markers.mid_mm).max(initial=0.0))
-    size = float(np.linalg.norm(np.diff(mesh.nodes_mm[mesh.quads[0, :2]], axis=0)))
-    if gap > MATCH_TOL * size:
-        raise DesignError(
-            f"mesh: a marker is {gap:.3g} mm off its node; the markers do not belong to this "
-            f"surface and thickness ({thickness_mm} mm); make them from the same design"
-        )
-    return mesh
+    return _matching(mesh, markers)
+
+
+def marker_size_mm(surface: Surface, count: int, refine: int) -> float:
+    """Element size, mm: ``refine`` elements per √(area / count), and a few across at least."""
+    area = surface.area_mm2()
+    return float(min(np.sqrt(area / count) / refine, np.sqrt(area) / LEAST_ACROSS))
+
+
+def node_mesh(
+    surface: Surface, uv: FloatArray, *, thickness_mm: float, size_mm: float
+) -> ShellMesh:
+    """Mesh of any surface with a node, in ``marker_nodes``, at each chart position (n, 2).
+
+    Elements are of ``size_mm`` as in :func:`plain_mesh`, or smaller where it takes that to keep
+    them sound (scaled Jacobian of ``LEAST_JACOBIAN`` and ``LEAST_SIDE`` of each side at least).
+
+    Raises
+    ------
+    DesignError
+        If positions lie too close together or to a rim.
+    """
+    _check(surface, thickness_mm)
+    size, best, kept = size_mm, 0.0, 0.0
+    for _ in range(TRIES):
+        grid = _grid(surface, thickness_mm, size, through=_product_lines(uv))
+        moved = snap(surface, grid, uv, offset_mm=-thickness_mm / 2.0)
+        if moved is not None:
+            before = _sides(surface.point(grid.uv, -thickness_mm / 2.0), grid.quads)
+            grid = Grid(uv=moved[0], quads=grid.quads, sets=grid.sets)
+            mesh = _shell(surface, grid, thickness_mm, moved[1])
+            least = float(mesh.scaled_jacobian().min())
+            kept = float((_sides(mesh.nodes_mm, grid.quads) / before).min())
+            if least >= LEAST_JACOBIAN and kept >= LEAST_SIDE:
+                return mesh
+            best = max(best, least)
+        size *= FINER
+    i, j, gap = _closest(surface.point(uv))
+    raise DesignError(
+        f"mesh: no sound mesh has a node on every marker (best scaled Jacobian {best:.2f}, sides "
+        f"kept to {kept:.2g}; needs {LEAST_JACOBIAN} and {LEAST_SIDE}; elements down to "
+        f"{size / FINER:.3g} mm); markers {i} and {j} are the closest ({gap:.3g} mm apart): move "
+        "markers apart and off the rims, or raise refine"
+    )
 
 
 def chart_mesh(surface: Surface, *, thickness_mm: float, n_along: int, n_around: int) -> ShellMesh:
@@ -111,29 +182,59 @@ def chart_mesh(surface: Surface, *, thickness_mm: float, n_along: int, n_around:
     Parameters
     ----------
     surface : Surface
-        The outer face; v must be periodic (so far).
+        The outer face of a tube or sheet; for others see :func:`plain_mesh`.
     thickness_mm : float
         Wall thickness; nodes lie at half of it below the outer face.
     n_along, n_around : int
         Elements along u and around v.
     """
     _check(surface, thickness_mm)
-    if n_along < 1 or n_around < 3:
+    if any(surface.poles):
         raise DesignError(
-            f"mesh: needs at least 1 element along and 3 around (got {n_along} × {n_around})"
+            f"mesh: surface '{surface.name}' has a pole, where a structured mesh collapses; "
+            "use plain_mesh"
         )
-    u0, u1 = surface.domain[0]
+    closed = surface.periodic[1]
+    if n_along < 1 or n_around < (3 if closed else 1):
+        raise DesignError(
+            f"mesh: needs at least 1 element along and {'3 around' if closed else '1 across'} "
+            f"(got {n_along} × {n_around})"
+        )
+    (u0, u1), (v0, v1) = surface.domain
     u = np.linspace(u0, u1, n_along + 1)
-    shift = np.full_like(u, surface.domain[1, 0])
-    empty = np.zeros(0, dtype=np.int64)
-    return _structured(surface, u, shift, n_around, thickness_mm=thickness_mm, marker_nodes=empty)
+    if closed:
+        grid = shifted_grid(surface, u, np.full_like(u, v0), n_around)
+    else:
+        grid = product_grid(surface, u, np.linspace(v0, v1, n_around + 1))
+    return _shell(surface, grid, thickness_mm)
+
+
+def plain_mesh(surface: Surface, *, thickness_mm: float, size_mm: float) -> ShellMesh:
+    """Mesh of any surface with elements of about ``size_mm``, blind to the markers.
+
+    Elements are smaller next to clamped edges, where the face bends, and towards the end of a
+    dome that narrows.
+
+    Parameters
+    ----------
+    surface : Surface
+        The outer face.
+    thickness_mm : float
+        Wall thickness; nodes lie at half of it below the outer face.
+    size_mm : float
+        Element size.
+    """
+    _check(surface, thickness_mm)
+    if not 0.0 < size_mm < np.inf:
+        raise DesignError(f"mesh: the element size must be positive (got {size_mm} mm)")
+    return _shell(surface, _grid(surface, thickness_mm, size_mm), thickness_mm)
 
 
 def _check(surface: Surface, thickness_mm: float) -> None:
-    if surface.periodic != (False, True):
+    if surface.periodic[0]:
         raise DesignError(
-            f"mesh: surface '{surface.name}' is not open along u and closed around v; "
-            "only such charts can be meshed so far"
+            f"mesh: surface '{surface.name}' closes along u; meshes need it open along u, closed "
+            "around v or open both ways: swap u and v"
         )
     if not 0.0 < thickness_mm < 2.0 * surface.inner_reach_mm():
         raise DesignError(
@@ -142,72 +243,94 @@ def _check(surface: Surface, thickness_mm: float) -> None:
         )
 
 
-def _lines(
-    surface: Surface, lattice: Lattice, refine: int
-) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
-    """Chart u and v-shift of every line of nodes; line and first node of every marker row."""
-    (u0, u1), (v0, _) = surface.domain
-    pitch = lattice.pitch_v / refine
-    # Row by row the shift changes by the remainder of the turn modulo one element.
-    start = np.zeros(len(lattice.rows_u), dtype=np.int64)
-    row_shift = np.zeros(len(lattice.rows_u))
-    previous = v0
-    for k, phase in enumerate(lattice.phase_v):
-        start[k] = round((phase - previous) / pitch)
-        row_shift[k] = previous = phase - start[k] * pitch
-    stops = np.concatenate([[u0], lattice.rows_u, [u1]])
-    stop_shift = np.concatenate([row_shift[:1], row_shift, row_shift[-1:]])
-    # A first or last row on the rim needs no strip between itself and the rim.
-    keep = np.concatenate([[True], np.diff(stops) > MATCH_TOL * (u1 - u0)])
-    if not keep[-1]:
-        keep[-1], keep[-2] = True, False
-    first_row = 1 if keep[1] else 0
-    stops, stop_shift = stops[keep], stop_shift[keep]
-    mid = np.column_stack([(stops[:-1] + stops[1:]) / 2.0, np.full(len(stops) - 1, v0)])
-    metric = surface.metric(mid)
-    length = np.diff(stops) * np.sqrt(metric[:, 0, 0])
-    width = pitch * np.sqrt(metric[:, 1, 1])
-    counts = np.maximum(1, np.rint(length / width)).astype(np.int64)
-    counts[[0, -1]] *= RIM_REFINE
-    marks = np.concatenate([[0], np.cumsum(counts)])
-    at = np.arange(marks[-1] + 1)
-    u = np.interp(at, marks, stops)
-    shift = np.interp(at, marks, stop_shift)
-    return u, shift, marks[first_row : first_row + len(start)], start
-
-
-def _structured(
+def _grid(
     surface: Surface,
-    u: FloatArray,
-    shift: FloatArray,
-    around: int,
-    *,
     thickness_mm: float,
-    marker_nodes: IntArray,
+    size_mm: float,
+    through: tuple[FloatArray, FloatArray] | None = None,
+) -> Grid:
+    """Grid of any surface, with lines ``through`` given (u, v) where its lines are straight."""
+    offset = -thickness_mm / 2.0
+    if any(surface.poles):
+        return dome_grid(surface, offset_mm=offset, size_mm=size_mm)
+    lines = [
+        axis_lines(
+            surface, axis, offset_mm=offset, size_mm=size_mm, through=through and through[axis]
+        )
+        for axis in (0, 1)
+    ]
+    return product_grid(surface, lines[0], lines[1])
+
+
+def _product_lines(uv: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Distinct u and v of markers that are all combinations of them; None otherwise."""
+    scale = np.where(np.ptp(uv, axis=0) > 0.0, np.ptp(uv, axis=0), 1.0)
+    u, v = (np.unique(np.round(uv[:, k] / scale[k], 9), return_index=True)[1] for k in (0, 1))
+    return (uv[u, 0], uv[v, 1]) if len(u) * len(v) == len(uv) else None
+
+
+def _uneven(surface: Surface, grid: Grid) -> bool:
+    """Whether equal steps around turn some corners too far for one element."""
+    normal = surface.normal(grid.uv)
+    ahead = normal[np.roll(grid.quads, -1, axis=1)[:, [0, 2]]]
+    turn = np.linalg.norm(ahead - normal[grid.quads[:, [0, 2]]], axis=2)
+    mean = 2.0 * np.pi / (grid.around or 1)
+    return bool(turn.max() > max(1.5 * MAX_TURN, UNEVEN * mean))
+
+
+def _sides(nodes_mm: FloatArray, quads: IntArray) -> FloatArray:
+    """Lengths of the sides of every element, (E, 4)."""
+    corner = nodes_mm[quads]
+    return np.asarray(np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2))
+
+
+def _closest(points: FloatArray) -> tuple[int, int, float]:
+    from scipy.spatial import cKDTree
+
+    if len(points) < 2:
+        return 0, 0, float("inf")
+    gap, near = cKDTree(points).query(points, k=2)
+    i = int(np.argmin(gap[:, 1]))
+    return i, int(near[i][near[i] != i][0]), float(gap[i, 1])
+
+
+def _matching(mesh: ShellMesh, markers: Markers) -> ShellMesh:
+    """Refuse a mesh whose marker nodes are not the markers."""
+    gap = float(np.abs(mesh.nodes_mm[mesh.marker_nodes] - markers.mid_mm).max(initial=0.0))
+    if gap > MATCH_TOL * float(_sides(mesh.nodes_mm, mesh.quads).min()):
+        raise DesignError(
+            f"mesh: a marker is {gap:.3g} mm off its node; the markers do not belong to this "
+            f"surface and thickness ({mesh.thickness_mm} mm); make them from the same design"
+        )
+    return mesh
+
+
+def _shell(
+    surface: Surface, grid: Grid, thickness_mm: float, marker_nodes: IntArray | None = None
 ) -> ShellMesh:
-    """Nodes and quads of lines at ``u``, each with ``around`` nodes starting at ``shift``."""
-    v0, v1 = surface.domain[1]
-    v = shift[:, None] + (v1 - v0) / around * np.arange(around)
-    uv = np.column_stack([np.repeat(u, around), v0 + np.mod(v - v0, v1 - v0).ravel()])
-    here = np.arange(around)
-    after = np.roll(here, -1)
-    base = around * np.arange(len(u) - 1)[:, None]
-    quads = np.stack([base + here, base + after, base + around + after, base + around + here], -1)
-    quads = quads.reshape(-1, 4)
-    nodes, normals = surface.point(uv, -thickness_mm / 2.0), surface.normal(uv)
-    corner = nodes[quads]
+    """Put a grid onto the middle face, elements facing outward."""
+    empty = np.zeros(0, dtype=np.int64)
+    nodes, normals = surface.point(grid.uv, -thickness_mm / 2.0), surface.normal(grid.uv)
+    quads, corner = grid.quads, nodes[grid.quads]
     facing = np.cross(corner[:, 2] - corner[:, 0], corner[:, 3] - corner[:, 1])
     if np.sum(facing * normals[quads].sum(axis=1)) < 0.0:
         quads = quads[:, ::-1].copy()
-    last = (len(u) - 1) * around
-    sets = {"TOP": last + here, "BOTTOM": here, "MARKERS": np.unique(marker_nodes)}
+    marked = empty if marker_nodes is None else marker_nodes
+    rims = {"TOP": empty, "BOTTOM": empty} | dict(grid.sets)
+    wraps = surface.periodic[1] and not any(surface.poles)
     return ShellMesh(
         nodes_mm=nodes,
-        uv=uv,
+        uv=grid.uv,
         normals=normals,
         quads=quads,
-        marker_nodes=marker_nodes,
-        sets=sets,
+        marker_nodes=marked,
+        sets=rims
+        | {
+            "CLAMPED": np.unique(np.concatenate([empty, *rims.values()])),
+            "MARKERS": np.unique(marked),
+        },
         thickness_mm=thickness_mm,
-        period_v=float(v1 - v0),
+        period_v=float(surface.domain[1, 1] - surface.domain[1, 0]) if wraps else float("inf"),
+        surface=surface,
+        around=grid.around,
     )

@@ -21,6 +21,7 @@ import numpy as np
 from phytac_design.layout import Markers
 from phytac_design.mechanics.element import R, S
 from phytac_design.mechanics.mesh import ShellMesh
+from phytac_design.mechanics.solve import ShellModel, clamped_model
 from phytac_design.spec import Design
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import DesignError
@@ -181,24 +182,23 @@ def mixture(share: FloatArray, effect: FloatArray, mixing: float) -> FloatArray:
     return np.where(denominator > 0.0, np.clip(factor, SOFTEST, STIFFEST), STIFFEST)
 
 
-def tube_share(mesh: ShellMesh, markers: Markers, radius_mm: float) -> tuple[FloatArray, IntArray]:
-    """Share (E,) of each element under a tube, and the marker (E,) nearest its middle."""
+def tube_cover(mesh: ShellMesh, markers: Markers, radius_mm: float) -> tuple[FloatArray, IntArray]:
+    """How far each cell of each element is under a tube, 0 … 1, and its nearest marker, (E, q)."""
     from scipy.spatial import cKDTree
 
     side = (np.arange(CELLS) + 0.5) * 2.0 / CELLS - 1.0
     r, s = (grid.ravel() for grid in np.meshgrid(side, side))
     h = 0.25 * (1.0 + np.multiply.outer(r, R)) * (1.0 + np.multiply.outer(s, S))
     corner = mesh.nodes_mm[mesh.quads]
-    tree = cKDTree(markers.mid_mm)
-    points = (h @ corner).reshape(-1, 3)
-    distance = tree.query(points)[0].reshape(len(corner), -1)
+    distance, owner = cKDTree(markers.mid_mm).query((h @ corner).reshape(-1, 3))
+    shape = (len(corner), len(h))
     area = np.linalg.norm(
         np.cross(corner[:, 2] - corner[:, 0], corner[:, 3] - corner[:, 1]), axis=1
     )
     # The edge of a tube is smoothed over one cell.
     cell = np.sqrt(area / 2.0)[:, None] / CELLS
-    inside = np.clip((radius_mm - distance) / cell + 0.5, 0.0, 1.0)
-    return inside.mean(axis=1), np.asarray(tree.query(corner.mean(axis=1))[1], dtype=np.int64)
+    inside = np.clip((radius_mm - distance.reshape(shape)) / cell + 0.5, 0.0, 1.0)
+    return np.asarray(inside), np.asarray(owner.reshape(shape), dtype=np.int64)
 
 
 def receptor_stiffness(design: Design, markers: Markers, mesh: ShellMesh) -> ReceptorStiffness:
@@ -224,8 +224,58 @@ def receptor_stiffness(design: Design, markers: Markers, mesh: ShellMesh) -> Rec
         receptor.diameter_hole_mm / receptor.diameter_outer_mm,
         markers.height_mm / thickness,
     )
-    share, owner = tube_share(mesh, markers, receptor.diameter_outer_mm / 2.0)
+    inside, owner = tube_cover(mesh, markers, receptor.diameter_outer_mm / 2.0)
+    total = inside.sum(axis=1)
+
+    def mean(effect: FloatArray) -> FloatArray:
+        # By cells, so that an element between two tubes does not hang on which is nearer.
+        return np.asarray((inside * effect[owner]).sum(axis=1) / np.maximum(total, 1e-300))
+
+    share = inside.mean(axis=1)
     return ReceptorStiffness(
-        membrane=mixture(share, membrane[owner], MIXING_MEMBRANE),
-        bending=mixture(share, bending[owner], MIXING_BENDING),
+        membrane=mixture(share, mean(membrane), MIXING_MEMBRANE),
+        bending=mixture(share, mean(bending), MIXING_BENDING),
+    )
+
+
+def unknown_receptors(design: Design) -> str:
+    """Why the stiffness of a design's receptors is not known; "" where it is."""
+    thickness, receptor = design.wall.thickness_mm, design.receptor
+    try:
+        receptor_effect(
+            receptor.diameter_outer_mm / thickness,
+            receptor.diameter_hole_mm / receptor.diameter_outer_mm,
+            0.0,
+        )
+    except DesignError as error:
+        return str(error)
+    return ""
+
+
+def sensor_model(
+    design: Design, markers: Markers, mesh: ShellMesh, *, receptors: bool
+) -> ShellModel:
+    """Linear model of a design's shell, rims clamped, with or without its tubes and holes.
+
+    Parameters
+    ----------
+    design, markers : Design, Markers
+        Wall, material and receptors.
+    mesh : ShellMesh
+        Any mesh of the middle face.
+    receptors : bool
+        Whether the elements have the stiffness of tubes and holes.
+
+    Raises
+    ------
+    DesignError
+        If receptors are asked for that lie beyond the tables (:func:`unknown_receptors`).
+    """
+    thickness: float | FloatArray = design.wall.thickness_mm
+    modulus: float | FloatArray = design.material.modulus_MPa
+    if receptors:
+        factors = receptor_stiffness(design, markers, mesh)
+        thickness, modulus = factors.section(thickness_mm=thickness, modulus_MPa=modulus)
+    return clamped_model(
+        mesh, thickness_mm=thickness, modulus_MPa=modulus, poisson=design.material.poisson
     )

@@ -65,7 +65,9 @@ def element_poisson_rate(model: ShellModel) -> ElementStiffness:
     return ElementStiffness(**total)
 
 
-def stiffness_rates(model: ShellModel, *, with_poisson: bool = True) -> StiffnessRates:
+def stiffness_rates(
+    model: ShellModel, *, with_poisson: bool = True, thickness_share: FloatArray | float = 1.0
+) -> StiffnessRates:
     """Derivatives of a model's stiffness; ``with_poisson=False`` leaves out the dearest of them.
 
     Parameters
@@ -74,6 +76,8 @@ def stiffness_rates(model: ShellModel, *, with_poisson: bool = True) -> Stiffnes
         The shell; thickness and modulus may differ from element to element.
     with_poisson : bool
         False leaves ``poisson`` None.
+    thickness_share : float or (E,) float
+        By how much each element's thickness changes per mm of wall.
     """
     pattern = make_pattern(model.quads, len(model.nodes_mm))
     parts = model.elements
@@ -91,7 +95,9 @@ def stiffness_rates(model: ShellModel, *, with_poisson: bool = True) -> Stiffnes
     return StiffnessRates(
         modulus=assemble(pattern, parts.combine(modulus_MPa=np.ones_like(E), thickness_mm=t)),
         poisson=turned,
-        thickness=assemble(pattern, slope.combine(modulus_MPa=E, thickness_mm=np.ones_like(t))),
+        thickness=assemble(
+            pattern, slope.combine(modulus_MPa=E * thickness_share, thickness_mm=np.ones_like(t))
+        ),
     )
 
 

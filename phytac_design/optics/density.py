@@ -3,12 +3,19 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from phytac_design.layout import Markers
+from phytac_design.layout.arc import area_elements
 from shapes import Surface
+from shapes.arrays import FloatArray, IntArray
 
 ALIGNED = 0.05
 """Sine of the angle (about 3 degrees) within which a surface counts as parallel."""
+PAPER_PER_CM2 = 1.63
+"""The published sensor's, a record for surfaces *parallel* to the optical axis."""
+MAP_CELLS = 20_000
+"""Cells that the surface is cut into to share its area among markers, at least."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,29 +27,105 @@ class Density:
     count : int
         Markers.
     area_cm2 : float
-        Area of the outer face between the rims.
+        Area of the outer face that senses, between the open edges.
     per_cm2 : float
         Their ratio.
     surface_class : str
         ``parallel``, ``perpendicular`` or ``oblique`` to the optical axis (+z).
+    local_min_per_cm2, local_max_per_cm2 : float
+        Least and greatest local density of :func:`density_map`.
+    times_paper : float or None
+        ``per_cm2`` over the paper's 1.63; None where the surface is of another class, for which
+        that figure says nothing.
     """
 
     count: int
     area_cm2: float
     per_cm2: float
     surface_class: str
+    local_min_per_cm2: float
+    local_max_per_cm2: float
+    times_paper: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class DensityMap:
+    """Local density: each piece of the surface belongs to the marker that is nearest to it.
+
+    Attributes
+    ----------
+    uv : (m, 2) float
+        Middles of the pieces that sense, chart coordinates.
+    area_mm2 : (m,) float
+        Area of each piece.
+    owner : (m,) int
+        Nearest marker.
+    cell_cm2 : (n,) float
+        Area that belongs to each marker.
+    per_cm2 : (n,) float
+        Local density at each marker: the markers of it and of its neighbours over their area.
+    """
+
+    uv: FloatArray
+    area_mm2: FloatArray
+    owner: IntArray
+    cell_cm2: FloatArray
+    per_cm2: FloatArray
+
+    def over_surface(self) -> FloatArray:
+        """Local density (m,) of each piece, per cm²."""
+        return self.per_cm2[self.owner]
+
+
+def surface_class(markers: Markers) -> str:
+    """Return how the surface under the markers lies to the optical axis."""
+    lean = np.abs(markers.normal[:, 2])
+    if bool(np.all(lean <= ALIGNED)):
+        return "parallel"
+    return "perpendicular" if bool(np.all(lean >= np.sqrt(1.0 - ALIGNED**2))) else "oblique"
+
+
+def density_map(surface: Surface, markers: Markers) -> DensityMap:
+    """Share the sensing area among the markers, by distance in space between outer points."""
+    cells = max(MAP_CELLS, 40 * markers.count)
+    (u0, u1), (v0, v1) = surface.domain
+    middle = surface.metric(np.array([[(u0 + u1) / 2.0, (v0 + v1) / 2.0]]))[0]
+    long, wide = (u1 - u0) * np.sqrt(middle[0, 0]), (v1 - v0) * np.sqrt(middle[1, 1])
+    rows = int(np.clip(np.sqrt(cells * long / wide), 32, cells / 32))
+    columns = int(np.ceil(cells / rows))
+    edges_u, edges_v = np.linspace(u0, u1, rows + 1), np.linspace(v0, v1, columns + 1)
+    u, v = (edges_u[:-1] + edges_u[1:]) / 2.0, (edges_v[:-1] + edges_v[1:]) / 2.0
+    area = area_elements(surface, u, v) * (edges_u[1] - edges_u[0]) * (edges_v[1] - edges_v[0])
+    uv = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
+    # The middle-point sum is a little off the closed form; the whole is kept exact.
+    area = area.ravel() * (surface.area_mm2(0.0) / area.sum())
+    keep = surface.sensing(uv)
+    uv, area = uv[keep], area[keep]
+    _, owner = cKDTree(surface.point(markers.uv)).query(surface.point(uv))
+    cell = np.bincount(owner, weights=area, minlength=markers.count) / 100.0
+    group = np.concatenate([np.arange(markers.count)[:, None], markers.neighbours], axis=1)
+    known = group >= 0
+    around = np.where(known, cell[group], 0.0).sum(axis=1)
+    return DensityMap(
+        uv=uv,
+        area_mm2=area,
+        owner=owner.astype(np.int64),
+        cell_cm2=cell,
+        per_cm2=known.sum(axis=1) / np.maximum(around, 1e-12),
+    )
 
 
 def density_of(surface: Surface, markers: Markers) -> Density:
     """Marker density of the outer face (paper: 368 on ø60 x 120, 1.63 per cm²)."""
-    area = surface.area_mm2(0.0) / 100.0
-    lean = np.abs(markers.normal[:, 2])
-    if bool(np.all(lean <= ALIGNED)):
-        kind = "parallel"
-    elif bool(np.all(lean >= np.sqrt(1.0 - ALIGNED**2))):
-        kind = "perpendicular"
-    else:
-        kind = "oblique"
+    local = density_map(surface, markers)
+    area = float(local.area_mm2.sum()) / 100.0
+    kind, per_cm2 = surface_class(markers), markers.count / area
     return Density(
-        count=markers.count, area_cm2=area, per_cm2=markers.count / area, surface_class=kind
+        count=markers.count,
+        area_cm2=area,
+        per_cm2=per_cm2,
+        surface_class=kind,
+        local_min_per_cm2=float(local.per_cm2.min()),
+        local_max_per_cm2=float(local.per_cm2.max()),
+        times_paper=per_cm2 / PAPER_PER_CM2 if kind == "parallel" else None,
     )

@@ -2,19 +2,42 @@
 
 import numpy as np
 
+from phytac_design.fabrication.edges import Loop, chart_loops
+from phytac_design.fabrication.sampling import untwisted
 from phytac_design.optics.mesh import Mesh, empty_mesh, grid_mesh, joined
 from phytac_design.spec import Design
 from shapes import Surface
 from shapes.arrays import FloatArray
 
 DIVISIONS_MAX = 4096
+BAR_RAYS = 12
+"""Rays up the light bar's side, besides its axis, that look for the face it ends at."""
+BAR_STEP = 0.1
+"""Room, as a share of the wall's thickness, between the bar's far end and the face."""
+
+SLACK = 1e-9
+"""How far outside a triangle, in its own coordinates, a line still meets it."""
 
 
-def edge_mm(surface: Surface, end: int, offset_mm: float, count: int = 256) -> FloatArray:
-    """Points (count, 3) of the face at ``offset_mm`` along its edge u0 (end 0) or u1 (end 1)."""
-    u, (v0, v1) = surface.domain[0, end], surface.domain[1]
-    v = np.linspace(v0, v1, count, endpoint=not surface.periodic[1])
-    return surface.point(np.column_stack([np.full(count, u), v]), offset_mm)
+def edge_mm(
+    surface: Surface, end: int, offset_mm: float, count: int = 256, *, axis: int = 0
+) -> FloatArray:
+    """Points (count, 3) of the face at ``offset_mm`` along an edge of the chart.
+
+    The edge is that at the low (``end`` 0) or high (1) end of chart direction ``axis``: u0 or u1
+    for axis 0, v0 or v1 for axis 1.
+    """
+    low, high = surface.domain[1 - axis]
+    uv = np.full((count, 2), surface.domain[axis, end])
+    uv[:, 1 - axis] = np.linspace(low, high, count, endpoint=not surface.periodic[1 - axis])
+    return surface.point(uv, offset_mm)
+
+
+def boundary_mm(surface: Surface, offset_mm: float, count: int = 256) -> FloatArray:
+    """Points (edges · count, 3) of the face at ``offset_mm`` along all of its open edges."""
+    return np.concatenate(
+        [edge_mm(surface, end, offset_mm, count, axis=axis) for axis, end in surface.edges()]
+    )
 
 
 def divisions(surface: Surface, offset_mm: float, along: int, tolerance_mm: float) -> int:
@@ -35,55 +58,99 @@ def divisions(surface: Surface, offset_mm: float, along: int, tolerance_mm: floa
 
 
 def shell_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> Mesh:
-    """Inner face over the whole domain, both rims flush with it, and the near rim's end.
+    """Inner face over the whole domain, a rim flush with it along every open edge, rims' ends.
 
-    Only what a camera inside sees: the outer face is left out.
+    Only what a camera inside sees: the outer face and the far end of a tube are left out.
     """
-    offset = -design.wall.thickness_mm
-    (u0, u1), (v0, v1) = surface.domain
-    rows = divisions(surface, offset, 0, tolerance_mm) + 1
-    cells = divisions(surface, offset, 1, tolerance_mm)
     closed = surface.periodic[1]
-    v = np.linspace(v0, v1, cells + (0 if closed else 1), endpoint=not closed)
-    uu, vv = np.meshgrid(np.linspace(u0, u1, rows), v, indexing="ij")
-    face = surface.point(np.column_stack([uu.ravel(), vv.ravel()]), offset)
-    meshes = [grid_mesh(face.reshape(rows, len(v), 3), closed=closed)]
-    if not surface.periodic[0] and design.wall.rim_length_mm > 0.0:
-        meshes += [_rim(design, surface, v, end) for end in (0, 1)]
+    u, v, face = _inner_face(design, surface, tolerance_mm)
+    meshes = [grid_mesh(face, closed=closed, poles=surface.poles)]
+    if design.wall.rim_length_mm > 0.0:
+        ends = surface.edges()
+        for number, loop in enumerate(chart_loops(surface, u, v)):
+            hidden = closed and ends[number] == (0, 1)
+            meshes.append(_rim(design, surface, loop, ended=not hidden))
     return joined(meshes)
 
 
-def _rim(design: Design, surface: Surface, v: FloatArray, end: int) -> Mesh:
-    """Straight rim beyond one end along the conormal; the near one with its annular end."""
+def _inner_face(
+    design: Design, surface: Surface, tolerance_mm: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Stations of the chart and the inner face there, (rows, columns, 3) mm."""
+    offset = -design.wall.thickness_mm
+    u, v = (
+        np.linspace(low, high, divisions(surface, offset, axis, tolerance_mm) + 1)
+        for axis, (low, high) in enumerate(surface.domain)
+    )
+    u, v = untwisted(surface, u, v, tolerance_mm)
+    if surface.periodic[1]:
+        v = v[:-1]
+    uu, vv = np.meshgrid(u, v, indexing="ij")
+    face = surface.point(np.column_stack([uu.ravel(), vv.ravel()]), offset)
+    return u, v, face.reshape(len(u), len(v), 3)
+
+
+def _rim(design: Design, surface: Surface, loop: Loop, *, ended: bool) -> Mesh:
+    """Rim around one loop of edges along their conormals; ``ended`` with its outer end face."""
     wall = design.wall
-    uv = np.column_stack([np.full_like(v, surface.domain[0, end]), v])
-    edge = surface.point(uv, -wall.thickness_mm)
-    normal, tangents = surface.normal(uv), surface.tangents(uv)
-    along, around = tangents[:, 0], tangents[:, 1]
-    length = np.sum(around**2, axis=1)
-    if float(length.min()) <= 1e-18 * float(np.sum(along**2, axis=1).max()):
-        return empty_mesh()  # A pole: the edge is a point and has no rim.
-    along = along - (np.sum(along * around, axis=1) / length)[:, None] * around
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    outward = along if end == 1 else -along
-    rim = edge + wall.rim_length_mm * outward
+    edge = loop.points_mm(surface, -wall.thickness_mm, 0.0)
+    rim = loop.points_mm(surface, -wall.thickness_mm, wall.rim_length_mm)
     curves = [edge, rim]
-    if end == 0:
-        curves.append(rim + (wall.thickness_mm + wall.rim_flange_mm) * normal)
-    return grid_mesh(np.stack(curves), closed=surface.periodic[1])
+    if ended:
+        curves.append(loop.points_mm(surface, wall.rim_flange_mm, wall.rim_length_mm))
+    strip = grid_mesh(np.stack(curves), closed=True)
+    # The stations of a mitre are one point on the edge itself.
+    a, b, c = np.moveaxis(strip.vertices[strip.triangles], 1, 0)
+    real = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0.0
+    return Mesh(vertices=strip.vertices, triangles=strip.triangles[real])
 
 
 def bar_span_mm(design: Design, surface: Surface) -> tuple[float, float]:
-    """Z of the light bar's near and far end (at the far edge of the sensing surface)."""
-    far = float(edge_mm(surface, 1, -design.wall.thickness_mm)[:, 2].max())
-    return design.light.bar_start_mm, far
+    """Z of the light bar's near and far end.
+
+    The bar ends at the far edge of a tube; in a dome, or before a sheet, a little in front of the
+    inner face.
+    """
+    offset, near = -design.wall.thickness_mm, design.light.bar_start_mm
+    if (0, 1) in surface.edges() and surface.periodic[1]:
+        return near, float(edge_mm(surface, 1, offset)[:, 2].max())
+    room = BAR_STEP * design.wall.thickness_mm
+    face = grid_mesh(
+        _inner_face(design, surface, room / 2.0)[2],
+        closed=surface.periodic[1],
+        poles=surface.poles,
+    )
+    turn = 2.0 * np.pi * np.arange(BAR_RAYS) / BAR_RAYS
+    around = design.light.bar_radius_mm * np.column_stack([np.cos(turn), np.sin(turn)])
+    heights = _heights_mm(face, np.concatenate([np.zeros((1, 2)), around]))
+    far = float(heights.min(initial=np.inf))
+    if not np.isfinite(far):
+        far = float(boundary_mm(surface, offset)[:, 2].max())
+    return near, far - room
+
+
+def _heights_mm(mesh: Mesh, places_mm: FloatArray) -> FloatArray:
+    """Z of every crossing of the mesh with lines along z at ``places_mm`` (n, 2), flat."""
+    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
+    first, second = b - a, c - a
+    twice = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    flat = twice != 0.0
+    a, first, second, twice = a[flat], first[flat], second[flat], twice[flat]
+    arm = places_mm[:, None] - a[None, :, :2]
+    s = (arm[..., 0] * second[:, 1] - arm[..., 1] * second[:, 0]) / twice
+    t = (first[:, 0] * arm[..., 1] - first[:, 1] * arm[..., 0]) / twice
+    inside = (s >= -SLACK) & (t >= -SLACK) & (s + t <= 1.0 + SLACK)
+    height = a[:, 2] + s * first[:, 2] + t * second[:, 2]
+    return np.asarray(height[inside])
 
 
 def bar_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> Mesh:
     """Light bar on the axis, a cylinder with its near cap; empty for radius 0."""
     radius = design.light.bar_radius_mm
+    if radius <= 0.0:
+        return empty_mesh()
     near, far = bar_span_mm(design, surface)
-    if radius <= 0.0 or near >= far:
+    if near >= far:
         return empty_mesh()
     ratio = min(max(tolerance_mm / radius, 1e-6), 0.1)
     sides = int(np.ceil(np.pi / np.arccos(1.0 - ratio)))
@@ -91,4 +158,4 @@ def bar_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> Mesh:
     ring = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(sides)]) * radius
     axis = np.array([0.0, 0.0, 1.0])
     curves = np.stack([np.zeros_like(ring) + near * axis, ring + near * axis, ring + far * axis])
-    return grid_mesh(curves, closed=True)
+    return grid_mesh(curves, closed=True, poles=(True, False))

@@ -1,4 +1,4 @@
-"""A camera frame without OpenGL: the exact z-buffer, lit, the same on every machine.
+"""A camera frame of any lens, without OpenGL: the exact z-buffer, lit, alike on every machine.
 
 Light is linear until the last step: sub-pixels are averaged as a sensor does, then encoded to
 sRGB.
@@ -7,10 +7,13 @@ sRGB.
 import numpy as np
 from numpy.typing import NDArray
 
-from decoder.camera import PinholeCamera
+from decoder.camera import Camera
+from phytac_design.optics.fill import fill
+from phytac_design.optics.kernels import in_bands, kernel
 from phytac_design.optics.light import triangle_light
 from phytac_design.optics.paint import BACKGROUND, to_linear, to_srgb
-from phytac_design.optics.raster import fill, in_bands, kernel, project_scene
+from phytac_design.optics.raster import all_pieces, project_scene
+from phytac_design.optics.rays import ray_grid
 from phytac_design.optics.scene import Scene
 from shapes.arrays import FloatArray, ImageArray
 
@@ -21,7 +24,7 @@ LEVELS = 4096
 
 def render_frame(
     scene: Scene,
-    camera: PinholeCamera,
+    camera: Camera,
     *,
     noise_std: float = 0.0,
     rng: np.random.Generator | None = None,
@@ -37,10 +40,8 @@ def render_frame(
         Samples per pixel, see ``sample_offsets``.
     """
     view = project_scene(scene, camera)
-    offsets = sample_offsets(samples)
-    shifted = [
-        view._replace(image=view.image - d, lens=view.lens - np.array([0.0, *d])) for d in offsets
-    ]
+    chosen, offsets = all_pieces(view), sample_offsets(samples)
+    bent = view.rays.shape[0] > 0
     light = np.concatenate([triangle_light(scene, camera), to_linear(np.array([BACKGROUND]))])
     light = light[:, ::-1].astype(np.float32)
     encode = to_srgb(np.arange(LEVELS) / (LEVELS - 1.0)).astype(np.float32)
@@ -50,9 +51,13 @@ def render_frame(
         owner = np.zeros((last - first, camera.width_px), dtype=np.int32)
         inverse = np.zeros(owner.shape)
         total = np.zeros((*owner.shape, 3), dtype=np.float32)
-        for one in shifted:
+        for x, y in offsets:
             owner[:], inverse[:] = -1, 0.0
-            fill(one, 0, first, owner, inverse)
+            here = view
+            if bent:
+                rays = ray_grid(camera.lens).rows(first, last, np.array([x, y]))
+                here = view._replace(rays=rays, origin=np.array([0, first]))
+            fill(here, chosen, (0, first, 1, float(x), float(y)), owner, inverse)
             _add(owner, light, total)
         _encode(total, encode, float(samples), frame[first:last])
 

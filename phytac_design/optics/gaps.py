@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_design.optics.raster import kernel
+from phytac_design.optics.kernels import kernel
 from shapes.arrays import FloatArray, IntArray
 
 

@@ -27,10 +27,13 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
     )
 
 
-def grid_mesh(points: FloatArray, *, closed: bool) -> Mesh:
+def grid_mesh(
+    points: FloatArray, *, closed: bool, poles: tuple[bool, bool] = (False, False)
+) -> Mesh:
     """Two triangles per cell of a grid of points (rows, columns, 3).
 
-    ``closed`` joins the last column to the first.
+    ``closed`` joins the last column to the first. ``poles`` says whether the first, and the last,
+    row is a single point: there one triangle per cell.
     """
     rows, columns = points.shape[:2]
     cells = columns if closed else columns - 1
@@ -38,7 +41,9 @@ def grid_mesh(points: FloatArray, *, closed: bool) -> Mesh:
     after = (column + 1) % columns
     a, b = row * columns + column, row * columns + after
     c, d = a + columns, b + columns
-    triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([b, d, c])])
+    first = np.column_stack([a, b, c])[row > 0 if poles[0] else slice(None)]
+    second = np.column_stack([b, d, c])[row < rows - 2 if poles[1] else slice(None)]
+    triangles = np.concatenate([first, second])
     return Mesh(vertices=points.reshape(-1, 3).copy(), triangles=triangles.astype(np.int32))
 
 

@@ -1,5 +1,7 @@
 """Paints of the parts, and the light they reflect: one table for pictures and frames."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from shapes.arrays import FloatArray
@@ -8,10 +10,13 @@ PAINTS: dict[str, tuple[int, int, int]] = {
     "blue": (28, 72, 214),
     "green": (24, 168, 62),
     "red": (214, 30, 34),
+    "yellow": (238, 206, 16),
+    "magenta": (206, 36, 168),
+    "cyan": (0, 182, 206),
 }
 """sRGB of each paint, 8 bits (chosen here as marker pens; the paper names the colours only).
 
-The decoder's colour model is made of this table; ``red`` is the switches' tip.
+``red`` is the switches' tip. See :func:`paints_of` for those of one design.
 """
 RESIN = (176, 170, 160)
 """sRGB of the printed resin, a warm grey."""
@@ -19,6 +24,11 @@ BAR = (255, 252, 240)
 """sRGB of the light bar, which shines."""
 BACKGROUND = (6, 6, 7)
 """sRGB where there is nothing to see."""
+
+
+def paints_of(names: Iterable[str]) -> dict[str, tuple[int, int, int]]:
+    """Return the paints that a sensor shows: its markers' (each once, in order), then red."""
+    return {name: PAINTS[name] for name in dict.fromkeys((*names, "red"))}
 
 
 def to_linear(srgb: FloatArray) -> FloatArray:

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from decoder.camera import PinholeCamera
+from decoder.camera import Camera
+from decoder.lens import Pinhole
 from phytac_design.optics.light import triangle_light
 from phytac_design.optics.paint import BACKGROUND
 from phytac_design.optics.scene import Scene
@@ -28,22 +29,28 @@ GL_TO_CV = np.diag([1.0, -1.0, -1.0])
 """OpenGL's camera looks along -z with y up."""
 
 
-def render_picture(scene: Scene, camera: PinholeCamera) -> ImageArray:
+def render_picture(scene: Scene, camera: Camera) -> ImageArray:
     """Anti-aliased 8-bit picture (h, w, 3), BGR, in the camera's own pixels.
 
     Raises
     ------
     MissingPartError
-        If pyrender or an EGL driver is not there; says which packages to install.
+        If pyrender or an EGL driver is not there (says which packages to install), or the lens
+        is not a pinhole, the only one that OpenGL can draw.
     """
+    if not isinstance(camera.lens, Pinhole):
+        raise MissingPartError(
+            f"no OpenGL picture: OpenGL draws pinholes only (got a {camera.lens.model} lens); "
+            "frames of optics.frame show any lens"
+        )
     pyrender = _pyrender()
     background = [*(np.array(BACKGROUND) / 255.0), 1.0]
     stage = pyrender.Scene(bg_color=background, ambient_light=np.ones(3))
     stage.add(pyrender.Mesh([_primitive(pyrender, scene, camera)]))
     near, far = _depth_range(scene, camera)
     eye = pyrender.IntrinsicsCamera(
-        camera.focal_px,
-        camera.focal_px,
+        camera.lens.fx_px,
+        camera.lens.fy_px,
         # OpenGL counts pixel edges, our pixel centres are integers.
         *(camera.centre_px + 0.5),
         znear=near,
@@ -76,7 +83,7 @@ def _pyrender() -> Any:
     return pyrender
 
 
-def _primitive(pyrender: Any, scene: Scene, camera: PinholeCamera) -> Any:
+def _primitive(pyrender: Any, scene: Scene, camera: Camera) -> Any:
     """All triangles, with corners of their own each in the light that the triangle sends.
 
     Under even white light OpenGL's shader passes the corners' linear colour on to its gamma.
@@ -91,7 +98,7 @@ def _primitive(pyrender: Any, scene: Scene, camera: PinholeCamera) -> Any:
     )
 
 
-def _depth_range(scene: Scene, camera: PinholeCamera) -> tuple[float, float]:
+def _depth_range(scene: Scene, camera: Camera) -> tuple[float, float]:
     """Near and far plane that hold all that lies in front of the camera, mm."""
     depth = camera.to_camera(scene.vertices)[:, 2]
     front = depth[depth > NEAR_LEAST_MM]

@@ -174,11 +174,13 @@ def _receptors(
     design: Design, markers: Markers, on: BoolArray, chosen: IntArray, sides: int
 ) -> tuple[Mesh, NDArray[np.int32], NDArray[np.int32]]:
     """Chosen receptors: mesh, part of each triangle, owner of each vertex; marker after marker."""
-    radius, depth = _profile(design, markers.height_mm[chosen], on[chosen])
-    n, rings = depth.shape
-    tip = markers.tip_mm[chosen]
+    tip, normal = markers.tip_mm[chosen], markers.normal[chosen]
     axis = tip - markers.foot_mm[chosen]
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    sine = np.linalg.norm(np.cross(axis, normal), axis=1)
+    slope = sine / np.maximum(np.abs(np.sum(axis * normal, axis=1)), 1e-12)
+    radius, depth = _profile(design, markers.height_mm[chosen], on[chosen], slope)
+    n, rings = depth.shape
     across = np.cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     third = np.cross(axis, across)
@@ -211,16 +213,19 @@ def _receptors(
     return mesh, part.reshape(-1).astype(np.int32), np.repeat(marker, rings * sides)
 
 
-def _profile(design: Design, height: FloatArray, on: BoolArray) -> tuple[FloatArray, FloatArray]:
+def _profile(
+    design: Design, height: FloatArray, on: BoolArray, slope: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Radius (9,) and depth behind the end face (n, 9) of the rings of a receptor, mm.
 
-    The foot is sunk by half the wall, so that no light passes under it on any surface. The red
+    The foot is sunk by half the wall, and by what a receptor that leans against the normal (tangent
+    of the angle: ``slope``) lifts on its one side: no light passes under it on any surface. The red
     side is one stroke and one recess long; the hole is closed behind it.
     """
     outer, hole = design.receptor.diameter_outer_mm / 2.0, design.receptor.diameter_hole_mm / 2.0
     tip = design.switch.tip_diameter_mm / 2.0
     switch = design.switch
-    foot = height + design.wall.thickness_mm / 2.0
+    foot = height + design.wall.thickness_mm / 2.0 + outer * slope
     band = np.minimum(design.receptor.band_marker_mm, height)
     front = switch.tip_recess_mm - np.where(on, switch.stroke_mm, 0.0)
     back = front + switch.stroke_mm + switch.tip_recess_mm

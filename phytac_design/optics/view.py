@@ -1,8 +1,9 @@
-"""The design's camera, and the refusal of one that cannot work."""
+"""The design's cameras, and the refusal of those that cannot work."""
 
 import numpy as np
 
-from decoder.camera import PinholeCamera, fit_stand_off_mm
+from decoder.camera import Camera, fit_distance_mm
+from decoder.lens import Lens, Pinhole
 from phytac_design.layout import Markers
 from phytac_design.optics.envelope import bar_span_mm, edge_mm
 from phytac_design.spec import Design
@@ -12,53 +13,106 @@ from shapes.errors import DesignError
 
 TOLERANCE_PX = 0.1
 """Polygons stay this close to the circles they stand for, in pixels."""
+LEAST_SHARE = 0.05
+"""Least stand-off that `fit` gives a wide lens, as a share of the near edge's largest radius."""
 
 
-def camera_of(design: Design, surface: Surface) -> PinholeCamera:
-    """Return the design's camera on the sensor axis, at the stand-off of the design or its `fit`.
+def camera_of(design: Design, surface: Surface) -> Camera:
+    """Return the design's one camera, see :func:`cameras_of`.
 
     Raises
     ------
     DesignError
-        If the camera stands inside the sensor, its wall or its light bar, or cannot see the
-        whole near rim.
+        If the camera cannot work, or the design has two.
     """
+    cameras = cameras_of(design, surface)
+    if len(cameras) > 1:
+        raise DesignError(
+            'this step works with one camera (got camera.ends = "both"); set camera.ends = "near" '
+            'or "far"'
+        )
+    return cameras[0]
+
+
+def cameras_of(design: Design, surface: Surface) -> tuple[Camera, ...]:
+    """Cameras on the sensor axis, at the stand-off of the design or its `fit`; the near one first.
+
+    Raises
+    ------
+    DesignError
+        If a camera stands inside the sensor, its wall or its light bar, or cannot see the whole
+        edge before it.
+    """
+    ends = {"near": (0,), "far": (1,), "both": (0, 1)}[design.camera.ends]
+    return tuple(_camera_at(design, surface, end) for end in ends)
+
+
+def _camera_at(design: Design, surface: Surface, end: int) -> Camera:
+    """Camera before the near end (0), or beyond the far one (1) looking back."""
     section = design.camera
-    rim = edge_mm(surface, 0, -design.wall.thickness_mm)
-    radius = float(np.linalg.norm(rim[:, :2], axis=1).max())
-    size = min(section.width_px, section.height_px)
+    lens = section.lens()
+    rim = edge_mm(surface, end, -design.wall.thickness_mm)
+    sign = 1.0 if end == 0 else -1.0
+    # The stand-off counts from z = 0 at the near end, and from the edge's plane at the far one.
+    start = 0.0 if end == 0 else float(rim[:, 2].max())
 
     def fit(fill: float) -> float:
-        return fit_stand_off_mm(
-            radius_mm=radius, focal_px=section.focal_px, size_px=size, fill=fill
-        )
+        return fit_stand_off_mm(lens, rim, end=end, start_mm=start, fill=fill)
 
     stand_off = fit(section.fill) if section.stand_off_mm == "fit" else section.stand_off_mm
-    camera = PinholeCamera.on_axis(
-        width_px=section.width_px,
-        height_px=section.height_px,
-        focal_px=section.focal_px,
-        stand_off_mm=float(stand_off),
-    )
+    z = start - sign * float(stand_off)
+    camera = Camera.at(lens, z_mm=z, backward=end == 1)
     fix = f'set camera.stand_off_mm = "fit" ({fit(section.fill):.2f} mm here)'
-    z, plane = -float(stand_off), float(rim[:, 2].min())
-    if z >= plane:
+    side = "near" if end == 0 else "far"
+    plane = float((sign * rim[:, 2]).min() * sign)
+    if sign * z >= sign * plane:
         raise DesignError(
             f"the camera stands inside the sensor: its centre is at z = {z:.2f} mm, at or beyond "
-            f"the near rim's plane at z = {plane:.2f} mm (got stand_off_mm = {stand_off:g}); {fix}"
+            f"the {side} rim's plane at z = {plane:.2f} mm (got stand_off_mm = {stand_off:g}); "
+            f"{fix}"
         )
     _refuse_wall(design, surface, camera, fix)
-    near = bar_span_mm(design, surface)[0]
-    if design.light.bar_radius_mm > 0.0 and near <= z:
+    near, far = bar_span_mm(design, surface)
+    if end == 0 and design.light.bar_radius_mm > 0.0 and near <= z < far:
         raise DesignError(
             f"the camera stands inside the light bar: the bar starts at z = {near:.2f} mm, the "
             f"camera's centre is at z = {z:.2f} mm; raise light.bar_start_mm above {z:.2f}"
         )
-    _refuse_blind(camera, rim, fit(1.0), fix)
+    _refuse_blind(camera, rim, side, fit(1.0), fix)
     return camera
 
 
-def _refuse_wall(design: Design, surface: Surface, camera: PinholeCamera, fix: str) -> None:
+def fit_stand_off_mm(
+    lens: Lens, rim: FloatArray, *, end: int, start_mm: float, fill: float
+) -> float:
+    """Least stand-off at which a rim stays within ``fill`` of half the smaller image side.
+
+    Parameters
+    ----------
+    rim : (n, 3) float
+        Points of the edge nearest the camera, inner face.
+    end : int
+        0 for a camera before the near end, 1 for one beyond the far end.
+    start_mm : float
+        Z from which the stand-off counts.
+
+    Raises
+    ------
+    DesignError
+        If no distance does.
+    """
+    frame = Camera.at(lens, z_mm=start_mm, backward=end == 1)
+    points = frame.to_camera(rim)
+    nearest = float(points[:, 2].min())
+    least = LEAST_SHARE * float(np.linalg.norm(points[:, :2], axis=1).max())
+
+    def reach(distance: float) -> FloatArray:
+        return np.asarray(points + np.array([0.0, 0.0, distance - nearest]))
+
+    return fit_distance_mm(lens, reach, fill=fill, least_mm=least) - nearest
+
+
+def _refuse_wall(design: Design, surface: Surface, camera: Camera, fix: str) -> None:
     """Raise if the camera's centre lies in the wall of the sensing surface."""
     centre = camera.position_mm[None]
     foot = surface.chart(centre)
@@ -71,19 +125,24 @@ def _refuse_wall(design: Design, surface: Surface, camera: PinholeCamera, fix: s
         )
 
 
-def _refuse_blind(camera: PinholeCamera, rim: FloatArray, least_mm: float, fix: str) -> None:
-    """Raise if any point of the near rim projects outside of the image."""
-    pixels = camera.project(rim)
-    last = np.array([camera.width_px, camera.height_px]) - 0.5
-    if bool(np.all((pixels >= -0.5) & (pixels <= last))):
+def _refuse_blind(camera: Camera, rim: FloatArray, side: str, least_mm: float, fix: str) -> None:
+    """Raise if any point of the rim before the camera projects outside of the image."""
+    if bool(camera.sees(rim).all()):
         return
-    reach = np.abs(pixels - camera.centre_px).max(axis=0)
     stand_off = -float(camera.position_mm[2])
+    where = f"stand-off {stand_off:.2f} mm, focal length {camera.focal_px:g} px"
+    mend = f"move it back to at least {least_mm:.2f} mm or {fix}"
+    pixels = camera.project(rim)
+    if np.isnan(pixels).any():
+        raise DesignError(
+            f"the camera cannot see the {side} rim: part of it lies beyond the lens's field of "
+            f"{np.rad2deg(camera.lens.field_rad):.1f}° from the axis ({where}); {mend}"
+        )
+    reach = np.abs(pixels - camera.centre_px).max(axis=0)
     raise DesignError(
-        f"the camera cannot see the near rim: it projects {reach[0]:.0f} x {reach[1]:.0f} px from "
-        f"the image centre, the image ends at {camera.width_px / 2:.0f} x "
-        f"{camera.height_px / 2:.0f} px (stand-off {stand_off:.2f} mm, focal length "
-        f"{camera.focal_px:g} px); move it back to at least {least_mm:.2f} mm or {fix}"
+        f"the camera cannot see the {side} rim: it projects {reach[0]:.0f} x {reach[1]:.0f} px "
+        f"from the image centre, the image ends at {camera.width_px / 2:.0f} x "
+        f"{camera.height_px / 2:.0f} px ({where}); {mend}"
     )
 
 
@@ -108,7 +167,12 @@ def refuse_swallowed(design: Design, surface: Surface, markers: Markers) -> None
         )
 
 
-def tolerance_mm(camera: PinholeCamera, markers: Markers) -> FloatArray:
+def tolerance_mm(camera: Camera, markers: Markers) -> FloatArray:
     """Tessellation tolerance of each receptor: ``TOLERANCE_PX`` pixels at its end face, (n,) mm."""
-    depth = camera.to_camera(markers.tip_mm)[:, 2]
-    return np.asarray(TOLERANCE_PX * np.maximum(depth, 1e-3) / camera.focal_px)
+    if isinstance(camera.lens, Pinhole):
+        depth = camera.to_camera(markers.tip_mm)[:, 2]
+        return np.asarray(TOLERANCE_PX * np.maximum(depth, 1e-3) / camera.focal_px)
+    scale = np.linalg.norm(camera.jacobian(markers.tip_mm), ord=2, axis=(1, 2))
+    # Receptors beyond the lens's field show nothing; they are made as coarse as the coarsest.
+    least = float(np.nanmin(scale, initial=camera.focal_px / 1e3))
+    return np.asarray(TOLERANCE_PX / np.where(np.isfinite(scale), scale, least))

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from decoder.camera import PinholeCamera
+from decoder.camera import Camera
 from decoder.segmentation import ColourModel, segment
 from phytac_design.layout import Markers
 from phytac_design.optics.frame import render_frame
 from phytac_design.optics.gaps import marker_gaps
 from phytac_design.optics.paint import PAINTS
-from phytac_design.optics.raster import Buffers, pixels_alone, rasterise
+from phytac_design.optics.raster import Buffers, pixels_alone, points_seen, rasterise
 from phytac_design.optics.scene import Scene, build_scene, paint_owner, red_owner
 from phytac_design.optics.view import camera_of, refuse_swallowed, tolerance_mm
 from phytac_design.spec import Design
@@ -87,7 +87,7 @@ def check_visibility(
     markers: Markers,
     *,
     rng: np.random.Generator,
-    camera: PinholeCamera | None = None,
+    camera: Camera | None = None,
 ) -> Visibility:
     """Visibility of every marker of a design, unloaded.
 
@@ -108,7 +108,7 @@ def check_visibility(
 def see(
     rest: Scene,
     on: Scene,
-    camera: PinholeCamera,
+    camera: Camera,
     *,
     noise_std: float,
     rng: np.random.Generator,
@@ -117,7 +117,7 @@ def see(
     buffers = rasterise(rest, camera)
     marker = paint_owner(buffers.part)
     own, other = marker_gaps(marker, rest.colour)
-    visible, centroid, point = _means(buffers, marker, camera, rest.count)
+    visible, centroid, point = _means(buffers, marker, rest, camera)
     alone = pixels_alone(rest, camera)[0]
     fraction = np.divide(visible, alone, out=np.zeros(len(alone)), where=alone > 0)
     frame = render_frame(rest, camera, noise_std=noise_std, rng=rng, samples=SAMPLES)
@@ -169,19 +169,17 @@ def _count(owner: NDArray[np.int32], markers: int) -> IntArray:
 
 
 def _means(
-    buffers: Buffers, marker: NDArray[np.int32], camera: PinholeCamera, markers: int
+    buffers: Buffers, marker: NDArray[np.int32], scene: Scene, camera: Camera
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Visible pixels (n,), their mean (n, 2) px, and the mean (n, 3) mm of what they see."""
     y, x = np.nonzero(marker >= 0)
     owner = marker[y, x]
-    count = np.bincount(owner, minlength=markers).astype(np.int64)
-    pixels = np.column_stack([x, y]).astype(np.float64)
-    ray = np.column_stack([(pixels - camera.centre_px) / camera.focal_px, np.ones(len(x))])
-    points = (ray * buffers.depth[y, x][:, None]) @ camera.rotation + camera.position_mm
-    columns = np.column_stack([pixels, points]).T
-    sums = np.stack([np.bincount(owner, weights=c, minlength=markers) for c in columns], axis=1)
-    means = np.full((markers, 5), np.nan)
-    np.divide(sums, count[:, None], out=means, where=count[:, None] > 0)
+    count = np.bincount(owner, minlength=scene.count).astype(np.int64)
+    points = points_seen(scene, camera, buffers, y, x)
+    columns = np.column_stack([x, y, points]).T
+    sums = [np.bincount(owner, weights=c, minlength=scene.count) for c in columns]
+    means = np.full((scene.count, 5), np.nan)
+    np.divide(np.stack(sums, axis=1), count[:, None], out=means, where=count[:, None] > 0)
     return count, means[:, :2], means[:, 2:]
 
 

@@ -5,13 +5,17 @@ from phytac_design.stages.decoder import DECODER
 from phytac_design.stages.frames import FRAMES
 from phytac_design.stages.mesh import MESH
 from phytac_design.stages.report import REPORT
+from phytac_design.stages.resolution import RESOLUTION
 from phytac_design.stages.shell import SHELL, STEP
 from phytac_design.stages.twin import RESPONSE, TWIN
+from phytac_design.stages.underload import UNDERLOAD
 from phytac_design.stages.views import COMPARE, VIEWS
 
 STAGES: tuple[Stage, ...] = (
     VIEWS,
     COMPARE,
+    UNDERLOAD,
+    RESOLUTION,
     SHELL,
     STEP,
     MESH,

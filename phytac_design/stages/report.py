@@ -15,7 +15,19 @@ from phytac_design.report import figures, page
 from phytac_design.spec import Design
 from phytac_design.stage import EXPORT, Context, Stage, export_path, write_facts
 
-NEEDS = ("views", "compare", "shell", "step", "mesh", "response", "twin", "decoder", "frames")
+NEEDS = (
+    "views",
+    "compare",
+    "underload",
+    "resolution",
+    "shell",
+    "step",
+    "mesh",
+    "response",
+    "twin",
+    "decoder",
+    "frames",
+)
 SIMULATED = (
     "All decoder figures are in simulation: contacts are solved with a linear shell model (on a "
     "finer mesh than the decoder's own), projected through the camera, and given pixel noise. "
@@ -48,6 +60,8 @@ def gather(context: Context) -> dict[str, Any]:
         },
         "visibility": views["visibility"],
         "straight": context.facts("compare")["straight"],
+        "under_load": context.facts("underload"),
+        "resolution": context.facts("resolution"),
         "camera": {
             "stand_off_mm": views["stand_off_mm"],
             "picture": views["renderer"],
@@ -106,6 +120,20 @@ def lead_of(report: dict[str, Any]) -> str:
     )
 
 
+def load_line(load: dict[str, Any]) -> str:
+    """What happens under load, in one sentence."""
+    where = (
+        "no marker hides or fuses"
+        if load["first_force_N"] is None
+        else f"markers hide or fuse from {load['first_force_N']:.2g} N on"
+    )
+    return (
+        f"Pressed with up to {load['force_N']:g} N at {load['presses']} places: {where}; a "
+        f"marker's centroid is disturbed by at most {load['crosstalk_px']:.2g} px "
+        f"({load['crosstalk_still_px']:.2g} px for one that stands still)."
+    )
+
+
 def sections_of(context: Context, report: dict[str, Any]) -> list[tuple[str, str]]:
     """Sections of the page."""
     arrays = context.arrays("views")
@@ -115,9 +143,13 @@ def sections_of(context: Context, report: dict[str, Any]) -> list[tuple[str, str
     ]
     flat = context.surface.unwrap(context.markers.uv)
     paper = f"<p>({page.number(PAPER)}.)</p>"
+    straight = report["straight"]
     layouts = page.table(
-        ("", "this layout", "straight, same counts"),
-        [(key, value, report["straight"][key]) for key, value in report["visibility"].items()],
+        ("", "this layout", *(("straight, same counts",) if straight else ())),
+        [
+            (key, value, *((straight[key],) if straight else ()))
+            for key, value in report["visibility"].items()
+        ],
     )
 
     def view(stage: str, name: str, caption: str) -> str:
@@ -134,7 +166,11 @@ def sections_of(context: Context, report: dict[str, Any]) -> list[tuple[str, str
             "Camera",
             '<div class="pair">'
             + view("views", "camera.png", "What the camera sees, at rest")
-            + view("compare", "straight.png", "The same counts in straight rows")
+            + (
+                view("compare", "straight.png", "The same counts in straight rows")
+                if straight
+                else ""
+            )
             + view("views", "camera_all_on.png", "All switches on: red tips out")
             + view("views", "ids.png", "Exact ID map: one colour per marker")
             + "</div>"
@@ -144,6 +180,37 @@ def sections_of(context: Context, report: dict[str, Any]) -> list[tuple[str, str
                 gap, "Gap to the nearest marker of the same colour (60 px and more alike)", "px"
             )
             + page.facts(report["camera"]),
+        ),
+        (
+            "Under load",
+            f"<p>{load_line(report['under_load'])}</p>"
+            + unrolled(
+                context.arrays("underload")["crosstalk_px"],
+                "Crosstalk: greatest shift of a centroid that is not its marker's own motion",
+                "px",
+            )
+            + unrolled(
+                np.minimum(context.arrays("underload")["least_gap_same_px"], 60.0),
+                "Least gap to a marker of the same colour under any press (60 px and more alike)",
+                "px",
+            )
+            + page.facts(report["under_load"]),
+        ),
+        (
+            "Predicted resolution",
+            "<p>Cramér-Rao bound of a single contact, its position and size unknown but for the "
+            "stated prior: no estimator without bias is better on average.</p>"
+            + unrolled(
+                context.arrays("resolution")["force_N_10"],
+                "Least standard deviation of a force of 10 N",
+                "N",
+            )
+            + unrolled(
+                context.arrays("resolution")["along_mm_10"],
+                "Least standard deviation of its position along the sensor",
+                "mm",
+            )
+            + page.facts(report["resolution"]),
         ),
         ("Markers", page.facts(report["markers"])),
         ("Shell", page.facts(report["shell"])),

@@ -35,7 +35,7 @@ def run_response(context: Context, folder: Path) -> None:
     """Condense the decoder's mesh to what the camera sees of the markers."""
     from phytac_design.mechanics.compliance import marker_compliance, point_motion
     from phytac_design.mechanics.mesh import marker_mesh
-    from phytac_design.mechanics.solve import clamped_model
+    from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
     from phytac_design.optics.view import camera_of
     from phytac_design.twin.condense import condense
 
@@ -46,9 +46,11 @@ def run_response(context: Context, folder: Path) -> None:
         thickness_mm=design.wall.thickness_mm,
         refine=context.accuracy.refine,
     )
-    model = clamped_model(
-        mesh, modulus_MPa=design.material.modulus_MPa, poisson=design.material.poisson
-    )
+    unknown = unknown_receptors(design)
+    if context.accuracy.receptors and unknown:
+        context.progress(f"response: the wall is taken as plain: {unknown}")
+    receptors = context.accuracy.receptors and not unknown
+    model = sensor_model(design, markers, mesh, receptors=receptors)
     compliance = marker_compliance(
         model,
         mesh,
@@ -71,11 +73,20 @@ def run_response(context: Context, folder: Path) -> None:
             "stiffness": condensed.stiffness,
         },
     )
-    write_facts(folder, {"nodes": len(mesh.nodes_mm), "condition": condensed.condition})
+    write_facts(
+        folder,
+        {
+            "nodes": len(mesh.nodes_mm),
+            "condition": condensed.condition,
+            "receptors": receptors,
+            "receptors_unknown": unknown,
+        },
+    )
 
 
 def run_twin(context: Context, folder: Path) -> None:
     """Draw contacts, solve them on the finer mesh, project and add noise."""
+    from phytac_design.mechanics.receptors import unknown_receptors
     from phytac_design.optics.view import camera_of
     from phytac_design.twin.contacts import draw_contacts, switch_states
     from phytac_design.twin.dataset import Dataset
@@ -121,10 +132,11 @@ def run_twin(context: Context, folder: Path) -> None:
         switching = switch_states(design, surface, markers, item)
         arrays |= Dataset(contacts=item, switching=switching, shift_px=shift + noise).arrays(name)
     write_arrays(folder, arrays)
+    wall = "plain shell" if unknown_receptors(design) else "shell with receptors"
     write_facts(
         folder,
         {
-            "model": "linear shell on a finer, non-nested mesh; simulated",
+            "model": f"linear {wall} on a finer, non-nested mesh; simulated",
             "nodes": len(mesh.nodes_mm),
             "samples": count,
             "contacts": {name: len(item.force_N) for name, item in drawn.items()},
@@ -146,7 +158,7 @@ def samples_of(design: Design, share: float) -> dict[str, int]:
 RESPONSE = Stage(
     name="response",
     tables=MECHANICS,
-    knobs=("refine",),
+    knobs=("refine", "receptors"),
     needs=("views",),
     run=run_response,
 )

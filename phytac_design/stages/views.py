@@ -127,11 +127,14 @@ def straight_of(design: Design) -> Design:
 
 
 def run_compare(context: Context, folder: Path) -> None:
-    """Visibility of the straight layout with the same counts, and its picture."""
+    """Visibility of the straight layout with the same counts, and its picture, for spirals."""
     from phytac_design.optics.scene import build_scene
     from phytac_design.optics.view import camera_of, tolerance_mm
     from phytac_design.optics.visibility import check_visibility
 
+    if context.design.layout.kind != "spiral":
+        write_facts(folder, {"straight": None})
+        return
     design, surface = straight_of(context.design), context.surface
     markers = make_markers(design, surface)
     camera = camera_of(design, surface)

@@ -1,11 +1,13 @@
 """Drawing contacts: patches on the surface with a force, and which switches they trip."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from phytac_design.layout import Markers
+from phytac_design.layout.arc import by_area
 from phytac_design.mechanics.contact import footprint_force_share
 from phytac_design.spec import Design
 from shapes import Surface
@@ -15,6 +17,8 @@ Placement = Literal["receptor", "anywhere"]
 JITTER_MM = 1.0
 """A rig that presses on receptors hits them within this distance, along and around."""
 TRIES = 400
+POOL = 2048
+"""Places drawn at once: charts are cheaper by the thousand than one by one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,11 +87,12 @@ def draw_contacts(
     """Draw samples of one contact, and (a share of them) of two to ``most`` at once.
 
     Forces are uniform in the design's range, radii in theirs. ``receptor`` presses on receptors
-    within ``JITTER_MM``, as the paper's rig traverses them; ``anywhere`` is uniform over the chart.
-    Contacts of one sample keep apart by more than both radii and a footprint.
+    within ``JITTER_MM``, as the paper's rig traverses them; ``anywhere`` is uniform over the area
+    that senses. Centres lie within the open edges. Contacts of one sample keep apart by more than
+    both radii and a footprint; where the sensor has no room for as many, a sample has fewer.
     """
     training = design.training
-    domain = surface.domain
+    places = _places(surface, markers, placement, rng)
     rows: list[tuple[int, float, float, float, float]] = []
     for sample in range(samples):
         multi = rng.random() < training.multi_contact and most > 1
@@ -96,9 +101,8 @@ def draw_contacts(
         for _ in range(TRIES):
             if len(placed) == wanted:
                 break
-            uv = _place(surface, markers, domain, placement, rng)
+            uv, point = next(places)
             radius = rng.uniform(training.patch_radius_min_mm, training.patch_radius_max_mm)
-            point = surface.point(uv[None])[0]
             room = radius + design.switch.footprint_diameter_mm
             if all(np.linalg.norm(point - other) > room + size for other, size in placed):
                 placed.append((point, radius))
@@ -114,24 +118,36 @@ def draw_contacts(
     )
 
 
-def _place(
-    surface: Surface,
-    markers: Markers,
-    domain: FloatArray,
-    placement: Placement,
-    rng: np.random.Generator,
+def _places(
+    surface: Surface, markers: Markers, placement: Placement, rng: np.random.Generator
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Chart coordinates (2,) and points (3,) of one random place after the other."""
+    while True:
+        if placement == "anywhere":
+            uv = by_area(surface, rng.random((POOL, 2)))
+            uv = uv[surface.sensing(uv)]
+        else:
+            uv = _beside(surface, markers, rng.integers(markers.count, size=POOL), rng)
+        yield from zip(uv, surface.point(uv), strict=True)
+
+
+def _beside(
+    surface: Surface, markers: Markers, ids: IntArray, rng: np.random.Generator
 ) -> FloatArray:
-    if placement == "anywhere":
-        return np.asarray(rng.uniform(domain[:, 0], domain[:, 1]))
-    uv = markers.uv[int(rng.integers(markers.count))]
-    scale = np.sqrt(np.diagonal(surface.metric(uv[None])[0]))
-    moved = uv + rng.uniform(-JITTER_MM, JITTER_MM, size=2) / scale
-    return np.asarray(
-        [
-            value if closed else np.clip(value, low, high)
-            for value, closed, (low, high) in zip(moved, surface.periodic, domain, strict=True)
-        ]
-    )
+    """Places (m, 2) within ``JITTER_MM`` of markers (m,), along and around, within open edges.
+
+    Steps are taken in the tangent plane and brought back to the surface, so that they are as
+    long at a pole as anywhere.
+    """
+    uv, normal = markers.uv[ids], markers.normal[ids]
+    along = surface.tangents(uv)[:, 0]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    step = rng.uniform(-JITTER_MM, JITTER_MM, size=(len(ids), 2))
+    aside = step[:, :1] * along + step[:, 1:] * np.cross(normal, along)
+    moved = surface.chart(surface.point(uv) + aside)
+    low, high = surface.domain.T
+    inside = np.clip(moved, low, high)
+    return np.where(np.array(surface.periodic), moved, inside)
 
 
 def switch_states(

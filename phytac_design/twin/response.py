@@ -59,7 +59,7 @@ def motion_responses(
     radius_mm : (c,) float
         Patch radii.
     """
-    columns = markers.lattice.columns
+    columns = markers.lattice.columns if markers.lattice else 1
     turn = column_turn(model, mesh, columns)
     base = np.arange(markers.count) if turn is None else np.flatnonzero(markers.column == 0)
     adjoint = _adjoints(model, motion_probe(mesh, markers.uv[base]), progress)
@@ -68,7 +68,7 @@ def motion_responses(
         return np.asarray(patches @ adjoint).reshape(len(uv), markers.count, 6)
     around = len(mesh.sets["BOTTOM"])
     field = adjoint.reshape(-1, around, 2, 3, adjoint.shape[1])
-    out = np.empty((len(uv), markers.lattice.rows_u.size, columns, 2, 3))
+    out = np.empty((len(uv), markers.count // columns, columns, 2, 3))
     for k in range(columns):
         power = np.linalg.matrix_power(turn, k)
         turned = np.einsum("xy,lacym->lacxm", power, np.roll(field, k * around // columns, axis=1))

@@ -1,12 +1,10 @@
 """The pinhole camera: inverse pairs and derivatives."""
 
 import numpy as np
-import pytest
 
-from decoder.camera import PinholeCamera, fit_stand_off_mm
-from shapes.errors import DesignError
+from decoder.camera import Camera
 
-CAMERA = PinholeCamera.on_axis(width_px=2592, height_px=1944, focal_px=970, stand_off_mm=30)
+CAMERA = Camera.on_axis(width_px=2592, height_px=1944, focal_px=970, stand_off_mm=30)
 
 
 def cloud(seed: int = 0) -> np.ndarray:
@@ -37,10 +35,3 @@ def test_behind_the_camera_is_nowhere() -> None:
 
 def test_axis_hits_the_middle_pixel() -> None:
     assert np.allclose(CAMERA.project(np.array([[0.0, 0.0, 5.0]])), [[1295.5, 971.5]])
-
-
-def test_fit_fills_the_image() -> None:
-    stand_off = fit_stand_off_mm(radius_mm=29.2, focal_px=970, size_px=1944, fill=0.975)
-    assert 970 * 29.2 / stand_off == pytest.approx(972 * 0.975)
-    with pytest.raises(DesignError, match="positive sizes"):
-        fit_stand_off_mm(radius_mm=0.0, focal_px=970, size_px=1944, fill=0.975)

@@ -25,8 +25,55 @@ def design(**sections: dict[str, Any]) -> Design:
         "layout": {"rows": 3, "columns": 4},
     }
     for section, values in sections.items():
-        base[section] = {**base.get(section, {}), **values}
+        other = section == "shape" and values.get("kind", "cylinder") != "cylinder"
+        base[section] = values if other else {**base.get(section, {}), **values}
     return Design.model_validate(base)
+
+
+def waved(rows: int, columns: int, width: float, height: float) -> list[list[list[float]]]:
+    """A gently curved grid of points, concave towards the camera, 40 mm in front of it."""
+    y, x = np.meshgrid(
+        np.linspace(-height / 2.0, height / 2.0, rows),
+        np.linspace(-width / 2.0, width / 2.0, columns),
+        indexing="ij",
+    )
+    z = 40.0 - 0.006 * x**2 - 0.004 * y**2 + 0.5 * np.sin(x / 9.0) * np.cos(y / 7.0)
+    points: list[list[list[float]]] = np.stack([x, y, z], axis=-1).tolist()
+    return points
+
+
+FAMILIES: dict[str, dict[str, Any]] = {
+    "cylinder": {"kind": "cylinder", "diameter_outer_mm": 40.0, "length_mm": 50.0},
+    "cone": {"kind": "cone", "diameter_near_mm": 50.0, "diameter_far_mm": 36.0, "length_mm": 50.0},
+    "capped cone": {
+        "kind": "cone",
+        "diameter_near_mm": 50.0,
+        "diameter_far_mm": 36.0,
+        "length_mm": 40.0,
+        "end": "cap",
+    },
+    "plane": {"kind": "plane", "width_mm": 60.0, "height_mm": 40.0, "tilt_deg": 15.0},
+    "cuboid": {
+        "kind": "cuboid",
+        "width_mm": 46.0,
+        "depth_mm": 36.0,
+        "length_mm": 50.0,
+        "edge_radius_mm": 6.0,
+    },
+    "hemisphere": {"kind": "hemisphere", "diameter_outer_mm": 50.0, "skirt_mm": 10.0},
+    "grip": {"kind": "grip", "diameters_mm": [40.0, 44.0, 38.0, 42.0], "length_mm": 60.0},
+    "patch": {"kind": "patch", "points_mm": waved(4, 5, 60.0, 44.0)},
+}
+"""A small shape of every family and topology."""
+
+
+def family_design(name: str, **layout: Any) -> Design:
+    """A small design on one of ``FAMILIES``, 3 rows of 4 short receptors, no light bar."""
+    return design(
+        shape=FAMILIES[name],
+        layout={"kind": "straight", "height_far_mm": 3.0, **layout},
+        light={"bar_radius_mm": 0.0},
+    )
 
 
 def built(case: Design) -> tuple[Design, Surface, Markers]:

@@ -20,7 +20,7 @@ from phytac_design.fabrication.export import (
 from phytac_design.fabrication.solid_mesh import painted_manifolds, shell_manifold, to_triangles
 from phytac_design.fabrication.triangles import TriangleMesh
 from phytac_design.rules import check_design
-from tests.fabrication.cases import built, design, shipped
+from tests.fabrication.cases import FAMILIES, built, design, family_design, shipped
 
 SINGLE = 3e-6
 """Relative rounding of 32-bit coordinates, summed over a thin shell."""
@@ -128,28 +128,63 @@ def test_3mf_holds_no_dates(bodies: dict[str, TriangleMesh]) -> None:
         assert {info.date_time for info in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
 
 
-@pytest.mark.skipif(shutil.which("admesh") is None, reason="admesh is not on PATH")
-@pytest.mark.parametrize("name", ["cylinder60", "cylinder40"])
-def test_admesh_finds_nothing_to_repair(name: str, tmp_path: Path) -> None:
-    case = shipped(name)
-    surface, markers = check_design(case)
-    write_stl(to_triangles(shell_manifold(case, surface, markers)), tmp_path / "shell.stl")
-    report = subprocess.run(
-        ["admesh", str(tmp_path / "shell.stl")], capture_output=True, text=True, check=True
-    ).stdout
+ADMESH_FAULTS = (
+    "Degenerate facets",
+    "Edges fixed",
+    "Facets removed",
+    "Facets added",
+    "Facets reversed",
+    "Backwards edges",
+    "Normals fixed",
+    "Total disconnected facets",
+)
+
+
+def assert_admesh_finds_nothing(stl: Path) -> None:
+    report = subprocess.run(["admesh", str(stl)], capture_output=True, text=True, check=True).stdout
     fields = {}
     for line in report.splitlines():
         label, _, rest = line.partition(":")
         fields[label.strip()] = rest.split()
     assert fields["Number of parts"][0] == "1"
-    for label in (
-        "Degenerate facets",
-        "Edges fixed",
-        "Facets removed",
-        "Facets added",
-        "Facets reversed",
-        "Backwards edges",
-        "Normals fixed",
-        "Total disconnected facets",
-    ):
+    for label in ADMESH_FAULTS:
         assert fields[label][0] == "0", label
+
+
+needs_admesh = pytest.mark.skipif(shutil.which("admesh") is None, reason="admesh is not on PATH")
+
+
+@needs_admesh
+@pytest.mark.parametrize("name", ["cylinder60", "cylinder40"])
+def test_admesh_finds_nothing_to_repair(name: str, tmp_path: Path) -> None:
+    case = shipped(name)
+    surface, markers = check_design(case)
+    write_stl(to_triangles(shell_manifold(case, surface, markers)), tmp_path / "shell.stl")
+    assert_admesh_finds_nothing(tmp_path / "shell.stl")
+
+
+@needs_admesh
+@pytest.mark.parametrize("name", sorted(FAMILIES))
+def test_admesh_finds_nothing_to_repair_on_any_shape(name: str, tmp_path: Path) -> None:
+    solid = shell_manifold(*built(family_design(name)))
+    write_stl(to_triangles(solid), tmp_path / "shell.stl")
+    assert_admesh_finds_nothing(tmp_path / "shell.stl")
+
+
+@pytest.mark.skipif(shutil.which("prusa-slicer") is None, reason="prusa-slicer is not on PATH")
+@pytest.mark.parametrize(("name", "suffix"), [("hemisphere", "stl"), ("patch", "3mf")])
+def test_prusa_slicer_makes_layers_of_domes_and_sheets(
+    name: str, suffix: str, tmp_path: Path
+) -> None:
+    case = built(family_design(name, rows=1, columns=2))
+    file, target = tmp_path / f"shell.{suffix}", tmp_path / "shell.gcode"
+    if suffix == "stl":
+        write_stl(to_triangles(shell_manifold(*case, tolerance_mm=0.05)), file)
+    else:
+        painted = painted_manifolds(*case, tolerance_mm=0.05)
+        bodies = {label: to_triangles(body) for label, body in painted.items()}
+        write_3mf(bodies, file, name="case")
+    command = ["prusa-slicer", "--layer-height", "0.3", "--fill-density", "0%"]
+    command += ["--export-gcode", str(file), "-o", str(target)]
+    subprocess.run(command, capture_output=True, text=True, check=True)
+    assert target.read_text().count("LAYER_CHANGE") > 10

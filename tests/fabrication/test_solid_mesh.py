@@ -91,17 +91,6 @@ def test_shell_on_a_doubly_curved_surface_is_one_body() -> None:
     assert facts.genus == 19
 
 
-class Open(Barrel):
-    @property
-    def periodic(self) -> tuple[bool, bool]:
-        return (False, False)
-
-
-def test_other_topologies_are_refused() -> None:
-    with pytest.raises(DesignError, match=r"only surfaces that close around v.*\(False, False\)"):
-        wall_mesh(Open(), WallSection(), tolerance_mm=0.01)
-
-
 def test_prisms_have_the_volume_of_rods_and_face_outward() -> None:
     rng = np.random.default_rng(3)
     start, axis = rng.normal(size=(2, 40, 3))

@@ -1,5 +1,6 @@
 """Calibration: intervals that hold, refusals with reasons, and the finite-element response."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,8 @@ from phytac_design.mechanics.calibrate.calibration_result import Calibration, Pa
 from phytac_design.mechanics.calibrate.measurements import Measurements, read_measurements
 from phytac_design.mechanics.calibrate.probe_response import ProbeResponse, Response, probe_weights
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.mesh import chart_mesh
+from phytac_design.mechanics.mesh import ShellMesh, chart_mesh
+from phytac_design.mechanics.receptors import ReceptorStiffness
 from phytac_design.mechanics.solve import clamped_model
 from shapes import Cylinder
 from shapes.arrays import FloatArray, IntArray
@@ -257,9 +259,18 @@ def test_parameters_come_back_from_another_mesh() -> None:
     assert "E·t^" in fit.text()
 
 
-def test_response_rates_are_its_derivatives() -> None:
+def striped(mesh: ShellMesh) -> ReceptorStiffness:
+    """Made-up factors that differ from element to element."""
+    wave = np.sin(np.arange(len(mesh.quads)))
+    return ReceptorStiffness(membrane=1.1 + 0.2 * wave, bending=1.6 - 0.4 * wave)
+
+
+@pytest.mark.parametrize("factors", [None, striped])
+def test_response_rates_are_its_derivatives(
+    factors: Callable[[ShellMesh], ReceptorStiffness] | None,
+) -> None:
     rows = places()
-    response = ProbeResponse(surface=SURFACE, rows=rows, around=24)
+    response = ProbeResponse(surface=SURFACE, rows=rows, around=24, factors=factors)
     at = response(0.8, 0.38, True)
     assert at.poisson_rate is not None
     turned = (response(0.8, 0.381, False).value - response(0.8, 0.379, False).value) / 2e-3

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from phytac_design.mechanics import cases
+from phytac_design.mechanics.case_parts import edge_lines, line_weights
+from phytac_design.mechanics.plate_case import plate_case
 
 
 @pytest.mark.parametrize(("n", "tolerance"), [(16, 0.03), (32, 0.015)])
@@ -24,6 +26,13 @@ def test_twisted_beam(thickness: float, in_plane: bool) -> None:
     assert value == pytest.approx(1.0, abs=0.02)
 
 
+def test_full_hemisphere_needs_no_triangle_at_its_pole() -> None:
+    case = cases.full_hemisphere_case(16)
+    assert case.mesh.quads.shape == (3 * 8 * 8, 4)
+    assert len(case.mesh.nodes) == 3 * 64 + 3 * 8 + 1
+    assert case.ratio() == pytest.approx(1.0, abs=0.01)
+
+
 def test_raasch_hook() -> None:
     assert cases.raasch_hook(32) == pytest.approx(1.0, abs=0.015)
 
@@ -37,6 +46,39 @@ def test_second_order_convergence_of_the_roof() -> None:
     fine = cases.scordelis_lo(48)
     errors = [abs(cases.scordelis_lo(n) - fine) for n in (6, 12)]
     assert np.log2(errors[0] / errors[1]) > 1.7
+
+
+def slope(errors: list[float]) -> float:
+    return -float(np.polyfit(np.log([8, 16, 32]), np.log(errors), 1)[0])
+
+
+@pytest.mark.parametrize("thickness", [0.1, 0.001])
+def test_second_order_convergence_to_the_exact_plate_on_jittered_meshes(thickness: float) -> None:
+    cases_ = [plate_case(n, thickness=thickness, jitter=0.25) for n in (8, 16, 32)]
+    assert slope([abs(case.ratio() - 1.0) for case in cases_]) == pytest.approx(2.0, abs=0.25)
+
+
+def test_second_order_convergence_of_energy_in_the_hyperboloid() -> None:
+    def energy(n: int) -> float:
+        case = cases.hyperboloid_case(n, thickness=1.0)
+        return float(np.sum(case.loads * case.motion()))
+
+    fine, half = energy(64), energy(32)
+    limit = fine + (fine - half) / 3.0
+    assert slope([limit - energy(n) for n in (8, 16)] + [limit - half]) == pytest.approx(
+        2.0, abs=0.1
+    )
+
+
+def test_lines_towards_a_free_edge() -> None:
+    lines = edge_lines(8, 0.01, ends=(False, True))
+    assert np.all(np.diff(lines) > 0.0)
+    assert lines[[0, -1]].tolist() == [0.0, 1.0]
+    assert np.isin(np.linspace(0.0, 1.0, 9), lines).all()
+    assert np.diff(lines)[-1] == pytest.approx(0.01 / 6.0)
+    assert np.diff(lines)[0] == pytest.approx(0.125)
+    assert line_weights(lines).sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(line_weights(np.array([0.0, 0.5, 1.0])), [0.25, 0.5, 0.25])
 
 
 @pytest.mark.parametrize("case", ["scordelis_lo", "hemisphere_with_hole"])

@@ -8,6 +8,7 @@ import pytest
 
 from phytac_design.mechanics.compliance import (
     MarkerCompliance,
+    column_turn,
     marker_compliance,
     point_motion,
     probe_loads,
@@ -15,6 +16,7 @@ from phytac_design.mechanics.compliance import (
 )
 from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.mesh import chart_mesh, marker_mesh
+from phytac_design.mechanics.receptors import sensor_model
 from phytac_design.mechanics.solve import clamped_model
 from shapes.errors import NumericalError
 from tests.mechanics.conftest import Prototype
@@ -55,7 +57,26 @@ def test_solving_one_column_gives_the_same_as_solving_all(cylinder60: Prototype)
 
 
 def test_symmetry_is_checked_not_assumed(cylinder60: Prototype) -> None:
-    assert compliance(coarse(cylinder60, uneven=0.1), 6.0).solves == 368
+    part = coarse(cylinder60, uneven=0.1)
+    assert compliance(part, 6.0).solves == 368
+    modulus = np.full(len(part.mesh.quads), 2200.0)
+    modulus[7] = 2201.0
+    model = clamped_model(part.mesh, modulus_MPa=modulus, poisson=0.38)
+    assert column_turn(model, part.mesh, 16) is None
+
+
+@pytest.mark.parametrize("refine", [2, 3])  # with 3, elements lie half-way between tubes
+def test_receptors_repeat_around_too(cylinder60: Prototype, refine: int) -> None:
+    surface, markers = cylinder60.surface, cylinder60.markers
+    mesh = marker_mesh(surface, markers, thickness_mm=0.8, refine=refine)
+    model = sensor_model(cylinder60.design, markers, mesh, receptors=True)
+    assert np.ptp(model.thickness_mm) > 0.1
+    assert column_turn(model, mesh, 16) is not None
+    if refine == 2:
+        part = replace(cylinder60, mesh=mesh, model=model)
+        some, full = (compliance(part, 6.0, use_symmetry=flag) for flag in (True, False))
+        assert (some.solves, full.solves) == (23, 368)
+        np.testing.assert_allclose(some.motion, full.motion, atol=1e-9 * np.abs(full.motion).max())
 
 
 def test_another_mesh_probed_at_the_markers_agrees(cylinder60: Prototype) -> None:

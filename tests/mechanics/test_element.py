@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from phytac_design.mechanics import cases
+from phytac_design.mechanics import cases, element
 from phytac_design.mechanics.assembly import assemble, make_pattern
 from phytac_design.mechanics.element import element_stiffness
 from phytac_design.mechanics.solve import rigid_modes
@@ -188,3 +188,42 @@ def test_degenerate_elements_are_refused(corner: tuple[float, float, float]) -> 
     nodes[2] = corner
     with pytest.raises(NumericalError, match="degenerate"):
         element_stiffness(nodes, ONE, np.tile([0.0, 0, 1], (4, 1)), poisson=0.3)
+
+
+def test_elements_do_not_depend_on_how_many_are_made_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    plate, _, turn = distorted_plate()
+    nodes = plate.nodes @ turn.T + np.random.default_rng(2).normal(0.0, 0.02, plate.nodes.shape)
+    whole = element_stiffness(nodes, plate.quads, plate.normals @ turn.T, poisson=0.3)
+    factors = {"modulus_MPa": np.arange(1.0, 21.0), "thickness_mm": 0.1}
+    whole_sum = whole.combine(**factors)
+    monkeypatch.setattr(element, "CHUNK", 3)
+    parts = element_stiffness(nodes, plate.quads, plate.normals @ turn.T, poisson=0.3)
+    for name in ("membrane", "bending", "shear"):
+        one, other = getattr(whole, name), getattr(parts, name)
+        np.testing.assert_allclose(other, one, rtol=0, atol=1e-13 * np.abs(one).max())
+        assert np.array_equal(one, np.swapaxes(one, 1, 2))
+    np.testing.assert_allclose(parts.combine(**factors), whole_sum, rtol=1e-11)
+
+
+def test_assembly_sums_element_by_element_also_where_it_is_not_symmetric() -> None:
+    # Three elements around a node, one with corners out of order, and a node in no element.
+    quads = np.array([[0, 1, 4, 3], [1, 2, 5, 4], [7, 6, 3, 4], [4, 5, 8, 7]])[:, [0, 1, 2, 3]]
+    rng = np.random.default_rng(4)
+    parts = rng.normal(size=(4, 24, 24))
+    dense = np.zeros((60, 60))
+    for corners, part in zip(quads, parts, strict=True):
+        dof = (6 * corners[:, None] + np.arange(6)).ravel()
+        dense[np.ix_(dof, dof)] += part
+    pattern = make_pattern(quads, 10)
+    found = assemble(pattern, parts)
+    # Compressed rows are handed over as columns: the transpose of what is not symmetric.
+    np.testing.assert_allclose(found.toarray(), dense.T, rtol=1e-14, atol=1e-14)
+    pairs = len({(a, b) for corners in quads.tolist() for a in corners for b in corners})
+    assert found.nnz == 36 * pairs
+    assert found.has_sorted_indices
+    check = found.copy()
+    check.has_sorted_indices = False
+    check.sort_indices()
+    assert np.array_equal(check.indices, found.indices)

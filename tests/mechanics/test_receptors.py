@@ -1,10 +1,13 @@
 """Receptor stiffening: bounds and identities, and the cell models that it comes from."""
 
 import shutil
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from phytac_design.accuracy import PRESETS
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.mesh import chart_mesh, marker_mesh
 from phytac_design.mechanics.receptors import (
@@ -19,10 +22,15 @@ from phytac_design.mechanics.receptors import (
     mixture,
     receptor_effect,
     receptor_stiffness,
-    tube_share,
+    tube_cover,
+    unknown_receptors,
 )
 from phytac_design.mechanics.solid.cell import Cell, cell_stiffness, plain, ratio
 from phytac_design.mechanics.solve import clamped_model
+from phytac_design.stage import Context, write_arrays
+from phytac_design.stages.twin import RESPONSE, TWIN, run_response
+from phytac_design.twin.shell import truth_shell
+from shapes.arrays import FloatArray
 from shapes.errors import DesignError
 from tests.designs import changed, small
 from tests.mechanics.conftest import Prototype
@@ -93,20 +101,22 @@ def test_shares_add_up_to_the_tubes_on_any_mesh(cylinder60: Prototype) -> None:
         chart_mesh(surface, thickness_mm=0.8, n_along=61, n_around=83),
     ]
     for mesh in meshes:
-        share, owner = tube_share(mesh, markers, 1.5)
+        inside, owner = tube_cover(mesh, markers, 1.5)
+        share = inside.mean(axis=1)
         corner = mesh.nodes_mm[mesh.quads]
         cross = np.cross(corner[:, 2] - corner[:, 0], corner[:, 3] - corner[:, 1])
         area = np.linalg.norm(cross, axis=1) / 2.0
         assert share @ area == pytest.approx(368 * np.pi * 1.5**2, rel=0.02)
         assert share.min() == 0.0
-        middle = corner.mean(axis=1)
-        assert np.linalg.norm(middle - markers.mid_mm[owner], axis=1)[share > 0.0].max() < 4.0
+        away = np.linalg.norm(corner.mean(axis=1)[:, None] - markers.mid_mm[owner], axis=2)
+        assert away[inside > 0.0].max() < 4.0
 
 
 def test_factors_of_a_design_are_one_away_from_receptors(cylinder60: Prototype) -> None:
     mesh = marker_mesh(cylinder60.surface, cylinder60.markers, thickness_mm=0.8, refine=6)
     factors = receptor_stiffness(cylinder60.design, cylinder60.markers, mesh)
-    share, owner = tube_share(mesh, cylinder60.markers, 1.5)
+    inside, cell_owner = tube_cover(mesh, cylinder60.markers, 1.5)
+    share, owner = inside.mean(axis=1), cell_owner[:, 0]
     bare = share == 0.0
     assert np.all(factors.membrane[bare] == 1.0)
     assert np.all(factors.bending[bare] == 1.0)
@@ -119,13 +129,8 @@ def test_factors_of_a_design_are_one_away_from_receptors(cylinder60: Prototype) 
     at = int(mesh.marker_nodes[184])
     load[6 * at : 6 * at + 3] = -mesh.normals[at]
 
-    def pressed(thickness: object, modulus: object) -> float:
-        model = clamped_model(
-            mesh,
-            modulus_MPa=modulus,
-            poisson=0.38,
-            thickness_mm=thickness,  # type: ignore[arg-type]
-        )
+    def pressed(thickness: FloatArray | float, modulus: FloatArray | float) -> float:
+        model = clamped_model(mesh, modulus_MPa=modulus, poisson=0.38, thickness_mm=thickness)
         return float(-model.solve(load).motion[at, :3, 0] @ mesh.normals[at])
 
     assert 0.7 < pressed(t, E) / pressed(0.8, 2200.0) < 0.95
@@ -138,6 +143,38 @@ def test_receptors_beyond_the_tables_are_refused() -> None:
     mesh = marker_mesh(surface, markers, thickness_mm=0.8, refine=3)
     with pytest.raises(DesignError, match="tube diameter over wall thickness"):
         receptor_stiffness(changed(receptor={"diameter_outer_mm": 0.9}), markers, mesh)
+    assert "tube diameter over wall thickness" in unknown_receptors(design)
+    assert unknown_receptors(small()) == ""
+    # The simulated sensor of such a design has a plain wall rather than a guessed one.
+    assert np.ptp(truth_shell(design, surface, 3)[1].thickness_mm) == 0.0
+    assert np.ptp(truth_shell(small(), surface, 3)[1].thickness_mm) > 0.1
+
+
+def test_the_decoder_takes_them_as_its_preset_says(tmp_path: Path) -> None:
+    size: dict[str, float] = {}
+    lines: list[str] = []
+    for name, receptors in (("with", True), ("without", False), ("unknown", True)):
+        narrow = {"diameter_outer_mm": 0.9, "diameter_hole_mm": 0.5} if name == "unknown" else {}
+        accuracy = replace(PRESETS["draft"], receptors=receptors)
+        context = Context(
+            design=small(receptor=narrow),
+            accuracy=accuracy,
+            seed=0,
+            folders={"views": tmp_path},
+            progress=lines.append,
+        )
+        write_arrays(tmp_path, {"paint_point_mm": context.markers.tip_mm})
+        out = tmp_path / name
+        out.mkdir()
+        run_response(context, out)
+        done = replace(context, folders={"response": out})
+        assert done.facts("response")["receptors"] == (name == "with")
+        size[name] = float(np.linalg.norm(done.arrays("response")["compliance_px"]))
+    assert 0.9 < size["with"] / size["without"] < 0.995
+    (line,) = lines
+    assert "the wall is taken as plain: receptor stiffness: tube diameter" in line
+    knobs = "receptors" in RESPONSE.knobs, "receptors" in TWIN.knobs
+    assert knobs == (True, False)  # the simulated truth has them whatever the preset
 
 
 def test_cell_without_receptor_is_the_plain_wall() -> None:
@@ -167,4 +204,4 @@ def test_table_predicts_a_new_cell() -> None:
 def cell(**changes: float) -> Cell:
     """The middle rows of cylinder60: 5.2 × 11.8 mm."""
     base = {"pitch_x_mm": 5.217, "pitch_y_mm": 11.78, "thickness_mm": 0.8, "poisson": 0.38}
-    return Cell(**(base | changes))  # type: ignore[arg-type]
+    return Cell(**(base | changes))

@@ -15,19 +15,30 @@ from phytac_design.mechanics.mesh import chart_mesh
 from phytac_design.mechanics.solid import export as solid_export
 from phytac_design.mechanics.solid import tets as solid_tets
 from phytac_design.mechanics.solid.load import solid_patch_load, tip_means
-from phytac_design.mechanics.solid.mesh import SolidMesh, SolidSizes, default_sizes, solid_mesh
+from phytac_design.mechanics.solid.mesh import (
+    COARSEST,
+    SANE_NODES,
+    SolidMesh,
+    SolidSizes,
+    coarsened,
+    default_sizes,
+    expected_nodes,
+    solid_mesh,
+)
 from phytac_design.mechanics.solid.tets import Tetrahedra, jacobian_ratio, shape_tet
 from phytac_design.mechanics.solve import clamped_model
 from phytac_design.spec import Design
 from phytac_design.stage import graphics_libraries
 from shapes import Surface
 from shapes.arrays import FloatArray
-from shapes.errors import MissingPartError, NumericalError
+from shapes.errors import DesignError, MissingPartError, NumericalError
 from tests.designs import changed
 
 SIZES = SolidSizes(wall_mm=1.5, foot_mm=1.1, tube_mm=1.5, contact_mm=1.1)
 GEOMETRY_TOL = 2e-3
 """Quadratic edges on circles of this mesh: area and volume."""
+NODES_TOL = 0.35
+"""Expected nodes: they decide between minutes and hours, not more."""
 REACH = 2.2
 """mm around the middle of a contact that its motion is fitted in."""
 SHELL_TOL = 0.035
@@ -271,6 +282,25 @@ def test_bad_load_is_refused(sensor: Sensor, mesh: SolidMesh, tmp_path: Path) ->
 
 def test_same_inputs_same_mesh(sensor: Sensor) -> None:
     np.testing.assert_array_equal(plain_mesh(sensor).nodes_mm, plain_mesh(sensor).nodes_mm)
+
+
+def test_expected_nodes_are_about_right_and_bounded(sensor: Sensor, mesh: SolidMesh) -> None:
+    parts = sensor.design, sensor.surface, sensor.markers
+    assert expected_nodes(*parts, SIZES) == pytest.approx(len(mesh.nodes_mm), rel=NODES_TOL)
+    factor, sizes, nodes = coarsened(*parts, None)
+    assert (factor, sizes) == (1.0, default_sizes(sensor.design))
+    assert nodes == expected_nodes(*parts, sizes)
+    long = changed(layout={"rows": 20})
+    surface = long.surface()
+    large = long, surface, make_markers(long, surface)
+    factor, _, nodes = coarsened(*large, None)
+    assert 1.5 < factor < COARSEST
+    assert nodes <= SANE_NODES
+    with pytest.raises(DesignError, match=r"nodes at sizes × 0\.7, more than 1000000, .* GB"):
+        coarsened(*large, 0.7)
+    for wrong in (0.0, 2.1, np.nan):
+        with pytest.raises(DesignError, match=r"0\.1 to 2 \(got"):
+            coarsened(*large, wrong)
 
 
 def test_default_sizes_resolve_the_wall(sensor: Sensor) -> None:

@@ -1,13 +1,16 @@
 """The model: balance with its supports, and refusal of what cannot be solved."""
 
+import sys
 from typing import Any
 
 import numpy as np
 import pytest
 
 from phytac_design.mechanics import cases
+from phytac_design.mechanics.factor import Factor
 from phytac_design.mechanics.mesh import chart_mesh
 from phytac_design.mechanics.solve import ShellModel, clamped_model
+from shapes.arrays import FloatArray
 from shapes.cylinder import Cylinder
 from shapes.errors import NumericalError
 
@@ -132,3 +135,139 @@ def test_a_result_spoilt_by_rounding_is_refused() -> None:
     loads[-1, 2] = 1.0
     with pytest.raises(NumericalError, match="rounding"):
         cases.solve_case(strip, fixed, loads, modulus=1.0, poisson=0.3, thickness=1e-7)
+
+
+def turned(seed: int) -> FloatArray:
+    q, r = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q * np.sign(np.linalg.det(q))
+
+
+def cantilever(
+    surface: Any,
+    sides: tuple[int, int],
+    *,
+    thickness: float,
+    turn: FloatArray,
+    size: float = 1.0,
+    modulus: float = 1.0,
+    poisson: float = 0.3,
+) -> tuple[FloatArray, float]:
+    """Motion of a shell clamped along a = 0 under 1 nN at a corner, turned back; its error."""
+    part = cases.patch(surface, *sides)
+    fixed = cases.no_support(part)
+    cases.hold(fixed, part.ab[:, 0] == 0.0, (0, 1, 2, 3, 4, 5))
+    loads = np.zeros((len(part.nodes), 6))
+    loads[-1, :3] = 1e-9 * (turn @ [0.3, 0.2, 1.0])
+    shell = ShellModel(
+        size * part.nodes @ turn.T,
+        part.quads,
+        part.normals @ turn.T,
+        thickness_mm=size * thickness,
+        modulus_MPa=modulus,
+        poisson=poisson,
+        fixed=fixed,
+    )
+    solution = shell.solve(loads.reshape(-1, 1))
+    return solution.motion[:, :3, 0] @ turn, solution.error
+
+
+def panel(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.column_stack([np.sin(1.5 * a), b, np.cos(1.5 * a)])
+
+
+def plate(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.column_stack([100.0 * a, b, 0.0 * a])
+
+
+def hyperboloid(a: FloatArray, b: FloatArray) -> FloatArray:
+    radius = np.sqrt(1.0 + b * b)
+    return np.column_stack([radius * np.cos(1.5 * a), radius * np.sin(1.5 * a), b])
+
+
+@pytest.mark.parametrize(
+    ("surface", "sides", "settings"),
+    [
+        *((panel, (16, 16), {"thickness": t}) for t in (0.3, 0.1, 1e-2, 1e-3, 1e-4, 1e-5)),
+        *((hyperboloid, (12, 12), {"thickness": t}) for t in (0.1, 1e-3, 1e-5)),
+        (plate, (40, 1), {"thickness": 0.3}),
+        (plate, (40, 1), {"thickness": 0.01}),
+        (plate, (10, 10), {"thickness": 0.1}),  # elements of aspect 100
+        (panel, (12, 12), {"thickness": 0.01, "poisson": 0.0}),
+        (panel, (12, 12), {"thickness": 0.01, "poisson": 0.4999}),
+        (panel, (12, 12), {"thickness": 0.01, "modulus": 1e-3, "size": 1e4}),
+        (panel, (12, 12), {"thickness": 0.01, "modulus": 1e6, "size": 1.0}),
+    ],
+)
+def test_claimed_rounding_error_is_honest(
+    surface: Any, sides: tuple[int, int], settings: dict[str, Any]
+) -> None:
+    # The truth: the same shell turned in space, where every number is rounded differently.
+    motion, claimed = cantilever(surface, sides, turn=np.eye(3), **settings)
+    true = (
+        max(
+            np.abs(cantilever(surface, sides, turn=turned(seed), **settings)[0] - motion).max()
+            for seed in (1, 2, 3)
+        )
+        / np.abs(motion).max()
+    )
+    assert true < 1.5 * claimed
+    assert claimed < 30.0 * max(true, 1e-12)  # not so careful that good results are refused
+
+
+def test_condition_number_is_that_of_the_dense_matrix() -> None:
+    tube = model()
+    scaled = tube.factor.scaled.toarray()
+    assert tube.condition() == pytest.approx(np.linalg.cond(scaled, 1), rel=0.5)
+    assert tube.condition() <= np.linalg.cond(scaled, 1) * (1.0 + 1e-9)
+    thin = model(thickness_mm=0.05).condition()
+    assert thin > 2.0 * tube.condition()
+
+
+def test_a_solution_out_of_balance_is_refused() -> None:
+    # A solver that returns rubbish: the residual, not the condition, must give it away.
+    tube = model()
+    load = np.ones(tube.fixed.size)
+    good = tube.factor.backend
+    assert tube.solve(load).error < 1e-9
+
+    class Wrong:
+        def solve(self, right: FloatArray) -> FloatArray:
+            return np.asarray(good.solve(right) * (1.0 + 0.01 * np.arange(len(right))[:, None]))
+
+    tube.factor.backend = Wrong()
+    with pytest.raises(NumericalError, match="rounding"):
+        tube.solve(load)
+
+
+def test_no_load_gives_no_motion_and_no_error() -> None:
+    tube = model()
+    solution = tube.solve(np.zeros((tube.fixed.size, 2)))
+    assert np.all(solution.motion == 0.0)
+    assert solution.error == 0.0
+
+
+def test_an_unknown_solver_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(NumericalError, match="superlu, pardiso"):
+        model(solver="gauss").solve(np.ones(6 * len(TUBE.nodes_mm)))
+
+
+def test_pardiso_missing_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pypardiso", None)
+    with pytest.raises(NumericalError, match="pip install pypardiso"):
+        model(solver="pardiso").solve(np.ones(6 * len(TUBE.nodes_mm)))
+
+
+def test_pardiso_finds_what_superlu_finds() -> None:
+    pytest.importorskip("pypardiso", reason="pypardiso is optional and not installed")
+    loads = np.random.default_rng(3).normal(size=(6 * len(TUBE.nodes_mm), 3))
+    other, plain = model(solver="pardiso"), model()
+    expected = plain.solve(loads).motion
+    np.testing.assert_allclose(
+        other.solve(loads).motion, expected, atol=1e-10 * np.abs(expected).max()
+    )
+    assert other.condition() == pytest.approx(plain.condition(), rel=0.5)
+    from scipy.sparse import csc_matrix
+
+    with pytest.raises(NumericalError, match="not positive definite"):
+        Factor(csc_matrix([[1.0, 2.0], [2.0, 1.0]]), solver="pardiso")

@@ -1,5 +1,4 @@
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -78,7 +77,7 @@ def test_a_sample_is_what_a_shifted_camera_sees(
     few: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene, offset = few.scene(), np.array([0.3, -0.2])
-    shifted = replace(few.camera, centre_px=few.camera.centre_px - offset)
+    shifted = few.camera.shifted(-offset)
     wanted = render_frame(scene, shifted, samples=1)
     monkeypatch.setattr(frame_module, "sample_offsets", lambda count: np.tile(offset, (count, 1)))
     got = render_frame(scene, few.camera, samples=1)
@@ -92,7 +91,7 @@ def test_an_edge_along_the_image_moves_in_steps_of_a_sample(few: Bench) -> None:
     row = few.camera.height_px // 2
     covered = []
     for shift in np.linspace(0.0, 1.0, 9):
-        camera = replace(few.camera, centre_px=few.camera.centre_px + np.array([shift, 0.0]))
+        camera = few.camera.shifted(np.array([shift, 0.0]))
         line = to_linear(render_frame(scene, camera)[row].astype(float))[:, 0]
         left = slice(few.camera.width_px // 2 - 60, few.camera.width_px // 2)
         covered.append(line[left].sum())

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from decoder.camera import PinholeCamera
+from decoder.camera import Camera
+from decoder.lens import Pinhole
 from phytac_design.optics.clip import NEAR_MM, clip_near
 from phytac_design.optics.raster import pixels_alone, rasterise
 from phytac_design.optics.scene import FIRST_MARKER, SHELL, Scene
@@ -13,8 +14,8 @@ AGREEMENT_MIN = 0.9999  # the rest are rays that Embree's float32 puts on the ot
 DEPTH_RELATIVE = 1e-5  # float32 hit distance of Embree, a few hundred units in the last place
 
 
-def simple_camera() -> PinholeCamera:
-    return PinholeCamera.on_axis(width_px=101, height_px=81, focal_px=100.0, stand_off_mm=0.0)
+def simple_camera() -> Camera:
+    return Camera.on_axis(width_px=101, height_px=81, focal_px=100.0, stand_off_mm=0.0)
 
 
 def soup(*quads: tuple[list[list[float]], int, int]) -> Scene:
@@ -39,7 +40,7 @@ def rectangle(
     return [[x0, y0, z], [x1, y0, far], [x1, y1, far], [x0, y1, z]]
 
 
-def embree_triangles(scene: Scene, camera: PinholeCamera) -> tuple[NDArray[np.int32], FloatArray]:
+def embree_triangles(scene: Scene, camera: Camera) -> tuple[NDArray[np.int32], FloatArray]:
     rtcore_scene = pytest.importorskip("embreex.rtcore_scene")
     from embreex.mesh_construction import TriangleMesh
 
@@ -72,11 +73,10 @@ def test_id_map_agrees_with_one_embree_ray_per_pixel(
 def test_tilted_camera_agrees_with_embree(few: Bench) -> None:
     angle = 0.3
     c, s = np.cos(angle), np.sin(angle)
-    camera = PinholeCamera(
-        width_px=300,
-        height_px=200,
-        focal_px=150.0,
-        centre_px=np.array([140.3, 99.9]),
+    camera = Camera(
+        lens=Pinhole(
+            width_px=300, height_px=200, fx_px=150.0, fy_px=140.0, cx_px=140.3, cy_px=99.9
+        ),
         position_mm=np.array([4.0, -7.0, 20.0]),
         rotation=np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]]),
     )

@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from phytac_design.optics.scene import (
     BAR,
     FIRST_MARKER,
     SHELL,
+    build_scene,
     paint_owner,
     red_owner,
     rotation_matrices,
@@ -137,3 +140,19 @@ def test_a_closed_grid_has_two_triangles_per_cell() -> None:
     points = np.zeros((3, 5, 3))
     assert len(grid_mesh(points, closed=True).triangles) == 2 * 2 * 5
     assert len(grid_mesh(points, closed=False).triangles) == 2 * 2 * 4
+
+
+def test_a_leaning_receptor_has_no_gap_under_its_foot(few: Bench) -> None:
+    markers = few.markers
+    lean = np.cross(markers.normal, [0.0, 0.0, 1.0])
+    axis = -markers.normal + 0.4 * lean / np.linalg.norm(lean, axis=1, keepdims=True)
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    tip = markers.foot_mm + markers.height_mm[:, None] * axis
+    leaning = dataclasses.replace(markers, tip_mm=tip)
+    scene = build_scene(few.design, few.surface, leaning, tolerance_mm=0.05)
+    for marker in (0, 5, 11):
+        own = scene.vertices[scene.vertex_owner == marker]
+        depth = -(own - tip[marker]) @ axis[marker]
+        root = own[depth > depth.max() - 1e-9]
+        above = (root - markers.foot_mm[marker]) @ -markers.normal[marker]
+        assert above.max() <= -0.9 * few.design.wall.thickness_mm / 2.0

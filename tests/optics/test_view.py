@@ -3,7 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decoder.camera import PinholeCamera
+from decoder.camera import Camera
 from phytac_design.layout import make_markers
 from phytac_design.optics.view import camera_of, refuse_swallowed, tolerance_mm
 from shapes import Cylinder
@@ -12,7 +12,7 @@ from shapes.errors import DesignError
 from tests.optics.cases import FULL, make_design
 
 
-def camera_for(**camera: Any) -> PinholeCamera:
+def camera_for(**camera: Any) -> Camera:
     design = make_design(camera=FULL | camera)
     return camera_of(design, design.surface())
 

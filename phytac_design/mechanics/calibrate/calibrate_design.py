@@ -1,6 +1,7 @@
 """Calibration of a design file on a file of measurements, and the calibrated design file."""
 
 from collections.abc import Callable, Collection
+from functools import partial
 from pathlib import Path
 from typing import cast
 
@@ -11,6 +12,7 @@ from phytac_design.mechanics.calibrate.calibration import LIMIT, calibrate
 from phytac_design.mechanics.calibrate.calibration_result import Calibration, Name, Parameters
 from phytac_design.mechanics.calibrate.measurements import read_measurements
 from phytac_design.mechanics.calibrate.probe_response import ProbeResponse
+from phytac_design.mechanics.receptors import receptor_stiffness, unknown_receptors
 from phytac_design.spec import Design
 from shapes.errors import OutputError
 
@@ -49,12 +51,15 @@ def calibrate_design(
         If the data cannot tell the parameters.
     """
     surface = design.surface()
-    rows = read_measurements(
-        path, surface, make_markers(design, surface), wall_mm=design.wall.thickness_mm
-    )
+    markers = make_markers(design, surface)
+    rows = read_measurements(path, surface, markers, wall_mm=design.wall.thickness_mm)
+    unknown = unknown_receptors(design)
+    if unknown:
+        progress(f"calibrate: the wall is taken as plain: {unknown}")
+    factors = None if unknown else partial(receptor_stiffness, design, markers)
     around = PRESETS[accuracy].refine * design.layout.columns
     return calibrate(
-        ProbeResponse(surface=surface, rows=rows, around=around),
+        ProbeResponse(surface=surface, rows=rows, around=around, factors=factors),
         force_N=rows.force_N,
         displacement_mm=rows.displacement_mm,
         press=rows.press,

@@ -19,6 +19,7 @@ from phytac_design.mechanics.calibrate.measurements import Measurements
 from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.locate import locate
 from phytac_design.mechanics.mesh import ShellMesh, chart_mesh
+from phytac_design.mechanics.receptors import ReceptorStiffness
 from phytac_design.mechanics.sensitivity import motion_rate, stiffness_rates
 from phytac_design.mechanics.solve import clamped_model
 from shapes import Surface
@@ -68,11 +69,15 @@ class ProbeResponse:
         Places and patches; forces and displacements are not looked at.
     around : int
         Elements around of the coarser mesh; made even.
+    factors : callable, optional
+        Stiffness of receptors on a mesh (:func:`receptors.receptor_stiffness`), taken as fixed
+        while the wall is searched; none for a plain wall.
     """
 
     surface: Surface
     rows: Measurements
     around: int
+    factors: Callable[[ShellMesh], ReceptorStiffness] | None = None
     _kept: dict[int, tuple[Any, IntArray, FloatArray]] = field(default_factory=dict)
 
     def __call__(self, thickness_mm: float, poisson: float, with_poisson: bool, /) -> Response:
@@ -97,8 +102,15 @@ class ProbeResponse:
         mesh = chart_mesh(
             self.surface, thickness_mm=thickness_mm, n_along=counts[0], n_around=counts[1]
         )
-        model = clamped_model(mesh, modulus_MPa=1.0, poisson=poisson)
-        rates = stiffness_rates(model, with_poisson=with_poisson)
+        section: tuple[float | FloatArray, float | FloatArray] = (thickness_mm, 1.0)
+        if self.factors is not None:
+            section = self.factors(mesh).section(thickness_mm=thickness_mm, modulus_MPa=1.0)
+        model = clamped_model(
+            mesh, thickness_mm=section[0], modulus_MPa=section[1], poisson=poisson
+        )
+        rates = stiffness_rates(
+            model, with_poisson=with_poisson, thickness_share=section[0] / thickness_mm
+        )
         key = np.column_stack([self.rows.contact_uv, self.rows.radius_mm])
         distinct, load = np.unique(key, axis=0, return_inverse=True)
         if counts[1] not in self._kept:  # the mesh's chart, and so its loads, do not change

@@ -97,11 +97,15 @@ class AutoSolution:
         Whether large displacements were used.
     linear_error : float
         The estimate that decided (:class:`LinearCheck`).
+    stable, jumped : bool or None, bool
+        As in :class:`newton.Equilibrium`; linear theory is taken only far from any instability.
     """
 
     motion: FloatArray
     large: bool
     linear_error: float
+    stable: bool | None = True
+    jumped: bool = False
 
 
 def solve_auto(model: ShellModel, load: Any, *, tolerance: float) -> AutoSolution:
@@ -119,4 +123,10 @@ def solve_auto(model: ShellModel, load: Any, *, tolerance: float) -> AutoSolutio
         return AutoSolution(motion=check.motion, large=False, linear_error=check.error)
     force = dense_vector(load, model.fixed.size, "force")
     end = solve_large(model, Loading(force=force))[0]
-    return AutoSolution(motion=end.state.motion, large=True, linear_error=check.error)
+    return AutoSolution(
+        motion=end.state.motion,
+        large=True,
+        linear_error=check.error,
+        stable=end.stable,
+        jumped=end.jumped,
+    )

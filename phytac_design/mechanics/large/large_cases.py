@@ -107,11 +107,17 @@ def hemisphere_points(n: int) -> dict[float, tuple[float, float]]:
     }
 
 
-def hinged_roof(n: int, *, thickness: float) -> tuple[ShellModel, FloatArray, int]:
-    """Quarter of the roof R 2540, half-length 254, half-angle 0.1; P = 3000 at the middle."""
+def hinged_roof(
+    n: int, *, thickness: float, flatter: float = 1.0
+) -> tuple[ShellModel, FloatArray, int]:
+    """Quarter of the roof R 2540, half-length 254, half-angle 0.1; P = 3000 at the middle.
+
+    ``flatter``: radius k times larger, half-angle k times smaller (:mod:`solid_roof`).
+    """
+    radius, angle = 2540.0 * flatter, 0.1 / flatter
     mesh = patch(
         lambda a, b: np.column_stack(
-            [2540.0 * np.sin(0.1 * a), 254.0 * b, 2540.0 * np.cos(0.1 * a)]
+            [radius * np.sin(angle * a), 254.0 * b, radius * np.cos(angle * a)]
         ),
         n,
         n,

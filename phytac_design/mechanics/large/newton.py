@@ -19,6 +19,7 @@ import numpy as np
 
 from phytac_design.mechanics.large.corotational import Configuration, Corotational, Local
 from phytac_design.mechanics.large.follower import pressure_forces, pressure_stiffness
+from phytac_design.mechanics.large.stability import negative_pivots
 from phytac_design.mechanics.solve import SUPERLU, ShellModel
 from shapes.arrays import FloatArray
 from shapes.errors import NumericalError
@@ -28,6 +29,8 @@ RESIDUAL_TOL = 1e-6
 STEP_TOL = 1e-4
 """Largest last step over the whole motion; Newton's next would be about its square."""
 ITERATIONS = 40
+BRISK = 12
+"""Iterations allowed where one tries only to follow a path closely; four to six are common."""
 DIVERGED = 1e6
 """Growth of the residual over its first value that ends an attempt; foreseen forces allow much."""
 SEARCH_SLACK = 0.8
@@ -74,6 +77,15 @@ class Equilibrium:
         Last correction over the whole motion.
     iterations : int
         Steps taken in this increment, failed attempts not counted; 0 only at rest.
+    rate : (6N,) float
+        Motion per unit of λ along the path, mm and rad.
+    negative_pivots : int or None
+        Negative eigenvalues of the last tangent factored, which is that of a state within
+        ``last_step`` of this one; None if they cannot be told.
+    jumped : bool
+        Whether the path from rest to this state cannot be vouched for: somewhere on the way an
+        increment left the tangents at its ends or passed a critical point unseen, and shorter
+        increments did not mend it. The state is an equilibrium, but the shell may have snapped.
     """
 
     load_factor: float
@@ -82,6 +94,17 @@ class Equilibrium:
     residual: float
     last_step: float
     iterations: int
+    rate: FloatArray
+    negative_pivots: int | None
+    jumped: bool = False
+
+    @property
+    def stable(self) -> bool | None:
+        """Whether the shell stays here while the *load* is held; None if that cannot be told.
+
+        Between limit points it does not, even if a displacement control holds it there.
+        """
+        return None if self.negative_pivots is None else self.negative_pivots == 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,6 +172,7 @@ class System:
         diagonal = model.stiffness.diagonal()
         self.scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
         self._slots, self._skeleton = self._reduction()
+        self._factor: Any = None
 
     def _reduction(self) -> tuple[Any, Any]:
         """Where the entries of the free block lie in a full matrix, and an empty free block."""
@@ -186,8 +210,9 @@ class System:
         from scipy.sparse.linalg import splu
 
         self._skeleton.data = K.data[self._slots] * self._weights
+        self._factor = None  # two factors at once would double the memory
         try:
-            factor = splu(self._skeleton, **SUPERLU)
+            factor = self._factor = splu(self._skeleton, **SUPERLU)
         except RuntimeError as error:
             raise NotConvergedError(f"the tangent is singular ({error})") from error
         drive = applied - K @ self.prescribed if np.any(self.prescribed) else applied
@@ -199,6 +224,14 @@ class System:
         a, b = np.zeros_like(residual), self.prescribed.copy()
         a[self.free], b[self.free] = both.T
         return a, b
+
+    def forget(self) -> None:
+        """Drop the factor of the last tangent."""
+        self._factor = None
+
+    def instabilities(self) -> int | None:
+        """Negative eigenvalues of the last tangent factored; none was: of that at rest."""
+        return 0 if self._factor is None else negative_pivots(self._factor, self._skeleton)
 
     @cached_property
     def from_rest(self) -> FloatArray:
@@ -228,26 +261,42 @@ def dense_vector(value: Any, size: int, label: str) -> FloatArray:
     return dense.ravel().copy()
 
 
-def increment(system: System, start: Equilibrium, control: Control) -> Equilibrium:
+def increment(
+    system: System, start: Equilibrium, control: Control, *, brisk: bool = False
+) -> Equilibrium:
     """Converged state that meets ``control``, from the converged state ``start``.
+
+    ``brisk`` gives up after ``BRISK`` iterations of the first way.
 
     Raises
     ------
     NotConvergedError
         If neither way converges; the message holds the reason of the last.
     """
+    if brisk:
+        return _iterate(system, start, control, foresee=True, most=min(BRISK, ITERATIONS))
     try:
         return _iterate(system, start, control, foresee=True)
     except NotConvergedError:
         return _iterate(system, start, control, foresee=False)
 
 
-def _iterate(system: System, start: Equilibrium, control: Control, *, foresee: bool) -> Equilibrium:
+def _iterate(
+    system: System,
+    start: Equilibrium,
+    control: Control,
+    *,
+    foresee: bool,
+    most: int | None = None,
+) -> Equilibrium:
+    most = ITERATIONS if most is None else most
     state, factor = start.state, start.load_factor
     moved = np.zeros(system.model.fixed.size)
     forces: FloatArray | None = None
     first = last_step = residual_size = np.inf
-    for iteration in range(ITERATIONS + 1):
+    b = moved
+    system.forget()
+    for iteration in range(most + 1):
         local = _seen(system, state)
         applied = system.applied(state)
         internal = system.shell.internal(local)
@@ -264,12 +313,14 @@ def _iterate(system: System, start: Equilibrium, control: Control, *, foresee: b
                 residual=residual_size,
                 last_step=last_step,
                 iterations=iteration,
+                rate=b,
+                negative_pivots=system.instabilities(),
             )
         if iteration == 1:
             first = max(system.size(residual), 1e-300)
         if not system.size(residual) <= DIVERGED * first:
             raise NotConvergedError(f"the iteration diverges (residual {residual_size:.2g})")
-        if iteration == ITERATIONS:
+        if iteration == most:
             break
         if iteration == 0 and start.iterations == 0:
             a, b = np.zeros_like(moved), system.from_rest
@@ -289,7 +340,7 @@ def _iterate(system: System, start: Equilibrium, control: Control, *, foresee: b
         state, moved, factor = state.moved(step), moved + step, factor + change
         last_step = system.length(step) / max(system.length(state.motion), 1e-300)
     raise NotConvergedError(
-        f"no convergence in {ITERATIONS} iterations (residual {residual_size:.2g}, last step "
+        f"no convergence in {most} iterations (residual {residual_size:.2g}, last step "
         f"{last_step:.2g})"
     )
 

@@ -1,7 +1,13 @@
-"""Equilibrium paths under large displacements: by load, by displacement, or by arc-length."""
+"""Equilibrium paths under large displacements: by load, by displacement, or by arc-length.
+
+An increment that converges need not have followed the path: across a limit load Newton's method
+finds the snapped shell. So each increment is held against the tangents at its ends, and against
+the sign of the (extended) tangent, which no regular path changes; where either objects, the
+increment is halved, and what shorter increments do not mend is marked ``jumped``.
+"""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,12 +20,17 @@ from phytac_design.mechanics.large.newton import (
     System,
     increment,
 )
+from phytac_design.mechanics.large.stability import STRAY, stray
 from phytac_design.mechanics.solve import ShellModel
 from shapes.arrays import FloatArray
 from shapes.errors import NumericalError
 
 CUTBACKS = 10
 """How often an increment may be halved before the path is given up."""
+MOST = 200
+"""Increments tried between two stops, so that shrinking ones cannot go on for ever."""
+SHORTEST = 1.0 / 16.0
+"""Share of the way left down to which an increment is shortened to follow the path."""
 DESIRED = 6
 """Iterations per increment that an arc-length step aims at."""
 
@@ -88,6 +99,8 @@ def at_rest(system: System) -> Equilibrium:
         residual=0.0,
         last_step=0.0,
         iterations=0,
+        rate=system.from_rest,
+        negative_pivots=0,
     )
 
 
@@ -96,7 +109,8 @@ def solve_large(
 ) -> list[Equilibrium]:
     """Equilibria at the load factors ``factors``, in that order, under load control.
 
-    Each is tried in one increment, halved where it does not converge.
+    Each is tried in one increment, halved where it does not converge or leaves the path. Past a
+    limit load the state found is a snapped one; it is marked ``jumped``.
 
     Parameters
     ----------
@@ -119,6 +133,7 @@ def solve_large(
         np.asarray(list(factors), dtype=np.float64),
         lambda here: here.load_factor,
         lambda change: ByLoad(change_wanted=change),
+        Guard(pace=lambda _: 1.0, mark=lambda here: here.negative_pivots),
         "load factor",
     )
 
@@ -128,7 +143,8 @@ def trace_displacement(
 ) -> list[Equilibrium]:
     """Equilibria at which one translation has the values ``stops_mm``; λ follows.
 
-    Passes load limits (snap-through), not turns of the displacement itself (snap-back).
+    Passes load limits (snap-through), not turns of the displacement itself (snap-back): states
+    found beyond one are marked ``jumped``.
 
     Parameters
     ----------
@@ -153,8 +169,51 @@ def trace_displacement(
         np.asarray(list(stops_mm), dtype=np.float64),
         lambda here: float(here.state.displacement_mm[node, axis]),
         lambda change: ByDisplacement(dof=dof, distance_mm=change),
+        Guard(
+            pace=lambda here: float(here.rate[dof]),
+            mark=lambda here: _sign(here, float(here.rate[dof])),
+        ),
         "displacement (mm)",
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Guard:
+    """What tells a path that was followed from one that was left.
+
+    Attributes
+    ----------
+    pace : callable
+        Change of the controlled quantity per unit of λ at a state.
+    mark : callable
+        Sign of the extended tangent (with the control), or the count of negative pivots.
+    """
+
+    pace: Callable[[Equilibrium], float]
+    mark: Callable[[Equilibrium], int | None]
+
+    def left(self, before: Equilibrium, after: Equilibrium, move: float) -> bool:
+        """Whether the increment of ``move`` from one state to the other left the path."""
+        ends = [self.pace(before), self.pace(after)]
+        if 0.0 in ends or self.mark(before) != self.mark(after):
+            return True
+        tangents = [
+            move / pace * _translations(state.rate)
+            for pace, state in zip(ends, (before, after), strict=True)
+        ]
+        moved = after.state.displacement_mm - before.state.displacement_mm
+        return stray(moved, *tangents) > STRAY
+
+
+def _translations(motion: FloatArray) -> FloatArray:
+    return motion.reshape(-1, 6)[:, :3]
+
+
+def _sign(here: Equilibrium, pace: float) -> int | None:
+    """Sign of det K times that of ``pace``: of the tangent extended by its control."""
+    if here.negative_pivots is None:
+        return None
+    return (1 if here.negative_pivots % 2 == 0 else -1) * (1 if pace > 0.0 else -1)
 
 
 def _visit(
@@ -162,34 +221,87 @@ def _visit(
     stops: FloatArray,
     where: Callable[[Equilibrium], float],
     control: Callable[[float], Control],
+    guard: Guard,
     label: str,
 ) -> list[Equilibrium]:
-    """Walk from stop to stop, halving increments that fail and doubling after those that do not."""
+    """Walk from stop to stop; ``jumped`` stays set behind an increment that left the path."""
     if not np.all(np.isfinite(stops)):
         raise NumericalError(f"a {label} to stop at is not finite (got {stops.tolist()})")
     here, out = at_rest(system), []
     for stop in stops.tolist():
-        share, spent = 1.0, 0
-        while where(here) != stop:
-            left = stop - where(here)
-            move = left if share >= 1.0 else share * left
-            try:
-                there = increment(system, here, control(move))
-            except NotConvergedError as error:
-                share, spent = share / 2.0, spent + 1
-                if spent > CUTBACKS:
-                    raise NumericalError(
-                        f"no equilibrium at {label} {stop:.6g}: the path ends at "
-                        f"{where(here):.6g}, load factor {here.load_factor:.6g} ({error}); likely "
-                        "a limit point: follow the path by displacement or arc-length"
-                    ) from error
-                continue
-            arrived = move == left
-            here, share, spent = there, min(2.0 * share, 1.0), max(spent - 1, 0)
-            if arrived:
-                break
+        try:
+            here = _reach(system, here, stop, where, control, guard)
+        except _PathEndError as end:
+            here = end.last
+            raise NumericalError(
+                f"no equilibrium at {label} {stop:.6g}: the path ends at {where(here):.6g}, load "
+                f"factor {here.load_factor:.6g} ({end}); likely a limit point: follow the path by "
+                "displacement or arc-length"
+            ) from end
         out.append(here)
     return out
+
+
+class _PathEndError(NumericalError):
+    """No increment leads on from the state ``last``."""
+
+    def __init__(self, message: str, last: Equilibrium) -> None:
+        super().__init__(message)
+        self.last = last
+
+
+def _reach(
+    system: System,
+    here: Equilibrium,
+    stop: float,
+    where: Callable[[Equilibrium], float],
+    control: Callable[[float], Control],
+    guard: Guard,
+) -> Equilibrium:
+    """Go on to ``stop``, halving increments that fail and doubling after those that do not.
+
+    A state found off the path is kept while shorter increments are tried. If they end before
+    it, it is taken, marked ``jumped``.
+    """
+    share, spent = 1.0, 0
+    off: tuple[Equilibrium, bool] | None = None  # the state, and whether it is at the stop
+    for _ in range(MOST):
+        if where(here) == stop:
+            return here
+        left = stop - where(here)
+        move = left if share >= 1.0 else share * left
+        found: tuple[Equilibrium, bool] | None = None
+        try:
+            there = increment(system, here, control(move), brisk=off is not None)
+            if not guard.left(here, there, move):
+                found = there, move == left
+            elif off is None:
+                off = there, move == left
+        except NotConvergedError as error:
+            spent += 1
+            if spent > CUTBACKS:
+                raise _PathEndError(str(error), here) from error
+        if found is None and off is not None and share <= SHORTEST:
+            found = replace(off[0], jumped=True), off[1]
+        if found is None:
+            share /= 2.0
+            continue
+        here = replace(found[0], jumped=here.jumped or found[0].jumped)
+        share, spent = min(2.0 * share, 1.0), max(spent - 1, 0)
+        if found[1]:
+            return here
+        off = _ahead(off, where(here), left, where)
+    raise _PathEndError(f"{MOST} increments did not suffice", here)
+
+
+def _ahead(
+    off: tuple[Equilibrium, bool] | None,
+    place: float,
+    way: float,
+    where: Callable[[Equilibrium], float],
+) -> tuple[Equilibrium, bool] | None:
+    """Return the state kept, if it still lies ahead."""
+    return off if off is not None and (where(off[0]) - place) * way > 0.0 else None
 
 
 def trace_arc(
@@ -239,7 +351,7 @@ def trace_arc(
         previous = np.zeros_like(previous)
         travelled = there.state.displacement_mm - here.state.displacement_mm
         previous.reshape(-1, 6)[:, :3] = travelled
-        here = there
+        here = replace(there, jumped=here.jumped or _strayed(here, there, travelled))
         out.append(here)
         if stop(here):
             return out
@@ -248,3 +360,19 @@ def trace_arc(
         f"{most} increments do not reach the stop asked for (load factor now "
         f"{here.load_factor:.6g}); allow more or longer increments"
     )
+
+
+def _strayed(before: Equilibrium, after: Equilibrium, travelled: FloatArray) -> bool:
+    """Whether an increment of arc-length left the path, or passed a branching point."""
+    along = [float(np.sum(_translations(state.rate) * travelled)) for state in (before, after)]
+    if _sign(before, along[0]) != _sign(after, along[1]) and before.iterations:
+        return True
+    length = float(np.linalg.norm(travelled))
+    tangents = [
+        np.sign(way)
+        * length
+        / np.linalg.norm(state.rate.reshape(-1, 6)[:, :3])
+        * _translations(state.rate)
+        for way, state in zip(along, (before, after), strict=True)
+    ]
+    return stray(travelled, *tangents) > STRAY

@@ -1,0 +1,238 @@
+"""Seconds and memory of a linear solution against its size, each size in a process of its own."""
+
+import os
+
+# One BLAS thread: SuperLU's many small products run slower on several, most of all when shared.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("MKL_NUM_THREADS", "1")
+
+import json
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.harness import Table, median_of
+from phytac_design.mechanics.assembly import assemble, make_pattern
+from phytac_design.mechanics.element import element_stiffness
+from phytac_design.mechanics.factor import SOLVERS, SUPERLU, Factor
+from phytac_design.mechanics.mesh import ShellMesh, chart_mesh
+from phytac_design.mechanics.solve import ShellModel, clamped_model
+from shapes import Cylinder
+
+SIZES = ((36, 48), (62, 84), (114, 150), (200, 260), (370, 450))
+"""Elements along and around: 10⁴ to 10⁶ DOF."""
+IMAGE = Path(__file__).parents[1] / "docs" / "images" / "mechanics_cost.png"
+PARTS = ("elements", "assembly", "factorisation", "one solve")
+MEMORY_GiB = 16.0
+"""Address space of a child beyond which it gives up; it uses some three quarters of that."""
+LIMIT_S = 1800.0
+MODULUS_MPa, POISSON = 2200.0, 0.38
+
+
+def python(*arguments: str) -> str:
+    """Run Python on code or on a module with arguments; what it prints."""
+    how = ["-c"] if len(arguments) == 1 else ["-m"]
+    run = subprocess.run(
+        [sys.executable, *how, *arguments],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=LIMIT_S,
+        cwd=Path(__file__).parents[1],
+    )
+    return run.stdout
+
+
+def pardiso(table: Table, model: ShellModel, superlu_s: float) -> None:
+    """Add factorisation by PARDISO against SuperLU, where it is installed."""
+    if find_spec("pypardiso") is None:
+        print("pypardiso is not installed: comparison left out")
+        return
+    free = np.flatnonzero(~model.fixed.ravel())
+    matrix = model.stiffness[free][:, free]
+    loads = np.random.default_rng(0).normal(size=(len(free), 100))
+    for solver in SOLVERS:
+        seconds = median_of(partial(Factor, matrix, solver=solver), 3)
+        backend = Factor(matrix, solver=solver).backend
+        table.add(
+            f"speed: {solver}, scaling and factorisation, {len(free)} DOF",
+            seconds,
+            "s",
+            reference=superlu_s,
+            source="SuperLU's factorisation alone in the same run",
+            note=f"a hundred loads {median_of(partial(backend.solve, loads), 1):.2f}"
+            f" s; MKL_NUM_THREADS {os.environ['MKL_NUM_THREADS']}",
+        )
+
+
+def _mesh(along: int, around: int) -> ShellMesh:
+    surface = Cylinder(diameter_outer_mm=60.0, length_mm=120.0)
+    return chart_mesh(surface, thickness_mm=0.8, n_along=along, n_around=around)
+
+
+def solver(table: Table, *, quick: bool) -> None:
+    """Assembly against factorisation; our solver settings against SciPy's; PARDISO if there."""
+    from scipy.sparse.linalg import splu
+
+    for size in ((24, 32),) if quick else ((48, 64), (70, 96)):
+        mesh = _mesh(*size)
+        model = clamped_model(mesh, modulus_MPa=MODULUS_MPa, poisson=POISSON)
+        matrix = model.factor.scaled
+        count = matrix.shape[0]
+        build_s = median_of(
+            partial(clamped_model, mesh, modulus_MPa=MODULUS_MPa, poisson=POISSON), 5
+        )
+        elements = partial(element_stiffness, mesh.nodes_mm, mesh.quads, mesh.normals)
+        element_s = median_of(partial(elements, poisson=POISSON), 5)
+        ours_s = median_of(partial(splu, matrix, **SUPERLU), 3)
+        default_s = median_of(partial(splu, matrix), 1 if quick else 3)
+        table.add(
+            f"speed: elements, assembly and checks / factorisation, {count} DOF",
+            build_s / ours_s,
+            "x",
+            reference=ours_s,
+            source="factorisation in the same run",
+            target="<= 0.5",
+            note=f"{build_s:.3f} s, of which the elements {element_s:.3f} s",
+        )
+        table.add(
+            f"speed: factorisation, {count} DOF: SciPy default seconds / ours",
+            default_s / ours_s,
+            "x",
+            reference=default_s,
+            source="scipy.sparse.linalg.splu, default settings",
+            target=">= 1",
+            note=f"ours {ours_s:.3f} s",
+        )
+        pardiso(table, model, ours_s)
+
+
+def measure(along: int, around: int, solver: str) -> dict[str, Any]:
+    """Seconds of each part and peak memory of one size, in this process."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (int(MEMORY_GiB * 2**30), hard))
+    mesh = _mesh(along, around)
+    seconds: dict[str, float] = {}
+
+    def timed(name: str, work: Callable[[], Any]) -> Any:
+        start = time.process_time()
+        out = work()
+        seconds[name] = time.process_time() - start
+        return out
+
+    model = clamped_model(mesh, modulus_MPa=MODULUS_MPa, poisson=POISSON, solver=solver)
+    timed(
+        "elements",
+        lambda: element_stiffness(mesh.nodes_mm, mesh.quads, mesh.normals, poisson=POISSON),
+    )
+    timed(
+        "assembly",
+        lambda: assemble(
+            make_pattern(mesh.quads, len(mesh.nodes_mm)),
+            model.elements.combine(modulus_MPa=MODULUS_MPa, thickness_mm=mesh.thickness_mm),
+        ),
+    )
+    factor = timed("factorisation", lambda: model.factor)
+    timed("one solve", lambda: factor.backend.solve(np.ones(factor.scale.size)))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+    return {"dof": factor.scale.size, "seconds": seconds, "peak_GiB": peak}
+
+
+def exponent(x: list[float], y: list[float]) -> float:
+    """Slope of the line through the logarithms."""
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0])
+
+
+def add_rows(
+    table: Table, *, sizes: tuple[tuple[int, int], ...] = SIZES, image: Path | None = IMAGE
+) -> None:
+    """Seconds, memory and exponents over ``sizes``; the plot goes to ``image``."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for solver in SOLVERS:
+        if solver == "pardiso" and find_spec("pypardiso") is None:
+            continue
+        for along, around in sizes:
+            try:
+                text = python("benchmarks.mechanics_cost", str(along), str(around), solver)
+            except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
+                why = str(getattr(error, "stderr", "") or error).strip().splitlines()[-1:]
+                print(f"{solver} stops at {along} × {around}: {why}", flush=True)
+                break
+            found.setdefault(solver, []).append(json.loads(text))
+    for solver, runs in found.items():
+        _report(table, solver, runs)
+    if image is not None:
+        plot(found, image)
+
+
+def _report(table: Table, solver: str, runs: list[dict[str, Any]]) -> None:
+    for run in runs:
+        seconds = run["seconds"]
+        table.add(
+            f"cost: {solver}, {run['dof']} DOF",
+            sum(seconds.values()),
+            "s",
+            reference="-",
+            source="processor time, one thread, process of its own",
+            note="; ".join(f"{name} {seconds[name]:.3g} s" for name in PARTS)
+            + f"; peak memory {run['peak_GiB']:.2f} GiB",
+        )
+    if len(runs) < 2:
+        return
+    sizes = [float(run["dof"]) for run in runs]
+    columns = {name: [run["seconds"][name] for run in runs] for name in PARTS}
+    columns["peak memory"] = [run["peak_GiB"] for run in runs]
+    theory = {"elements": 1.0, "assembly": 1.0, "factorisation": 1.5}
+    for name, values in columns.items():
+        table.add(
+            f"cost: {solver}, exponent of {name} over {sizes[0]:.0f} to {sizes[-1]:.0f} DOF",
+            exponent(sizes, values),
+            "-",
+            reference=theory.get(name, "-"),
+            source="theory of nested dissection in the plane" if name in theory else "fit",
+        )
+
+
+def plot(found: dict[str, list[dict[str, Any]]], path: Path) -> None:
+    """Seconds of each part, and memory, against DOF."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 4.2), layout="constrained")
+    colours = dict(zip(PARTS, ("#0072b2", "#56b4e9", "#d55e00", "#009e73"), strict=True))
+    for solver, runs in found.items():
+        sizes = [float(run["dof"]) for run in runs]
+        style = "-" if solver == "superlu" else "--"
+        for name in PARTS if solver == "superlu" else PARTS[2:]:
+            values = [run["seconds"][name] for run in runs]
+            slope = f" ∝ n^{exponent(sizes, values):.2f}" if len(runs) > 1 else ""
+            label = name if name in PARTS[:2] else f"{name}, {solver}"
+            left.plot(sizes, values, "o" + style, color=colours[name], label=label + slope)
+        memory = [run["peak_GiB"] for run in runs]
+        slope = f" ∝ n^{exponent(sizes, memory):.2f}" if len(runs) > 1 else ""
+        right.plot(sizes, memory, "o" + style, color="#555555", label=solver + slope)
+    for axis, name in (
+        (left, "processor seconds, one thread"),
+        (right, "peak memory of the process, GiB"),
+    ):
+        axis.set(xscale="log", yscale="log", xlabel="degrees of freedom n", ylabel=name)
+        axis.grid(visible=True, which="both", alpha=0.25)
+        axis.legend(fontsize=8, frameon=False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    print(json.dumps(measure(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3])))

@@ -1,0 +1,24 @@
+"""What the commands share: arguments, options, and progress on standard error."""
+
+from enum import StrEnum
+from typing import Annotated
+
+import typer
+
+
+class Preset(StrEnum):
+    """Accuracy presets."""
+
+    draft = "draft"
+    standard = "standard"
+    fine = "fine"
+
+
+DesignArgument = Annotated[str, typer.Argument(help="A shipped design or the path of a file.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
+SeedOption = Annotated[int, typer.Option(help="Seed of everything random.", min=0, max=2**31 - 1)]
+
+
+def say(text: str) -> None:
+    """Progress goes to standard error, so that standard output stays clean."""
+    typer.echo(text, err=True)

@@ -1,0 +1,202 @@
+r"""Line-of-sight heights: the least at which no receptor hides another from the camera.
+
+What the camera should see of a receptor is its painted part: the end face and the band below it.
+What hides it is the whole tube of a nearer one. Both are the hull of two discs, and stay convex in
+the picture; two convex outlines are apart by the greatest gap between them along any direction::
+
+       wall ______________________________________        gap: measured in the picture, given in
+             | |      | |       |#|  <- painted band      mm at the depth of the receptor that
+             |_|      | |       |#|                       is looked at
+                      |_|    .-´               (from the camera, at the left)
+       camera ◁  . - ´  ^ gap
+
+Heights are settled from near to far: a receptor is hidden by nearer ones only. The wall itself
+is not considered here; the visibility check renders it.
+"""
+
+import numpy as np
+
+from phytac_design.layout.markers import Markers
+from phytac_design.spec import Design
+from shapes.arrays import FloatArray, IntArray
+from shapes.errors import DesignError
+
+DIRECTIONS = 64
+"""Directions in the picture along which outlines are kept apart; few make gaps too small."""
+CIRCLE = 24
+LEVELS = 33
+HALVINGS = 8
+"""Heights are searched on ``LEVELS`` steps, then the first that clears is halved this often."""
+DEPTH_MIN_mm = 1e-3
+
+
+class _Outlines:
+    """Outlines of tubes in the picture of a camera that looks along the axis at the sensor.
+
+    An outline is its support: how far it reaches along each of ``DIRECTIONS`` directions, in
+    units of the distance from the camera (tangents of the angle from the axis).
+    """
+
+    def __init__(self, design: Design, markers: Markers, camera_mm: FloatArray) -> None:
+        self.radius = design.receptor.diameter_outer_mm / 2.0
+        self.band = design.receptor.band_marker_mm
+        self.markers = markers
+        self.camera = np.asarray(camera_mm, dtype=np.float64)
+        # A camera beyond the far end looks back.
+        back = float(np.median(markers.foot_mm[:, 2])) < float(self.camera[2])
+        self.sign = -1.0 if back else 1.0
+        turn = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        self.along = np.stack([np.cos(turn), np.sin(turn)])
+        axis = markers.direction
+        first = np.cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        second = np.cross(axis, first)
+        around = 2.0 * np.pi * np.arange(CIRCLE) / CIRCLE
+        # The polygon lies around the circle: outlines are never too small.
+        size = self.radius / np.cos(np.pi / CIRCLE)
+        self.ring = size * (
+            np.cos(around)[:, None] * first[:, None] + np.sin(around)[:, None] * second[:, None]
+        )
+
+    def _disc(self, ids: IntArray, depth: FloatArray) -> FloatArray:
+        """Support (m, h, D) of discs at depths (m, h) along the axes from the feet."""
+        axis = self.markers.direction[ids]
+        centre = self.markers.foot_mm[ids][:, None] + depth[..., None] * axis[:, None]
+        points = centre[:, :, None] + self.ring[ids][:, None] - self.camera
+        ahead = self.sign * points[..., 2:]
+        if float(ahead.min()) <= DEPTH_MIN_mm:
+            raise DesignError(
+                "line-of-sight heights need all receptors in front of the camera (one reaches "
+                f"{-ahead.min():.2f} mm behind its plane); raise camera.stand_off_mm or set "
+                "layout.heights to 'linear'"
+            )
+        return np.asarray((points[..., :2] / ahead @ self.along).max(axis=2))
+
+    def tubes(self, ids: IntArray, height: FloatArray) -> FloatArray:
+        """Support (m, D) of whole tubes of heights (m,)."""
+        ends = np.stack([np.zeros_like(height), height], axis=1)
+        return np.asarray(self._disc(ids, ends).max(axis=1))
+
+    def paints(self, ids: IntArray, height: FloatArray) -> FloatArray:
+        """Support (m, h, D) of painted parts at heights (m, h)."""
+        return np.maximum(
+            self._disc(ids, height), self._disc(ids, np.maximum(height - self.band, 0.0))
+        )
+
+    def depth(self, ids: IntArray) -> FloatArray:
+        """Distance of feet from the camera's plane, (m,) mm."""
+        return np.asarray(self.sign * (self.markers.foot_mm[ids, 2] - self.camera[2]))
+
+
+def _gaps(paint: FloatArray, tubes: FloatArray) -> FloatArray:
+    """Gap (h, j) between painted parts (h, D) and tubes (j, D), in the picture."""
+    half = DIRECTIONS // 2
+    # min over the paint of n·x is minus its support along -n.
+    least = -np.roll(paint, half, axis=-1)
+    return np.asarray((least[:, None] - tubes[None]).max(axis=2))
+
+
+def _box(support: FloatArray) -> FloatArray:
+    """[-x0, -y0, x1, y1] of outlines (..., D): bounds, lower ones with their sign turned."""
+    quarter = DIRECTIONS // 4
+    return support[..., [2 * quarter, 3 * quarter, 0, quarter]]
+
+
+def _near(paint: FloatArray, tubes: FloatArray, margin: float) -> IntArray:
+    """Tubes whose box comes within ``margin`` of the box of any of the painted parts."""
+    own, other = _box(paint).max(axis=0), _box(tubes)
+    apart = -np.roll(own, 2) - other  # own low end against the other's high end, and so on
+    return np.flatnonzero((apart < margin).all(axis=1))
+
+
+def _groups(markers: Markers, camera_mm: FloatArray) -> list[IntArray]:
+    """Markers that share one height (a row of the lattice, else each its own), near ones first."""
+    away = np.linalg.norm(markers.foot_mm - camera_mm, axis=1)
+    if not markers.in_rows:
+        return [np.array([marker]) for marker in np.argsort(away, kind="stable")]
+    rows = [np.flatnonzero(markers.row == row) for row in np.unique(markers.row)]
+    return sorted(rows, key=lambda ids: float(away[ids].mean()))
+
+
+def sight_heights_mm(design: Design, markers: Markers, camera_mm: FloatArray) -> FloatArray:
+    """Least heights (n,) at which each painted part is seen past all nearer receptors.
+
+    From near to far, each row (each marker, where there are no rows) takes the least height from
+    ``height_near_mm`` on at which ``sight_margin_mm`` stays clear beside its painted part.
+
+    Parameters
+    ----------
+    design : Design
+        Its layout's heights bound the search.
+    markers : Markers
+        Their heights are not used.
+    camera_mm : (3,) float
+        Centre of the camera, which looks along the sensor axis at it.
+
+    Raises
+    ------
+    DesignError
+        If a row would have to be taller than ``height_far_mm``.
+    """
+    layout = design.layout
+    outlines = _Outlines(design, markers, camera_mm)
+    heights = np.full(markers.count, layout.height_near_mm)
+    levels = np.linspace(
+        layout.height_near_mm, max(layout.height_far_mm, layout.height_near_mm), LEVELS
+    )
+    settled = np.zeros((0, DIRECTIONS))
+    for group in _groups(markers, camera_mm):
+        slack = _slack(outlines, group, np.tile(levels, (len(group), 1)), settled)
+        clear = np.flatnonzero((slack >= layout.sight_margin_mm).all(axis=0))
+        if clear.size == 0:
+            best = float(slack.min(axis=0).max())
+            raise DesignError(
+                f"receptors of {markers.place(int(group[0]))} are hidden by nearer ones at every "
+                f"height up to {levels[-1]:g} mm (best clearance {best:.2f} mm, wanted "
+                f"{layout.sight_margin_mm:g} mm); raise layout.height_far_mm, or lower "
+                "layout.sight_margin_mm, receptor.band_marker_mm or the number of markers"
+            )
+        high = levels[clear[0]]
+        if clear[0] > 0:
+            low = levels[clear[0] - 1]
+            for _ in range(HALVINGS):
+                middle = (low + high) / 2.0
+                trial = np.full((len(group), 1), middle)
+                if (_slack(outlines, group, trial, settled) >= layout.sight_margin_mm).all():
+                    high = middle
+                else:
+                    low = middle
+        heights[group] = high
+        settled = np.concatenate([settled, outlines.tubes(group, heights[group])])
+    return heights
+
+
+def _slack(
+    outlines: _Outlines, group: IntArray, height: FloatArray, settled: FloatArray
+) -> FloatArray:
+    """Least gap (m, h) in mm between painted parts at heights (m, h) and the settled tubes."""
+    out = np.full(height.shape, np.inf)
+    if len(settled) == 0:
+        return out
+    paint, depth = outlines.paints(group, height), outlines.depth(group)
+    for k in range(len(group)):
+        # Beyond one diameter a gap need not be known.
+        close = _near(paint[k], settled, 2.0 * outlines.radius / depth[k])
+        if close.size:
+            out[k] = _gaps(paint[k], settled[close]).min(axis=1) * depth[k]
+    return out
+
+
+def clearance_mm(design: Design, markers: Markers, camera_mm: FloatArray) -> FloatArray:
+    """Gap (n,) that the camera sees between each painted part and the nearer receptors, mm.
+
+    Negative where it is hidden in part; inf where nothing nearer comes within a diameter.
+    """
+    outlines = _Outlines(design, markers, camera_mm)
+    out = np.full(markers.count, np.inf)
+    settled = np.zeros((0, DIRECTIONS))
+    for group in _groups(markers, camera_mm):
+        height = markers.height_mm[group]
+        out[group] = _slack(outlines, group, height[:, None], settled)[:, 0]
+        settled = np.concatenate([settled, outlines.tubes(group, height)])
+    return out

@@ -1,0 +1,117 @@
+"""Whether quads make a shell: one or two elements at every edge, all facing the same way."""
+
+import numpy as np
+
+from shapes.arrays import BoolArray, FloatArray, IntArray
+from shapes.errors import NumericalError
+
+
+def check_quads(quads: IntArray, node_count: int) -> None:
+    """Refuse connectivity that is no shell.
+
+    Creases and holes are shells; so is a T of three walls, but one set of directors cannot
+    describe it, so three elements at an edge are refused.
+
+    Parameters
+    ----------
+    quads : (E, 4) int
+        Corners.
+    node_count : int
+        Number of nodes.
+
+    Raises
+    ------
+    NumericalError
+        If there is no element, a corner is no node, an element has a corner twice or is there
+        twice, an edge belongs to more than two elements, or neighbours face opposite ways.
+    """
+    if quads.ndim != 2 or quads.shape[1:] != (4,) or not len(quads):
+        raise NumericalError(
+            f"mesh: quads must be (E, 4) with at least one element (got {quads.shape}); "
+            "give four corner nodes for each element"
+        )
+    if quads.min() < 0 or quads.max() >= node_count:
+        raise NumericalError(
+            f"mesh: an element refers to node {quads.max() if quads.min() >= 0 else quads.min()}, "
+            f"but nodes run from 0 to {node_count - 1}; correct the numbering"
+        )
+    corners = np.sort(quads, axis=1)
+    twin = np.any(corners[:, 1:] == corners[:, :-1], axis=1)
+    _refuse(
+        twin,
+        "mesh: element {where} has a node at two corners ({count} in all); split it into "
+        "quads or merge it with a neighbour",
+    )
+    first = np.unique(corners, axis=0, return_index=True)[1]
+    again = np.ones(len(quads), dtype=np.bool_)
+    again[first] = False
+    _refuse(
+        again,
+        "mesh: element {where} lies on the nodes of another one ({count} such in all); "
+        "remove the duplicate",
+    )
+    start, end = quads.ravel(), np.roll(quads, -1, axis=1).ravel()
+    forward = start < end
+    edge = np.minimum(start, end) * node_count + np.maximum(start, end)
+    _, slot, uses = np.unique(edge, return_inverse=True, return_counts=True)
+    owner = np.repeat(np.arange(len(quads)), 4)
+    crowded = uses[slot] > 2
+    if np.any(crowded):
+        at = int(np.argmax(crowded))
+        raise NumericalError(
+            f"mesh: edge {start[at]}-{end[at]} belongs to {uses[slot[at]]} elements "
+            f"({int(np.sum(uses > 2))} such edges in all); a shell has one or two at an edge: "
+            "remove inner walls or double layers"
+        )
+    # Neighbours that face the same way run along their common edge in opposite directions.
+    runs = np.bincount(slot, weights=np.where(forward, 1.0, -1.0))
+    flipped = (uses[slot] == 2) & (np.abs(runs[slot]) > 1.0)
+    if np.any(flipped):
+        at = int(np.argmax(flipped))
+        pair = owner[slot == slot[at]]
+        raise NumericalError(
+            f"mesh: elements {pair[0]} and {pair[1]} face opposite ways across edge "
+            f"{start[at]}-{end[at]} ({int(np.sum((uses == 2) & (np.abs(runs) > 1.0)))} such edges "
+            "in all); reverse the corners of one side"
+        )
+
+
+def check_directors(nodes_mm: FloatArray, quads: IntArray, directors: FloatArray) -> None:
+    """Refuse directors that are no unit normals of the elements.
+
+    Parameters
+    ----------
+    nodes_mm : (N, 3) float
+        Node positions, mm.
+    quads : (E, 4) int
+        Corners.
+    directors : (N, 3) or (E, 4, 3) float
+        Normals per node, or per element and corner.
+
+    Raises
+    ------
+    NumericalError
+        If a director is not of unit length, or leans 90° or more away from its element's normal.
+    """
+    corner = nodes_mm[quads]
+    normal = np.cross(corner[:, 2] - corner[:, 0], corner[:, 3] - corner[:, 1])
+    own = directors[quads] if directors.ndim == 2 else directors
+    length = np.linalg.norm(own, axis=2)
+    if not np.all(np.abs(length - 1.0) < 1e-6):
+        worst = float(length.ravel()[np.argmax(np.abs(length - 1.0))])
+        raise NumericalError(
+            f"mesh: directors must be unit normals (got one of length {worst:.6g}); divide them "
+            "by their length"
+        )
+    along = np.einsum("eck,ek->ec", own, normal)
+    away = np.any(along <= 0.0, axis=1)
+    _refuse(
+        away,
+        "mesh: element {where} faces away from its directors ({count} in all); reverse "
+        "its corners or the directors",
+    )
+
+
+def _refuse(bad: BoolArray, message: str) -> None:
+    if np.any(bad):
+        raise NumericalError(message.format(where=int(np.argmax(bad)), count=int(np.sum(bad))))

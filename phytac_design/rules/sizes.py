@@ -1,0 +1,109 @@
+"""Rules on sizes against each other and against the printer: no geometry but the sensor's size."""
+
+import numpy as np
+
+from phytac_design.layout import Markers
+from phytac_design.rules.refuse import SLACK_mm, refuse
+from phytac_design.spec import Design
+from shapes import Surface
+
+MARKERS_MAX = 50_000
+"""Most markers that a design may ask for; far beyond what any camera tells apart."""
+
+
+def check_sizes(design: Design) -> None:
+    """Check sizes against each other and against the print rules: needs no geometry."""
+    receptor, switch, rules = design.receptor, design.switch, design.print_rules
+    count = design.layout.wanted
+    if count > MARKERS_MAX:
+        refuse(
+            f"{design.layout.rows} rows x {design.layout.columns} columns are {count} markers, "
+            f"more than {MARKERS_MAX}; lower layout.rows or layout.columns"
+        )
+    outer, hole, tip = (
+        receptor.diameter_outer_mm,
+        receptor.diameter_hole_mm,
+        switch.tip_diameter_mm,
+    )
+    if design.wall.thickness_mm < rules.wall_min_mm - SLACK_mm:
+        refuse(
+            f"the wall is too thin to print ({design.wall.thickness_mm:g} mm < "
+            f"{rules.wall_min_mm:g} mm); raise wall.thickness_mm to {rules.wall_min_mm:g}"
+        )
+    if hole < rules.hole_min_mm - SLACK_mm:
+        refuse(
+            f"the receptors' holes would close in printing ({hole:g} mm < "
+            f"{rules.hole_min_mm:g} mm); raise receptor.diameter_hole_mm to {rules.hole_min_mm:g}"
+        )
+    if hole >= outer:
+        refuse(
+            f"the receptors' hole is not smaller than the tube (hole {hole:g} mm ≥ outer "
+            f"{outer:g} mm); lower receptor.diameter_hole_mm or raise receptor.diameter_outer_mm"
+        )
+    side = (outer - hole) / 2.0
+    if side < rules.wall_min_mm - SLACK_mm:
+        refuse(
+            f"the receptors' tube walls are too thin to print ({side:.2f} mm < "
+            f"{rules.wall_min_mm:g} mm); raise receptor.diameter_outer_mm to "
+            f"{hole + 2.0 * rules.wall_min_mm:g} or lower receptor.diameter_hole_mm"
+        )
+    if hole - tip < rules.gap_min_mm - SLACK_mm:
+        refuse(
+            f"the switch's tip does not pass the receptor's hole (tip {tip:g} mm in a hole of "
+            f"{hole:g} mm leaves {hole - tip:.2f} mm < {rules.gap_min_mm:g} mm); lower "
+            f"switch.tip_diameter_mm to {hole - rules.gap_min_mm:g} or raise "
+            "receptor.diameter_hole_mm"
+        )
+    _check_switch(design)
+
+
+def _check_switch(design: Design) -> None:
+    switch, hole = design.switch, design.receptor.diameter_hole_mm
+    if switch.release_N >= switch.threshold_N:
+        refuse(
+            f"a switch must release below its threshold (release {switch.release_N:g} N ≥ "
+            f"threshold {switch.threshold_N:g} N); lower switch.release_N"
+        )
+    if switch.stroke_mm <= switch.tip_recess_mm:
+        refuse(
+            f"the red tip never comes out (stroke {switch.stroke_mm:g} mm ≤ recess "
+            f"{switch.tip_recess_mm:g} mm); raise switch.stroke_mm above "
+            f"{switch.tip_recess_mm:g}"
+        )
+    if switch.footprint_diameter_mm <= hole:
+        refuse(
+            f"the switch's bowl does not cover the hole (footprint "
+            f"{switch.footprint_diameter_mm:g} mm ≤ hole {hole:g} mm); raise "
+            f"switch.footprint_diameter_mm above {hole:g}"
+        )
+
+
+def check_training(design: Design, surface: Surface, markers: Markers) -> None:
+    """Check that contacts fit and can trip switches at all: else there is nothing to learn."""
+    training, switch = design.training, design.switch
+    size = min(float(surface.reach_mm(markers.uv).max()), _half_size_mm(surface))
+    if training.patch_radius_max_mm > size + SLACK_mm:
+        refuse(
+            f"contact patches are larger than the sensor (radius {training.patch_radius_max_mm:g} "
+            f"mm > {size:g} mm); lower training.patch_radius_max_mm"
+        )
+    share = min(1.0, switch.footprint_diameter_mm / (2.0 * training.patch_radius_min_mm)) ** 2
+    most = share * training.force_max_N
+    if most <= switch.threshold_N:
+        refuse(
+            f"no contact can trip a switch: the strongest one ({training.force_max_N:g} N) puts "
+            f"{most:.3g} N on a switch's footprint, its threshold is {switch.threshold_N:g} N; "
+            f"lower switch.threshold_N below {most:.3g} or raise training.force_max_N"
+        )
+
+
+def _half_size_mm(surface: Surface) -> float:
+    """Half of the smaller side of a sheet; inf for shapes that close around."""
+    if surface.periodic[1]:
+        return float("inf")
+    (u0, u1), (v0, v1) = surface.domain
+    middle_u, middle_v = (u0 + u1) / 2.0, (v0 + v1) / 2.0
+    ends = np.array([[u0, middle_v], [u1, middle_v], [middle_u, v0], [middle_u, v1]])
+    flat = surface.unwrap(ends)
+    along, around = flat[1, 1] - flat[0, 1], flat[3, 0] - flat[2, 0]
+    return float(min(abs(along), abs(around)) / 2.0)

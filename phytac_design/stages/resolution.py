@@ -1,0 +1,86 @@
+"""How well a contact can be read at all: the Cramér-Rao bound at every receptor."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phytac_design.stage import Context, Stage, write_arrays, write_facts
+from phytac_design.stages.twin import MECHANICS, arms_mm
+from shapes.arrays import FloatArray
+
+FORCES_N = (1.0, 5.0, 10.0, 25.0)
+"""Forces at which the bound is stated, besides the design's greatest."""
+RIM_SHARE = 0.125
+"""Share of the height next to each rim that is reported apart (15-105 mm of 120)."""
+
+
+def run_resolution(context: Context, folder: Path) -> None:
+    """Cramér-Rao bound of force and place at every receptor."""
+    from phytac_design.mechanics.mesh import marker_mesh
+    from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
+    from phytac_design.optics.view import camera_of
+    from phytac_design.twin.bound import cell_prior, contact_signals
+    from phytac_design.twin.response import motion_responses, point_motions
+
+    design, surface, markers = context.design, context.surface, context.markers
+    training = design.training
+    mesh = marker_mesh(
+        surface,
+        markers,
+        thickness_mm=design.wall.thickness_mm,
+        refine=context.accuracy.refine,
+    )
+    receptors = context.accuracy.receptors and not unknown_receptors(design)
+    model = sensor_model(design, markers, mesh, receptors=receptors)
+    arm = arms_mm(context)
+    slope = camera_of(design, surface).jacobian(markers.mid_mm + arm)
+
+    def shifts(uv: FloatArray, radius_mm: FloatArray) -> FloatArray:
+        motion = motion_responses(model, mesh, surface, markers, uv=uv, radius_mm=radius_mm)
+        return np.asarray(np.einsum("nij,cnj->cni", slope, point_motions(motion, arm)))
+
+    radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
+    signals = contact_signals(surface, shifts, uv=markers.uv, radius_mm=radius)
+    prior = cell_prior(
+        surface.area_mm2(),
+        markers.count,
+        training.patch_radius_min_mm,
+        training.patch_radius_max_mm,
+    )
+    noise = design.camera.noise_centroid_px
+    along = surface.unwrap(markers.uv)[:, 1]
+    place = (along - along.min()) / max(float(np.ptp(along)), 1e-9)
+    middle = (place > RIM_SHARE) & (place < 1.0 - RIM_SHARE)
+    arrays: dict[str, Any] = {}
+    table: dict[str, Any] = {}
+    for force in sorted({*FORCES_N, training.force_max_N}):
+        bound = signals.bound(force, noise_px=noise, prior=prior)
+        arrays |= {f"{key}_{force:g}": value for key, value in asdict(bound).items()}
+        table[f"{force:g} N"] = {
+            "force_N_median_middle": float(np.median(bound.force_N[middle])),
+            "force_N_median": float(np.median(bound.force_N)),
+            "force_N_worst": float(bound.force_N.max()),
+            "force_known_place_N_median": float(np.median(bound.force_known_N)),
+            "along_mm_median": float(np.median(bound.along_mm)),
+            "around_mm_median": float(np.median(bound.around_mm)),
+        }
+    write_arrays(folder, arrays)
+    facts = {
+        "bound": table,
+        "noise_px": noise,
+        "radius_mm": radius,
+        "prior_place_mm": prior.place_mm,
+        "prior_radius_mm": prior.radius_mm,
+    }
+    write_facts(folder, facts)
+
+
+RESOLUTION = Stage(
+    name="resolution",
+    tables=(*MECHANICS, "training"),
+    knobs=("refine", "receptors"),
+    needs=("views",),
+    run=run_resolution,
+)

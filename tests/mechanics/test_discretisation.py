@@ -1,0 +1,201 @@
+"""The estimate of the mesh's error: honest where the truth is known, and what it refuses."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from phytac_design.mechanics import cases
+from phytac_design.mechanics.case_parts import Case, Sides, edge_lines, probed
+from phytac_design.mechanics.discretisation import (
+    DiscretisationError,
+    ProbedShell,
+    estimate_error,
+    sensor_shell,
+)
+from phytac_design.mechanics.free_edge import free_edge_force, free_edges
+from shapes.arrays import FloatArray
+from shapes.errors import NumericalError
+from tests.mechanics.conftest import Prototype
+
+
+def factor(estimate: DiscretisationError, truth: FloatArray) -> float:
+    true = np.linalg.norm(truth - estimate.motion, axis=1).max()
+    return float(estimate.error.max() / true)
+
+
+def hyperboloid(n: Sides) -> Case:
+    return cases.hyperboloid_case(n, thickness=0.1)
+
+
+@pytest.mark.parametrize(
+    ("build", "width", "ends"),
+    [
+        # Lines for the truth are refined where the shell is free: it needs no edge term.
+        (lambda n: cases.scordelis_lo_case(n[::-1] if isinstance(n, tuple) else n), 0.014, (0, 1)),
+        (cases.hemisphere_with_hole_case, 0.0032, (1, 1)),
+        (hyperboloid, 0.08, (0, 1)),
+    ],
+    ids=["roof", "hemisphere", "hyperboloid"],
+)
+def test_estimate_is_within_a_factor_of_two_of_a_resolved_mesh(
+    build: Callable[[Sides], Case], width: float, ends: tuple[int, int]
+) -> None:
+    points = build(4).mesh.nodes
+
+    def resolved(n: int) -> ProbedShell:
+        return probed(build((n, edge_lines(n, width, ends=(bool(ends[0]), bool(ends[1]))))), points)
+
+    truth = estimate_error(resolved, (48, 24)).extrapolated
+    for n in (8, 16):
+        found = estimate_error(lambda m: probed(build(m), points), (n, n // 2))
+        assert 0.5 < factor(found, truth) < 2.0
+        assert found.elements == (n * n, n * n // 4)
+        assert found.asymptotic.all()
+
+
+def test_two_meshes_alone_would_miss_the_free_edges_of_the_hemisphere() -> None:
+    points = cases.hemisphere_with_hole_case(16).mesh.nodes
+    found = estimate_error(lambda m: probed(cases.hemisphere_with_hole_case(m), points), (32, 16))
+    fine = probed(
+        cases.hemisphere_with_hole_case((48, edge_lines(48, 0.0032, ends=(True, True)))), points
+    )
+    truth = fine.read(fine.model.solve(fine.loads).motion)
+    true = np.linalg.norm(truth - found.motion, axis=1).max()
+    assert 0.5 < found.error.max() / true < 2.0
+    coarse = probed(cases.hemisphere_with_hole_case(16), points)
+    step = found.motion - coarse.read(coarse.model.solve(coarse.loads).motion)
+    assert np.linalg.norm(step, axis=1).max() / 3.0 < 0.5 * true
+
+
+def test_torsion_of_a_strip_gains_what_the_exact_torsion_constant_says() -> None:
+    # Twist of a strip by two corner forces; Timoshenko and Goodier: J = b t³/3 (1 − 0.63 t/b).
+    b, t, length = 10.0, 0.4, 200.0
+    strip = cases.patch(lambda a, c: np.column_stack([length * a, b * c, 0 * a]), 40, 4)
+    fixed = cases.no_support(strip)
+    root = strip.ab[:, 0] == 0.0
+    cases.hold(fixed, root, (0, 2, 3))
+    fixed[0, 1] = True
+    fixed[cases.at(strip, 0.0, 0.5), 4] = True
+    loads = np.zeros((len(strip.nodes), 6))
+    loads[cases.at(strip, 1.0, 1.0), 2], loads[cases.at(strip, 1.0, 0.0), 2] = 1.0, -1.0
+    case = Case(
+        mesh=strip,
+        fixed=fixed,
+        loads=loads,
+        read=cases.weights(strip, (cases.at(strip, 0.5, 1.0), 2, 1.0)),
+        reference=1.0,
+        modulus=1000.0,
+        poisson=0.3,
+        thickness=t,
+    )
+    model = case.model()
+    motion = model.solve(loads.reshape(-1, 1)).motion
+    force = free_edge_force(model, motion)
+    assert force is not None
+    more = model.solve(force.reshape(-1, 1)).motion
+    plain, missing = (float(np.sum(case.read * m[:, :, 0])) for m in (motion, more))
+    rigidity = 1000.0 / 2.6 * b * t**3 / 3.0
+    exact = b / rigidity / (1.0 - 0.63 * t / b) * (length / 2.0) * (b / 2.0)
+    captured = 1.0 / np.sqrt(1.0 + (b / 4.0 / t) ** 2 * 10.0 / 12.0)
+    assert captured < 0.2
+    assert plain / exact == pytest.approx(1.0 - 0.63 * t / b * (1.0 - captured), rel=0.001)
+    assert (plain + missing) / exact == pytest.approx(1.0, rel=0.002)
+
+
+def test_clamped_rims_and_planes_of_symmetry_are_not_free(cylinder60: Prototype) -> None:
+    assert not len(free_edges(cylinder60.mesh.quads, cylinder60.model.fixed)[0])
+    motion = np.ones((len(cylinder60.mesh.nodes_mm), 6, 1))
+    assert free_edge_force(cylinder60.model, motion) is None
+    quarter = cases.hemisphere_with_hole_case(4)
+    assert len(free_edges(quarter.mesh.quads, quarter.fixed)[0]) == 8
+
+
+def sensor(part: Prototype, radius_mm: float = 6.0) -> DiscretisationError:
+    material = part.design.material
+    make = sensor_shell(
+        part.surface,
+        part.markers,
+        thickness_mm=part.design.wall.thickness_mm,
+        modulus_MPa=material.modulus_MPa,
+        poisson=material.poisson,
+        centres_uv=np.array([[60.0, np.pi], [17.3, 4.4]]),
+        radii_mm=radius_mm,
+    )
+    return estimate_error(make, (4, 2))
+
+
+def test_sensor_under_fingertips(cylinder60: Prototype) -> None:
+    found = sensor(cylinder60)
+    assert found.motion.shape == (cylinder60.markers.count + 2, 3, 2)
+    # Errors of the finest meshes run (16 and 8 to a pitch, ``benchmarks/mechanics_error``).
+    truth = np.array([0.0485, 0.0735])
+    assert np.all(found.relative > 0.5 * truth)
+    assert np.all(found.relative < 2.0 * truth)
+    assert found.asymptotic.tolist() == [False, False]  # the coarse mesh is off by a tenth and more
+    assert np.all(np.isnan(found.rate))
+
+
+def test_tips_move_with_the_rotation_of_the_face(cylinder60: Prototype) -> None:
+    material = cylinder60.design.material
+    part = sensor_shell(
+        cylinder60.surface,
+        cylinder60.markers,
+        thickness_mm=cylinder60.design.wall.thickness_mm,
+        modulus_MPa=material.modulus_MPa,
+        poisson=material.poisson,
+        centres_uv=cylinder60.markers.uv[:1],
+        radii_mm=6.0,
+    )(2)
+    spin = np.zeros((len(part.model.nodes_mm), 6, 1))
+    spin[:, 5] = 0.01
+    arm = cylinder60.markers.tip_mm - cylinder60.markers.mid_mm
+    moved = part.read(spin)[:, :, 0]
+    np.testing.assert_allclose(moved[: len(arm), 0], -0.01 * arm[:, 1], atol=1e-12)
+    assert np.all(moved[len(arm) :] == 0.0)
+
+
+def roof(n: int) -> ProbedShell:
+    return probed(cases.scordelis_lo_case(n), cases.scordelis_lo_case(3).mesh.nodes)
+
+
+def test_three_meshes_show_the_rate() -> None:
+    points = hyperboloid(4).mesh.nodes
+    found = estimate_error(lambda n: probed(hyperboloid(n), points), (16, 8, 4))
+    assert found.rate == pytest.approx(2.0, abs=0.2)
+    assert found.relative == pytest.approx(0.0023, abs=0.0004)
+
+
+def test_a_mesh_too_coarse_is_said_to_be_so() -> None:
+    case = cases.pinched_cylinder_case(4)
+    top = case.mesh.nodes[[0]]
+    found = estimate_error(lambda n: probed(cases.pinched_cylinder_case(n), top), (8, 4))
+    assert not found.asymptotic.any()
+    off = abs(found.motion[0, 2, 0] / -1.82488e-5 - 1.0)
+    assert 0.6 < found.error[0, 0] / 1.82488e-5 / off < 1.6
+
+
+def test_no_load_has_no_error() -> None:
+    def idle(n: int) -> ProbedShell:
+        part = roof(n)
+        return ProbedShell(
+            model=part.model, loads=0.0 * part.loads, nodes=part.nodes, weights=part.weights
+        )
+
+    found = estimate_error(idle, (12, 6, 3))
+    assert np.all(found.error == 0.0)
+    assert np.all(found.relative == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("refine", "reason"),
+    [((8,), "two or three meshes .got 1"), ((6, 12), "fine to coarse"), ((8, 7), "coarser by")],
+)
+def test_unsuitable_meshes_are_refused(refine: tuple[int, ...], reason: str) -> None:
+    with pytest.raises(NumericalError, match=reason):
+        estimate_error(roof, refine)
+
+
+def test_meshes_with_different_probes_are_refused() -> None:
+    with pytest.raises(NumericalError, match="differ in probes"):
+        estimate_error(lambda n: probed(cases.scordelis_lo_case(n), np.zeros((n, 3))), (12, 6))

@@ -1,0 +1,64 @@
+"""Connectivity and directors that are no shell are refused with the reason."""
+
+import numpy as np
+import pytest
+
+from phytac_design.mechanics import cases
+from phytac_design.mechanics.mesh_check import check_directors, check_quads
+from shapes.arrays import IntArray
+from shapes.errors import NumericalError
+from tests.mechanics.conftest import Prototype
+
+GRID = cases.patch(lambda a, b: np.column_stack([a, b, 0.2 * a * b]), 3, 2)
+COUNT = len(GRID.nodes)
+
+
+def changed(element: int, *corners: int) -> IntArray:
+    quads = GRID.quads.copy()
+    quads[element] = corners
+    return quads
+
+
+def test_good_meshes_pass(cylinder60: Prototype) -> None:
+    mesh = cylinder60.mesh
+    for nodes, quads, normals in (
+        (GRID.nodes, GRID.quads, GRID.normals),
+        (mesh.nodes_mm, mesh.quads, mesh.normals),
+        (mesh.nodes_mm, mesh.quads, mesh.normals[mesh.quads]),
+    ):
+        check_quads(quads, len(nodes))
+        check_directors(nodes, quads, normals)
+
+
+@pytest.mark.parametrize(
+    ("quads", "reason"),
+    [
+        (np.concatenate([GRID.quads, [[0, 3, COUNT, COUNT + 1], [3, 0, 11, 10]]]), "belongs to 3"),
+        (changed(1, *GRID.quads[1][::-1]), "face opposite ways across edge"),
+        (np.concatenate([GRID.quads, GRID.quads[2:3, [1, 2, 3, 0]]]), "remove the duplicate"),
+        (changed(4, 6, 6, 10, 7), "element 4 has a node at two corners"),
+        (changed(4, 6, 9, 10, COUNT + 2), f"node {COUNT + 2}, but nodes run from 0"),
+        (changed(4, 6, 9, 10, -1), "node -1"),
+        (GRID.quads[:, :3], "got .6, 3."),
+        (GRID.quads[:0], "at least one element"),
+    ],
+)
+def test_bad_connectivity_is_refused(quads: IntArray, reason: str) -> None:
+    with pytest.raises(NumericalError, match=reason):
+        check_quads(quads, COUNT + 2)
+
+
+def test_bad_directors_are_refused() -> None:
+    with pytest.raises(NumericalError, match=r"unit normals .got one of length 2"):
+        check_directors(GRID.nodes, GRID.quads, 2.0 * GRID.normals)
+    flipped = GRID.normals.copy()
+    flipped[4] *= -1.0
+    with pytest.raises(NumericalError, match=r"faces away from its directors .4 in all"):
+        check_directors(GRID.nodes, GRID.quads, flipped)
+
+
+def test_a_tube_of_three_walls_at_an_edge_is_refused_and_a_crease_is_not() -> None:
+    two = np.array([[0, 1, 2, 3], [1, 4, 5, 2]])
+    check_quads(two, 8)
+    with pytest.raises(NumericalError, match=r"edge 1-2 belongs to 3 elements .1 such"):
+        check_quads(np.concatenate([two, [[1, 6, 7, 2]]]), 8)

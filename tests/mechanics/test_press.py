@@ -1,0 +1,202 @@
+"""One press: the figures are those of the theory chosen, and the choice is the estimate's."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+import pytest
+
+from phytac_design.layout import make_markers
+from phytac_design.mechanics import press as module
+from phytac_design.mechanics.mesh import chart_mesh
+from phytac_design.mechanics.place import Place, middle_marker, place_of
+from phytac_design.mechanics.press import Press, bending_strain, press, write_press
+from phytac_design.mechanics.press_report import press_dict, press_text, press_warnings
+from phytac_design.optics.view import camera_of
+from shapes.errors import DesignError, NumericalError, OutputError
+from tests.designs import small
+
+DESIGN = small()
+SURFACE = DESIGN.surface()
+MARKERS = make_markers(DESIGN, SURFACE)
+
+
+def place(force: float, **words: Any) -> Place:
+    return place_of(DESIGN, SURFACE, MARKERS, force_N=force, **words)
+
+
+@cache
+def pressed(force: float, theory: str = "auto", **options: Any) -> Press:
+    return press(
+        DESIGN,
+        SURFACE,
+        MARKERS,
+        place(force, at="45"),
+        theory=theory,  # type: ignore[arg-type]  # as from a command line
+        **{"refine": 2, **options},
+    )
+
+
+def test_place_is_a_marker_a_position_or_the_middle() -> None:
+    np.testing.assert_array_equal(place(1.0, at="17").uv, MARKERS.uv[17])
+    np.testing.assert_array_equal(place(1.0, at=" 20.5, -7 ").uv, [20.5, -7.0])
+    assert place(1.0).radius_mm == DESIGN.training.patch_radius_max_mm
+    middle = SURFACE.point(SURFACE.domain.mean(axis=1)[None])[0]
+    away = np.linalg.norm(SURFACE.point(MARKERS.uv) - middle, axis=1)
+    assert away[middle_marker(SURFACE, MARKERS)] == away.min()
+    np.testing.assert_array_equal(place(1.0).uv, MARKERS.uv[middle_marker(SURFACE, MARKERS)])
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ({"force_N": 0.0}, r"positive number of newtons \(got 0.0\)"),
+        ({"force_N": np.nan}, "positive number of newtons"),
+        ({"force_N": np.inf}, "positive number of newtons"),
+        ({"radius_mm": -1.0}, "0 or more"),
+        ({"radius_mm": np.nan}, "0 or more"),
+        ({"at": "112"}, "no marker 112: this design has markers 0 to 111"),
+        ({"at": "-1"}, "no marker -1"),
+        ({"at": "61,0"}, "off the surface: u = 61 is not between 0 and 60"),
+        ({"at": "1,2,3"}, "a marker's number or a chart position"),
+        ({"at": "nan,1"}, "a marker's number or a chart position"),
+        ({"at": "1.5"}, "a marker's number or a chart position"),
+    ],
+)
+def test_words_that_make_no_press_are_refused(words: dict[str, Any], message: str) -> None:
+    with pytest.raises(DesignError, match=message):
+        place_of(DESIGN, SURFACE, MARKERS, **({"force_N": 1.0} | words))
+
+
+def test_linear_motion_grows_with_the_force_and_peaks_under_it() -> None:
+    one, two = pressed(1.0, "linear"), pressed(2.0, "linear")
+    np.testing.assert_allclose(two.motion, 2.0 * one.motion, rtol=1e-9, atol=1e-12)
+    assert two.linear_error == pytest.approx(2.0 * one.linear_error, rel=0.2)
+    assert one.peak_mm == pytest.approx(one.centre_mm, rel=0.1)
+    assert one.near[0] == 45
+    assert one.inward_mm[45] == pytest.approx(one.centre_mm, rel=1e-9)
+    at = one.motion[one.mesh.marker_nodes]
+    arm = MARKERS.tip_mm - MARKERS.mid_mm
+    np.testing.assert_allclose(one.tip_mm, at[:, :3] + np.cross(at[:, 3:], arm), atol=1e-15)
+    seen = camera_of(DESIGN, SURFACE).project(MARKERS.tip_mm[[45]] + one.tip_mm[[45]])
+    assert one.tip_px is not None
+    np.testing.assert_allclose(
+        one.tip_px[45], seen[0] - camera_of(DESIGN, SURFACE).project(MARKERS.tip_mm[[45]])[0]
+    )
+
+
+def test_auto_takes_large_displacements_where_linear_is_off() -> None:
+    light, hard = pressed(0.3), pressed(25.0)
+    assert not light.large
+    np.testing.assert_array_equal(light.motion, pressed(0.3, "linear").motion)
+    assert hard.large
+    linear = pressed(25.0, "linear")
+    np.testing.assert_array_equal(hard.motion, pressed(25.0, "large").motion)
+    gap = np.linalg.norm(hard.motion[:, :3] - linear.motion[:, :3], axis=1).max()
+    truth = gap / np.linalg.norm(hard.motion[:, :3], axis=1).max()
+    assert truth > 0.05
+    assert 0.5 < hard.linear_error / truth < 2.0
+    assert pressed(25.0, tolerance=10.0).large is False
+
+
+def test_large_tips_keep_their_distance_from_the_wall() -> None:
+    hard = pressed(60.0, "large")
+    arm = MARKERS.tip_mm - MARKERS.mid_mm
+    turned = arm + hard.tip_mm - hard.motion[hard.mesh.marker_nodes, :3]
+    np.testing.assert_allclose(
+        np.linalg.norm(turned, axis=1), np.linalg.norm(arm, axis=1), rtol=1e-12
+    )
+    assert np.linalg.norm(hard.motion[hard.mesh.marker_nodes, 3:], axis=1).max() > 0.05
+
+
+def test_receptors_stiffen_the_wall() -> None:
+    # Fine enough to tell tubes from the wall between them.
+    plain = pressed(1.0, "linear", receptors=False, refine=6)
+    assert 0.9 < pressed(1.0, "linear", refine=6).peak_mm / plain.peak_mm < 0.98
+    odd = small(receptor={"diameter_outer_mm": 0.9, "diameter_hole_mm": 0.5})
+    markers = make_markers(odd, SURFACE)
+    with pytest.raises(DesignError, match="without receptors"):
+        press(odd, SURFACE, markers, place(1.0), refine=2)
+    press(odd, SURFACE, markers, place(1.0), refine=2, receptors=False)
+
+
+def test_more_than_the_shell_carries_is_refused() -> None:
+    with pytest.raises(NumericalError, match="is more than this shell carries: the wall would"):
+        pressed(5e4, "large")
+
+
+def test_no_equilibrium_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise NumericalError("the path ends at 0.6")
+
+    monkeypatch.setattr(module, "solve_large", fails)
+    with pytest.raises(NumericalError, match=r"30 N .* more than .*: no equilibrium .* at 0\.6"):
+        press(DESIGN, SURFACE, MARKERS, place(30.0), theory="large", refine=2)
+
+
+def test_bending_strain_is_that_of_a_wall_that_bends() -> None:
+    mesh = chart_mesh(SURFACE, thickness_mm=0.8, n_along=4, n_around=200)
+    motion = np.zeros((len(mesh.nodes_mm), 6))
+    motion[:, 5] = 0.1 * np.sin(mesh.uv[:, 1])
+    assert bending_strain(mesh, motion) == pytest.approx(0.4 * 0.1 / 29.6, rel=1e-3)
+    motion[:] = 0.3  # rigid
+    assert bending_strain(mesh, motion) < 1e-12
+
+
+def test_report_says_what_to_mind() -> None:
+    good, off = (
+        replace(pressed(25.0, how), mesh_error=0.01, resolved=True) for how in ("auto", "linear")
+    )
+    assert press_warnings(good, tolerance=0.05) == []
+    assert "--theory large" in press_warnings(off, tolerance=0.05)[0]
+    for change, words in (
+        ({"strain": 0.05}, "strain of about 5 %"),
+        ({"jumped": True}, "snaps, or may snap"),
+        ({"stable": False}, "does not stay"),
+        ({"mesh_error": 0.2, "resolved": False}, "error of the mesh is up to 20 %"),
+        ({"mesh_error": 0.2, "resolved": True}, "error of the mesh is about 20 %"),
+        ({"mesh_error": None}, "error of the mesh is not known"),
+    ):
+        (warning,) = press_warnings(replace(good, **change), tolerance=0.05)
+        assert words in warning
+    plain = press_dict(good, MARKERS, name="small", tolerance=0.05)
+    assert plain["theory"] == "large"
+    assert [row["marker"] for row in plain["markers"]] == good.near.tolist()
+    assert plain["markers"][0]["tip_mm"] == good.tip_mm[45].tolist()
+    text = press_text(good, MARKERS, name="small", tolerance=0.05)
+    assert f"peak {good.peak_mm:.4g} mm inward" in text
+    assert len(text.splitlines()) == 5 + len(good.near)
+    blind = replace(good, tip_px=None)
+    assert press_dict(blind, MARKERS, name="x", tolerance=0.05)["markers"][0]["tip_px"] is None
+    assert " - " in press_text(blind, MARKERS, name="x", tolerance=0.05)
+
+
+def test_moved_mesh_is_written(tmp_path: Path) -> None:
+    result = pressed(1.0, "linear")
+    back = meshio.read(write_press(tmp_path / "a.vtu", result))
+    np.testing.assert_array_equal(back.point_data["displacement_mm"], result.motion[:, :3])
+    with pytest.raises(OutputError, match="cannot write"):
+        write_press(tmp_path / "no" / "a.vtu", result)
+
+
+def test_mesh_error_is_of_the_size_of_the_true_one() -> None:
+    coarse, fine = (pressed(1.0, "linear", receptors=False, refine=n) for n in (4, 9))
+    gap = np.linalg.norm(coarse.tip_mm - fine.tip_mm, axis=1).max()
+    truth = gap / np.linalg.norm(fine.tip_mm, axis=1).max()
+    assert coarse.mesh_error is not None
+    assert 1.0 < coarse.mesh_error / truth < 5.0
+    assert not coarse.resolved
+    assert fine.resolved
+    assert fine.mesh_error is not None
+    assert fine.mesh_error < 0.2 * coarse.mesh_error
+    assert pressed(1.0, "linear", refine=1).mesh_error is None
+
+
+def test_unknown_theory_and_tolerance_are_refused() -> None:
+    with pytest.raises(DesignError, match="auto, linear, large"):
+        pressed(1.0, "cubic")
+    with pytest.raises(DesignError, match="tolerance must be positive"):
+        pressed(1.0, tolerance=0.0)
