@@ -12,8 +12,9 @@ from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 from numpy.typing import NDArray
 
+from benchmarks import visibility_lenses
 from benchmarks.harness import Table, arguments
-from decoder.camera import PinholeCamera
+from decoder.camera import Camera
 from phytac_design.design_file import load_design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.optics.density import density_of
@@ -45,7 +46,7 @@ def smaller(design: Design, factor: int) -> Design:
     return design.model_copy(update={"camera": camera.model_copy(update=update)})
 
 
-def scene_of(design: Design) -> tuple[Scene, PinholeCamera, Markers]:
+def scene_of(design: Design) -> tuple[Scene, Camera, Markers]:
     """Scene (every fifth switch on), camera and markers of a design."""
     surface = design.surface()
     markers = make_markers(design, surface)
@@ -63,14 +64,14 @@ def embree_tree(scene: Scene) -> rtcore_scene.EmbreeScene:
     return tree
 
 
-def pixel_rays(camera: PinholeCamera) -> NDArray[np.float32]:
+def pixel_rays(camera: Camera) -> NDArray[np.float32]:
     """One ray direction per pixel centre, row by row, (h w, 3)."""
     y, x = np.indices((camera.height_px, camera.width_px))
     return camera.rays(np.column_stack([x.ravel(), y.ravel()])).astype(np.float32)
 
 
 def traced(
-    tree: rtcore_scene.EmbreeScene, rays: NDArray[np.float32], camera: PinholeCamera
+    tree: rtcore_scene.EmbreeScene, rays: NDArray[np.float32], camera: Camera
 ) -> NDArray[np.int32]:
     """Triangle that each ray from the camera hits first, (h, w); -1 for none."""
     start = np.tile(camera.position_mm.astype(np.float32), (CHUNK, 1))
@@ -225,6 +226,7 @@ def main() -> None:
         target="<= 1.5",
         note=f"8 samples per pixel; {busy()}",
     )
+    visibility_lenses.add_rows(table, quick=quick)
     if not quick:
         print(table.write())
 

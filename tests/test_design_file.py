@@ -95,3 +95,15 @@ def test_new_design_is_commented_and_never_overwrites(tmp_path: Path) -> None:
     assert load_design(str(path)).name == "mine"
     with pytest.raises(OutputError, match="exists already"):
         write_new_design("mine", "cylinder60", path)
+
+
+def test_explicit_positions_survive_the_resolved_file() -> None:
+    layout = {
+        "kind": "explicit",
+        "positions": [[10, 1.5], [20, 3]],
+        "position_heights_mm": [2, 3],
+        "position_colours": ["green", "blue"],
+    }
+    design = parse_design({**MINIMAL, "layout": layout}, "explicit")
+    assert parse_design(tomllib.loads(to_toml(design)), "resolved") == design
+    assert design.layout.wanted == 2

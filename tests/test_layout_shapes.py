@@ -176,7 +176,7 @@ def test_nothing_left_is_refused() -> None:
 def test_shipped_designs_pass_the_rules(name: str) -> None:
     design = load_design(name)
     _, markers = check_design(design)
-    assert 80 <= markers.count <= 368
+    assert 80 <= markers.count <= 744
 
 
 def csv(tmp_path: Path, text: str, **layout: Any) -> Design:

@@ -50,7 +50,7 @@ REFUSALS: dict[str, tuple[Design, str]] = {
         of("plane", {"kind": "straight", "rows": 6, "columns": 18}),
         (
             r"lies 2.22 mm from the side of the surface, less than the radius of its switch "
-            r"footprint \(2.30 mm\): it cuts the rim; lower layout.columns or switch.footprint_diameter_mm"
+            r"footprint \(2.30 mm\): it cuts the rim; lower layout.columns or switch.footprint"
         ),
     ),
     "end of a dome": (

@@ -30,9 +30,11 @@ def stl_bytes(mesh: TriangleMesh) -> bytes:
         len(mesh.triangles),
         dtype=[("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")],
     )
-    # Normals of the corners as they are stored: rounding turns the normal of a sliver.
-    corners = mesh.vertices_mm.astype(np.float32)[mesh.triangles].astype(np.float64)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # Normals of the corners as they are stored, sides rounded as readers round them: rounding
+    # turns the normal of a sliver.
+    corners = mesh.vertices_mm.astype(np.float32)[mesh.triangles]
+    first, second = (corners[:, k] - corners[:, 0] for k in (1, 2))
+    normal = np.cross(first.astype(np.float64), second.astype(np.float64))
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     record["normal"] = normal / np.where(length > 0.0, length, 1.0)
     record["corners"] = corners

@@ -25,6 +25,8 @@ from shapes.errors import NumericalError
 
 BAND_MIN_mm = 1e-3
 """A shorter painted band is no solid; its paint is left out."""
+SLIVER_mm = 1e-6
+"""Triangles thinner than this are merged: single precision (STL) cannot tell where they face."""
 TOLERANCE_mm = 0.01
 """Default distance between the mesh and the true faces; a tenth of what a printer resolves."""
 
@@ -107,7 +109,7 @@ def shell_manifold(
     """
     parts = _parts(design, surface, markers, tolerance_mm)
     tubes = parts.rods(parts.axes.root_mm, parts.axes.tip_mm)
-    return (parts.wall + tubes) - parts.holes
+    return ((parts.wall + tubes) - parts.holes).simplify(SLIVER_mm)
 
 
 def painted_manifolds(

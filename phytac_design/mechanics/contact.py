@@ -47,10 +47,8 @@ def on_shell_share(surface: Surface, uv: FloatArray, radius_mm: FloatArray | flo
     radius = np.broadcast_to(np.asarray(radius_mm, dtype=np.float64), len(uv))
     metric, domain = surface.metric(uv), surface.domain
     sizes = np.sqrt(metric[:, [0, 1], [0, 1]])
-    # At a pole, where all v meet, u still is a length.
-    lean = np.where(
-        sizes.min(axis=1) > 0.0, metric[:, 0, 1] / np.maximum(sizes.prod(axis=1), TINY), 0.0
-    )
+    # At a pole, where all v meet, u still is a length, square to nothing in particular.
+    lean = metric[:, 0, 1] / np.maximum(sizes.prod(axis=1), TINY)
     sine = np.sqrt(np.maximum(1.0 - lean**2, 0.0))
     beyond: tuple[list[FloatArray], list[FloatArray]] = ([], [])
     for axis, end in surface.edges():

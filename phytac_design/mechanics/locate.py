@@ -126,21 +126,22 @@ def _search(
 
 
 def _pierce(corners: FloatArray, points: FloatArray, normals: FloatArray) -> FloatArray:
-    """Coordinates (n, c, 2) where lines meet elements of ``corners`` (n, c, 4, 3); inf: nowhere"""
+    """Coordinates (n, c, 2) where lines meet elements, ``corners`` (n, c, 4, 3); else inf."""
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     least = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
     first = np.cross(normals, least)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    frame = np.stack([first, np.cross(normals, first), normals], axis=1)
-    local = np.einsum("nkx,ncix->ncik", frame, corners - points[:, None, None])
-    flat, height = local[..., :2], local[..., 2]
-    size = np.linalg.norm(local[..., 2, :] - local[..., 0, :], axis=-1)
+    frame = np.stack([first, np.cross(normals, first)], axis=1)
+    flat = np.einsum("nkx,ncix->ncik", frame, corners - points[:, None, None])
+    across, over = flat[..., 2, :] - flat[..., 0, :], flat[..., 3, :] - flat[..., 1, :]
+    facing = across[..., 0] * over[..., 1] - across[..., 1] * over[..., 0]
+    size = np.linalg.norm(across, axis=-1) + np.linalg.norm(over, axis=-1)
     rs = _inverse_bilinear(flat, np.zeros((*flat.shape[:2], 2)))
     h = 0.25 * (1.0 + rs[..., :1] * R) * (1.0 + rs[..., 1:] * S)
     miss = np.linalg.norm(np.einsum("nci,ncik->nck", h, flat), axis=-1)
-    # Newton may end nowhere in an element far off; and the line goes on to the other side of the
-    # sensor. Neither is a candidate.
-    rs[(miss > EDGE_TOL * size) | (np.abs(height).min(axis=2) > size)] = np.inf
+    # Newton may end nowhere in an element far off; and the line goes on to the wall behind, which
+    # faces away. Neither is a candidate.
+    rs[(miss > EDGE_TOL * size) | (facing <= 0.0)] = np.inf
     return rs
 
 

@@ -122,7 +122,7 @@ def place(x: FloatArray, size: FloatArray, through: FloatArray | None = None) ->
     counts = np.maximum(1, np.ceil(np.diff(at) - 1e-6)).astype(np.int64)
     marks = np.concatenate([[0], np.cumsum(counts)])
     wanted = np.interp(np.arange(marks[-1] + 1), marks, at)
-    out = np.interp(wanted, density, x)
+    out: FloatArray = np.interp(wanted, density, x)
     out[marks] = stops
     return out
 

@@ -21,7 +21,8 @@ def snap(
 
     Each marker takes one node; together they take those that move least (an assignment problem).
     The displacement of the other nodes is the one of least squared Laplacian on the mesh's graph,
-    with open edges held, put back onto the face along its normals. ``None`` where the mesh has
+    with open edges held, put back onto the face along its normals; nodes of the edges
+    slide along with their inner neighbours. ``None`` where the mesh has
     too few nodes for the markers.
     """
     node_mm = surface.point(grid.uv, offset_mm)
@@ -37,12 +38,29 @@ def snap(
     move = np.zeros_like(node_mm)
     move[taken] = marker_mm - node_mm[taken]
     move[~held] = _follow(grid.quads, held, move)
+    _slide(grid.quads, edges, move)
     uv = grid.uv.copy()
-    moved = ~held & (np.abs(move).max(axis=1) > 0.0)
+    moved = np.abs(move).max(axis=1) > 0.0
     foot = surface.chart(node_mm[moved] + move[moved])
     uv[moved] = np.clip(foot, *surface.domain.T)
+    for axis, end, nodes in edges:
+        uv[nodes, axis] = surface.domain[axis, end]
     uv[taken] = marker_uv
     return uv, taken
+
+
+def _slide(quads: IntArray, edges: list[tuple[int, int, IntArray]], move: FloatArray) -> None:
+    """Let nodes of open edges go along with their inner neighbours, in place; corners stay."""
+    rim = np.zeros(len(move), dtype=np.bool_)
+    for *_, nodes in edges:
+        rim[nodes] = True
+    start, end = quads.ravel(), np.roll(quads, -1, axis=1).ravel()
+    start, end = np.concatenate([start, end]), np.concatenate([end, start])
+    spoke = rim[start] & ~rim[end]
+    total, count = np.zeros_like(move), np.bincount(start[spoke], minlength=len(move))
+    np.add.at(total, start[spoke], move[end[spoke]])
+    free = (count > 0) & (np.abs(move).max(axis=1) == 0.0)
+    move[free] = total[free] / count[free][:, None]
 
 
 def scaled_jacobian(nodes_mm: FloatArray, quads: IntArray, normals: FloatArray) -> FloatArray:

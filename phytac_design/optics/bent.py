@@ -28,9 +28,11 @@ ARC_MAX = 0.5
 SAFETY = 1.5
 """On the sampled second derivative of the lens."""
 BACK_RAD = np.deg2rad(174.0)
-"""Pieces that reach farther from the axis than this may lie anywhere on the image."""
+BACK_ARC = 0.05
+"""Pieces that reach farther from the axis than this, once so short, may lie anywhere."""
 MARGIN_RAD = 0.02
 TABLE = 256
+BORDER = 512
 EVERYWHERE_PX = 1e9
 DROP, KEEP, SPLIT = 0, 1, 2
 
@@ -57,12 +59,13 @@ def reach_of(lens: Lens) -> Reach:
 
 
 def _edge_rad(lens: Lens) -> float:
-    """Angle of the farthest direction that any pixel of the image sees."""
+    """Angle of the farthest direction that any pixel sees, up to half an image beyond the frame."""
     w, h = lens.width_px, lens.height_px
-    x, y = np.arange(-1.0, w + 1.0), np.arange(-1.0, h + 1.0)
+    left, top, right, bottom = -w / 2.0 - 1.0, -h / 2.0 - 1.0, 1.5 * w + 1.0, 1.5 * h + 1.0
+    x, y = np.linspace(left, right, BORDER), np.linspace(top, bottom, BORDER)
     border = np.concatenate(
-        [np.column_stack([x, np.full_like(x, side)]) for side in (-1.0, float(h))]
-        + [np.column_stack([np.full_like(y, side), y]) for side in (-1.0, float(w))]
+        [np.column_stack([x, np.full_like(x, side)]) for side in (top, bottom)]
+        + [np.column_stack([np.full_like(y, side), y]) for side in (left, right)]
     )
     rays = lens.unproject(border)
     if not np.isfinite(rays).all():
@@ -201,6 +204,7 @@ def _measure(
             bulge[t] = max(bulge[t], (table[-1, 2] + 1.0) * arc)
         if far > BACK_RAD:
             bulge[t] = EVERYWHERE_PX
+            limit = EVERYWHERE_PX if arc <= BACK_ARC else 0.0
         state[t] = SPLIT if bulge[t] > limit or arc > ARC_MAX else KEEP
 
 

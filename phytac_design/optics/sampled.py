@@ -17,13 +17,16 @@ from phytac_design.optics.raster import (
     leaves,
     marker_windows,
     pieces_by_marker,
+    pixels_alone,
     project_scene,
+    rasterise,
     window_rays,
 )
-from phytac_design.optics.scene import FIRST_MARKER, Scene
+from phytac_design.optics.scene import FIRST_MARKER, Scene, paint_owner
 from shapes.arrays import FloatArray, IntArray
 
-TILE_PX = 32
+TILES_PX = (8, 32)
+"""Least and largest side of a tile; about a marker wide."""
 RAYS = 64
 """Rays per marker, about; see ``sampled_fraction``."""
 
@@ -51,7 +54,9 @@ def sampled_fraction(scene: Scene, camera: Camera, *, rays: int = RAYS) -> Sampl
     before = np.concatenate([[0], np.cumsum(is_paint)])
     windows = marker_windows(view, chosen[is_paint], before[starts], camera)
     steps = _steps(view, chosen[is_paint], before[starts], rays)
-    tiles = _tiles(view, camera)
+    if int(steps.max(initial=1)) == 1:
+        return _whole(scene, camera)
+    tiles = _tiles(view, camera, windows)
     counts = np.zeros((scene.count, 2), dtype=np.int64)
     size = np.array([camera.width_px, camera.height_px])
     beyond = leaves(windows, camera) & (view.rays.shape[0] > 0)
@@ -68,6 +73,15 @@ def sampled_fraction(scene: Scene, camera: Camera, *, rays: int = RAYS) -> Sampl
     for i in np.flatnonzero(beyond):
         some(window_rays(view, camera.lens, windows[i]), windows, int(i), int(i) + 1)
     alone, visible = counts[:, 0], counts[:, 1]
+    fraction = np.divide(visible, alone, out=np.zeros(scene.count), where=alone > 0)
+    return Sampled(fraction=fraction, alone=alone, visible=visible)
+
+
+def _whole(scene: Scene, camera: Camera) -> Sampled:
+    """Exact fractions: the way where no marker has more pixels than it is to have rays."""
+    owner = paint_owner(rasterise(scene, camera).part)
+    visible = np.bincount(owner[owner >= 0], minlength=scene.count).astype(np.int64)
+    alone = pixels_alone(scene, camera)[0]
     fraction = np.divide(visible, alone, out=np.zeros(scene.count), where=alone > 0)
     return Sampled(fraction=fraction, alone=alone, visible=visible)
 
@@ -90,22 +104,24 @@ def _areas(view: View, chosen: NDArray[np.int32], starts: IntArray, area: FloatA
                 area[i] += twice / 4.0
 
 
-Tiles = tuple[IntArray, NDArray[np.int32], int, int, FloatArray]
-"""Start of each tile's list, the lists of pieces one after the other, tiles per row and column,
-and the box (x0, y0, x1, y1) of each piece."""
+Tiles = tuple[IntArray, NDArray[np.int32], tuple[int, int, int], FloatArray]
+"""Start of each tile's list, the lists of pieces one after the other, (tiles per row, per column,
+side in px), and the box (x0, y0, x1, y1) of each piece."""
 
 
-def _tiles(view: View, camera: Camera) -> Tiles:
-    """Pieces that can reach each square of ``TILE_PX`` of the image."""
-    wide, high = camera.width_px // TILE_PX + 1, camera.height_px // TILE_PX + 1
+def _tiles(view: View, camera: Camera, windows: IntArray) -> Tiles:
+    """Pieces that can reach each square tile of the image."""
+    side = int(np.clip(np.median(windows[:, 2:]), *TILES_PX))
+    wide, high = camera.width_px // side + 1, camera.height_px // side + 1
+    layout = (wide, high, side)
     boxes = np.zeros((len(view.source), 4))
     _boxes(view, boxes)
     starts = np.zeros(wide * high + 1, dtype=np.int64)
-    _fill_tiles(boxes, wide, high, starts, np.zeros(0, dtype=np.int32))
+    _fill_tiles(boxes, layout, starts, np.zeros(0, dtype=np.int32))
     np.cumsum(starts, out=starts)
     lists = np.zeros(int(starts[-1]), dtype=np.int32)
-    _fill_tiles(boxes, wide, high, starts.copy(), lists)
-    return starts, lists, wide, high, boxes
+    _fill_tiles(boxes, layout, starts.copy(), lists)
+    return starts, lists, layout, boxes
 
 
 @kernel
@@ -126,15 +142,16 @@ def _boxes(view: View, boxes: FloatArray) -> None:
 
 @kernel
 def _fill_tiles(
-    boxes: FloatArray, wide: int, high: int, starts: IntArray, lists: NDArray[np.int32]
+    boxes: FloatArray, layout: tuple[int, int, int], starts: IntArray, lists: NDArray[np.int32]
 ) -> None:
     """Count the pieces of each tile into ``starts[tile + 1]``, or write them, if lists has room."""
+    wide, high, side = layout
     for piece in range(len(boxes)):
         x0, y0, x1, y1 = boxes[piece]
-        if not (x1 >= 0.0 and y1 >= 0.0 and x0 < wide * TILE_PX and y0 < high * TILE_PX):
+        if not (x1 >= 0.0 and y1 >= 0.0 and x0 < wide * side and y0 < high * side):
             continue
-        for row in range(max(0, int(y0 // TILE_PX)), min(high - 1, int(y1 // TILE_PX)) + 1):
-            for column in range(max(0, int(x0 // TILE_PX)), min(wide - 1, int(x1 // TILE_PX)) + 1):
+        for row in range(max(0, int(y0 // side)), min(high - 1, int(y1 // side)) + 1):
+            for column in range(max(0, int(x0 // side)), min(wide - 1, int(x1 // side)) + 1):
                 tile = row * wide + column
                 if len(lists) == 0:
                     starts[tile + 1] += 1
@@ -159,13 +176,13 @@ def _gather(
     near: NDArray[np.int32],
 ) -> int:
     """Write each piece that may cover a pixel of a grid once into ``near``; how many there are."""
-    starts, lists, wide, high, boxes = tiles
+    starts, lists, (wide, high, side), boxes = tiles
     left, top, step = grid[0], grid[1], grid[2]
     right, bottom = left + step * (shape[1] - 1), top + step * (shape[0] - 1)
     stamp, mark = seen
     count = 0
-    for row in range(max(0, top // TILE_PX), min(high - 1, bottom // TILE_PX) + 1):
-        for column in range(max(0, left // TILE_PX), min(wide - 1, right // TILE_PX) + 1):
+    for row in range(max(0, top // side), min(high - 1, bottom // side) + 1):
+        for column in range(max(0, left // side), min(wide - 1, right // side) + 1):
             tile = row * wide + column
             for piece in lists[starts[tile] : starts[tile + 1]]:
                 if stamp[piece] == mark:

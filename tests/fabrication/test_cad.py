@@ -15,12 +15,13 @@ from phytac_design.fabrication.cad import (
     wall_cad,
     write_step,
 )
+from phytac_design.fabrication.cad_spline import cells_for, spline_edge
 from phytac_design.fabrication.profile import wall_mesh
 from phytac_design.fabrication.solid_mesh import shell_manifold
 from phytac_design.fabrication.step_surface import surface_from_step
 from phytac_design.layout import make_markers
 from phytac_design.spec import WallSection
-from shapes.errors import DesignError, InputError, OutputError
+from shapes.errors import DesignError, InputError, NumericalError, OutputError
 from tests.fabrication.cases import FAMILIES, Barrel, built, design, family_design
 from tests.fabrication.walls import rims_mm3, steiner_mm3
 
@@ -183,3 +184,19 @@ def test_a_folder_that_is_missing_is_reported(tmp_path: Path) -> None:
     solid = wall_cad(design().surface(), design().wall)
     with pytest.raises(OutputError, match="cannot write STEP file"):
         write_step(solid, tmp_path / "none" / "a.step")
+
+
+def test_splines_are_refined_until_they_keep_to_the_curve() -> None:
+    import cadquery as cq
+
+    def circle(t: np.ndarray) -> np.ndarray:
+        angle = 6.0 * t
+        return 50.0 * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * t])
+
+    cells = cells_for(circle, 1)
+    edge = cq.Edge(spline_edge(circle(np.linspace(0.0, 1.0, cells + 1))))
+    places = edge.positions(np.linspace(0.0, 1.0, 1000).tolist())
+    radius = np.array([place.Length for place in places])
+    assert np.abs(radius - 50.0).max() <= 1.1e-3
+    with pytest.raises(NumericalError, match="needs more than 512 spline cells"):
+        cells_for(lambda t: circle(np.sign(t - 0.3)), 1)

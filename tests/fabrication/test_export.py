@@ -155,7 +155,7 @@ needs_admesh = pytest.mark.skipif(shutil.which("admesh") is None, reason="admesh
 
 
 @needs_admesh
-@pytest.mark.parametrize("name", ["cylinder60", "cylinder40"])
+@pytest.mark.parametrize("name", ["cylinder60", "cylinder40", "patch"])
 def test_admesh_finds_nothing_to_repair(name: str, tmp_path: Path) -> None:
     case = shipped(name)
     surface, markers = check_design(case)

@@ -89,9 +89,23 @@ def test_a_marker_on_the_pole_and_markers_on_rims() -> None:
         assert np.hypot(*pole[:2]) < 1e-12
         assert pole[2] == mesh.nodes_mm[:, 2].max()
         assert mesh.marker_nodes[0] in mesh.sets["BOTTOM"]
+        uv[0] = [0.3, 1.234]
+        check_sound(surface, node_mesh(surface, uv, thickness_mm=WALL_MM, size_mm=4.0))
     plane = FAMILIES["plane"]
     corner = np.array([[-30.0, -40.0], [30.0, 3.3], [0.7, 40.0], [5.0, 5.0]])
     check_sound(plane, node_mesh(plane, corner, thickness_mm=WALL_MM, size_mm=4.0))
+
+
+def test_a_marker_beside_a_rim_takes_the_rim_along() -> None:
+    plane = FAMILIES["plane"]
+    plain = plain_mesh(plane, thickness_mm=WALL_MM, size_mm=4.0)
+    rim = np.sort(plain.uv[plain.sets["TOP"], 1])
+    beside = np.array([[29.5, 0.52 * rim[9] + 0.48 * rim[10]], [3.3, 5.1], [-9.7, 14.2]])
+    mesh = node_mesh(plane, beside, thickness_mm=WALL_MM, size_mm=4.0)
+    assert len(mesh.quads) == len(plain.quads)  # no finer mesh was needed
+    assert mesh.scaled_jacobian().min() > 0.6
+    corners = np.abs(mesh.uv) @ np.array([1.0, 1.0]) == 70.0
+    assert corners.sum() == 4
 
 
 def test_two_thousand_markers_on_a_dome() -> None:
@@ -107,7 +121,7 @@ def test_markers_too_close_are_refused_by_name(gap_mm: float) -> None:
     surface = FAMILIES["hemisphere"]
     uv = golden(surface, 30)
     uv[7] = uv[19] + [gap_mm, 0.0]
-    with pytest.raises(DesignError, match="markers (7 and 19|19 and 7) are the closest"):
+    with pytest.raises(DesignError, match=r"markers (7 and 19|19 and 7) are the closest"):
         node_mesh(surface, uv, thickness_mm=WALL_MM, size_mm=6.0)
 
 

@@ -135,3 +135,20 @@ def test_a_pole_has_one_triangle_per_cell() -> None:
     mesh = grid_mesh(points, closed=True, poles=(True, True))
     assert len(mesh.triangles) == 5 + 2 * 5 + 5
     assert areas(mesh).min() > 0.0
+
+
+def test_a_saddle_with_straight_chart_lines_is_still_followed() -> None:
+    grid = [[[-40.0, -40.0, 72.0], [40.0, -40.0, 8.0]], [[-40.0, 40.0, 8.0], [40.0, 40.0, 72.0]]]
+    case = family_design("cylinder").model_dump()
+    case = {**case, "shape": {"kind": "patch", "points_mm": grid}}
+    case["wall"]["rim_length_mm"] = 0.0
+    saddle = Design.model_validate(case)
+    surface = saddle.surface()
+    mesh = shell_mesh(saddle, surface, tolerance_mm=0.01)
+    # The middle of each diagonal is where a twisted cell strays most.
+    sides = mesh.vertices[mesh.triangles]
+    for k in range(3):
+        points = (sides[:, k] + sides[:, (k + 1) % 3]) / 2.0
+        foot = surface.chart(points)
+        height = np.sum((points - surface.point(foot)) * surface.normal(foot), axis=1)
+        assert np.abs(height + 0.8).max() <= 0.02

@@ -138,7 +138,9 @@ def test_bent_pieces_of_a_pinhole_give_the_straight_ones(few: Bench) -> None:
     scene = few.scene()
     straight = rasterise(scene, Camera.at(lens, z_mm=-30.0))
     other = rasterise(scene, Camera.at(bent, z_mm=-30.0))
-    assert np.mean(straight.triangle == other.triangle) > 0.9999
+    assert np.mean(straight.part == other.part) > 0.9999
+    # Pixels on an edge that two triangles share may go to either.
+    assert np.mean(straight.triangle == other.triangle) > 0.998
     same = (straight.triangle == other.triangle) & (straight.triangle >= 0)
     np.testing.assert_allclose(straight.depth[same], other.depth[same], rtol=1e-6)
 

@@ -5,7 +5,7 @@ import pytest
 
 from decoder.camera import Camera
 from phytac_design.layout import make_markers
-from phytac_design.optics.view import camera_of, refuse_swallowed, tolerance_mm
+from phytac_design.optics.view import camera_of, cameras_of, refuse_swallowed, tolerance_mm
 from shapes import Cylinder
 from shapes.arrays import FloatArray
 from shapes.errors import DesignError
@@ -22,6 +22,48 @@ def test_fit_fills_the_smaller_side_with_the_near_rim() -> None:
     assert camera.position_mm[2] == pytest.approx(-970.0 * 29.2 / (972.0 * 0.975))
     edge = camera.project(np.array([[0.0, 29.2, 0.0]]))[0] - camera.centre_px
     assert edge[1] == pytest.approx(0.975 * 972.0)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        {"model": "kannala_brandt", "focal_px": 620.0},
+        {"model": "brown_conrady", "distortion": (-0.05, 0.01, 0.0, 0.0)},
+        {"model": "omnidirectional", "focal_px": 1500.0, "distortion": (1.2,)},
+        {"focal_ratio": 1.1},
+    ],
+)
+def test_fit_fills_the_smaller_side_for_any_lens(camera: dict[str, Any]) -> None:
+    made = camera_for(fill=0.9, **camera)
+    turn = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+    rim = 29.2 * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(64)])
+    away = np.linalg.norm(made.project(rim) - made.centre_px, axis=1).max()
+    assert away == pytest.approx(0.9 * 972.0, rel=1e-6)
+
+
+def test_a_lens_wider_than_the_picture_stays_before_the_rim() -> None:
+    # At the rim's plane its edge is 90 degrees aside, 628 px from the middle: that always fits.
+    camera = camera_for(model="kannala_brandt", focal_px=400.0)
+    assert camera.position_mm[2] == pytest.approx(-0.05 * 29.2)
+
+
+def test_two_cameras_look_at_each_other() -> None:
+    design = make_design(camera=FULL | {"ends": "both"})
+    near, far = cameras_of(design, design.surface())
+    assert near.position_mm[2] == pytest.approx(-29.887, abs=1e-3)
+    assert far.position_mm[2] == pytest.approx(120.0 + 29.887, abs=1e-3)
+    point = np.array([[3.0, 4.0, 60.0]])
+    one, two = near.project(point) - near.centre_px, far.project(point) - far.centre_px
+    np.testing.assert_allclose(two, one * [[-1.0, 1.0]], rtol=1e-9)
+    with pytest.raises(DesignError, match="one camera"):
+        camera_of(design, design.surface())
+
+
+def test_a_rim_beyond_the_field_is_refused() -> None:
+    camera = {"model": "brown_conrady", "distortion": (-0.28, 0.09, 0.0, 0.0, -0.012)}
+    design = make_design(camera=FULL | camera | {"stand_off_mm": 10.0})
+    with pytest.raises(DesignError, match=r"beyond the lens's field of 6\d\.\d°"):
+        camera_of(design, design.surface())
 
 
 def test_tolerance_is_a_tenth_of_a_pixel_at_the_end_face() -> None:

@@ -79,3 +79,14 @@ def test_one_marker_and_no_room() -> None:
     drawn = draw_contacts(design, surface, markers, samples=40, rng=np.random.default_rng(0))
     assert (drawn.counts == 1).all()
     assert switch_states(design, surface, markers, drawn).tripped.any()
+
+
+def test_jitter_stays_within_the_edges() -> None:
+    design = designed("plane", "explicit", positions=[[29.9, -39.9]])
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    rng = np.random.default_rng(0)
+    drawn = draw_contacts(design, surface, markers, samples=100, rng=rng, most=1)
+    low, high = surface.domain.T
+    assert ((drawn.uv >= low) & (drawn.uv <= high)).all()
+    assert (drawn.uv[:, 0] == high[0]).any()
