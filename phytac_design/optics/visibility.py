@@ -21,6 +21,8 @@ from shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 FRACTION_MIN = 0.5
 PIXELS_MIN = 12
 """A marker is occluded below this visible fraction or below this many visible pixels."""
+RED_RATIO = 1.25
+"""A switch that is on must show this many times the red that it shows at rest, plus 12 pixels."""
 PIXELS_FUSED = 3
 """A segmented blob holds a marker if it has at least this many pixels of its paint."""
 SAMPLES = 4
@@ -67,6 +69,15 @@ class Visibility:
     occluded: BoolArray
     fused: BoolArray
 
+    @property
+    def switch_unreadable(self) -> BoolArray:
+        """Markers whose red tip shows at rest about as much as when it is out, (n,).
+
+        A camera that looks straight into a hole sees the resting tip too: such a switch tells
+        nothing, whatever its threshold.
+        """
+        return np.asarray(self.red_on_px < RED_RATIO * self.red_rest_px + PIXELS_MIN)
+
     def summary(self) -> dict[str, float]:
         """Figures of the report: counts of failures, and the least of what has to be large."""
         return {
@@ -77,6 +88,7 @@ class Visibility:
             "min_gap_px": float(self.gap_same_colour_px.min(initial=np.inf)),
             "min_gap_other_colour_px": float(self.gap_other_colour_px.min(initial=np.inf)),
             "min_red_on_px": int(self.red_on_px.min(initial=np.iinfo(np.int64).max)),
+            "switch_unreadable": int(self.switch_unreadable.sum()),
             "max_red_rest_px": int(self.red_rest_px.max(initial=0)),
         }
 

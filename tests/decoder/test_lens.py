@@ -157,6 +157,14 @@ def test_a_barrel_lens_ends_where_its_polynomial_turns() -> None:
     assert np.isnan(lens.unproject(np.array([[SIZE["cx_px"] + 2000.0, SIZE["cy_px"]]]))).all()
 
 
+def test_an_omnidirectional_lens_ends_where_its_sphere_turns() -> None:
+    # d/dθ of sin θ / (cos θ + ξ) is (1 + ξ cos θ) / (cos θ + ξ)², and 1 / (1 + ξ) on the axis.
+    xi = 1.2
+    cosine = np.cos(Omnidirectional(**SIZE, distortion=(xi,)).field_rad)
+    speed = (1.0 + xi) * (1.0 + xi * cosine) / (cosine + xi) ** 2
+    assert SLOPE_MIN <= speed < SLOPE_MIN + 0.02
+
+
 def test_poles() -> None:
     for lens in LENS.values():
         ahead = np.array([[0.0, 0.0, 5.0], [1e-300, 0.0, 5.0], [0.0, 1e-14, 5.0]])
