@@ -241,8 +241,8 @@ def sampled(table: Table, name: str, kind: str, design: Design, repeats: int) ->
             reference=1.0,
             source=EMBREE,
             target=">= 20",
-            note=f"ours {own:.3f} s, Embree {other:.3f} s with its tree built before; every triangle "
-            "near a marker is still set up once for it, however few its rays",
+            note=f"ours {own:.3f} s, Embree {other:.3f} s with its tree built before; every "
+            "triangle near a marker is still set up once for it, however few its rays",
         )
 
 

@@ -48,7 +48,7 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
         "fused_markers": np.flatnonzero(seen.fused).tolist(),
         "clear": summary["occluded"] == 0 and summary["fused"] == 0,
         "advice": visibility_advice(
-            design, np.flatnonzero(seen.occluded), np.flatnonzero(seen.fused)
+            design, markers, np.flatnonzero(seen.occluded), np.flatnonzero(seen.fused)
         ),
         "stand_off_mm": float(-camera.position_mm[2]),
         "seconds": time.perf_counter() - start,

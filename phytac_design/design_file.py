@@ -37,13 +37,17 @@ def load_design(name_or_path: str) -> Design:
         raise DesignError(
             f"{where} is not TOML: {error}; see `phytac new` for a template"
         ) from None
-    return parse_design(data, where)
+    return parse_design(data, where, folder=Path(where).parent)
 
 
-def parse_design(data: dict[str, Any], where: str) -> Design:
-    """Validate a parsed design file; every problem is in the one error."""
+def parse_design(data: dict[str, Any], where: str, *, folder: Path = Path()) -> Design:
+    """Validate a parsed design file; every problem is in the one error.
+
+    Files that the design names (positions, camera calibration) are relative to ``folder``; they
+    are read here and become part of the design.
+    """
     try:
-        return Design.model_validate(data)
+        return Design.model_validate(data, context={"folder": folder})
     except ValidationError as error:
         places = [item["loc"] for item in error.errors()]
         lines = [

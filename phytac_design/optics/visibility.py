@@ -10,7 +10,7 @@ from decoder.segmentation import ColourModel, segment
 from phytac_design.layout import Markers
 from phytac_design.optics.frame import render_frame
 from phytac_design.optics.gaps import marker_gaps
-from phytac_design.optics.paint import PAINTS
+from phytac_design.optics.paint import paints_of
 from phytac_design.optics.raster import Buffers, pixels_alone, points_seen, rasterise
 from phytac_design.optics.scene import Scene, build_scene, paint_owner, red_owner
 from phytac_design.optics.view import camera_of, refuse_swallowed, tolerance_mm
@@ -148,7 +148,7 @@ def see(
     )
 
 
-def visibility_advice(design: Design, occluded: IntArray, fused: IntArray) -> str:
+def visibility_advice(design: Design, markers: Markers, occluded: IntArray, fused: IntArray) -> str:
     """Say which markers cannot be seen or told apart, and what usually mends it; "" if none.
 
     Parameters
@@ -159,19 +159,21 @@ def visibility_advice(design: Design, occluded: IntArray, fused: IntArray) -> st
     parts = []
     for ids, what in ((occluded, "hidden"), (fused, "fused with another of their colour")):
         if len(ids):
-            rows = np.unique(ids // design.layout.columns)
+            rows = np.unique(markers.row[ids])
+            where = f"rows {rows[0]} to {rows[-1]}: " if markers.in_rows else ""
             shown = ", ".join(str(i) for i in ids[:5]) + (", …" if len(ids) > 5 else "")
-            parts.append(f"{len(ids)} markers {what} (rows {rows[0]} to {rows[-1]}: {shown})")
+            parts.append(f"{len(ids)} markers {what} ({where}{shown})")
     if not parts:
         return ""
     layout, mends = design.layout, []
-    if layout.height_far_mm <= layout.height_near_mm:
+    if layout.heights == "linear" and layout.height_far_mm <= layout.height_near_mm:
         mends.append("let heights grow away from the camera (height_far_mm > height_near_mm)")
     if layout.kind == "straight":
         mends.append('use layout.kind = "spiral"')
     if len(set(layout.colours)) == 1 and len(fused):
         mends.append("use two colours")
-    mends.append("use fewer rows or columns, a narrower band_marker_mm, or more camera pixels")
+    fewer = "rows or columns" if layout.kind in {"spiral", "straight"} else "markers"
+    mends.append(f"use fewer {fewer}, a narrower band_marker_mm, or more camera pixels")
     return f"the camera cannot tell every marker: {' and '.join(parts)}; {', or '.join(mends)}"
 
 
@@ -197,7 +199,7 @@ def _means(
 
 def fused_in_frame(frame: ImageArray, marker: NDArray[np.int32], scene: Scene) -> BoolArray:
     """Markers that the decoder's segmentation of ``frame`` (BGR) does not tell apart, (n,)."""
-    model = ColourModel.from_rgb(PAINTS)
+    model = ColourModel.from_rgb(paints_of(scene.paints))
     blobs = segment(frame, model, with_labels=True)
     paint = np.array([model.names.index(name) for name in scene.paints])
     return fused_markers(np.asarray(blobs.labels), blobs.colour, marker, paint[scene.colour])

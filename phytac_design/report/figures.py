@@ -9,7 +9,13 @@ import numpy as np
 
 from shapes.arrays import FloatArray, ImageArray
 
-INK = {"blue": "#1c48d6", "green": "#18a83e"}
+INK = {
+    "blue": "#1c48d6",
+    "green": "#18a83e",
+    "yellow": "#c9a400",
+    "magenta": "#c2189b",
+    "cyan": "#0fa3b1",
+}
 DPI = 110
 
 

@@ -11,6 +11,8 @@ import numpy as np
 from decoder.run import read_image
 from phytac_design import cache
 from phytac_design.design_file import assumptions
+from phytac_design.optics.density import density_map
+from phytac_design.optics.separability import check_paints, separability_svg
 from phytac_design.report import figures, page
 from phytac_design.spec import Design
 from phytac_design.stage import EXPORT, Context, Stage, export_path, write_facts
@@ -38,7 +40,7 @@ PAPER = "paper, on a real sensor: FEM 18 % (49 % below 5 N), FEM-NN 2.3 % and 0.
 
 def gather(context: Context) -> dict[str, Any]:
     """Every figure of the build, as report.json holds it."""
-    design = context.design
+    design, markers = context.design, context.markers
     views, shell, step = (context.facts(name) for name in ("views", "shell", "step"))
     decoder, frames, twin = (context.facts(name) for name in ("decoder", "frames", "twin"))
     density = views["density"]
@@ -50,13 +52,18 @@ def gather(context: Context) -> dict[str, Any]:
         "simulated": SIMULATED,
         "markers": {
             "count": density["count"],
-            "rows": design.layout.rows,
-            "columns": design.layout.columns,
+            "layout": design.layout.kind,
+            "rows": len(np.unique(markers.row)) if markers.in_rows else None,
+            "columns": int(markers.column.max()) + 1 if markers.in_rows else None,
             "density_per_cm2": density["per_cm2"],
+            "density_local_min_per_cm2": density["local_min_per_cm2"],
+            "density_local_max_per_cm2": density["local_max_per_cm2"],
+            "density_times_paper": density["times_paper"],
             "sensing_area_cm2": density["area_cm2"],
             "surface_class": density["surface_class"],
-            "height_near_mm": design.layout.height_near_mm,
-            "height_far_mm": design.layout.height_far_mm,
+            "height_least_mm": float(markers.height_mm.min()),
+            "height_greatest_mm": float(markers.height_mm.max()),
+            "colours": check_paints(design).summary(),
         },
         "visibility": views["visibility"],
         "straight": context.facts("compare")["straight"],
@@ -212,7 +219,17 @@ def sections_of(context: Context, report: dict[str, Any]) -> list[tuple[str, str
             )
             + page.facts(report["resolution"]),
         ),
-        ("Markers", page.facts(report["markers"])),
+        (
+            "Markers",
+            unrolled(
+                density_map(context.surface, context.markers).per_cm2,
+                "Local density: markers around each one over their area",
+                "per cm²",
+            )
+            + f"<figure>{separability_svg(check_paints(context.design))}<figcaption>The paints "
+            "under the light: three standard deviations of one pixel, and the decoder's borders"
+            "</figcaption></figure>" + page.facts(report["markers"]),
+        ),
         ("Shell", page.facts(report["shell"])),
         ("Mesh", page.facts(report["mesh"])),
         (

@@ -117,7 +117,7 @@ def told_apart(context: Context) -> str:
 
     views = context.arrays("views")
     occluded, fused = np.flatnonzero(views["occluded"]), np.flatnonzero(views["fused"])
-    return visibility_advice(context.design, occluded, fused)
+    return visibility_advice(context.design, context.markers, occluded, fused)
 
 
 def straight_of(design: Design) -> Design:

@@ -8,7 +8,7 @@ from decoder.matching import match_markers
 from decoder.segmentation import Blobs, ColourModel, segment
 from decoder.switches import TipModel
 from phytac_design.layout import Markers
-from phytac_design.optics.paint import PAINTS
+from phytac_design.optics.paint import paints_of
 from phytac_design.spec import Design
 from shapes.arrays import FloatArray, ImageArray, IntArray
 
@@ -35,7 +35,7 @@ class Expected:
 def colour_model(design: Design) -> tuple[ColourModel, IntArray]:
     """Colour model of the paints in use, and the class of each of the design's colours."""
     names = (*dict.fromkeys(design.layout.colours), "red")
-    model = ColourModel.from_rgb({name: PAINTS[name] for name in names})
+    model = ColourModel.from_rgb(paints_of(names))
     return model, np.array([names.index(name) for name in design.layout.colours])
 
 

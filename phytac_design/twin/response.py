@@ -66,7 +66,7 @@ def motion_responses(
     patches = patch_loads(mesh, surface, uv, radius_mm).T.tocsr()
     if turn is None:
         return np.asarray(patches @ adjoint).reshape(len(uv), markers.count, 6)
-    around = len(mesh.sets["BOTTOM"])
+    around = mesh.around or 1
     field = adjoint.reshape(-1, around, 2, 3, adjoint.shape[1])
     out = np.empty((len(uv), markers.count // columns, columns, 2, 3))
     for k in range(columns):

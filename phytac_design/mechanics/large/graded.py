@@ -95,7 +95,13 @@ def _product(surface: Surface, u: FloatArray, v: FloatArray, thickness_mm: float
         normals=normals,
         quads=quads,
         marker_nodes=empty,
-        sets={"TOP": ids[-1], "BOTTOM": ids[0], "MARKERS": empty},
+        sets={
+            "TOP": ids[-1],
+            "BOTTOM": ids[0],
+            "CLAMPED": np.concatenate([ids[0], ids[-1]]),
+            "MARKERS": empty,
+        },
         thickness_mm=thickness_mm,
         period_v=float(surface.domain[1, 1] - surface.domain[1, 0]),
+        surface=surface,
     )

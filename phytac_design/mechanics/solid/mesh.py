@@ -193,20 +193,15 @@ def solid_mesh(
     DesignError, NumericalError
         If the CAD or the mesh cannot be made.
     """
-    from phytac_design.fabrication.cad import WALLS, shell_cad, write_step
+    from phytac_design.fabrication.cad import shell_cad, wall_cad, write_step
 
     sizes = default_sizes(design) if sizes is None else sizes
     bare = design.model_copy(update={"wall": design.wall.model_copy(update={"rim_length_mm": 0.0})})
-    if receptors:
-        solid = shell_cad(bare, surface, markers)
-    elif type(surface) in WALLS:
-        solid = WALLS[type(surface)](surface, bare.wall)
-    else:
-        raise DesignError(f"shape {surface.name!r} has no CAD wall; see cad.WALLS")
+    wall = shell_cad(bare, surface, markers) if receptors else wall_cad(surface, bare.wall)
     centres = np.zeros((0, 3)) if contacts_uv is None else surface.point(contacts_uv)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "shell.step"
-        write_step(solid, path)
+        write_step(wall, path)
         raw = tetrahedra(
             lambda gmsh: gmsh.model.occ.importShapes(str(path)),
             lambda gmsh: _size_fields(
@@ -333,7 +328,7 @@ def _tip_faces(
     radius = design.receptor.diameter_outer_mm / 2.0
     owner = cKDTree(markers.tip_mm).query(corner.mean(axis=1))[1]
     arm = corner - markers.tip_mm[owner][:, None]
-    above = np.abs(np.einsum("fki,fi->fk", arm, markers.normal[owner])).max(axis=1)
+    above = np.abs(np.einsum("fki,fi->fk", arm, markers.direction[owner])).max(axis=1)
     away = np.linalg.norm(arm, axis=2).max(axis=1)
     on_tip = np.flatnonzero((above < near_mm) & (away < (1.0 + 1e-6) * radius))
     tips = tuple(on_tip[owner[on_tip] == i] for i in range(markers.count))
