@@ -27,13 +27,13 @@ from benchmarks import (
 from benchmarks.harness import Table, holds, median_of, run_parts
 from phytac_design.design_file import load_design
 from phytac_design.layout import Markers, make_markers
-from phytac_design.mechanics import cases
 from phytac_design.mechanics.compliance import marker_compliance
 from phytac_design.mechanics.element import element_stiffness
 from phytac_design.mechanics.export import write_inp
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.mesh import ShellMesh, marker_mesh
+from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
 from phytac_design.mechanics.solve import ShellModel, clamped_model, rigid_modes
+from phytac_design.mechanics.verification import cases
 from shapes.arrays import FloatArray
 
 MARKER = 184  # row 11 of 23

@@ -26,7 +26,7 @@ from phytac_design.mechanics.calibrate.probe_response import (
     probe_weights,
 )
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.mesh import chart_mesh
+from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.sensitivity import motion_rate, stiffness_rates
 from phytac_design.mechanics.solve import ShellModel, clamped_model
 from shapes import Surface

@@ -23,7 +23,7 @@ from benchmarks.harness import Table, median_of
 from phytac_design.mechanics.assembly import assemble, make_pattern
 from phytac_design.mechanics.element import element_stiffness
 from phytac_design.mechanics.factor import SOLVERS, SUPERLU, Factor
-from phytac_design.mechanics.mesh import ShellMesh, chart_mesh
+from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.solve import ShellModel, clamped_model
 from shapes import Cylinder
 

@@ -17,8 +17,6 @@ import numpy as np
 from benchmarks.harness import Table, arguments
 from phytac_design.design_file import load_design
 from phytac_design.layout import make_markers
-from phytac_design.mechanics import cases
-from phytac_design.mechanics.case_parts import Case, edge_lines, probed
 from phytac_design.mechanics.discretisation import (
     DiscretisationError,
     ProbedShell,
@@ -26,8 +24,10 @@ from phytac_design.mechanics.discretisation import (
     sensor_shell,
 )
 from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_patch, run_ccx
-from phytac_design.mechanics.mesh import chart_mesh
-from phytac_design.mechanics.plate_case import plate_case
+from phytac_design.mechanics.meshing.mesh import chart_mesh
+from phytac_design.mechanics.verification import cases
+from phytac_design.mechanics.verification.case_parts import Case, edge_lines, probed
+from phytac_design.mechanics.verification.plate_case import plate_case
 from shapes.arrays import FloatArray
 
 BOTH, END = (True, True), (False, True)

@@ -19,14 +19,14 @@ import numpy as np
 
 from benchmarks import mechanics_error
 from benchmarks.harness import Table, arguments, holds
-from phytac_design.mechanics import cases
-from phytac_design.mechanics.case_parts import Case
 from phytac_design.mechanics.element import element_stiffness
-from phytac_design.mechanics.element_shapes import SHAPES, element_shape
-from phytac_design.mechanics.mesh_check import check_directors, check_quads
-from phytac_design.mechanics.ring_case import ring_case
-from phytac_design.mechanics.single_row import arch_case
+from phytac_design.mechanics.meshing.check import check_directors, check_quads
 from phytac_design.mechanics.solve import rigid_modes
+from phytac_design.mechanics.verification import cases
+from phytac_design.mechanics.verification.case_parts import Case
+from phytac_design.mechanics.verification.element_shapes import SHAPES, element_shape
+from phytac_design.mechanics.verification.ring_case import ring_case
+from phytac_design.mechanics.verification.single_row import arch_case
 from shapes.arrays import FloatArray
 from shapes.errors import NumericalError
 
@@ -269,12 +269,10 @@ def refusals(table: Table) -> None:
         "load not finite": replace(good, loads=good.loads * np.nan).ratio,
         "thickness zero": replace(good, thickness=0.0).model,
         "Poisson's ratio 0.5": replace(good, poisson=0.5).model,
-        "three walls at an edge (mesh_check)": lambda: check_quads(third, count + 4),
-        "neighbour facing the other way (mesh_check)": lambda: check_quads(turned_back, count),
-        "element twice (mesh_check)": lambda: check_quads(np.repeat(mesh.quads, 2, axis=0), count),
-        "directors reversed (mesh_check)": lambda: check_directors(
-            mesh.nodes, mesh.quads, -mesh.normals
-        ),
+        "three walls at an edge": lambda: check_quads(third, count + 4),
+        "neighbour facing the other way": lambda: check_quads(turned_back, count),
+        "element twice": lambda: check_quads(np.repeat(mesh.quads, 2, axis=0), count),
+        "directors reversed": lambda: check_directors(mesh.nodes, mesh.quads, -mesh.normals),
     }
     missed = []
     for name, attempt in kinds.items():

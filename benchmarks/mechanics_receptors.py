@@ -24,9 +24,9 @@ from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics import receptors as rc
 from phytac_design.mechanics.compliance import marker_compliance, point_motion
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.mesh import marker_mesh
-from phytac_design.mechanics.place import Place
-from phytac_design.mechanics.press import press
+from phytac_design.mechanics.meshing.mesh import marker_mesh
+from phytac_design.mechanics.pressing.place import Place
+from phytac_design.mechanics.pressing.press import press
 from phytac_design.mechanics.solid.cell import Cell, cell_stiffness, ratio
 from phytac_design.mechanics.solid.export import run_ccx, write_solid_inp
 from phytac_design.mechanics.solid.load import solid_patch_load, tip_means

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Table
-from phytac_design.mechanics import cases
 from phytac_design.mechanics.solve import ShellModel
+from phytac_design.mechanics.verification import cases
 from shapes.arrays import FloatArray
 from shapes.errors import NumericalError
 

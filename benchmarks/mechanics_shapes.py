@@ -17,8 +17,8 @@ from phytac_design.mechanics.element import R, S
 from phytac_design.mechanics.large.follower import pressure_forces
 from phytac_design.mechanics.large.quadratic import QuadraticMesh, _serendipity, run_ccx
 from phytac_design.mechanics.loads import _cell_area, curved_points, outer_elements, patch_loads
-from phytac_design.mechanics.locate import locate
-from phytac_design.mechanics.mesh import ShellMesh, marker_size_mm, node_mesh, plain_mesh
+from phytac_design.mechanics.meshing.locate import locate
+from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_size_mm, node_mesh, plain_mesh
 from phytac_design.mechanics.solve import ShellModel
 from shapes import Cone, Cuboid, Hemisphere, Patch, Plane, Surface
 from shapes.arrays import BoolArray, FloatArray

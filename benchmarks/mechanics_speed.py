@@ -29,7 +29,7 @@ from phytac_design.design_file import load_design
 from phytac_design.mechanics.large.graded import contact_mesh
 from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_patch
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.mesh import ShellMesh, chart_mesh
+from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.solve import clamped_model
 from shapes.arrays import FloatArray
 

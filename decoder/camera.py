@@ -93,10 +93,6 @@ class Camera:
         return np.asarray(np.all((pixels >= -0.5) & (pixels <= last), axis=1))
 
 
-PinholeCamera = Camera
-"""Former name of :class:`Camera`."""
-
-
 def pinhole(*, width_px: int, height_px: int, focal_px: float) -> Pinhole:
     """Pinhole lens with square pixels and its principal point in the middle of the image."""
     return Pinhole(

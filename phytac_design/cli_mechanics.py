@@ -55,9 +55,9 @@ def press(
     """Press on the shell with a force: what moves, by which theory, and how sure that is."""
     from phytac_design.design_file import load_design
     from phytac_design.layout import make_markers
-    from phytac_design.mechanics import press as mechanics
-    from phytac_design.mechanics.place import place_of
-    from phytac_design.mechanics.press_report import press_dict, press_text, press_warnings
+    from phytac_design.mechanics.pressing import press as mechanics
+    from phytac_design.mechanics.pressing.place import place_of
+    from phytac_design.mechanics.pressing.press_report import press_dict, press_text, press_warnings
 
     loaded = load_design(design)
     surface = loaded.surface()
@@ -109,7 +109,7 @@ def mesh(
     from phytac_design.design_file import load_design
     from phytac_design.layout import make_markers
     from phytac_design.mechanics import mesh_files
-    from phytac_design.mechanics.place import place_of
+    from phytac_design.mechanics.pressing.place import place_of
 
     kinds = [kind.strip() for kind in formats.split(",") if kind.strip()]
     mesh_files.check_formats(kinds)

@@ -122,9 +122,16 @@ def test_same_inputs_give_the_same_files(
     ("change", "stages"),
     [
         ({"description": "other words"}, {"report"}),
-        ({"material": {"modulus_MPa": 1800.0}}, {"mesh", "response", "twin", "decoder", "frames"}),
+        (
+            {"material": {"modulus_MPa": 1800.0}},
+            {"underload", "resolution", "mesh", "response", "twin", "decoder", "frames"},
+        ),
         ({"print_rules": {"gap_min_mm": 0.31}}, {"shell", "step"}),
-        ({"training": {"force_max_N": 24.0}}, {"mesh", "twin", "decoder", "frames"}),
+        (
+            {"training": {"force_max_N": 24.0}},
+            {"underload", "resolution", "mesh", "twin", "decoder", "frames"},
+        ),
+        ({"demands": {"clear_force_N": 1.0}}, {"underload"}),
     ],
 )
 def test_a_change_runs_only_what_reads_it(change: dict, stages: set[str]) -> None:

@@ -7,8 +7,8 @@ import numpy as np
 
 from phytac_design.layout import Markers
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.locate import locate
-from phytac_design.mechanics.mesh import ShellMesh
+from phytac_design.mechanics.meshing.locate import locate
+from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.solve import ShellModel, Solution
 from shapes import Surface
 from shapes.arrays import FloatArray, IntArray

@@ -23,8 +23,8 @@ from phytac_design.layout import Markers
 from phytac_design.mechanics.compliance import point_motion
 from phytac_design.mechanics.free_edge import free_edge_force
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.locate import locate
-from phytac_design.mechanics.mesh import marker_mesh
+from phytac_design.mechanics.meshing.locate import locate
+from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.solve import ShellModel, clamped_model
 from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray, IntArray

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.mechanics.mesh import ShellMesh
+from phytac_design.mechanics.meshing.mesh import ShellMesh
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import NumericalError
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from phytac_design.mechanics.element import R, S
-from phytac_design.mechanics.locate import locate
-from phytac_design.mechanics.mesh import ShellMesh
+from phytac_design.mechanics.meshing.locate import locate
+from phytac_design.mechanics.meshing.mesh import ShellMesh
 from shapes import Surface
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import NumericalError

@@ -10,8 +10,8 @@ import numpy as np
 from phytac_design.layout import Markers
 from phytac_design.mechanics.export import write_inp, write_msh, write_vtu
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.mesh import marker_mesh
-from phytac_design.mechanics.place import Place
+from phytac_design.mechanics.meshing.mesh import marker_mesh
+from phytac_design.mechanics.pressing.place import Place
 from phytac_design.mechanics.receptors import sensor_model
 from phytac_design.mechanics.solid.export import (
     write_solid_inp,

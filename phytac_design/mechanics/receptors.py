@@ -20,7 +20,7 @@ import numpy as np
 
 from phytac_design.layout import Markers
 from phytac_design.mechanics.element import R, S
-from phytac_design.mechanics.mesh import ShellMesh
+from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.solve import ShellModel, clamped_model
 from phytac_design.spec import Design
 from shapes.arrays import FloatArray, IntArray

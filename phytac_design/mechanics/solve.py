@@ -9,8 +9,8 @@ import numpy as np
 from phytac_design.mechanics.assembly import assemble, make_pattern
 from phytac_design.mechanics.element import DRILLING, element_stiffness
 from phytac_design.mechanics.factor import SUPERLU, Factor
-from phytac_design.mechanics.mesh import ShellMesh
-from phytac_design.mechanics.mesh_check import check_directors, check_quads
+from phytac_design.mechanics.meshing.check import check_directors, check_quads
+from phytac_design.mechanics.meshing.mesh import ShellMesh
 from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import NumericalError
 
@@ -67,8 +67,7 @@ class ShellModel:
     ------
     NumericalError
         If inputs are not finite, an element is degenerate, elements do not form a surface
-        (:mod:`mesh_check`), a node belongs to no element, or the constraints leave a rigid motion
-        free.
+        (:mod:`meshing.check`), a node belongs to no element, or a rigid motion is left free.
     """
 
     def __init__(

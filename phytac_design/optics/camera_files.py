@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
-import yaml  # type: ignore[import-untyped]  # no type information is installed
+import yaml
 
 from decoder.lens import LENSES, Lens
 from shapes.errors import DesignError, InputError, OutputError

@@ -7,7 +7,7 @@ chroma of the paints up in the far rows, as the diffuse light inside a pale tube
 
 import numpy as np
 
-from decoder.camera import PinholeCamera
+from decoder.camera import Camera
 from phytac_design.optics.paint import BAR, PAINTS, RESIN, to_linear
 from phytac_design.optics.scene import BAR as BAR_CODE
 from phytac_design.optics.scene import Scene, paint_owner, red_owner
@@ -29,7 +29,7 @@ def albedo(scene: Scene) -> FloatArray:
     return out
 
 
-def triangle_light(scene: Scene, camera: PinholeCamera) -> FloatArray:
+def triangle_light(scene: Scene, camera: Camera) -> FloatArray:
     """Linear RGB (T, 3) that each triangle sends to the camera, both sides alike."""
     corners = scene.vertices[scene.triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

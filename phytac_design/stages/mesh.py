@@ -11,7 +11,7 @@ LOAD_N = 10.0
 def run(context: Context, folder: Path) -> None:
     """Write ``mesh/shell.{inp,msh,vtu}`` with a fingertip load step and its linear result."""
     from phytac_design.mechanics.mesh_files import make_folder, write_shell_files
-    from phytac_design.mechanics.place import middle_marker, place_of
+    from phytac_design.mechanics.pressing.place import middle_marker, place_of
 
     design, surface, markers = context.design, context.surface, context.markers
     place = place_of(design, surface, markers, force_N=LOAD_N)

@@ -18,7 +18,7 @@ RIM_SHARE = 0.125
 
 def run_resolution(context: Context, folder: Path) -> None:
     """Cramér-Rao bound of force and place at every receptor."""
-    from phytac_design.mechanics.mesh import marker_mesh
+    from phytac_design.mechanics.meshing.mesh import marker_mesh
     from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
     from phytac_design.optics.view import camera_of
     from phytac_design.twin.bound import cell_prior, contact_signals

@@ -34,7 +34,7 @@ def cell_radius_mm(context: Context) -> float:
 def run_response(context: Context, folder: Path) -> None:
     """Condense the decoder's mesh to what the camera sees of the markers."""
     from phytac_design.mechanics.compliance import marker_compliance, point_motion
-    from phytac_design.mechanics.mesh import marker_mesh
+    from phytac_design.mechanics.meshing.mesh import marker_mesh
     from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
     from phytac_design.optics.view import camera_of
     from phytac_design.twin.condense import condense

@@ -47,7 +47,7 @@ def motions_under(context: Context, uv: FloatArray) -> tuple[FloatArray, dict[st
     """Motion of the wall under every marker, (p, k, n, 6), for presses at the ladder's forces."""
     from phytac_design.mechanics.large.batch import solve_batch
     from phytac_design.mechanics.loads import patch_loads
-    from phytac_design.mechanics.mesh import marker_mesh
+    from phytac_design.mechanics.meshing.mesh import marker_mesh
     from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
 
     design, surface, markers = context.design, context.surface, context.markers

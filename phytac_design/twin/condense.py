@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from decoder.camera import PinholeCamera
+from decoder.camera import Camera
 from shapes.arrays import FloatArray
 from shapes.errors import NumericalError
 
@@ -35,7 +35,7 @@ class Condensed:
 
 
 def condense(
-    camera: PinholeCamera, *, watched_mm: FloatArray, normal: FloatArray, motion_mm: FloatArray
+    camera: Camera, *, watched_mm: FloatArray, normal: FloatArray, motion_mm: FloatArray
 ) -> Condensed:
     """Condense a marker compliance to pixels and to the apparent displacement u.
 
@@ -47,7 +47,7 @@ def condense(
 
     Parameters
     ----------
-    camera : PinholeCamera
+    camera : Camera
         The true lens.
     watched_mm : (n, 3) float
         The paint's visible centre.

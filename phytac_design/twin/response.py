@@ -12,8 +12,8 @@ from scipy.sparse import csr_matrix
 from phytac_design.layout import Markers
 from phytac_design.mechanics.compliance import column_turn
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.locate import locate
-from phytac_design.mechanics.mesh import ShellMesh
+from phytac_design.mechanics.meshing.locate import locate
+from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.solve import ShellModel
 from phytac_design.twin.contacts import Contacts
 from shapes import Surface

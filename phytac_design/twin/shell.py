@@ -3,7 +3,7 @@
 import numpy as np
 
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.mesh import ShellMesh, chart_mesh, plain_mesh
+from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh, plain_mesh
 from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
 from phytac_design.mechanics.solve import ShellModel
 from phytac_design.spec import Design

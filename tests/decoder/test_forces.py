@@ -12,7 +12,7 @@ from safetensors.numpy import load_file, save_file
 from scipy.optimize import nnls
 
 from decoder.bundle import Bundle, load_bundle, save_bundle
-from decoder.camera import PinholeCamera
+from decoder.camera import Camera
 from decoder.estimators import ForceModel, nonnegative_least_squares
 from decoder.network import CascadeNetwork, network_features, parameter_count
 from decoder.segmentation import ColourModel
@@ -152,7 +152,7 @@ def make_bundle() -> Bundle:
     return Bundle(
         design="toy",
         design_hash="0" * 64,
-        camera=PinholeCamera.on_axis(width_px=640, height_px=480, focal_px=240, stand_off_mm=30),
+        camera=Camera.on_axis(width_px=640, height_px=480, focal_px=240, stand_off_mm=30),
         colours=ColourModel.from_rgb({"blue": (28, 72, 214), "red": (214, 30, 34)}),
         colour=np.zeros(N, dtype=np.int64),
         position_mm=rng.normal(size=(N, 3)),

@@ -7,7 +7,7 @@ from importlib.resources import files
 import pytest
 
 from phytac_design.layout import Markers, make_markers
-from phytac_design.mechanics.mesh import ShellMesh, marker_mesh
+from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
 from phytac_design.mechanics.solve import ShellModel, clamped_model
 from phytac_design.spec import Design
 from shapes import Surface

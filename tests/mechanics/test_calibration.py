@@ -15,7 +15,7 @@ from phytac_design.mechanics.calibrate.calibration_result import Calibration, Pa
 from phytac_design.mechanics.calibrate.measurements import Measurements, read_measurements
 from phytac_design.mechanics.calibrate.probe_response import ProbeResponse, Response, probe_weights
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.mesh import ShellMesh, chart_mesh
+from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.receptors import ReceptorStiffness
 from phytac_design.mechanics.solve import clamped_model
 from shapes import Cylinder

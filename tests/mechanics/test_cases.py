@@ -1,11 +1,11 @@
-"""Published shell problems (see ``phytac_design.mechanics.cases`` for their sources)."""
+"""Published shell problems; their sources are in ``verification.cases``."""
 
 import numpy as np
 import pytest
 
-from phytac_design.mechanics import cases
-from phytac_design.mechanics.case_parts import edge_lines, line_weights
-from phytac_design.mechanics.plate_case import plate_case
+from phytac_design.mechanics.verification import cases
+from phytac_design.mechanics.verification.case_parts import edge_lines, line_weights
+from phytac_design.mechanics.verification.plate_case import plate_case
 
 
 @pytest.mark.parametrize(("n", "tolerance"), [(16, 0.03), (32, 0.015)])

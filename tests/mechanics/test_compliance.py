@@ -15,7 +15,7 @@ from phytac_design.mechanics.compliance import (
     probe_motion,
 )
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.mesh import chart_mesh, marker_mesh
+from phytac_design.mechanics.meshing.mesh import chart_mesh, marker_mesh
 from phytac_design.mechanics.receptors import sensor_model
 from phytac_design.mechanics.solve import clamped_model
 from shapes.errors import NumericalError

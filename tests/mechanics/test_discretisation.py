@@ -5,8 +5,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from phytac_design.mechanics import cases
-from phytac_design.mechanics.case_parts import Case, Sides, edge_lines, probed
 from phytac_design.mechanics.discretisation import (
     DiscretisationError,
     ProbedShell,
@@ -14,6 +12,8 @@ from phytac_design.mechanics.discretisation import (
     sensor_shell,
 )
 from phytac_design.mechanics.free_edge import free_edge_force, free_edges
+from phytac_design.mechanics.verification import cases
+from phytac_design.mechanics.verification.case_parts import Case, Sides, edge_lines, probed
 from shapes.arrays import FloatArray
 from shapes.errors import NumericalError
 from tests.mechanics.conftest import Prototype

@@ -5,10 +5,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from phytac_design.mechanics import cases, element
+from phytac_design.mechanics import element
 from phytac_design.mechanics.assembly import assemble, make_pattern
 from phytac_design.mechanics.element import element_stiffness
 from phytac_design.mechanics.solve import rigid_modes
+from phytac_design.mechanics.verification import cases
 from shapes.arrays import BoolArray, FloatArray
 from shapes.errors import NumericalError
 

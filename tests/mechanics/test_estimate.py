@@ -5,11 +5,11 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from phytac_design.mechanics.large import large_cases
 from phytac_design.mechanics.large.estimate import check_linear, solve_auto
 from phytac_design.mechanics.large.newton import Loading
 from phytac_design.mechanics.large.path import solve_large
 from phytac_design.mechanics.solve import ShellModel
+from phytac_design.mechanics.verification import large_cases
 from shapes.errors import NumericalError
 from tests.mechanics.conftest import Prototype
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.mesh import marker_mesh
+from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.solve import clamped_model
 from tests.designs import small
 

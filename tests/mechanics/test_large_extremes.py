@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from phytac_design.mechanics.cases import at, hold, no_support, patch
-from phytac_design.mechanics.large import large_cases
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.corotational import Configuration, Corotational
 from phytac_design.mechanics.large.newton import Equilibrium, Loading
 from phytac_design.mechanics.large.path import solve_large
 from phytac_design.mechanics.solve import ShellModel
+from phytac_design.mechanics.verification import large_cases
+from phytac_design.mechanics.verification.cases import at, hold, no_support, patch
 from shapes.errors import NumericalError
 
 KIND = {"modulus_MPa": 2200.0, "poisson": 0.38}

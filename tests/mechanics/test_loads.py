@@ -9,7 +9,7 @@ from phytac_design.mechanics.contact import (
     on_shell_share,
 )
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.mesh import ShellMesh, chart_mesh
+from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from shapes.arrays import FloatArray
 from shapes.cylinder import Cylinder
 from shapes.errors import NumericalError

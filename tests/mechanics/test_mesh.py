@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from phytac_design.layout import Markers, make_markers
-from phytac_design.mechanics.locate import _inverse_bilinear, locate
-from phytac_design.mechanics.mesh import ShellMesh, chart_mesh, marker_mesh
+from phytac_design.mechanics.meshing.locate import _inverse_bilinear, locate
+from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh, marker_mesh
 from phytac_design.spec import Design
 from shapes import Surface
 from shapes.arrays import FloatArray

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from phytac_design.mechanics import cases
-from phytac_design.mechanics.mesh_check import check_directors, check_quads
+from phytac_design.mechanics.meshing.check import check_directors, check_quads
+from phytac_design.mechanics.verification import cases
 from shapes.arrays import IntArray
 from shapes.errors import NumericalError
 from tests.mechanics.conftest import Prototype

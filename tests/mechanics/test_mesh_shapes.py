@@ -7,7 +7,8 @@ from phytac_design.layout import make_markers
 from phytac_design.mechanics.assembly import assemble, make_pattern
 from phytac_design.mechanics.compliance import column_turn
 from phytac_design.mechanics.element import element_stiffness
-from phytac_design.mechanics.mesh import (
+from phytac_design.mechanics.meshing.grid import EDGE_NAMES, place
+from phytac_design.mechanics.meshing.mesh import (
     LEAST_JACOBIAN,
     ShellMesh,
     chart_mesh,
@@ -15,7 +16,6 @@ from phytac_design.mechanics.mesh import (
     node_mesh,
     plain_mesh,
 )
-from phytac_design.mechanics.mesh_grid import EDGE_NAMES, place
 from phytac_design.mechanics.solve import ShellModel, rigid_modes
 from phytac_design.spec import Design
 from shapes import Cuboid, Hemisphere, Surface

@@ -11,8 +11,8 @@ import pytest
 from phytac_design.mechanics.contact import on_shell_share
 from phytac_design.mechanics.export import write_inp, write_msh, write_vtu
 from phytac_design.mechanics.loads import curved_points, patch_loads
-from phytac_design.mechanics.locate import locate
-from phytac_design.mechanics.mesh import ShellMesh, node_mesh, plain_mesh
+from phytac_design.mechanics.meshing.locate import locate
+from phytac_design.mechanics.meshing.mesh import ShellMesh, node_mesh, plain_mesh
 from phytac_design.mechanics.solve import ShellModel
 from shapes import Cuboid, Plane, Surface
 from shapes.arrays import FloatArray

@@ -16,7 +16,7 @@ from phytac_design.mechanics.large.quadratic import (
     run_ccx,
 )
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.mesh import ShellMesh, chart_mesh
+from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.solve import clamped_model
 from shapes import Surface
 from shapes.errors import DesignError, NumericalError

@@ -9,7 +9,7 @@ import pytest
 
 from phytac_design.accuracy import PRESETS
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.mesh import chart_mesh, marker_mesh
+from phytac_design.mechanics.meshing.mesh import chart_mesh, marker_mesh
 from phytac_design.mechanics.receptors import (
     DIAMETER_OVER_T,
     EFFECT_BENDING,

@@ -9,7 +9,7 @@ from phytac_design.layout import make_markers
 from phytac_design.mechanics import element
 from phytac_design.mechanics.compliance import marker_compliance
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.mesh import ShellMesh, chart_mesh, marker_mesh
+from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh, marker_mesh
 from phytac_design.mechanics.sensitivity import (
     RateModel,
     StiffnessRates,

@@ -11,7 +11,7 @@ import pytest
 
 from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.mesh import chart_mesh
+from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.solid import export as solid_export
 from phytac_design.mechanics.solid import tets as solid_tets
 from phytac_design.mechanics.solid.load import solid_patch_load, tip_means

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phytac_design.mechanics import cases
 from phytac_design.mechanics.factor import Factor
-from phytac_design.mechanics.mesh import chart_mesh
+from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.solve import ShellModel, clamped_model
+from phytac_design.mechanics.verification import cases
 from shapes.arrays import FloatArray
 from shapes.cylinder import Cylinder
 from shapes.errors import NumericalError

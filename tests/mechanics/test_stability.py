@@ -7,11 +7,12 @@ import pytest
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
-from phytac_design.mechanics.large import large_cases, path
+from phytac_design.mechanics.large import path
 from phytac_design.mechanics.large.newton import Equilibrium, Loading, System
 from phytac_design.mechanics.large.path import solve_large, trace_arc, trace_displacement
 from phytac_design.mechanics.large.stability import negative_pivots, stray
 from phytac_design.mechanics.solve import SUPERLU, ShellModel
+from phytac_design.mechanics.verification import large_cases
 from shapes.errors import NumericalError
 
 LIMIT = 0.7408

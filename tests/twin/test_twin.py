@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from decoder.camera import PinholeCamera
+from decoder.camera import Camera
 from decoder.estimators import ForceModel
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.compliance import marker_compliance, probe_motion
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.mesh import marker_mesh
+from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.solve import clamped_model
 from phytac_design.twin import response as response_module
 from phytac_design.twin.condense import condense
@@ -111,13 +111,13 @@ def test_tips_move_by_translation_and_rotation() -> None:
     assert np.allclose(point_motions(motion, arm), [[[1, 2, 3], [1, 2.5, 3]]])
 
 
-def small_model() -> tuple[ForceModel, np.ndarray, PinholeCamera]:
+def small_model() -> tuple[ForceModel, np.ndarray, Camera]:
     """Decoder matrices of the small design, from tips rather than rendered paint."""
     mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=4)
     model = clamped_model(mesh, modulus_MPa=2200.0, poisson=0.38)
     compliance = marker_compliance(model, mesh, SURFACE, MARKERS, load_radius_mm=4.4)
     arm = MARKERS.tip_mm - MARKERS.mid_mm
-    camera = PinholeCamera.on_axis(width_px=1296, height_px=972, focal_px=485, stand_off_mm=30)
+    camera = Camera.on_axis(width_px=1296, height_px=972, focal_px=485, stand_off_mm=30)
     motion = np.moveaxis(point_motions(np.moveaxis(compliance.motion, 2, 0), arm), 0, 2)
     parts = condense(camera, watched_mm=MARKERS.tip_mm, normal=MARKERS.normal, motion_mm=motion)
     force = ForceModel(
@@ -149,7 +149,7 @@ def test_apparent_displacement_is_inward_millimetres() -> None:
 
 
 def test_a_marker_seen_along_its_normal_is_refused() -> None:
-    camera = PinholeCamera.on_axis(width_px=100, height_px=100, focal_px=50, stand_off_mm=10)
+    camera = Camera.on_axis(width_px=100, height_px=100, focal_px=50, stand_off_mm=10)
     with pytest.raises(NumericalError, match="looks along its"):
         condense(
             camera,

@@ -17,8 +17,8 @@ import numpy as np
 
 from phytac_design.mechanics.calibrate.measurements import Measurements
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.locate import locate
-from phytac_design.mechanics.mesh import ShellMesh, chart_mesh
+from phytac_design.mechanics.meshing.locate import locate
+from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.receptors import ReceptorStiffness
 from phytac_design.mechanics.sensitivity import motion_rate, stiffness_rates
 from phytac_design.mechanics.solve import clamped_model

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from phytac_design.mechanics.mesh import ShellMesh
+from phytac_design.mechanics.meshing.mesh import ShellMesh
 from shapes import Surface
 from shapes.arrays import FloatArray
 from shapes.errors import DesignError

@@ -12,8 +12,8 @@ import numpy as np
 
 from phytac_design.mechanics.element import R, S
 from phytac_design.mechanics.loads import _cell_area
-from phytac_design.mechanics.locate import element_uv
-from phytac_design.mechanics.mesh import ShellMesh
+from phytac_design.mechanics.meshing.locate import element_uv
+from phytac_design.mechanics.meshing.mesh import ShellMesh
 from shapes import Surface
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import NumericalError

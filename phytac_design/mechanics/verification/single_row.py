@@ -2,8 +2,15 @@
 
 import numpy as np
 
-from phytac_design.mechanics.case_parts import Case, at, hold, no_support, patch, weights
 from phytac_design.mechanics.element import SHEAR_FACTOR
+from phytac_design.mechanics.verification.case_parts import (
+    Case,
+    at,
+    hold,
+    no_support,
+    patch,
+    weights,
+)
 
 RADIUS = 10.0
 MODULUS = 1000.0

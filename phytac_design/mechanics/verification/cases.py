@@ -8,7 +8,8 @@ Lee and Bathe (2004) and published values for the free hyperboloid.
 
 import numpy as np
 
-from phytac_design.mechanics.case_parts import (
+from phytac_design.mechanics.element import DRILLING
+from phytac_design.mechanics.verification.case_parts import (
     SYMMETRY,
     Case,
     Lines,
@@ -24,7 +25,6 @@ from phytac_design.mechanics.case_parts import (
     surface_load,
     weights,
 )
-from phytac_design.mechanics.element import DRILLING
 from shapes.arrays import FloatArray
 
 __all__ = [

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.mechanics.mesh_grid import EDGE_NAMES, Grid
+from phytac_design.mechanics.meshing.grid import EDGE_NAMES, Grid
 from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray, IntArray
 

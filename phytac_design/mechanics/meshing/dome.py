@@ -15,7 +15,7 @@ r"""Quadrilaterals on a dome: a square core around the pole, rings of nodes from
 
 import numpy as np
 
-from phytac_design.mechanics.mesh_grid import (
+from phytac_design.mechanics.meshing.grid import (
     EDGE_FRACTION,
     MAX_TURN,
     Grid,

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from phytac_design.mechanics.case_parts import (
+from phytac_design.mechanics.element import SHEAR_FACTOR
+from phytac_design.mechanics.verification.case_parts import (
     SYMMETRY,
     Case,
     at,
@@ -12,7 +13,6 @@ from phytac_design.mechanics.case_parts import (
     surface_load,
     weights,
 )
-from phytac_design.mechanics.element import SHEAR_FACTOR
 
 
 def plate_case(n: int, *, thickness: float = 0.05, jitter: float = 0.0) -> Case:

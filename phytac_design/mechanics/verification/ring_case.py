@@ -9,7 +9,8 @@ Woinowsky-Krieger, §114, here with shear). Bending and hoop membrane share the 
 
 import numpy as np
 
-from phytac_design.mechanics.case_parts import (
+from phytac_design.mechanics.element import SHEAR_FACTOR
+from phytac_design.mechanics.verification.case_parts import (
     SYMMETRY,
     Case,
     hold,
@@ -18,7 +19,6 @@ from phytac_design.mechanics.case_parts import (
     patch,
     weights,
 )
-from phytac_design.mechanics.element import SHEAR_FACTOR
 
 DECAYS = 8.0
 """Length of the cylinder in decay lengths √(R t)/(3(1−ν²))^¼; the far end is held."""

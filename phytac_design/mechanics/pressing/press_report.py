@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.layout import Markers
-from phytac_design.mechanics.press import Press
+from phytac_design.mechanics.pressing.press import Press
 
 STRAIN_WARNING = 0.02
 """Bending strain from which tough printing resins may yield: E·ε is then about 45 MPa."""

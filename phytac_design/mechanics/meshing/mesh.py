@@ -10,10 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from phytac_design.layout import Lattice, Markers
-from phytac_design.mechanics.mesh_dome import dome_grid
-from phytac_design.mechanics.mesh_grid import EDGE_NAMES, MAX_TURN, Grid, axis_lines, product_grid
-from phytac_design.mechanics.mesh_lattice import MATCH_TOL, lattice_grid, shifted_grid
-from phytac_design.mechanics.mesh_snap import scaled_jacobian, snap
+from phytac_design.mechanics.meshing.dome import dome_grid
+from phytac_design.mechanics.meshing.grid import (
+    EDGE_NAMES,
+    MAX_TURN,
+    Grid,
+    axis_lines,
+    product_grid,
+)
+from phytac_design.mechanics.meshing.lattice import MATCH_TOL, lattice_grid, shifted_grid
+from phytac_design.mechanics.meshing.snap import scaled_jacobian, snap
 from shapes import Surface
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import DesignError

@@ -12,7 +12,7 @@ r"""Structured grids of a tube, aligned with a lattice of markers.
 import numpy as np
 
 from phytac_design.layout import Lattice
-from phytac_design.mechanics.mesh_grid import Grid
+from phytac_design.mechanics.meshing.grid import Grid
 from shapes import Surface
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import DesignError

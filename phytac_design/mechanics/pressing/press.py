@@ -17,9 +17,9 @@ from phytac_design.mechanics.large.estimate import SAFETY, check_linear
 from phytac_design.mechanics.large.newton import Equilibrium, Loading
 from phytac_design.mechanics.large.path import solve_large
 from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.locate import locate
-from phytac_design.mechanics.mesh import ShellMesh, marker_mesh
-from phytac_design.mechanics.place import Place
+from phytac_design.mechanics.meshing.locate import locate
+from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
+from phytac_design.mechanics.pressing.place import Place
 from phytac_design.mechanics.receptors import sensor_model
 from phytac_design.mechanics.solve import ShellModel
 from phytac_design.spec import Design

@@ -7,7 +7,7 @@ are places like any other.
 import numpy as np
 
 from phytac_design.mechanics.element import R, S
-from phytac_design.mechanics.mesh import ShellMesh
+from phytac_design.mechanics.meshing.mesh import ShellMesh
 from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import NumericalError

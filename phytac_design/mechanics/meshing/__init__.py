@@ -1,0 +1,1 @@
+"""Quadrilateral meshes of the wall's middle face on every shape, and places on them."""

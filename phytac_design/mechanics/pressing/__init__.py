@@ -1,0 +1,1 @@
+"""One press on a sensor, from a user's words to what moves."""

@@ -1,0 +1,1 @@
+"""Published shell problems and closed forms that the solver is judged by."""
