@@ -1,19 +1,20 @@
-"""The exact ID map against Embree rays, and spiral against straight on the published cylinder.
+"""What cameras see: ID maps against Embree rays, lenses, growth, and layouts side by side.
 
-``python -m benchmarks.visibility [--quick]``
+``python -m benchmarks.visibility [--quick] [--parts maps,lenses,growth,layouts]``
 """
 
-import os
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 from numpy.typing import NDArray
 
-from benchmarks import visibility_lenses
-from benchmarks.harness import Table, arguments
+from benchmarks import visibility_growth, visibility_layouts, visibility_lenses
+from benchmarks.harness import Table, run_parts
+from benchmarks.visibility_lenses import busy
 from decoder.camera import Camera
 from phytac_design.design_file import load_design
 from phytac_design.layout import Markers, make_markers
@@ -140,11 +141,6 @@ def compare_with_embree(table: Table, design: Design, repeats: int) -> None:
     )
 
 
-def busy() -> str:
-    """Say how busy the machine is: with more work than cores all seconds are too long."""
-    return f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
-
-
 def timed(work: Callable[[], object]) -> float:
     """Seconds of one call."""
     begin = time.perf_counter()
@@ -152,7 +148,7 @@ def timed(work: Callable[[], object]) -> float:
     return time.perf_counter() - begin
 
 
-def layouts(table: Table, design: Design) -> None:
+def at_rest(table: Table, design: Design) -> None:
     """Spiral and straight with the same counts: hidden, fused, gaps."""
     targets: dict[str, dict[str, str]] = {
         "spiral": {"occluded": "== 0", "fused": "== 0"},
@@ -195,14 +191,12 @@ def hidden_rows(table: Table, label: str, seen: Visibility, markers: Markers) ->
     )
 
 
-def main() -> None:
-    """Run the benchmark."""
-    quick = arguments(__doc__ or "").quick
-    table = Table("visibility")
+def maps(table: Table, *, quick: bool) -> None:
+    """The published cylinder: ID map, what is hidden and fused at rest, density, frame."""
     full = load_design("cylinder60")
     design = smaller(full, 4) if quick else full
     compare_with_embree(table, design, repeats=1 if quick else 5)
-    layouts(table, design)
+    at_rest(table, design)
     surface = design.surface()
     density = density_of(surface, make_markers(design, surface))
     table.add(
@@ -226,9 +220,21 @@ def main() -> None:
         target="<= 1.5",
         note=f"8 samples per pixel; {busy()}",
     )
-    visibility_lenses.add_rows(table, quick=quick)
-    if not quick:
-        print(table.write())
+
+
+def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
+    """All parts by name, in order."""
+    return {
+        "maps": partial(maps, quick=quick),
+        "lenses": partial(visibility_lenses.add_rows, quick=quick),
+        "growth": partial(visibility_growth.add_rows, quick=quick),
+        "layouts": partial(visibility_layouts.add_rows, quick=quick),
+    }
+
+
+def main() -> None:
+    """Run all parts, or those named."""
+    run_parts("visibility", parts, __doc__ or "")
 
 
 if __name__ == "__main__":

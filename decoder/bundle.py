@@ -20,11 +20,15 @@ from decoder.lens import LENSES, Lens
 from decoder.network import ACTIVATIONS, CascadeNetwork, parameter_count
 from decoder.segmentation import ColourModel
 from decoder.switches import TipModel
-from shapes.arrays import FloatArray, IntArray
+from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import DesignError, InputError
 
-SCHEMA = (1, 1)
+SCHEMA = (1, 2)
 FORMAT = "phytac-decoder-bundle"
+NOISE_SHARE_MAX = 0.2
+"""K·u is of use at a marker where its noise stays below this share of the largest force."""
+SHOWN = 5
+"""Markers named in a sentence."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +59,10 @@ class Bundle:
         Matrices and networks.
     threshold_N : float
         Force on a switch's footprint that turns it on: a receptor that is on carries some force.
+    noise_centroid_px : float
+        Standard deviation of each coordinate of a marker's centroid.
+    force_max_N : float
+        Largest force that the sensor is meant for.
     notes : dict
         Provenance: training data, seconds, accuracy; free of meaning to the decoder.
     """
@@ -70,7 +78,55 @@ class Bundle:
     tips: TipModel
     model: ForceModel
     threshold_N: float
+    noise_centroid_px: float = 0.04
+    force_max_N: float = 25.0
     notes: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def stiffness_usable(self) -> BoolArray:
+        """Markers (n,) at which K·u, and the networks on top of it, can tell a force from noise."""
+        noise = self.noise_centroid_px * self.model.stiffness_noise_N_px
+        return np.asarray(noise <= NOISE_SHARE_MAX * self.force_max_N)
+
+    @property
+    def force_readable(self) -> BoolArray:
+        """Markers (n,) at which any estimator can tell a force from noise."""
+        noise = self.noise_centroid_px * self.model.inverse_noise_N_px
+        return np.asarray(noise <= NOISE_SHARE_MAX * self.force_max_N)
+
+    def limits(self) -> list[str]:
+        """What this sensor cannot read whatever the frame, each as a sentence; empty for none."""
+        out = []
+        unread = np.flatnonzero(~self.tips.readable)
+        if len(unread):
+            out.append(
+                f"{len(unread)} of {len(self.colour)} switches cannot be read well "
+                f"({named(unread)}): the camera sees nearly as much red at rest as when they are "
+                "on; they count only where the markers' motion agrees"
+            )
+        faint = np.flatnonzero(~self.force_readable)
+        if len(faint):
+            out.append(
+                f"forces on {len(faint)} of {len(self.colour)} markers cannot be read by any "
+                f"estimator ({named(faint)}): noise would exceed "
+                f"{NOISE_SHARE_MAX * self.force_max_N:g} N"
+            )
+        weak = np.flatnonzero(~self.stiffness_usable)
+        if len(weak):
+            noise = self.noise_centroid_px * self.model.stiffness_noise_N_px
+            out.append(
+                f"the estimators fem, fem_nn and fem_nn_identity cannot be used at {len(weak)} of "
+                f"{len(self.colour)} markers ({named(weak)}): noise of their K·u exceeds "
+                f"{NOISE_SHARE_MAX * self.force_max_N:g} N (median {np.median(noise):.2g} N); use "
+                "koi_inverse"
+            )
+        return out
+
+
+def named(markers: IntArray) -> str:
+    """Ids as a list that stays short."""
+    more = f" and {len(markers) - SHOWN} more" if len(markers) > SHOWN else ""
+    return ", ".join(map(str, markers[:SHOWN])) + more
 
 
 def save_bundle(bundle: Bundle, folder: Path) -> None:
@@ -102,6 +158,8 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
             for name, net in model.networks.items()
         },
         "threshold_N": float(bundle.threshold_N),
+        "noise_centroid_px": float(bundle.noise_centroid_px),
+        "force_max_N": float(bundle.force_max_N),
         "notes": bundle.notes,
     }
     arrays = {
@@ -307,5 +365,8 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], camera: Camera) -> B
             networks=networks,
         ),
         threshold_N=float(meta["threshold_N"]),
+        # Up to schema 1.1 these were not stored.
+        noise_centroid_px=float(meta.get("noise_centroid_px", 0.04)),
+        force_max_N=float(meta.get("force_max_N", 25.0)),
         notes=dict(meta["notes"]),
     )

@@ -1,6 +1,7 @@
 """Forces from marker displacements: the paper's two estimators and the compliance inverse."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -18,7 +19,8 @@ class ForceModel:
     Attributes
     ----------
     shift_to_mm : (n, 2) float
-        Row vectors a_i: apparent inward displacement u_i = a_i · (pixel shift of marker i).
+        Row vectors a_i: apparent inward displacement u_i = a_i · (pixel shift of marker i); 0 where
+        the camera looks along the normal, so that u_i cannot be observed.
     stiffness : (n, n) float
         K, N/mm: condensed to u, all other motions load-free (inverse of the compliance in u).
     compliance_px : (2n, n) float
@@ -41,6 +43,26 @@ class ForceModel:
     def apparent_mm(self, shift_px: FloatArray) -> FloatArray:
         """Apparent u (n,) mm, positive inward, of pixel shifts (n, 2)."""
         return np.asarray(np.einsum("ni,ni->n", self.shift_to_mm, shift_px))
+
+    @cached_property
+    def stiffness_noise_N_px(self) -> FloatArray:
+        """Noise of (K·u)_i per pixel of centroid noise, (n,) N/px: the root of Σ (K_ij·|a_j|)².
+
+        Independent noise σ on every coordinate gives u_j the noise |a_j|·σ. K is as good as its
+        inverse allows, and |a_j| grows without bound where the camera looks along the normal;
+        infinite where u cannot be observed at all.
+        """
+        spread = np.sum(self.shift_to_mm**2, axis=1)
+        return np.where(spread > 0.0, np.sqrt(self.stiffness**2 @ spread), np.inf)
+
+    @cached_property
+    def inverse_noise_N_px(self) -> FloatArray:
+        """Noise of the compliance inverse per pixel of centroid noise, (n,) N/px: 1 / |C_i|.
+
+        For a force on marker i alone; no estimator without bias does better.
+        """
+        signal = np.linalg.norm(self.compliance_px, axis=0)
+        return np.asarray(1.0 / np.maximum(signal, 1e-300))
 
     def forces(self, estimator: str, shift_px: FloatArray, koi: IntArray) -> FloatArray:
         """Inward force (n,) N on every marker; zero off the key nodes of interest.

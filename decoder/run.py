@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from decoder.bundle import Bundle
+from decoder.bundle import Bundle, named
 from decoder.matching import Matched, match_markers
 from decoder.segmentation import check_image, segment
 from decoder.switches import read_switches
@@ -19,6 +19,10 @@ FOUND_WELL = 0.95
 """Below this fraction of markers found, forces are returned with a warning."""
 BLOBS_MAX = 8.0
 """A frame with more coloured blobs than this per marker is not a frame of the sensor."""
+UNSEEN_SHARE = 0.3
+"""Share of a marker's explained shift that model error may leave unexplained."""
+UNSEEN_TIMES = 4.0
+"""A marker that moves as under this many times the switch threshold, unexplained, is pressed."""
 MOVED_PX = 0.75
 """A median shift of all markers beyond this says that the camera has moved, not the shell."""
 
@@ -45,8 +49,12 @@ class Measured:
         """Inward force (n,) N on each marker; zero off the key nodes of interest."""
         return bundle.model.forces(estimator, self.shift_px, self.koi)
 
-    def warnings(self, bundle: Bundle, forces_N: FloatArray) -> list[str]:
+    def warnings(
+        self, bundle: Bundle, forces_N: FloatArray, *, estimator: str | None = None
+    ) -> list[str]:
         """Reasons to distrust these forces, each as a sentence; empty for a sound frame.
+
+        What the sensor can never read is in :meth:`decoder.bundle.Bundle.limits`.
 
         Parameters
         ----------
@@ -54,6 +62,8 @@ class Measured:
             The sensor's decoder.
         forces_N : (n,) float
             From :meth:`forces_N`.
+        estimator : str, optional
+            That gave them; all of them if not given.
         """
         out = []
         share = float(self.found.mean())
@@ -71,12 +81,42 @@ class Measured:
         weak = self.koi[forces_N[self.koi] < 0.5 * bundle.threshold_N]
         if len(weak):
             out.append(
-                f"{len(weak)} switched receptors ({', '.join(map(str, weak[:5]))}) decode to less "
-                f"than half the switch threshold of {bundle.threshold_N:g} N"
+                f"{len(weak)} switched receptors ({named(weak)}) decode to less than half the "
+                f"switch threshold of {bundle.threshold_N:g} N"
+            )
+        useless = self.koi[~bundle.stiffness_usable[self.koi]]
+        if len(useless) and estimator != "koi_inverse":
+            out.append(
+                f"fem, fem_nn and fem_nn_identity cannot be used on {len(useless)} switched "
+                f"receptors ({named(useless)}): noise of their K·u drowns any force there; use "
+                "koi_inverse"
+            )
+        unseen = self.pressed_unseen(bundle)
+        if len(unseen):
+            out.append(
+                f"{len(unseen)} markers ({named(unseen)}) moved as if pressed, and their switches "
+                "do not read as on: forces there are missing"
             )
         if len(self.koi) > 0.3 * len(self.found):
             out.append(f"{len(self.koi)} of {len(self.found)} switches read as on")
         return out
+
+    def pressed_unseen(self, bundle: Bundle) -> IntArray:
+        """Markers with unreadable switches whose shift no switch that is on explains, (m,)."""
+        blind = ~bundle.tips.readable & self.found
+        blind[self.koi] = False
+        if not blind.any():
+            return np.flatnonzero(blind)
+        model = bundle.model
+        forces = model.forces("koi_inverse", self.shift_px, self.koi)
+        explained = (model.compliance_px @ forces).reshape(-1, 2)
+        own = np.arange(len(blind))
+        unit = np.linalg.norm(model.compliance_px.reshape(len(blind), 2, -1)[own, :, own], axis=1)
+        left = np.linalg.norm(self.shift_px - explained, axis=1)
+        limit = UNSEEN_TIMES * (
+            bundle.threshold_N * unit + bundle.noise_centroid_px
+        ) + UNSEEN_SHARE * np.linalg.norm(explained, axis=1)
+        return np.flatnonzero(blind & (np.nan_to_num(left) > limit))
 
 
 def read_image(path: Path) -> ImageArray:
@@ -155,9 +195,20 @@ def measure_frame(
     """
     matched, bits = locate_markers(bundle, image_bgr)
     rest = bundle.rest_px if rest_px is None else rest_px
+    moved = matched.position_px - rest
+    bits = confirmed(bundle, bits, moved - np.where(bits[:, None], bundle.tip_bias_px, 0.0))
     bias = np.where(bits[:, None], bundle.tip_bias_px, 0.0)
-    return Measured(
-        koi=np.flatnonzero(bits),
-        shift_px=matched.position_px - rest - bias,
-        found=matched.found,
-    )
+    return Measured(koi=np.flatnonzero(bits), shift_px=moved - bias, found=matched.found)
+
+
+def confirmed(bundle: Bundle, bits: BoolArray, shift_px: FloatArray) -> BoolArray:
+    """Bits (n,) without the doubtful ones that the markers' motion speaks against.
+
+    A switch whose red hardly tells on from off is on only if the inverse over all switches that
+    seem to be on finds its threshold's force there.
+    """
+    doubtful = bits & ~bundle.tips.readable
+    if not doubtful.any():
+        return bits
+    forces = bundle.model.forces("koi_inverse", shift_px, np.flatnonzero(bits))
+    return np.asarray(bits & ~(doubtful & (forces < bundle.threshold_N)))

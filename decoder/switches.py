@@ -7,6 +7,11 @@ import numpy as np
 from decoder.segmentation import Blobs
 from shapes.arrays import BoolArray, FloatArray
 
+RED_LEAST_PX = 4.0
+"""Least red that counts as a tip."""
+RED_RATIO = 1.25
+"""A switch can be read if its tip, when out, shows this many times its red at rest and more."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class TipModel:
@@ -25,9 +30,18 @@ class TipModel:
     red_on_px: FloatArray
 
     @property
+    def readable(self) -> BoolArray:
+        """Switches (n,) whose red tells on from off.
+
+        A camera that looks straight into a hole sees the resting tip too: such a switch tells
+        little, whatever its threshold.
+        """
+        return np.asarray(self.red_on_px > RED_RATIO * self.red_rest_px + RED_LEAST_PX)
+
+    @property
     def threshold_px(self) -> FloatArray:
         """A switch is on when it shows more red than this: half way between off and on."""
-        return np.maximum(0.5 * (self.red_rest_px + self.red_on_px), 4.0)
+        return np.maximum(0.5 * (self.red_rest_px + self.red_on_px), RED_LEAST_PX)
 
 
 def read_switches(

@@ -107,7 +107,8 @@ def train_network(
             f"{len(validation.force_N)} in the validation data are too few; simulate more "
             "contacts (training.samples) or stronger ones"
         )
-    torch.set_num_threads(2)
+    # Matrices are small: a second thread costs more than it gives, most of all on a busy machine.
+    torch.set_num_threads(1)
     begin = time.perf_counter()
     scale_in = np.full(INPUTS, max(float(np.abs(training.features[:, :9]).std()), 1e-9))
     scale_in[9] = max(float(np.abs(training.features[:, 9]).max()), 1e-9)

@@ -2,7 +2,8 @@
 
 from phytac_design.layout import Markers
 from phytac_design.optics.separability import check_paints
-from phytac_design.optics.view import camera_of, refuse_swallowed
+from phytac_design.optics.sharpness import sharpness
+from phytac_design.optics.view import cameras_of, refuse_swallowed
 from phytac_design.rules import check_design as check_rules
 from phytac_design.spec import Design
 from shapes import Surface
@@ -18,6 +19,7 @@ def check_design(design: Design) -> tuple[Surface, Markers]:
     """
     surface, markers = check_rules(design)
     check_paints(design)
-    camera_of(design, surface)
+    for camera in cameras_of(design, surface):
+        sharpness(design.camera, camera, surface, markers)
     refuse_swallowed(design, surface, markers)
     return surface, markers

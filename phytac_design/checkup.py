@@ -1,16 +1,37 @@
 """``phytac check``: rules, visibility and density of a design, with no solid and no mesh."""
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from decoder.camera import Camera
 from phytac_design.check import check_design
+from phytac_design.layout import Markers
 from phytac_design.optics.density import density_of
+from phytac_design.optics.envelope import edge_mm
+from phytac_design.optics.lens_facts import lens_facts
+from phytac_design.optics.scene import BAR, RESIN
 from phytac_design.optics.separability import check_paints
-from phytac_design.optics.view import camera_of
-from phytac_design.optics.visibility import check_visibility, visibility_advice
+from phytac_design.optics.sharpness import sharpness
+from phytac_design.optics.view import cameras_of, stand_off_mm
+from phytac_design.optics.visibility import (
+    Visibility,
+    best_of,
+    check_visibility,
+    heights_face,
+    visibility_advice,
+)
 from phytac_design.spec import Design
+from shapes import Surface
+
+WIDE_DEG = 60.0
+"""A camera that sees its rim this far off the axis sees the wall aslant, row behind row."""
+BLUR_MAX = 0.5
+"""Width of a point's image, as a share of the gap to the next marker of its colour."""
+STEPS = (1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
+"""Stand-offs that are tried, as multiples of one that does not do."""
 
 
 def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
@@ -23,9 +44,12 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
     """
     start = time.perf_counter()
     surface, markers = check_design(design)
-    camera = camera_of(design, surface)
+    cameras = cameras_of(design, surface)
     rng = np.random.default_rng(seed)
-    seen = check_visibility(design, surface, markers, rng=rng, camera=camera)
+    each = [
+        check_visibility(design, surface, markers, rng=rng, camera=camera) for camera in cameras
+    ]
+    seen, best = best_of(each)
     density = density_of(surface, markers)
     summary = seen.summary()
     return {
@@ -48,8 +72,94 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
         "fused_markers": np.flatnonzero(seen.fused).tolist(),
         "clear": summary["occluded"] == 0 and summary["fused"] == 0,
         "advice": visibility_advice(
-            design, markers, np.flatnonzero(seen.occluded), np.flatnonzero(seen.fused)
+            design,
+            markers,
+            np.flatnonzero(seen.occluded),
+            np.flatnonzero(seen.fused),
+            seen.hidden_by,
         ),
-        "stand_off_mm": float(-camera.position_mm[2]),
+        "warnings": warnings_of(design, surface, markers, cameras, each),
+        "stand_off_mm": stand_off_mm(design, surface, cameras[0]),
+        "cameras": [
+            {
+                "end": "far" if end else "near",
+                "stand_off_mm": stand_off_mm(design, surface, camera),
+                "best_for": int((best == number).sum()),
+                "visibility": own.summary(),
+                "lens": lens_facts(design, surface, markers, camera),
+            }
+            for number, (end, camera, own) in enumerate(
+                zip(design.camera.end_numbers, cameras, each, strict=True)
+            )
+        ],
         "seconds": time.perf_counter() - start,
     }
+
+
+def warnings_of(
+    design: Design,
+    surface: Surface,
+    markers: Markers,
+    cameras: tuple[Camera, ...],
+    each: list[Visibility],
+) -> list[str]:
+    """What is odd about a design and its cameras, though it may work; each as a sentence."""
+    out = []
+    if heights_face(design):
+        out.append(
+            "receptors are not taller the farther they are from the camera, so near ones can hide "
+            f"far ones; {heights_face(design)}"
+        )
+    for camera, seen in zip(cameras, each, strict=True):
+        out.extend(blurred(design, surface, markers, camera, seen))
+    if len(cameras) == 1:
+        out.extend(too_close(design, surface, markers, cameras[0], each[0]))
+    return out
+
+
+def blurred(
+    design: Design, surface: Surface, markers: Markers, camera: Camera, seen: Visibility
+) -> list[str]:
+    """Say so if markers blur into the gap to the next one of their colour."""
+    blur = np.nan_to_num(sharpness(design.camera, camera, surface, markers).blur_px)
+    share = blur / np.maximum(seen.gap_same_colour_px, 1.0)
+    worst = int(share.argmax())
+    if share[worst] < BLUR_MAX:
+        return []
+    stop = design.camera.f_number
+    mend = np.ceil(10.0 * stop * share[worst] / BLUR_MAX) / 10.0
+    said = (
+        f"the image of a point at marker {worst} is {blur[worst]:.2g} px wide (camera.f_number = "
+        f"{stop:g}), {seen.gap_same_colour_px[worst]:.2g} px from the next marker of its colour; "
+        "frames made here do not show that blur"
+    )
+    return [f"{said}: raise camera.f_number to {mend:g}, or set camera.focus_mm"]
+
+
+def too_close(
+    design: Design, surface: Surface, markers: Markers, camera: Camera, seen: Visibility
+) -> list[str]:
+    """Say so if `fit` puts a wide lens where receptors or the bar hide some, and what would do."""
+    hidden = int(np.isin(seen.hidden_by, (RESIN, BAR)).sum())
+    end = design.camera.end_numbers[0]
+    rim = camera.to_camera(edge_mm(surface, end, -design.wall.thickness_mm))
+    aside = np.arctan2(np.hypot(rim[:, 0], rim[:, 1]), rim[:, 2])
+    slant = float(np.degrees(aside).max())
+    if design.camera.stand_off_mm != "fit" or hidden == 0 or slant < WIDE_DEG:
+        return []
+    stand_off = stand_off_mm(design, surface, camera)
+    said = (
+        f'the lens is so wide that camera.stand_off_mm = "fit" puts it {stand_off:.2f} mm before '
+        f"the rim, where {hidden} markers hide behind receptors or the light bar"
+    )
+    for step in STEPS:
+        away = float(camera.rotation[2, 2]) * (stand_off - step * stand_off)
+        back = replace(camera, position_mm=camera.position_mm + np.array([0.0, 0.0, away]))
+        rng = np.random.default_rng(0)
+        other = check_visibility(design, surface, markers, rng=rng, camera=back)
+        if other.clear.all():
+            return [
+                f"{said}; set camera.stand_off_mm = {step * stand_off:.1f}: every marker is seen"
+            ]
+    mend = "use a longer camera.focal_px, taller far receptors or fewer markers"
+    return [f"{said}; {STEPS[0]:g} to {STEPS[-1]:g} times that distance do not mend it: {mend}"]

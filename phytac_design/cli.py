@@ -93,12 +93,15 @@ def check(design: DesignArgument, seed: SeedOption = 0, as_json: JsonOption = Fa
     """Check rules, visibility and density alone: no solid, no mesh."""
     from phytac_design.checkup import checkup
     from phytac_design.design_file import load_design
+    from phytac_design.finite import finite
 
     report = checkup(load_design(design), seed=seed)
     if as_json:
-        typer.echo(json.dumps(report, indent=1))
+        typer.echo(json.dumps(finite(report), indent=1))
     else:
         _print_check(report)
+    for warning in report["warnings"]:
+        say(f"warning: {warning}")
     if not report["clear"]:
         raise typer.Exit(DesignError.exit_code)
 
@@ -109,7 +112,15 @@ def _print_check(report: dict[str, Any]) -> None:
         f"{report['design']}: {density['count']} markers on {density['sensing_area_cm2']:.1f} cm² "
         f"({density['density_per_cm2']:.2f} /cm², {density['surface_class']} to the optical axis)"
     )
-    typer.echo(f"camera {report['stand_off_mm']:.2f} mm in front of the near rim")
+    for camera in report["cameras"]:
+        lens = camera["lens"]
+        typer.echo(
+            f"camera {camera['stand_off_mm']:.2f} mm before the {camera['end']} rim; a px is "
+            f"{lens['median_mm_per_px_axial']:.3g} mm along the sensor, "
+            f"{lens['median_mm_per_px_circumferential']:.3g} mm around it; sharp from "
+            f"{lens['depth_near_mm']:.1f} to {lens['depth_far_mm']:.1f} mm, blur up to "
+            f"{lens['max_blur_px']:.2g} px"
+        )
     for key, value in seen.items():
         typer.echo(f"  {key:26s} {value:g}")
     verdict = "every marker is seen and told apart" if report["clear"] else report["advice"]
@@ -119,13 +130,31 @@ def _print_check(report: dict[str, Any]) -> None:
 @app.command()
 def new(
     name: Annotated[str, typer.Argument(help="Name of the new design.")],
-    source: Annotated[str, typer.Option("--from", help="Design to start from.")] = "cylinder60",
+    source: Annotated[
+        str, typer.Option("--from", help="Design to start from; cylinder60 if not given.")
+    ] = "",
     out: Annotated[Path | None, typer.Option(help="File to write; NAME.toml if not given.")] = None,
+    from_step: Annotated[
+        Path | None, typer.Option(help="STEP file: a patch design of one of its faces.")
+    ] = None,
+    face: Annotated[
+        int | None, typer.Option(help="Number of the face, from 0; the largest if not given.")
+    ] = None,
+    rows: Annotated[int, typer.Option(help="Points taken along the face.", min=2, max=200)] = 9,
+    columns: Annotated[int, typer.Option(help="Points taken across it.", min=2, max=200)] = 9,
 ) -> None:
     """Write a commented design file to edit."""
     from phytac_design.design_file import write_new_design
+    from phytac_design.new_from_step import patch_changes
 
-    typer.echo(f"wrote {write_new_design(name, source, out or Path(f'{name}.toml'))}")
+    target = out or Path(f"{name}.toml")
+    if from_step is None:
+        typer.echo(f"wrote {write_new_design(name, source or 'cylinder60', target)}")
+        return
+    changes, said = patch_changes(from_step, face=face, rows=rows, columns=columns)
+    typer.echo(
+        f"wrote {write_new_design(name, source or 'patch', target, changes=changes)}: {said}"
+    )
 
 
 @app.command()
@@ -167,8 +196,8 @@ def decode(
     rest_px = rest_positions(loaded, read_image(rest)) if rest else None
     measured = measure_frame(loaded, image, rest_px=rest_px)
     forces = measured.forces_N(loaded, estimator.value)
-    warnings = measured.warnings(loaded, forces)
-    for warning in warnings:
+    warnings = measured.warnings(loaded, forces, estimator=estimator.value)
+    for warning in (*loaded.limits(), *warnings):
         say(f"warning: {warning}")
     if as_json:
         result = {
@@ -178,6 +207,7 @@ def decode(
             "forces_N": {str(i): round(float(forces[i]), 4) for i in measured.koi},
             "total_N": round(float(forces.sum()), 4),
             "warnings": warnings,
+            "limits": loaded.limits(),
         }
         typer.echo(json.dumps(result, indent=1))
         return

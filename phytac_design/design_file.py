@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from collections.abc import Sequence
 from difflib import get_close_matches
 from hashlib import sha256
 from importlib import resources
@@ -10,10 +11,17 @@ from typing import Any
 
 import tomlkit
 from pydantic import BaseModel, ValidationError
-from tomlkit.items import Table
+from tomlkit.items import AoT, Table
 
+from phytac_design.fixture_section import BoxFixture, CylinderFixture, MeshFixture
 from phytac_design.spec import SHAPE_MODELS, Design
 from shapes.errors import DesignError, OutputError
+
+FIXTURE_MODELS: dict[str, type[BaseModel]] = {
+    "cylinder": CylinderFixture,
+    "box": BoxFixture,
+    "mesh": MeshFixture,
+}
 
 
 def shipped_designs() -> list[str]:
@@ -80,7 +88,9 @@ def _read(name_or_path: str) -> tuple[str, str]:
 
 def _explain(item: Any, data: dict[str, Any]) -> str:
     """One problem as a sentence: where, what, got, and what would do."""
-    parts = [part for part in item["loc"] if part not in SHAPE_MODELS]
+    # Models of one kind put its name into the place of a problem.
+    kinds = FIXTURE_MODELS if item["loc"][:1] == ("fixtures",) else SHAPE_MODELS
+    parts = [part for part in item["loc"] if part not in kinds]
     if parts[:2] == ["camera", "stand_off_mm"]:
         return f"camera.stand_off_mm: must be a distance in mm or 'fit' (got {item['input']!r})"
     where = ".".join(str(part) for part in parts)
@@ -91,12 +101,12 @@ def _explain(item: Any, data: dict[str, Any]) -> str:
         hint = f"; did you mean {near[0]!r}?" if near else f" (known: {', '.join(known)})"
         return f"unknown key {where!r}{hint}"
     if kind == "missing":
+        if kinds is FIXTURE_MODELS:
+            return f"{where} is missing; a fixture of its kind needs it"
         return f"{where} is missing; `phytac new NAME` writes a whole design to edit"
     if kind.startswith("union_tag"):
-        return (
-            f"{where}.kind must be one of {', '.join(SHAPE_MODELS)} "
-            f"(got {data.get('shape', {}).get('kind')!r})"
-        )
+        got = item["input"].get("kind") if isinstance(item["input"], dict) else item["input"]
+        return f"{where}.kind must be one of {', '.join(kinds)} (got {got!r})"
     message = item["msg"][0].lower() + item["msg"][1:]
     got = item["input"]
     shown = "" if isinstance(got, dict) else f" (got {got!r})"
@@ -109,6 +119,8 @@ def _known_keys(parts: list[Any], data: dict[str, Any]) -> list[str]:
     if parts[0] == "shape":
         kind = data.get("shape", {}).get("kind")
         return list(SHAPE_MODELS[kind].model_fields) if kind in SHAPE_MODELS else ["kind"]
+    if parts[0] == "fixtures":
+        return list(FIXTURE_MODELS[data["fixtures"][parts[1]]["kind"]].model_fields)
     model = Design.model_fields[parts[0]].annotation
     if isinstance(model, type) and issubclass(model, BaseModel):
         return list(model.model_fields)
@@ -143,13 +155,19 @@ def to_toml(design: Design) -> str:
     values = design.model_dump(mode="json")
     for name, info in Design.model_fields.items():
         section = getattr(design, name)
-        if not isinstance(section, BaseModel):
-            if info.description:
-                document.add(tomlkit.comment(info.description))
-            document.add(name, values[name])
+        if isinstance(section, BaseModel):
+            document.add(tomlkit.nl())
+            document.add(name, _table(section, values[name]))
             continue
-        document.add(tomlkit.nl())
-        document.add(name, _table(section, values[name]))
+        listed = name == "fixtures"
+        if listed:
+            document.add(tomlkit.nl())
+        if info.description:
+            document.add(tomlkit.comment(info.description))
+        if not listed:
+            document.add(name, values[name])
+        elif section:
+            document.add(name, _tables(section, values[name]))
     return tomlkit.dumps(document)
 
 
@@ -172,8 +190,19 @@ def _table(section: BaseModel, values: dict[str, Any]) -> Table:
     return table
 
 
-def write_new_design(name: str, source: str, path: Path) -> Path:
-    """Write a commented copy of a design under a new name.
+def _tables(sections: Sequence[BaseModel], values: list[dict[str, Any]]) -> AoT:
+    tables = tomlkit.aot()
+    for section, value in zip(sections, values, strict=True):
+        tables.append(_table(section, value))
+    return tables
+
+
+def write_new_design(
+    name: str, source: str, path: Path, *, changes: dict[str, dict[str, Any]] | None = None
+) -> Path:
+    """Write a commented copy of a design under a new name, with some fields of tables changed.
+
+    A table with another ``kind`` takes the place of the old one.
 
     Raises
     ------
@@ -181,6 +210,9 @@ def write_new_design(name: str, source: str, path: Path) -> Path:
         If the file exists already or cannot be written.
     """
     base = load_design(source).model_dump(mode="json")
+    for table, change in (changes or {}).items():
+        same = change.get("kind", base[table].get("kind")) == base[table].get("kind")
+        base[table] = {**base[table], **change} if same else change
     design = parse_design({**base, "name": name}, f"new design {name!r}")
     if path.exists():
         raise OutputError(f"{path} exists already; choose another name or remove it")

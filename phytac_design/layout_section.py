@@ -44,6 +44,11 @@ class LayoutSection(Section):
     """Exponent of the `power` profile; above 1 near rows stay short."""
     sight_margin_mm: float = assumed(0.15, ge=0.0, le=100.0)
     """For `line-of-sight`: clear space that the camera sees beside each painted band."""
+    sight_dent_mm: float = assumed(0.0, ge=0.0, le=100.0)
+    """For `line-of-sight`: keep that space also while the wall is pressed in by this much anywhere
+    (the report says how far a force presses it); 0 for at rest only."""
+    sight_dent_radius_mm: float = assumed(10.0, gt=0.0, le=1000.0)
+    """Radius of those dents: at this distance a seventh of their depth is left."""
     positions_csv: str = ""
     """CSV file of positions for `explicit`, relative to the design file; read in its place."""
     positions: tuple[tuple[float, ...], ...] = Field((), max_length=50000)

@@ -7,6 +7,7 @@ from pydantic import Field, ValidationInfo, create_model, model_validator
 
 import shapes
 from decoder.lens import LENSES, Lens
+from phytac_design.fixture_section import FIXTURES_MAX, AnyFixture
 from phytac_design.layout_section import LayoutSection, ReceptorSection
 from phytac_design.section import Section, assumed
 from shapes import Surface
@@ -131,9 +132,9 @@ class CameraSection(Section):
     ends: Literal["near", "far", "both"] = "near"
     """Where cameras stand: before the near end, beyond the far one (looking back), or both."""
     stand_off_mm: float | Literal["fit"] = assumed("fit")
-    """Distance from the camera's centre to the near rim's plane; `fit` fills the image with it."""
+    """Distance from the camera's centre to its own rim's plane; `fit` fills the image with it."""
     fill: float = assumed(0.975, gt=0.05, le=1.0)
-    """For `fit`: reach of the near rim's inner edge, as a fraction of half the smaller side."""
+    """For `fit`: reach of its own rim's inner edge, as a fraction of half the smaller side."""
     f_number: float = assumed(2.8, ge=0.5, le=64.0)
     """Focal length over aperture, for depth of field and blur."""
     pixel_um: float = assumed(1.4, gt=0.0, le=100.0)
@@ -189,6 +190,11 @@ class CameraSection(Section):
             )
         return self
 
+    @property
+    def end_numbers(self) -> tuple[int, ...]:
+        """Ends with a camera: 0 near, 1 far."""
+        return {"near": (0,), "far": (1,), "both": (0, 1)}[self.ends]
+
     def lens(self) -> Lens:
         """Build the lens that this table describes.
 
@@ -214,7 +220,7 @@ class LightSection(Section):
     bar_radius_mm: float = assumed(3.0, ge=0.0, le=1000.0)
     """Radius of the bar; 0 for none."""
     bar_start_mm: float = assumed(5.0, ge=-1000.0, le=5000.0)
-    """Where the bar begins, as z; it ends at the far rim."""
+    """Where the bar begins, from the camera's rim inward; it ends at a rim without camera."""
 
 
 class MaterialSection(Section):
@@ -290,6 +296,8 @@ class Design(Section):
     print_rules: PrintSection = PrintSection()
     training: TrainingSection = TrainingSection()
     demands: DemandsSection = DemandsSection()
+    fixtures: tuple[AnyFixture, ...] = Field((), max_length=FIXTURES_MAX)
+    """Bodies that the camera sees and that can hide markers: `cylinder`, `box` or `mesh` (STL)."""
 
     def surface(self) -> Surface:
         """Build the sensing surface."""

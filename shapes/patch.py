@@ -53,7 +53,9 @@ class Patch(Surface):
         size = np.linalg.norm(across, axis=1)
         if not float(size.min()) > 1e-6 * float(size.max()):
             raise DesignError(
-                "patch: the face folds or has coincident points_mm; space the points apart"
+                f"patch: the face folds or has no area at some place (got {size.min():.3g} mm² per "
+                f"cell there, {size.max():.3g} mm² where it is largest); space points_mm apart, "
+                "not all on a line"
             )
         if float(across[:, 2].sum()) < 0.0:
             raise DesignError(

@@ -268,7 +268,7 @@ FLAT = (((0.0, 0.0, 0.0), (9.0, 0.0, 0.0)), ((0.0, 9.0, 0.0), (9.0, 9.0, 0.0)))
         ("grip", {"diameters_mm": (60.0, 1.0, 60.0, 1.0, 60.0, 1.0)}, "meets the axis"),
         ("grip", {"diameters_mm": (60.0,)}, "2 to 64 numbers"),
         ("patch", {"points_mm": FLAT[::-1]}, "inside out"),
-        ("patch", {"points_mm": (FLAT[0], FLAT[0])}, "folds or has coincident"),
+        ("patch", {"points_mm": (FLAT[0], FLAT[0])}, "folds or has no area"),
         ("patch", {"points_mm": (FLAT[0],)}, "at least 2 x 2"),
         ("plane", {"tilt_deg": 89.0}, "tilt_deg must lie between"),
     ],

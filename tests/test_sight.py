@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 
 from phytac_design.layout import clearance_mm, make_markers, sight_heights_mm, with_heights
-from phytac_design.optics.view import camera_of
+from phytac_design.layout.dents import dent_motions
+from phytac_design.layout.sight import clearance_under_load_mm, pressed_markers
+from phytac_design.optics.scene import build_scene
+from phytac_design.optics.underload import sight
+from phytac_design.optics.view import camera_of, tolerance_mm
 from phytac_design.optics.visibility import check_visibility
 from shapes.errors import DesignError
 from tests.designs import changed
@@ -124,3 +128,123 @@ def test_what_cannot_be_cleared_is_refused() -> None:
     design, _, markers, _ = case()
     with pytest.raises(DesignError, match=r"in front of the camera.*raise camera.stand_off_mm"):
         sight_heights_mm(design, markers, np.array([0.0, 0.0, 20.0]))
+
+
+def dents(markers: Any) -> Any:
+    """Bumps of the wall, 1.2 mm deep and about 8 mm wide, at three markers: motions (3, n, 6)."""
+    motions = np.zeros((3, markers.count, 6))
+    for motion, press in zip(motions, (60, 100, 160), strict=True):
+        away = markers.mid_mm - markers.mid_mm[press]
+        depth = 1.2 * np.exp(-np.sum(away**2, axis=1) / (2.0 * 8.0**2))
+        motion[:, :3] = -depth[:, None] * markers.normal
+        # The wall leans by the slope of the dent.
+        slope = (depth / 8.0**2)[:, None] * away
+        motion[:, 3:] = np.cross(slope, markers.normal)
+    return motions
+
+
+def test_heights_under_load_stay_clear_where_those_at_rest_do_not() -> None:
+    design, surface, markers, camera = case(sight_margin_mm=0.2)
+    eye, motions = camera.position_mm, dents(markers)
+    found = {}
+    for name, given in (("rest", None), ("load", motions)):
+        height = sight_heights_mm(design, markers, eye, motions=given)
+        settled = with_heights(design, surface, markers, height)
+        found[name] = settled, clearance_under_load_mm(design, settled, eye, motions)
+    assert found["rest"][1].min() < 0.1
+    assert found["load"][1].min() >= 0.2 - 0.005
+    assert (found["load"][0].height_mm >= found["rest"][0].height_mm - 1e-9).all()
+    assert (found["load"][0].height_mm > found["rest"][0].height_mm + 0.1).any()
+    # By the exact ID map: whatever stands above the wall is seen whole in every press.
+    settled = found["load"][0]
+    scene = build_scene(design, surface, settled, tolerance_mm=tolerance_mm(camera, settled))
+    above = settled.height_mm > design.receptor.band_marker_mm
+    for motion in motions:
+        moved = scene.moved(motion[:, :3], motion[:, 3:], settled.mid_mm)
+        assert sight(moved, camera).fraction[above].min() > 0.99
+
+
+def test_a_stated_dent_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By dents elsewhere than those the heights were made for, of the same depth."""
+    monkeypatch.setattr("phytac_design.layout.dents.DENTS", 16)
+    plain = case(heights="line-of-sight", sight_margin_mm=0.2)
+    design, surface, markers, camera = case(
+        heights="line-of-sight",
+        sight_margin_mm=0.2,
+        sight_dent_mm=0.5,
+        sight_dent_radius_mm=16.0,
+    )
+    eye = camera.position_mm
+    assert dent_motions(plain[0], surface, plain[2]) is None
+    own = dent_motions(design, surface, markers)
+    assert own is not None
+    assert clearance_under_load_mm(design, markers, eye, own).min() >= 0.2 - 0.005
+    depth = -np.einsum("pni,ni->pn", own[:, :, :3], markers.normal)
+    assert depth.max() == pytest.approx(0.5)
+    others = dents(markers) * (0.5 / 1.2)
+    before = clearance_under_load_mm(design, plain[2], eye, others).min()
+    assert before < 0.12
+    assert clearance_under_load_mm(design, markers, eye, others).min() > 0.15
+
+
+def test_a_dent_leans_the_wall_by_its_slope() -> None:
+    """The rotation is that of the normal between two points of the dented wall."""
+    design, surface, markers, _ = case(sight_dent_mm=0.5, sight_dent_radius_mm=60.0, columns=24)
+    motions = dent_motions(design, surface, markers)
+    assert motions is not None
+    moved = markers.mid_mm + motions[0, :, :3]
+    # Along the axis, where the wall itself is straight.
+    columns = moved.reshape(23, 24, 3)
+    rise = columns[2:] - columns[:-2]
+    normal = markers.normal.reshape(23, 24, 3)[1:-1]
+    turned = normal + np.cross(motions[0, :, 3:].reshape(23, 24, 3)[1:-1], normal)
+    lean = np.sum(turned * rise, axis=2) / np.linalg.norm(rise, axis=2)
+    plain = np.sum(normal * rise, axis=2) / np.linalg.norm(rise, axis=2)
+    assert np.abs(plain).max() > 0.005
+    assert np.abs(lean).max() < 0.1 * np.abs(plain).max()
+
+
+def test_pressed_markers_move_like_the_scene() -> None:
+    design, surface, markers, camera = case(kind="spiral")
+    motion = dents(markers)[0]
+    moved = pressed_markers(markers, motion)
+    assert np.abs(moved.tip_mm - markers.tip_mm).max() > 1.0
+    scene = build_scene(design, surface, markers, tolerance_mm=tolerance_mm(camera, markers))
+    after = scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm)
+    own = scene.vertex_owner == 60
+    # The red tip's end is a point of the axis, the last ring of the receptor.
+    shift = (after.vertices - scene.vertices)[own][-1]
+    assert (moved.tip_mm - markers.tip_mm)[60] == pytest.approx(shift, abs=0.02)
+
+
+def test_what_no_height_keeps_clear_under_load_is_refused() -> None:
+    design, _, markers, camera = case(height_far_mm=12.0)
+    motions = dents(markers)
+    motions[:, :, :3] *= 6.0
+    with pytest.raises(DesignError, match=r"hidden by nearer ones|under load"):
+        sight_heights_mm(design, markers, camera.position_mm, motions=motions)
+
+
+def test_only_what_a_dent_touches_is_looked_at_and_nothing_is_missed() -> None:
+    design, surface, _, camera = case(sight_margin_mm=0.2)
+    markers = make_markers(design, surface)
+    # One receptor alone, into the line of sight of those behind it, which stand still.
+    alone = np.zeros((1, markers.count, 6))
+    alone[0, 80, :3] = 3.0 * markers.direction[80]
+    motions = np.concatenate([dents(markers), alone])
+    found = clearance_under_load_mm(design, markers, camera.position_mm, motions)
+    rest = clearance_mm(design, markers, camera.position_mm)
+    plain = rest
+    for motion in motions:
+        now = pressed_markers(markers, motion)
+        plain = np.minimum(plain, clearance_mm(design, now, camera.position_mm))
+    # A receptor that is taken as still moves by 0.02 of 1.2 mm; it may lean beside that.
+    behind = (
+        clearance_mm(design, pressed_markers(markers, alone[0]), camera.position_mm) < rest - 1.0
+    )
+    assert behind[81:].any()
+    assert (found[behind] < rest[behind] - 1.0).all()
+    known = np.isfinite(plain) & np.isfinite(found)
+    assert known.sum() > 100
+    assert np.abs(found[known] - plain[known]).max() < 0.06
+    assert (np.minimum(plain, found)[~known] > 1.0).all()

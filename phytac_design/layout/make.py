@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from phytac_design.layout.dents import dent_motions
 from phytac_design.layout.heights import directions, profile_heights_mm
 from phytac_design.layout.lattice import lattice_neighbours, make_lattice, row_counts
 from phytac_design.layout.markers import Lattice, Markers
@@ -38,7 +39,9 @@ def make_markers(
     if design.layout.heights != "line-of-sight" or design.layout.position_heights_mm:
         return found
     centre = _camera_centre_mm(design, surface) if camera_mm is None else camera_mm
-    return with_heights(design, surface, found, sight_heights_mm(design, found, centre))
+    dents = dent_motions(design, surface, found)
+    heights = sight_heights_mm(design, found, centre, motions=dents)
+    return with_heights(design, surface, found, heights)
 
 
 def with_heights(

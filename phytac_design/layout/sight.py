@@ -12,13 +12,19 @@ the picture; two convex outlines are apart by the greatest gap between them alon
 
 Heights are settled from near to far: a receptor is hidden by nearer ones only. The wall itself
 is not considered here; the visibility check renders it.
+
+Under load receptors move and lean. Given their motions for a set of presses, heights are settled
+again with more room at rest where a press takes some away, until all of it stays clear in every
+one. (By less than ``LOAD_TOL_mm``; the heights are then near to the least, not the least.)
 """
+
+from dataclasses import replace
 
 import numpy as np
 
 from phytac_design.layout.markers import Markers
 from phytac_design.spec import Design
-from shapes.arrays import FloatArray, IntArray
+from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import DesignError
 
 DIRECTIONS = 64
@@ -28,6 +34,9 @@ LEVELS = 33
 HALVINGS = 8
 """Heights are searched on ``LEVELS`` steps, then the first that clears is halved this often."""
 DEPTH_MIN_mm = 1e-3
+STILL = 0.02
+LOAD_TOL_mm = 0.005
+LOAD_ROUNDS = 12
 
 
 class _Outlines:
@@ -118,7 +127,13 @@ def _groups(markers: Markers, camera_mm: FloatArray) -> list[IntArray]:
     return sorted(rows, key=lambda ids: float(away[ids].mean()))
 
 
-def sight_heights_mm(design: Design, markers: Markers, camera_mm: FloatArray) -> FloatArray:
+def sight_heights_mm(
+    design: Design,
+    markers: Markers,
+    camera_mm: FloatArray,
+    *,
+    motions: FloatArray | None = None,
+) -> FloatArray:
     """Least heights (n,) at which each painted part is seen past all nearer receptors.
 
     From near to far, each row (each marker, where there are no rows) takes the least height from
@@ -132,12 +147,43 @@ def sight_heights_mm(design: Design, markers: Markers, camera_mm: FloatArray) ->
         Their heights are not used.
     camera_mm : (3,) float
         Centre of the camera, which looks along the sensor axis at it.
+    motions : (p, n, 6) float, optional
+        Translation (mm) and rotation (rad) of the middle face under each marker for p presses:
+        the margin is kept under each of these too.
 
     Raises
     ------
     DesignError
         If a row would have to be taller than ``height_far_mm``.
     """
+    margin = design.layout.sight_margin_mm
+    needed = np.full(markers.count, margin)
+    heights = _settled(design, markers, camera_mm, needed)
+    if motions is None:
+        return heights
+    for _ in range(LOAD_ROUNDS):
+        trial = replace(markers, height_mm=heights)
+        short = margin - clearance_under_load_mm(design, trial, camera_mm, motions)
+        if float(short.max()) <= LOAD_TOL_mm:
+            return heights
+        needed += np.maximum(short, 0.0)
+        try:
+            heights = _settled(design, markers, camera_mm, needed)
+        except DesignError as error:
+            text = f"with the wall pressed in {error}, or layout.sight_dent_mm"
+            raise DesignError(text) from None
+    worst = int(short.argmax())
+    raise DesignError(
+        f"no heights keep {margin:g} mm clear under load ({markers.place(worst)} is left with "
+        f"{margin - short[worst]:.2f} mm); lower layout.sight_margin_mm or layout.sight_dent_mm, "
+        "or use fewer markers"
+    )
+
+
+def _settled(
+    design: Design, markers: Markers, camera_mm: FloatArray, margin_mm: FloatArray
+) -> FloatArray:
+    """Least heights (n,) that leave each marker its margin (n,) at rest."""
     layout = design.layout
     outlines = _Outlines(design, markers, camera_mm)
     heights = np.full(markers.count, layout.height_near_mm)
@@ -146,14 +192,17 @@ def sight_heights_mm(design: Design, markers: Markers, camera_mm: FloatArray) ->
     )
     settled = np.zeros((0, DIRECTIONS))
     for group in _groups(markers, camera_mm):
-        slack = _slack(outlines, group, np.tile(levels, (len(group), 1)), settled)
-        clear = np.flatnonzero((slack >= layout.sight_margin_mm).all(axis=0))
+        margin = margin_mm[group, None]
+        slack = _slack(outlines, group, np.tile(levels, (len(group), 1)), settled) - margin
+        clear = np.flatnonzero((slack >= 0.0).all(axis=0))
         if clear.size == 0:
-            best = float(slack.min(axis=0).max())
+            level = int(slack.min(axis=0).argmax())
+            marker = int(slack[:, level].argmin())
+            best, wanted = float(slack[marker, level]), float(margin[marker, 0])
             raise DesignError(
                 f"receptors of {markers.place(int(group[0]))} are hidden by nearer ones at every "
-                f"height up to {levels[-1]:g} mm (best clearance {best:.2f} mm, wanted "
-                f"{layout.sight_margin_mm:g} mm); raise layout.height_far_mm, or lower "
+                f"height up to {levels[-1]:g} mm (best clearance {best + wanted:.2f} mm, wanted "
+                f"{wanted:.3g} mm); raise layout.height_far_mm, or lower "
                 "layout.sight_margin_mm, receptor.band_marker_mm or the number of markers"
             )
         high = levels[clear[0]]
@@ -162,7 +211,7 @@ def sight_heights_mm(design: Design, markers: Markers, camera_mm: FloatArray) ->
             for _ in range(HALVINGS):
                 middle = (low + high) / 2.0
                 trial = np.full((len(group), 1), middle)
-                if (_slack(outlines, group, trial, settled) >= layout.sight_margin_mm).all():
+                if (_slack(outlines, group, trial, settled) >= margin).all():
                     high = middle
                 else:
                     low = middle
@@ -171,12 +220,50 @@ def sight_heights_mm(design: Design, markers: Markers, camera_mm: FloatArray) ->
     return heights
 
 
+def pressed_markers(markers: Markers, motion: FloatArray) -> Markers:
+    """Feet and axes of markers that move by translations (mm) and small rotations (rad), (n, 6)."""
+    shift, turn = motion[:, :3], motion[:, 3:]
+    direction = markers.direction + np.cross(turn, markers.direction)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    below = np.linalg.norm(markers.foot_mm - markers.mid_mm, axis=1, keepdims=True)
+    foot = markers.mid_mm + shift + below * direction
+    tip = foot + markers.height_mm[:, None] * direction
+    return replace(markers, foot_mm=foot, direction=direction, tip_mm=tip)
+
+
+def clearance_under_load_mm(
+    design: Design, markers: Markers, camera_mm: FloatArray, motions: FloatArray
+) -> FloatArray:
+    """Least :func:`clearance_mm` (n,) at rest and under each of the motions (p, n, 6).
+
+    Receptors that move by less than ``STILL`` of the most are taken as still.
+    """
+    least = clearance_mm(design, markers, camera_mm)
+    rest = _Outlines(design, markers, camera_mm)
+    every = np.arange(markers.count)
+    boxes = _box(rest.tubes(every, markers.height_mm))
+    for motion in motions:
+        size = np.linalg.norm(motion[:, :3], axis=1)
+        moves = size > STILL * size.max()
+        now = pressed_markers(markers, np.where(moves[:, None], motion, 0.0))
+        after = _box(_Outlines(design, now, camera_mm).tubes(every, markers.height_mm))
+        reach = np.maximum(boxes, after)
+        # Only what moves, or has something that moves before or beside it in the picture.
+        room = reach[moves].max(axis=0, initial=-np.inf)
+        near = -np.roll(reach, 2, axis=1) - room
+        touched = (near < 2.0 * rest.radius / rest.depth(every)[:, None]).all(axis=1)
+        chosen = moves | touched
+        seen = clearance_mm(design, now, camera_mm, chosen=chosen)
+        least[chosen] = np.minimum(least, seen)[chosen]
+    return least
+
+
 def _slack(
     outlines: _Outlines, group: IntArray, height: FloatArray, settled: FloatArray
 ) -> FloatArray:
     """Least gap (m, h) in mm between painted parts at heights (m, h) and the settled tubes."""
     out = np.full(height.shape, np.inf)
-    if len(settled) == 0:
+    if len(settled) == 0 or len(group) == 0:
         return out
     paint, depth = outlines.paints(group, height), outlines.depth(group)
     for k in range(len(group)):
@@ -187,16 +274,24 @@ def _slack(
     return out
 
 
-def clearance_mm(design: Design, markers: Markers, camera_mm: FloatArray) -> FloatArray:
+def clearance_mm(
+    design: Design,
+    markers: Markers,
+    camera_mm: FloatArray,
+    *,
+    chosen: BoolArray | None = None,
+) -> FloatArray:
     """Gap (n,) that the camera sees between each painted part and the nearer receptors, mm.
 
-    Negative where it is hidden in part; inf where nothing nearer comes within a diameter.
+    Negative where it is hidden in part; inf where nothing nearer comes within a diameter, and for
+    those that are not ``chosen`` (n,).
     """
+    wanted = np.ones(markers.count, dtype=bool) if chosen is None else chosen
     outlines = _Outlines(design, markers, camera_mm)
     out = np.full(markers.count, np.inf)
     settled = np.zeros((0, DIRECTIONS))
     for group in _groups(markers, camera_mm):
-        height = markers.height_mm[group]
-        out[group] = _slack(outlines, group, height[:, None], settled)[:, 0]
-        settled = np.concatenate([settled, outlines.tubes(group, height)])
+        some = group[wanted[group]]
+        out[some] = _slack(outlines, some, markers.height_mm[some, None], settled)[:, 0]
+        settled = np.concatenate([settled, outlines.tubes(group, markers.height_mm[group])])
     return out

@@ -103,9 +103,11 @@ def _angle(directions: FloatArray) -> FloatArray:
     return np.asarray(np.arctan2(off, directions[..., 2]))
 
 
-def spread(lens: Lens, directions: FloatArray, edge: float) -> FloatArray:
-    """Pixels (n, 2) of unit directions (n, 3), continued straight out beyond the angle ``edge``."""
-    angle = _angle(directions)
+def spread(lens: Lens, directions: FloatArray, angle: FloatArray, edge: float) -> FloatArray:
+    """Pixels (n, 2) of unit directions (n, 3), continued straight out beyond the angle ``edge``.
+
+    ``angle`` (n,) is theirs from the axis.
+    """
     out = lens.project(directions)
     far = np.flatnonzero(~(angle < edge))
     if len(far):
@@ -127,50 +129,103 @@ def bent_view(
     """
     lens = camera.lens
     reach = reach_of(lens)
-    distance = np.linalg.norm(points, axis=1)
-    unit = points / np.where(distance > 0.0, distance, np.nan)[:, None]
-    image = spread(lens, unit, reach.edge)
+    unit, angle, image = np.empty_like(points), np.empty(len(points)), np.empty((len(points), 2))
+
+    def look(first: int, last: int) -> None:
+        rows = slice(first, last)
+        distance = np.linalg.norm(points[rows], axis=1)
+        unit[rows] = points[rows] / np.where(distance > 0.0, distance, np.nan)[:, None]
+        angle[rows] = _angle(unit[rows])
+        image[rows] = spread(lens, unit[rows], angle[rows], reach.edge)
+
+    in_bands(look, len(points))
     bulge = np.zeros(len(triangles))
     state = np.zeros(len(triangles), dtype=np.uint8)
-    angle = _angle(unit)
 
     def some(first: int, last: int) -> None:
         rows = slice(first, last)
         _measure(unit, angle, triangles[rows], reach.table, bulge[rows], state[rows])
 
     in_bands(some, len(triangles))
-    kept = np.flatnonzero(state == KEEP).astype(np.int32)
-    done = [(image[triangles[kept]], bulge[kept], kept)]
-    source = np.flatnonzero(state == SPLIT).astype(np.int32)
-    corner = unit[triangles[source]]
-    for _ in range(SPLITS_MAX):
+    split = np.flatnonzero(state == SPLIT).astype(np.int32)
+    finer = _split(lens, reach, unit[triangles[split]], split)
+    count = int((state == KEEP).sum()) + len(finer[2])
+    corners, pieces = np.empty((count, 3), dtype=np.int32), np.empty((count, 3, 2))
+    bulges, sources = np.empty(count), np.empty(count, dtype=np.int32)
+    _merge(triangles, image, bulge, state, finer, (corners, pieces, bulges, sources))
+    return View(
+        camera=points,
+        triangles=corners,
+        image=pieces,
+        bulge=bulges,
+        source=sources,
+        lens=np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px]),
+        rays=pixel_rays(lens) if rays is None else rays,
+        origin=np.zeros(2, dtype=np.int64),
+    )
+
+
+Pieces = tuple[FloatArray, FloatArray, NDArray[np.int32]]
+"""Corners on the image (P, 3, 2) px, bulge (P,) px and triangle (P,) of pieces."""
+
+
+def _split(lens: Lens, reach: Reach, corner: FloatArray, source: NDArray[np.int32]) -> Pieces:
+    """Pieces of triangles with unit corners (T, 3, 3) that stray little enough, by triangle."""
+    done: list[Pieces] = [(np.empty((0, 3, 2)), np.empty(0), np.empty(0, dtype=np.int32))]
+    for left in reversed(range(SPLITS_MAX)):
         if not len(source):
             break
         corner, source = _quarters(corner), np.repeat(source, 4)
         flat = np.ascontiguousarray(corner.reshape(-1, 3))
         index = np.arange(len(flat), dtype=np.int32).reshape(-1, 3)
         bulge, state = np.zeros(len(index)), np.zeros(len(index), dtype=np.uint8)
-        _measure(flat, _angle(flat), index, reach.table, bulge, state)
-        whole, again = state == KEEP, state == SPLIT
-        pixels = spread(lens, corner[whole].reshape(-1, 3), reach.edge).reshape(-1, 3, 2)
+        angle = _angle(flat)
+        _measure(flat, angle, index, reach.table, bulge, state)
+        again = state == SPLIT
+        # The last ones are too fine to split on: let them reach anywhere they may.
+        whole = (state == KEEP) | (again & (left == 0))
+        kept = index[whole].ravel()
+        pixels = spread(lens, flat[kept], angle[kept], reach.edge).reshape(-1, 3, 2)
         done.append((pixels, bulge[whole], source[whole]))
         corner, source = corner[again], source[again]
-        last = bulge[again]
-    if len(source):  # Too fine to split on: let them reach anywhere they may.
-        pixels = spread(lens, corner.reshape(-1, 3), reach.edge).reshape(-1, 3, 2)
-        done.append((pixels, last, source))
     pieces, bulges, sources = (np.concatenate(part) for part in zip(*done, strict=True))
     order = np.argsort(sources, kind="stable")
-    return View(
-        camera=points,
-        triangles=triangles[sources[order]],
-        image=np.ascontiguousarray(pieces[order]),
-        bulge=bulges[order],
-        source=sources[order],
-        lens=np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px]),
-        rays=pixel_rays(lens) if rays is None else rays,
-        origin=np.zeros(2, dtype=np.int64),
-    )
+    return np.ascontiguousarray(pieces[order]), bulges[order], sources[order]
+
+
+@kernel
+def _merge(
+    triangles: NDArray[np.int32],
+    image: FloatArray,
+    bulge: FloatArray,
+    state: NDArray[np.uint8],
+    finer: Pieces,
+    out: tuple[NDArray[np.int32], FloatArray, FloatArray, NDArray[np.int32]],
+) -> None:
+    """Write kept triangles and ``finer`` pieces of split ones, in the order of the triangles.
+
+    ``out`` gets the triangles' corners, the pieces' corners on the image, bulge and triangle.
+    """
+    pieces, bulges, sources = finer
+    corners, pixels, reaches, names = out
+    at, piece = 0, 0
+    for t in range(len(triangles)):
+        count = 1 if state[t] == KEEP else 0
+        while state[t] == SPLIT and piece + count < len(sources) and sources[piece + count] == t:
+            count += 1
+        for k in range(count):
+            for i in range(3):
+                corners[at, i] = triangles[t, i]
+                for axis in range(2):
+                    if state[t] == KEEP:
+                        pixels[at, i, axis] = image[triangles[t, i], axis]
+                    else:
+                        pixels[at, i, axis] = pieces[piece + k, i, axis]
+            reaches[at] = bulge[t] if state[t] == KEEP else bulges[piece + k]
+            names[at] = t
+            at += 1
+        if state[t] == SPLIT:
+            piece += count
 
 
 @kernel

@@ -4,7 +4,7 @@ import numpy as np
 
 from phytac_design.fabrication.edges import Loop, chart_loops
 from phytac_design.fabrication.sampling import untwisted
-from phytac_design.optics.mesh import Mesh, empty_mesh, grid_mesh, joined
+from phytac_design.optics.mesh import Mesh, cylinder_mesh, empty_mesh, grid_mesh, joined
 from phytac_design.spec import Design
 from shapes import Surface
 from shapes.arrays import FloatArray
@@ -60,15 +60,17 @@ def divisions(surface: Surface, offset_mm: float, along: int, tolerance_mm: floa
 def shell_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> Mesh:
     """Inner face over the whole domain, a rim flush with it along every open edge, rims' ends.
 
-    Only what a camera inside sees: the outer face and the far end of a tube are left out.
+    Only what the cameras see: the outer face, and the end of a tube without a camera before it, are
+    left out.
     """
     closed = surface.periodic[1]
     u, v, face = _inner_face(design, surface, tolerance_mm)
     meshes = [grid_mesh(face, closed=closed, poles=surface.poles)]
     if design.wall.rim_length_mm > 0.0:
         ends = surface.edges()
+        watched = {(0, end) for end in design.camera.end_numbers}
         for number, loop in enumerate(chart_loops(surface, u, v)):
-            hidden = closed and ends[number] == (0, 1)
+            hidden = closed and ends[number] not in watched
             meshes.append(_rim(design, surface, loop, ended=not hidden))
     return joined(meshes)
 
@@ -105,15 +107,23 @@ def _rim(design: Design, surface: Surface, loop: Loop, *, ended: bool) -> Mesh:
     return Mesh(vertices=strip.vertices, triangles=strip.triangles[real])
 
 
+def open_far(surface: Surface) -> bool:
+    """Whether the surface is a tube with an open far end."""
+    return (0, 1) in surface.edges() and surface.periodic[1]
+
+
 def bar_span_mm(design: Design, surface: Surface) -> tuple[float, float]:
     """Z of the light bar's near and far end.
 
-    The bar ends at the far edge of a tube; in a dome, or before a sheet, a little in front of the
-    inner face.
+    In a tube the bar begins ``light.bar_start_mm`` inside the rim of each camera and ends at the
+    rim of an end without one; in a dome, or before a sheet, a little in front of the inner face.
     """
     offset, near = -design.wall.thickness_mm, design.light.bar_start_mm
-    if (0, 1) in surface.edges() and surface.periodic[1]:
-        return near, float(edge_mm(surface, 1, offset)[:, 2].max())
+    if open_far(surface):
+        low = float(edge_mm(surface, 0, offset)[:, 2].min())
+        high = float(edge_mm(surface, 1, offset)[:, 2].max())
+        ends = design.camera.end_numbers
+        return near if 0 in ends else low, high - near if 1 in ends else high
     room = BAR_STEP * design.wall.thickness_mm
     face = grid_mesh(
         _inner_face(design, surface, room / 2.0)[2],
@@ -145,17 +155,15 @@ def _heights_mm(mesh: Mesh, places_mm: FloatArray) -> FloatArray:
 
 
 def bar_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> Mesh:
-    """Light bar on the axis, a cylinder with its near cap; empty for radius 0."""
+    """Light bar on the axis, a cylinder with a cap towards each camera; empty for radius 0."""
     radius = design.light.bar_radius_mm
     if radius <= 0.0:
         return empty_mesh()
     near, far = bar_span_mm(design, surface)
     if near >= far:
         return empty_mesh()
-    ratio = min(max(tolerance_mm / radius, 1e-6), 0.1)
-    sides = int(np.ceil(np.pi / np.arccos(1.0 - ratio)))
-    turn = 2.0 * np.pi * np.arange(sides) / sides
-    ring = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(sides)]) * radius
+    ends = design.camera.end_numbers
     axis = np.array([0.0, 0.0, 1.0])
-    curves = np.stack([np.zeros_like(ring) + near * axis, ring + near * axis, ring + far * axis])
-    return grid_mesh(curves, closed=True, poles=(True, False))
+    return cylinder_mesh(
+        near * axis, far * axis, radius, tolerance_mm=tolerance_mm, caps=(0 in ends, 1 in ends)
+    )

@@ -8,9 +8,9 @@ chroma of the paints up in the far rows, as the diffuse light inside a pale tube
 import numpy as np
 
 from decoder.camera import Camera
-from phytac_design.optics.paint import BAR, PAINTS, RESIN, to_linear
+from phytac_design.optics.paint import BAR, FIXTURE, PAINTS, RESIN, to_linear
 from phytac_design.optics.scene import BAR as BAR_CODE
-from phytac_design.optics.scene import Scene, paint_owner, red_owner
+from phytac_design.optics.scene import FIRST_FIXTURE, FIRST_MARKER, Scene, paint_owner, red_owner
 from shapes.arrays import FloatArray
 
 EVEN, FROM_CAMERA, FROM_AXIS = 0.4, 0.35, 0.25
@@ -25,6 +25,8 @@ def albedo(scene: Scene) -> FloatArray:
     index[tip >= 0] = 1
     index[marker >= 0] = 2 + scene.colour[marker[marker >= 0]]
     out: FloatArray = colours[index]
+    fixture = (scene.part >= FIRST_FIXTURE) & (scene.part < FIRST_MARKER)
+    out[fixture] = to_linear(np.array(FIXTURE))
     out[scene.part == BAR_CODE] = to_linear(np.array(BAR))
     return out
 

@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from shapes.arrays import FloatArray
 
+MOST_ALONG = 0.9
+"""Cosine to the y axis from which a cylinder's polygon starts along another one."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Mesh:
@@ -50,3 +53,32 @@ def grid_mesh(
 def empty_mesh() -> Mesh:
     """Mesh without any vertex."""
     return Mesh(vertices=np.zeros((0, 3)), triangles=np.zeros((0, 3), dtype=np.int32))
+
+
+def cylinder_mesh(
+    start_mm: FloatArray,
+    end_mm: FloatArray,
+    radius_mm: float,
+    *,
+    tolerance_mm: float,
+    caps: tuple[bool, bool] = (True, True),
+) -> Mesh:
+    """Cylinder between two points (3,), with caps at its start and end as wanted.
+
+    Its polygon stays within ``tolerance_mm`` of the circle.
+    """
+    axis = (end_mm - start_mm) / np.linalg.norm(end_mm - start_mm)
+    # For an axis along z these are x and y.
+    first = np.cross(np.eye(3)[1 if abs(axis[1]) < MOST_ALONG else 0], axis)
+    first /= np.linalg.norm(first)
+    second = np.cross(axis, first)
+    ratio = min(max(tolerance_mm / radius_mm, 1e-6), 0.1)
+    sides = int(np.ceil(np.pi / np.arccos(1.0 - ratio)))
+    turn = 2.0 * np.pi * np.arange(sides) / sides
+    ring = radius_mm * (np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second)
+    curves = [start_mm + ring, end_mm + ring]
+    if caps[0]:
+        curves.insert(0, start_mm + 0.0 * ring)
+    if caps[1]:
+        curves.append(end_mm + 0.0 * ring)
+    return grid_mesh(np.stack(curves), closed=True, poles=caps)

@@ -22,6 +22,8 @@ RESIN = (176, 170, 160)
 """sRGB of the printed resin, a warm grey."""
 BAR = (255, 252, 240)
 """sRGB of the light bar, which shines."""
+FIXTURE = (84, 86, 90)
+"""sRGB of fixtures, a dark grey."""
 BACKGROUND = (6, 6, 7)
 """sRGB where there is nothing to see."""
 

@@ -34,12 +34,15 @@ class Buffers:
     triangle: NDArray[np.int32]
 
 
-def project_scene(scene: Scene, camera: Camera) -> View:
-    """Bring a scene into the camera: cut at a pinhole's near plane, split for other lenses."""
+def project_scene(scene: Scene, camera: Camera, *, rays: FloatArray | None = None) -> View:
+    """Bring a scene into the camera: cut at a pinhole's near plane, split for other lenses.
+
+    ``rays`` stand for those of all pixels where a lens that bends lines would need them.
+    """
     points = camera.to_camera(scene.vertices)
     lens = camera.lens
     if not isinstance(lens, Pinhole):
-        return bent_view(points, scene.triangles, camera)
+        return bent_view(points, scene.triangles, camera, rays)
     points, triangles, source = clip_near(points, scene.triangles)
     # Vertices left behind the near plane belong to no triangle any more.
     depth = np.where(points[:, 2] > 0.0, points[:, 2], np.nan)

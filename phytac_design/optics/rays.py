@@ -1,10 +1,12 @@
 """The direction of every pixel of a lens, once per lens.
 
 Most lenses have no closed inverse. It is taken exactly on a coarse grid of pixels and interpolated
-between (bicubic Lagrange). Each cell is checked in its middle; where it is off by more than
-``RAY_ERROR``, or a node lies beyond the field, the cell's pixels are taken exactly.
+between (Lagrange, six nodes each way). Each cell is checked in its middle; where it is off by more
+than ``RAY_ERROR``, or a node lies beyond the field, it is quartered, and the pixels of the cells
+that are left at last are taken exactly.
 """
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -12,125 +14,211 @@ from numpy.typing import NDArray
 
 from decoder.lens import Lens
 from phytac_design.optics.kernels import in_bands, kernel
-from shapes.arrays import FloatArray
+from shapes.arrays import BoolArray, FloatArray, IntArray
 
-STEPS = (16, 8, 4, 2)
+STEPS = (32, 16, 8, 4)
+"""Sides of the cells, coarse to fine, px."""
+FIELD_CELLS = 16.0
+"""Cells are at least this much smaller than the field, so that none skips over it."""
 RAY_ERROR = 1e-8
 """Largest error of an interpolated unit direction: 1e-5 px at a focal length of 1000 px."""
-REFINE = 8.0
-"""The next finer grid costs this / step² pixels of the image; it must save as many exact ones."""
-SMOOTH, EXACT, BLIND = 0, 1, 2
-"""What to do in a cell: interpolate, take pixels exactly, nothing to see."""
+TAPS = 6
+BEFORE = 2
+"""Nodes of a cell each way, and how many of them lie before its first corner."""
+ELSEWHERE, SMOOTH, EXACT = 0, 1, 2
+"""What to do in a cell: nothing (another level does it, or nothing is seen), interpolate, take
+pixels exactly."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Level:
+    """Cells of one size: ``nodes`` (rows + 5, columns + 5, 3), ``state`` (rows, columns)."""
+
+    step: int
+    nodes: FloatArray
+    state: NDArray[np.uint8]
 
 
 class RayGrid:
-    """Exact directions on a grid of pixels around the image, and what each cell of it needs."""
+    """Exact directions on grids of pixels around the image, and what each cell of them needs."""
 
     def __init__(self, lens: Lens) -> None:
         self.lens = lens
-        for step in STEPS:
-            self.step, self.nodes = step, _nodes(lens, step)
-            self.state = _states(lens, self.nodes, step)
-            if (self.state == EXACT).mean() <= REFINE / step**2:
+        self.levels: list[Level] = []
+        finest = STEPS[-1]
+        most = max(finest, float(lens.focal_px.min()) * min(lens.field_rad, 1.0) / FIELD_CELLS)
+        steps = [step for step in STEPS if step <= most]
+        first = steps[0]
+        rows, columns = -(-lens.height_px // first), -(-lens.width_px // first)
+        wanted = np.ones((rows, columns), dtype=np.bool_)
+        for step in steps:
+            level = _level(lens, step, wanted)
+            self.levels.append(level)
+            wanted = level.state == EXACT
+            if not wanted.any():
                 break
+            if step > finest:
+                level.state[wanted] = ELSEWHERE
+                wanted = np.repeat(np.repeat(wanted, 2, axis=0), 2, axis=1)
 
     def rows(self, first: int, last: int, offset: FloatArray) -> FloatArray:
-        """Directions (last - first, width, 3) of the pixels of some rows, moved by ``offset``."""
+        """Directions (last - first, width, 3) of the pixels of some rows, moved by ``offset``.
+
+        ``offset`` (2,) px is at most half a pixel each way.
+        """
         out = np.empty((last - first, self.lens.width_px, 3))
-        missing = np.zeros(out.shape[:2], dtype=np.bool_)
-        _interpolate(
-            self.nodes,
-            self.state,
-            self.step,
-            (first, float(offset[0]), float(offset[1])),
-            out,
-            missing,
-        )
-        y, x = np.nonzero(missing)
-        if len(x):
-            pixels = np.column_stack([x, y + first]) + offset
-            out[y, x] = self.lens.unproject(pixels)
+        self.fill_rows(first, last, offset, out)
+        return out
+
+    def fill_rows(self, first: int, last: int, offset: FloatArray, out: FloatArray) -> None:
+        """Write what :meth:`rows` returns into ``out``."""
+        if any((level.state == ELSEWHERE).any() for level in self.levels):
+            out[:] = np.nan
+        for level in self.levels:
+            shares = (np.arange(level.step)[:, None] + offset) / level.step
+            across, down = _weights(shares[:, 0]), _weights(shares[:, 1])
+            _interpolate(level.nodes, level.state, first, across, down, out)
+        finest = self.levels[-1]
+        exact = np.repeat(finest.state == EXACT, finest.step, axis=1)[:, : out.shape[1]]
+        if exact.any():
+            y, x = np.nonzero(exact[np.arange(first, last) // finest.step])
+            out[y, x] = self.lens.unproject(np.column_stack([x, y + first]) + offset)
+
+    def at(self, pixels: IntArray) -> FloatArray:
+        """Directions (n, 3) of some pixels (n, 2), which may lie beyond the image."""
+        out = np.empty((len(pixels), 3))
+        missing = np.ones(len(pixels), dtype=np.bool_)
+        for level in self.levels:
+            weights = _weights(np.arange(level.step) / level.step)
+
+            def some(first: int, last: int, level: Level = level, w: FloatArray = weights) -> None:
+                rows = slice(first, last)
+                _pick(level.nodes, level.state, w, pixels[rows], out[rows], missing[rows])
+
+            in_bands(some, len(pixels))
+        out[missing] = self.lens.unproject(pixels[missing].astype(np.float64))
         return out
 
 
-def _nodes(lens: Lens, step: int) -> FloatArray:
-    """Directions at every ``step``-th pixel, from one node before the image to two after it."""
-    x = step * np.arange(-1, lens.width_px // step + 3, dtype=np.float64)
-    y = step * np.arange(-1, lens.height_px // step + 3, dtype=np.float64)
-    xx, yy = np.meshgrid(x, y)
-    return lens.unproject(np.column_stack([xx.ravel(), yy.ravel()])).reshape(len(y), len(x), 3)
-
-
-def _states(lens: Lens, nodes: FloatArray, step: int) -> NDArray[np.uint8]:
-    """What each cell (rows - 3, columns - 3) needs; its corners are nodes 1 and 2 of four."""
-    rows, columns = nodes.shape[0] - 3, nodes.shape[1] - 3
+def _level(lens: Lens, step: int, wanted: BoolArray) -> Level:
+    """Nodes of the wanted cells (rows, columns), and what each of those needs."""
+    rows, columns = wanted.shape
+    needed = np.zeros((rows + TAPS - 1, columns + TAPS - 1), dtype=np.bool_)
+    for m in range(TAPS):
+        for n in range(TAPS):
+            needed[m : m + rows, n : n + columns] |= wanted
+    nodes = np.full((*needed.shape, 3), np.nan)
+    y, x = np.nonzero(needed)
+    nodes[y, x] = lens.unproject(
+        np.column_stack([x - BEFORE, y - BEFORE]).astype(np.float64) * step
+    )
     seen = np.isfinite(nodes[..., 2])
     count = np.zeros((rows, columns), dtype=np.int64)
-    middle = np.zeros((rows, columns, 3))
-    weights = (-0.0625, 0.5625, 0.5625, -0.0625)  # of the four nodes around a cell's middle
-    for m in range(4):
-        for n in range(4):
-            part = (slice(m, m + rows), slice(n, n + columns))
-            count += seen[part]
-            middle += weights[m] * weights[n] * nodes[part]
-    y, x = np.nonzero(count == 16)
-    exact = lens.unproject(np.column_stack([x + 0.5, y + 0.5]) * step)
-    wrong = ~(np.abs(middle[y, x] - exact).max(axis=1) <= RAY_ERROR)
-    state = np.where(count == 0, BLIND, EXACT).astype(np.uint8)
-    state[y, x] = np.where(wrong, EXACT, SMOOTH)
-    return state
+    near = np.zeros((rows, columns), dtype=np.bool_)
+    for m in range(TAPS):
+        for n in range(TAPS):
+            part = seen[m : m + rows, n : n + columns]
+            count += part
+            if 0 < m < TAPS - 1 and 0 < n < TAPS - 1:
+                near |= part
+    state = np.where(wanted & near, EXACT, ELSEWHERE).astype(np.uint8)
+    y, x = np.nonzero(wanted & (count == TAPS * TAPS))
+    weights = _weights(np.array([0.5]))[0]
+    middle = np.zeros((len(y), 3))
+    for m in range(TAPS):
+        for n in range(TAPS):
+            middle += weights[m] * weights[n] * nodes[y + m, x + n]
+    exact = lens.unproject(np.column_stack([x + 0.5, y + 0.5]) * float(step))
+    good = np.abs(middle - exact).max(axis=1) <= RAY_ERROR
+    state[y[good], x[good]] = SMOOTH
+    return Level(step=step, nodes=nodes, state=state)
 
 
-@kernel
-def _weights(t: float) -> tuple[float, float, float, float]:
-    """Cubic Lagrange weights of nodes -1, 0, 1, 2 at ``t`` between 0 and 1."""
-    return (
-        -t * (t - 1.0) * (t - 2.0) / 6.0,
-        (t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0,
-        -(t + 1.0) * t * (t - 2.0) / 2.0,
-        (t + 1.0) * t * (t - 1.0) / 6.0,
-    )
+def _weights(share: FloatArray) -> FloatArray:
+    """Lagrange weights (m, TAPS) of a cell's nodes at shares (m,) of its side."""
+    place = np.arange(TAPS) - float(BEFORE)
+    weights = np.ones((len(share), TAPS))
+    for i in range(TAPS):
+        for j in range(TAPS):
+            if i != j:
+                weights[:, i] *= (share - place[j]) / (place[i] - place[j])
+    return weights
 
 
 @kernel
 def _interpolate(
     nodes: FloatArray,
     state: NDArray[np.uint8],
-    step: int,
-    start: tuple[int, float, float],
+    first: int,
+    across: FloatArray,
+    down: FloatArray,
     out: FloatArray,
-    missing: NDArray[np.bool_],
 ) -> None:
-    """Directions of whole rows from row ``start[0]`` on, moved by ``start[1:]``."""
-    first, dx, dy = start
+    """Directions in all smooth cells of whole rows from row ``first`` on.
+
+    ``across`` and ``down`` (step, TAPS) weigh the nodes for each column and row of a cell.
+    """
+    step, width = len(across), out.shape[1]
     line = np.empty((nodes.shape[1], 3))
     for row in range(out.shape[0]):
-        v = (first + row + dy) / step
-        k = min(max(int(np.floor(v)), 0), state.shape[0] - 1)
-        wy = _weights(v - k)
+        k = (first + row) // step
+        if not (state[k] == SMOOTH).any():
+            continue
+        w = down[(first + row) % step]
         for j in range(nodes.shape[1]):
             for axis in range(3):
                 line[j, axis] = (
-                    wy[0] * nodes[k, j, axis]
-                    + wy[1] * nodes[k + 1, j, axis]
-                    + wy[2] * nodes[k + 2, j, axis]
-                    + wy[3] * nodes[k + 3, j, axis]
+                    w[0] * nodes[k, j, axis]
+                    + w[1] * nodes[k + 1, j, axis]
+                    + w[2] * nodes[k + 2, j, axis]
+                    + w[3] * nodes[k + 3, j, axis]
+                    + w[4] * nodes[k + 4, j, axis]
+                    + w[5] * nodes[k + 5, j, axis]
                 )
-        for column in range(out.shape[1]):
-            u = (column + dx) / step
-            j = min(max(int(np.floor(u)), 0), state.shape[1] - 1)
-            missing[row, column] = state[k, j] == EXACT
+        for j in range(state.shape[1]):
             if state[k, j] != SMOOTH:
-                out[row, column] = np.nan
                 continue
-            wx = _weights(u - j)
+            left = j * step
             for axis in range(3):
-                out[row, column, axis] = (
-                    wx[0] * line[j, axis]
-                    + wx[1] * line[j + 1, axis]
-                    + wx[2] * line[j + 2, axis]
-                    + wx[3] * line[j + 3, axis]
-                )
+                a, b, c = line[j, axis], line[j + 1, axis], line[j + 2, axis]
+                d, e, f = line[j + 3, axis], line[j + 4, axis], line[j + 5, axis]
+                for i in range(min(step, width - left)):
+                    out[row, left + i, axis] = (
+                        across[i, 0] * a
+                        + across[i, 1] * b
+                        + across[i, 2] * c
+                        + across[i, 3] * d
+                        + across[i, 4] * e
+                        + across[i, 5] * f
+                    )
+
+
+@kernel
+def _pick(
+    nodes: FloatArray,
+    state: NDArray[np.uint8],
+    weights: FloatArray,
+    pixels: IntArray,
+    out: FloatArray,
+    missing: BoolArray,
+) -> None:
+    """Directions of those ``pixels`` (n, 2) that lie in smooth cells; they are not ``missing``."""
+    step = len(weights)
+    for i in range(len(pixels)):
+        x, y = pixels[i]
+        j, k = x // step, y // step
+        if min(x, y) < 0 or j >= state.shape[1] or k >= state.shape[0] or state[k, j] != SMOOTH:
+            continue
+        missing[i] = False
+        across, down = weights[x - j * step], weights[y - k * step]
+        for axis in range(3):
+            total = 0.0
+            for m in range(TAPS):
+                line = 0.0
+                for n in range(TAPS):
+                    line += across[n] * nodes[k + m, j + n, axis]
+                total += down[m] * line
+            out[i, axis] = total
 
 
 @lru_cache(maxsize=4)
@@ -149,7 +237,7 @@ def pixel_rays(lens: Lens) -> FloatArray:
     out = np.empty((lens.height_px, lens.width_px, 3))
 
     def band(first: int, last: int) -> None:
-        out[first:last] = grid.rows(first, last, np.zeros(2))
+        grid.fill_rows(first, last, np.zeros(2), out[first:last])
 
     in_bands(band, lens.height_px)
     return out

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from phytac_design.layout import Markers
 from phytac_design.optics.envelope import bar_mesh, shell_mesh
+from phytac_design.optics.fixtures import fixture_mesh
 from phytac_design.optics.mesh import Mesh, joined
 from phytac_design.spec import Design
 from shapes import Surface
@@ -25,6 +26,8 @@ from shapes.arrays import BoolArray, FloatArray, IntArray
 
 NONE, SHELL, BAR, RESIN = 0, 1, 2, 3
 """Part codes: nothing, shell and rims, light bar, unpainted receptor (side, hole, hole's end)."""
+FIRST_FIXTURE = 4
+"""Codes from here up to ``FIRST_MARKER``: the design's fixtures."""
 FIRST_MARKER = 16
 """Codes from here: ``16 + 2 i`` is the paint of marker i, ``17 + 2 i`` its switch's red tip."""
 SIDES_MIN = 12
@@ -134,13 +137,13 @@ def build_scene(
     tolerance_mm: FloatArray | float,
     switch_on: BoolArray | None = None,
 ) -> Scene:
-    """Shell, rims, light bar and all receptors as triangles.
+    """Shell, rims, light bar, fixtures and all receptors as triangles.
 
     Parameters
     ----------
     tolerance_mm : float or (n,) float
         Largest distance between a receptor's polygons and the circles that they stand for; the
-        least of them holds for shell and bar. See ``view.tolerance_mm``.
+        least of them holds for shell, bar and fixtures. See ``view.tolerance_mm``.
     switch_on : (n,) bool, optional
         Switches whose red tip is out; none by default.
     """
@@ -151,6 +154,10 @@ def build_scene(
     fixed = [
         (shell_mesh(design, surface, tolerance_mm=shell_tolerance), SHELL),
         (bar_mesh(design, surface, tolerance_mm=least), BAR),
+        *(
+            (fixture_mesh(fixture, tolerance_mm=least), FIRST_FIXTURE + number)
+            for number, fixture in enumerate(design.fixtures)
+        ),
     ]
     sides = sides_of(design.receptor.diameter_outer_mm / 2.0, tolerance)
     groups = [

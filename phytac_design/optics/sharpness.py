@@ -18,6 +18,9 @@ from shapes import Surface
 from shapes.arrays import FloatArray
 from shapes.errors import DesignError
 
+DIRECTIONS = ("axial", "circumferential", "radial")
+"""Along the sensor, around it, along the normal."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Sharpness:
@@ -47,14 +50,13 @@ class Sharpness:
 
     def summary(self) -> dict[str, float]:
         """Figures of the report; the medians are over the markers in the lens's field."""
-        names = ("axial", "circumferential", "radial")
         scale = {
             f"median_mm_per_px_{name}": float(np.nanmedian(self.mm_per_px[:, i]))
-            for i, name in enumerate(names)
+            for i, name in enumerate(DIRECTIONS)
         }
         noise = {
             f"median_noise_{name}_mm": float(np.nanmedian(self.noise_mm[:, i]))
-            for i, name in enumerate(names)
+            for i, name in enumerate(DIRECTIONS)
         }
         return (
             scale
@@ -76,13 +78,20 @@ def sharpness(
     Raises
     ------
     DesignError
-        If the focus lies within the focal length, where nothing is sharp.
+        If no marker is in the lens's field, or the focus lies within the focal length, where
+        nothing is sharp.
     """
     scale = mm_per_px(camera, surface, markers)
     points = camera.to_camera(markers.tip_mm)
     flat = isinstance(camera.lens, Perspective)
     distance = points[:, 2] if flat else np.linalg.norm(points, axis=1)
     distance = np.where(camera.lens.in_field(points), distance, np.nan)
+    if not np.isfinite(distance).any():
+        raise DesignError(
+            "no marker lies in the lens's field of "
+            f"{np.degrees(camera.lens.field_rad):.1f}° from the axis; move the camera back "
+            "(camera.stand_off_mm) or use a wider lens"
+        )
     near, far = float(np.nanmin(distance)), float(np.nanmax(distance))
     # Blur grows with |1/d - 1/s|: the harmonic mean blurs near and far markers alike.
     focus = section.focus_mm or 2.0 / (1.0 / near + 1.0 / far)

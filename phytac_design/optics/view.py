@@ -5,7 +5,7 @@ import numpy as np
 from decoder.camera import Camera, fit_distance_mm
 from decoder.lens import Lens, Pinhole
 from phytac_design.layout import Markers
-from phytac_design.optics.envelope import bar_span_mm, edge_mm
+from phytac_design.optics.envelope import bar_span_mm, edge_mm, open_far
 from phytac_design.spec import Design
 from shapes import Surface
 from shapes.arrays import FloatArray
@@ -43,24 +43,41 @@ def cameras_of(design: Design, surface: Surface) -> tuple[Camera, ...]:
         If a camera stands inside the sensor, its wall or its light bar, or cannot see the whole
         edge before it.
     """
-    ends = {"near": (0,), "far": (1,), "both": (0, 1)}[design.camera.ends]
-    return tuple(_camera_at(design, surface, end) for end in ends)
+    return tuple(_camera_at(design, surface, end) for end in design.camera.end_numbers)
+
+
+def stand_off_mm(design: Design, surface: Surface, camera: Camera) -> float:
+    """Distance from a camera's centre to its own rim, as the design file counts it."""
+    end = 1 if camera.rotation[2, 2] < 0.0 else 0
+    start = _start_mm(edge_mm(surface, end, -design.wall.thickness_mm), end)
+    z = float(camera.position_mm[2])
+    return z - start if end else start - z
+
+
+def _start_mm(rim: FloatArray, end: int) -> float:
+    """Z from which a stand-off counts: 0 at the near end, the edge's plane at the far one."""
+    return float(rim[:, 2].max()) if end else 0.0
 
 
 def _camera_at(design: Design, surface: Surface, end: int) -> Camera:
     """Camera before the near end (0), or beyond the far one (1) looking back."""
     section = design.camera
     lens = section.lens()
+    if end == 1 and not open_far(surface):
+        raise DesignError(
+            f"no camera can look in from the far end: the {surface.name} is not open there (got "
+            f'camera.ends = "{section.ends}"); set camera.ends = "near"'
+        )
     rim = edge_mm(surface, end, -design.wall.thickness_mm)
     sign = 1.0 if end == 0 else -1.0
-    # The stand-off counts from z = 0 at the near end, and from the edge's plane at the far one.
-    start = 0.0 if end == 0 else float(rim[:, 2].max())
+    start = _start_mm(rim, end)
 
     def fit(fill: float) -> float:
         return fit_stand_off_mm(lens, rim, end=end, start_mm=start, fill=fill)
 
-    stand_off = fit(section.fill) if section.stand_off_mm == "fit" else section.stand_off_mm
-    z = start - sign * float(stand_off)
+    given = section.stand_off_mm
+    stand_off = fit(section.fill) if given == "fit" else float(given)
+    z = start - sign * stand_off
     camera = Camera.at(lens, z_mm=z, backward=end == 1)
     fix = f'set camera.stand_off_mm = "fit" ({fit(section.fill):.2f} mm here)'
     side = "near" if end == 0 else "far"
@@ -73,12 +90,14 @@ def _camera_at(design: Design, surface: Surface, end: int) -> Camera:
         )
     _refuse_wall(design, surface, camera, fix)
     near, far = bar_span_mm(design, surface)
-    if end == 0 and design.light.bar_radius_mm > 0.0 and near <= z < far:
+    if design.light.bar_radius_mm > 0.0 and near <= z <= far:
         raise DesignError(
-            f"the camera stands inside the light bar: the bar starts at z = {near:.2f} mm, the "
-            f"camera's centre is at z = {z:.2f} mm; raise light.bar_start_mm above {z:.2f}"
+            f"the camera stands inside the light bar: the bar starts at z = "
+            f"{far if end else near:.2f} mm, the camera's centre is at z = {z:.2f} mm; raise "
+            f"light.bar_start_mm above {-stand_off:.2f}"
         )
-    _refuse_blind(camera, rim, side, fit(1.0), fix)
+    where = f"stand-off {stand_off:.2f} mm, focal length {camera.focal_px:g} px"
+    _refuse_blind(camera, rim, side, where, f"move it back to at least {fit(1.0):.2f} mm or {fix}")
     return camera
 
 
@@ -125,13 +144,10 @@ def _refuse_wall(design: Design, surface: Surface, camera: Camera, fix: str) -> 
         )
 
 
-def _refuse_blind(camera: Camera, rim: FloatArray, side: str, least_mm: float, fix: str) -> None:
+def _refuse_blind(camera: Camera, rim: FloatArray, side: str, where: str, mend: str) -> None:
     """Raise if any point of the rim before the camera projects outside of the image."""
     if bool(camera.sees(rim).all()):
         return
-    stand_off = -float(camera.position_mm[2])
-    where = f"stand-off {stand_off:.2f} mm, focal length {camera.focal_px:g} px"
-    mend = f"move it back to at least {least_mm:.2f} mm or {fix}"
     pixels = camera.project(rim)
     if np.isnan(pixels).any():
         raise DesignError(
@@ -172,7 +188,10 @@ def tolerance_mm(camera: Camera, markers: Markers) -> FloatArray:
     if isinstance(camera.lens, Pinhole):
         depth = camera.to_camera(markers.tip_mm)[:, 2]
         return np.asarray(TOLERANCE_PX * np.maximum(depth, 1e-3) / camera.focal_px)
-    scale = np.linalg.norm(camera.jacobian(markers.tip_mm), ord=2, axis=(1, 2))
+    slope = camera.jacobian(markers.tip_mm)
+    known = np.isfinite(slope).all(axis=(1, 2))
+    scale = np.full(markers.count, np.nan)
+    scale[known] = np.linalg.norm(slope[known], ord=2, axis=(1, 2))
     # Receptors beyond the lens's field show nothing; they are made as coarse as the coarsest.
     least = float(np.nanmin(scale, initial=camera.focal_px / 1e3))
     return np.asarray(TOLERANCE_PX / np.where(np.isfinite(scale), scale, least))

@@ -1,18 +1,31 @@
 """What the camera sees of every marker: whole or hidden, apart or fused, how many red pixels."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from decoder.camera import Camera
 from decoder.segmentation import ColourModel, segment
+from decoder.switches import RED_RATIO
 from phytac_design.layout import Markers
 from phytac_design.optics.frame import render_frame
 from phytac_design.optics.gaps import marker_gaps
+from phytac_design.optics.hiders import SELF, hider_name, hiders
 from phytac_design.optics.paint import paints_of
 from phytac_design.optics.raster import Buffers, pixels_alone, points_seen, rasterise
-from phytac_design.optics.scene import Scene, build_scene, paint_owner, red_owner
+from phytac_design.optics.scene import (
+    BAR,
+    FIRST_FIXTURE,
+    NONE,
+    RESIN,
+    SHELL,
+    Scene,
+    build_scene,
+    paint_owner,
+    red_owner,
+)
 from phytac_design.optics.view import camera_of, refuse_swallowed, tolerance_mm
 from phytac_design.spec import Design
 from shapes import Surface
@@ -21,8 +34,6 @@ from shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 FRACTION_MIN = 0.5
 PIXELS_MIN = 12
 """A marker is occluded below this visible fraction or below this many visible pixels."""
-RED_RATIO = 1.25
-"""A switch that is on must show this many times the red that it shows at rest, plus 12 pixels."""
 PIXELS_FUSED = 3
 """A segmented blob holds a marker if it has at least this many pixels of its paint."""
 SAMPLES = 4
@@ -55,6 +66,8 @@ class Visibility:
     fused : bool
         One blob of the decoder's segmentation of a noisy frame holds this and another marker of
         its colour.
+    hidden_by : int
+        Part code of what hides an occluded marker most (see ``hiders``); ``SELF`` for the others.
     """
 
     visible_px: IntArray
@@ -68,10 +81,21 @@ class Visibility:
     red_on_px: IntArray
     occluded: BoolArray
     fused: BoolArray
+    hidden_by: IntArray
+
+    @property
+    def clear(self) -> BoolArray:
+        """Markers that are seen and told apart, (n,)."""
+        return ~(self.occluded | self.fused)
+
+    @property
+    def lost(self) -> BoolArray:
+        """Markers without a single visible pixel, (n,)."""
+        return ~np.isfinite(self.paint_point_mm[:, 0])
 
     @property
     def switch_unreadable(self) -> BoolArray:
-        """Markers whose red tip shows at rest about as much as when it is out, (n,).
+        """Markers whose tip does not show ``RED_RATIO`` times its red at rest when out, (n,).
 
         A camera that looks straight into a hole sees the resting tip too: such a switch tells
         nothing, whatever its threshold.
@@ -101,7 +125,7 @@ def check_visibility(
     rng: np.random.Generator,
     camera: Camera | None = None,
 ) -> Visibility:
-    """Visibility of every marker of a design, unloaded.
+    """Visibility of every marker of a design, unloaded, from ``camera`` (the only one if None).
 
     Raises
     ------
@@ -115,6 +139,23 @@ def check_visibility(
     rest = build_scene(design, surface, markers, tolerance_mm=tolerance)
     on = build_scene(design, surface, markers, tolerance_mm=tolerance, switch_on=all_on)
     return see(rest, on, camera, noise_std=design.camera.noise_pixel, rng=rng)
+
+
+def best_of(each: Sequence[Visibility]) -> tuple[Visibility, IntArray]:
+    """Every marker as the camera sees it that sees it best, and the number (n,) of that camera.
+
+    One that tells the marker apart is better than one that does not; then, one that reads its
+    switch; then, the one with the most visible pixels.
+    """
+    most = 1 + max(int(seen.visible_px.max(initial=0)) for seen in each)
+    rank = [v.visible_px + most * (2 * v.clear + 1 * ~v.switch_unreadable) for v in each]
+    camera = np.stack(rank).argmax(axis=0)
+    markers = np.arange(len(camera))
+    picked = {
+        item.name: np.stack([getattr(seen, item.name) for seen in each])[camera, markers]
+        for item in fields(Visibility)
+    }
+    return Visibility(**picked), camera
 
 
 def see(
@@ -133,6 +174,10 @@ def see(
     alone = pixels_alone(rest, camera)[0]
     fraction = np.divide(visible, alone, out=np.zeros(len(alone)), where=alone > 0)
     frame = render_frame(rest, camera, noise_std=noise_std, rng=rng, samples=SAMPLES)
+    occluded = (fraction < FRACTION_MIN) | (visible < PIXELS_MIN)
+    hider = np.full(rest.count, SELF, dtype=np.int64)
+    hidden = np.flatnonzero(fraction < FRACTION_MIN)
+    hider[hidden] = hiders(rest, camera, buffers, hidden, alone)
     return Visibility(
         visible_px=visible,
         alone_px=alone,
@@ -143,21 +188,31 @@ def see(
         paint_point_mm=point,
         red_rest_px=_count(red_owner(buffers.part), rest.count),
         red_on_px=_count(red_owner(rasterise(on, camera).part), on.count),
-        occluded=(fraction < FRACTION_MIN) | (visible < PIXELS_MIN),
+        occluded=occluded,
         fused=fused_in_frame(frame, marker, rest),
+        hidden_by=hider,
     )
 
 
-def visibility_advice(design: Design, markers: Markers, occluded: IntArray, fused: IntArray) -> str:
+def visibility_advice(
+    design: Design, markers: Markers, occluded: IntArray, fused: IntArray, hidden_by: IntArray
+) -> str:
     """Say which markers cannot be seen or told apart, and what usually mends it; "" if none.
 
     Parameters
     ----------
     occluded, fused : (k,) int
         Marker ids.
+    hidden_by : (n,) int
+        See ``Visibility``.
     """
-    parts = []
-    for ids, what in ((occluded, "hidden"), (fused, "fused with another of their colour")):
+    parts, mends = [], []
+    hider, number = np.unique(hidden_by[occluded], return_counts=True)
+    by = ", ".join(
+        f"{count} {hider_name(design, int(code))}"
+        for code, count in zip(hider, number, strict=True)
+    )
+    for ids, what in ((occluded, f"hidden: {by}"), (fused, "fused with another of their colour")):
         if len(ids):
             rows = np.unique(markers.row[ids])
             where = f"rows {rows[0]} to {rows[-1]}: " if markers.in_rows else ""
@@ -165,16 +220,46 @@ def visibility_advice(design: Design, markers: Markers, occluded: IntArray, fuse
             parts.append(f"{len(ids)} markers {what} ({where}{shown})")
     if not parts:
         return ""
+    mends += [
+        f"move the fixture {fixture.name!r} out of the camera's way"
+        for code, fixture in enumerate(design.fixtures, start=FIRST_FIXTURE)
+        if code in hider
+    ]
+    if BAR in hider:
+        mends.append("make the light bar thinner (light.bar_radius_mm)")
+    if np.any((hider == RESIN) | (hider == SHELL)) or len(fused):
+        mends.extend(_mends(design, len(fused) > 0))
+    if NONE in hider:
+        mends.append("move the camera back (camera.stand_off_mm)")
+    if SELF in hider:
+        mends.append("use more camera pixels, or a camera nearby")
+    return f"the camera cannot tell every marker: {' and '.join(parts)}; {', or '.join(mends)}"
+
+
+def _mends(design: Design, fused: bool) -> list[str]:
+    """What helps against receptors that hide or touch each other in the picture."""
     layout, mends = design.layout, []
-    if layout.heights == "linear" and layout.height_far_mm <= layout.height_near_mm:
-        mends.append("let heights grow away from the camera (height_far_mm > height_near_mm)")
+    if heights_face(design):
+        mends.append(heights_face(design))
     if layout.kind == "straight":
         mends.append('use layout.kind = "spiral"')
-    if len(set(layout.colours)) == 1 and len(fused):
+    if len(set(layout.colours)) == 1 and fused:
         mends.append("use two colours")
     fewer = "rows or columns" if layout.kind in {"spiral", "straight"} else "markers"
     mends.append(f"use fewer {fewer}, a narrower band_marker_mm, or more camera pixels")
-    return f"the camera cannot tell every marker: {' and '.join(parts)}; {', or '.join(mends)}"
+    return mends
+
+
+def heights_face(design: Design) -> str:
+    """What to do about heights that do not grow away from the one camera; "" if they do."""
+    layout, ends = design.layout, design.camera.ends
+    if layout.heights not in {"linear", "power"} or ends == "both":
+        return ""
+    grows = layout.height_far_mm > layout.height_near_mm
+    if grows == (ends == "near") and layout.height_far_mm != layout.height_near_mm:
+        return ""
+    sign = ">" if ends == "near" else "<"
+    return f"let heights grow away from the camera (height_far_mm {sign} height_near_mm)"
 
 
 def _count(owner: NDArray[np.int32], markers: int) -> IntArray:

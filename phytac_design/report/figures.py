@@ -56,10 +56,15 @@ def unrolled_map(
         Paint of each marker.
     """
     figure, axes = _axes((8.6, 5.2))
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    if high - low <= 1e-9 * max(abs(high), 1e-300):  # one value all over: a range that says so
+        low, high = (0.0, high) if high > 0.0 else (0.0, 1.0)
     dots = axes.scatter(
         flat_mm[:, 0],
         flat_mm[:, 1],
         c=values,
+        vmin=low,
+        vmax=high,
         s=46,
         cmap="viridis",
         edgecolors=[INK.get(name, "black") for name in colours],

@@ -33,7 +33,9 @@ def check_heights(design: Design, surface: Surface, markers: Markers) -> None:
     worst = int(np.argmax(markers.height_mm - np.minimum(room, 1e9)))
     height, free = markers.height_mm[worst], room[worst]
     if height >= free:
-        mend = lower_heights(design, surface, markers) or "lower the receptors' heights"
+        mend = lower_heights(design, surface, markers) or (
+            "no height fits there: keep markers off such tightly curved places"
+        )
         round_about = surface.name == "cylinder"
         where = "at the axis" if round_about else "where the wall's normals meet"
         limit = "inner radius" if round_about else "depth there"

@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from decoder.network import Activation
 from phytac_design.stage import EXPORT, Context, Stage, write_facts
 from phytac_design.twin.dataset import Dataset, decode_points, key_node_data
 from shapes.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from decoder.bundle import Bundle
 
 ACTIVATIONS: dict[str, Activation] = {"fem_nn": "rectified", "fem_nn_identity": "identity"}
 """Networks of the bundle: both readings of the paper's \"linear unit\"."""
@@ -104,6 +107,8 @@ def run(context: Context, folder: Path) -> None:
         ),
         model=model,
         threshold_N=design.switch.threshold_N,
+        noise_centroid_px=design.camera.noise_centroid_px,
+        force_max_N=design.training.force_max_N,
         notes={
             "data": context.facts("twin")["model"],
             "training_samples": data.contacts.samples,
@@ -114,7 +119,29 @@ def run(context: Context, folder: Path) -> None:
         },
     )
     save_bundle(bundle, folder / EXPORT / "decoder")
-    write_facts(folder, {"training": training, **scores})
+    write_facts(folder, {"training": training, **scores, "limits": limits_of(bundle)})
+
+
+def limits_of(bundle: "Bundle") -> dict[str, Any]:
+    """What the sensor cannot read, as figures: noise of K·u in N, marker ids, sentences."""
+    noise = bundle.noise_centroid_px * bundle.model.stiffness_noise_N_px
+    inverse = bundle.noise_centroid_px * bundle.model.inverse_noise_N_px
+    unusable = ~bundle.stiffness_usable
+    sensitivity = np.linalg.norm(bundle.model.shift_to_mm, axis=1)
+    observed = sensitivity > 0.0
+    return {
+        "fem_noise_N_least": float(noise.min()),
+        "fem_noise_N_median": float(np.median(noise)),
+        "fem_unusable_count": int(unusable.sum()),
+        "fem_unusable": np.flatnonzero(unusable).tolist(),
+        "sensitivity_px_mm_least": float(1.0 / sensitivity.max()) if observed.all() else 0.0,
+        "not_observable": np.flatnonzero(~observed).tolist(),
+        "koi_inverse_noise_N_median": float(np.median(inverse)),
+        "koi_inverse_noise_N_worst": float(inverse.max()),
+        "force_unreadable": np.flatnonzero(~bundle.force_readable).tolist(),
+        "switches_unreadable": np.flatnonzero(~bundle.tips.readable).tolist(),
+        "sentences": bundle.limits(),
+    }
 
 
 def _rmse(network: Any, rows: Any) -> float:

@@ -154,6 +154,7 @@ FRAMES = Stage(
         "switch",
         "camera",
         "light",
+        "fixtures",
         "material",
         "training",
     ),

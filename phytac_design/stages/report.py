@@ -1,7 +1,6 @@
 """Gather every stage's figures into report.json, and show them on one page."""
 
 import json
-import math
 from html import escape as html_escape
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,10 @@ import numpy as np
 from decoder.run import read_image
 from phytac_design import cache
 from phytac_design.design_file import assumptions
+from phytac_design.finite import finite
 from phytac_design.optics.density import density_map
 from phytac_design.optics.separability import check_paints, separability_svg
+from phytac_design.optics.sharpness import DIRECTIONS
 from phytac_design.report import figures, page
 from phytac_design.spec import Design
 from phytac_design.stage import EXPORT, Context, Stage, export_path, write_facts
@@ -73,12 +74,15 @@ def gather(context: Context) -> dict[str, Any]:
             "stand_off_mm": views["stand_off_mm"],
             "picture": views["renderer"],
             "rest_centroid_bias_px": views["centroid_bias_px"],
+            "end": views["cameras"][0]["end"],
         },
+        "lens": views["cameras"][0]["lens"],
         "shell": shell | step,
         "mesh": context.facts("mesh"),
         "decoder": {name: decoder["test"][name] for name in decoder["test"]},
         "decoder_anywhere": decoder["anywhere"],
         "training": decoder["training"],
+        "limits": decoder["limits"]["sentences"],
         "twin": twin,
         "condition_compliance": context.facts("response")["condition"],
         "frames": {key: value for key, value in frames.items() if key != "estimators"},
@@ -88,17 +92,6 @@ def gather(context: Context) -> dict[str, Any]:
         "seed": context.seed,
         "timing_s": timing | {"total": round(sum(timing.values()), 3)},
     }
-
-
-def finite(value: Any) -> Any:
-    """Plain JSON: figures that do not exist (NaN, infinite) become null."""
-    if isinstance(value, dict):
-        return {key: finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def lead_of(report: dict[str, Any]) -> str:
@@ -123,7 +116,8 @@ def lead_of(report: dict[str, Any]) -> str:
         f"{points['mae_N']:.2f} N ({points['samples']} held-out ones), through rendered frames to "
         f"{100.0 * frames['relative_error']:.1f} % ({frames['samples']}), by the KOI-restricted "
         "inverse.</p>"
-        f'<p class="note">{SIMULATED}</p>'
+        + "".join(f'<p class="note">{html_escape(limit)}.</p>' for limit in report["limits"])
+        + f'<p class="note">{SIMULATED}</p>'
     )
 
 
@@ -138,6 +132,30 @@ def load_line(load: dict[str, Any]) -> str:
         f"Pressed with up to {load['force_N']:g} N at {load['presses']} places: {where}; a "
         f"marker's centroid is disturbed by at most {load['crosstalk_px']:.2g} px "
         f"({load['crosstalk_still_px']:.2g} px for one that stands still)."
+    )
+
+
+def lens_section(lens: dict[str, Any], *, in_rows: bool) -> str:
+    """Scale, noise and blur of each row, and the depth of field."""
+    names = {"mm_per_px": "{} mm per px", "noise": "{} noise mm"}
+    head = [
+        "row" if in_rows else "group",
+        "markers",
+        *(names["mm_per_px"].format(name) for name in DIRECTIONS),
+        *(names["noise"].format(name) for name in DIRECTIONS),
+        "blur px",
+    ]
+    rows = [list(item.values()) for item in lens["rows"]]
+    far = lens["depth_far_mm"]
+    reach = f"to {far:.1f} mm" if np.isfinite(far) else "on"
+    return (
+        f"<p>In focus at {lens['focus_mm']:.1f} mm from the camera; images of points are no wider "
+        f"than a pixel from {lens['depth_near_mm']:.1f} mm {reach}, and at most "
+        f"{lens['max_blur_px']:.2g} px at the markers (thin lens, camera.f_number and "
+        "camera.pixel_um). Medians of each "
+        + ("row" if in_rows else "eighth of the markers, by their place along the sensor")
+        + "; the greatest blur. Axial: along the sensor; radial: along the wall's normal.</p>"
+        + page.table(head, rows)
     )
 
 
@@ -188,6 +206,7 @@ def sections_of(context: Context, report: dict[str, Any]) -> list[tuple[str, str
             )
             + page.facts(report["camera"]),
         ),
+        ("Lens", lens_section(report["lens"], in_rows=context.markers.in_rows)),
         (
             "Under load",
             f"<p>{load_line(report['under_load'])}</p>"

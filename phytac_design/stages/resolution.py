@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.stage import Context, Stage, write_arrays, write_facts
-from phytac_design.stages.twin import MECHANICS, arms_mm
+from phytac_design.stages.twin import MECHANICS
 from shapes.arrays import FloatArray
 
 FORCES_N = (1.0, 5.0, 10.0, 25.0)
@@ -20,7 +20,7 @@ def run_resolution(context: Context, folder: Path) -> None:
     """Cramér-Rao bound of force and place at every receptor."""
     from phytac_design.mechanics.meshing.mesh import marker_mesh
     from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
-    from phytac_design.optics.view import camera_of
+    from phytac_design.optics.view import cameras_of
     from phytac_design.twin.bound import cell_prior, contact_signals
     from phytac_design.twin.response import motion_responses, point_motions
 
@@ -34,12 +34,23 @@ def run_resolution(context: Context, folder: Path) -> None:
     )
     receptors = context.accuracy.receptors and not unknown_receptors(design)
     model = sensor_model(design, markers, mesh, receptors=receptors)
-    arm = arms_mm(context)
-    slope = camera_of(design, surface).jacobian(markers.mid_mm + arm)
+    views = context.arrays("views")
+    arms = views["paint_points_mm"] - markers.mid_mm
+    # A marker that a camera does not see tells nothing through it.
+    slopes = [
+        np.where(sees[:, None, None], camera.jacobian(markers.mid_mm + arm), 0.0)
+        for camera, arm, sees in zip(
+            cameras_of(design, surface), arms, views["seen_by"], strict=True
+        )
+    ]
 
     def shifts(uv: FloatArray, radius_mm: FloatArray) -> FloatArray:
         motion = motion_responses(model, mesh, surface, markers, uv=uv, radius_mm=radius_mm)
-        return np.asarray(np.einsum("nij,cnj->cni", slope, point_motions(motion, arm)))
+        each = [
+            np.einsum("nij,cnj->cni", slope, point_motions(motion, arm))
+            for slope, arm in zip(slopes, arms, strict=True)
+        ]
+        return np.concatenate(each, axis=1)
 
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     signals = contact_signals(surface, shifts, uv=markers.uv, radius_mm=radius)
@@ -53,6 +64,7 @@ def run_resolution(context: Context, folder: Path) -> None:
     along = surface.unwrap(markers.uv)[:, 1]
     place = (along - along.min()) / max(float(np.ptp(along)), 1e-9)
     middle = (place > RIM_SHARE) & (place < 1.0 - RIM_SHARE)
+    middle = middle if middle.any() else np.ones_like(middle)  # one row, or one marker
     arrays: dict[str, Any] = {}
     table: dict[str, Any] = {}
     for force in sorted({*FORCES_N, training.force_max_N}):
@@ -69,6 +81,7 @@ def run_resolution(context: Context, folder: Path) -> None:
     write_arrays(folder, arrays)
     facts = {
         "bound": table,
+        "cameras": len(slopes),
         "noise_px": noise,
         "radius_mm": radius,
         "prior_place_mm": prior.place_mm,

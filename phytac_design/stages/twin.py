@@ -8,6 +8,7 @@ import numpy as np
 from phytac_design.spec import Design
 from phytac_design.stage import Context, Stage, write_arrays, write_facts
 from shapes.arrays import FloatArray
+from shapes.errors import DesignError
 
 MECHANICS = ("shape", "wall", "layout", "receptor", "camera", "material", "switch")
 SETS = ("train", "test", "anywhere")
@@ -71,6 +72,7 @@ def run_response(context: Context, folder: Path) -> None:
             "shift_to_mm": condensed.shift_to_mm,
             "compliance_px": condensed.compliance_px,
             "stiffness": condensed.stiffness,
+            "sensitivity_px_mm": condensed.sensitivity_px_mm,
         },
     )
     write_facts(
@@ -78,6 +80,8 @@ def run_response(context: Context, folder: Path) -> None:
         {
             "nodes": len(mesh.nodes_mm),
             "condition": condensed.condition,
+            "sensitivity_px_mm_least": float(condensed.sensitivity_px_mm.min()),
+            "sensitivity_px_mm_median": float(np.median(condensed.sensitivity_px_mm)),
             "receptors": receptors,
             "receptors_unknown": unknown,
         },
@@ -118,6 +122,7 @@ def run_twin(context: Context, folder: Path) -> None:
         radius_mm=np.concatenate([item.radius_mm for item in drawn.values()]),
         progress=context.progress,
     )
+    dent = deepest_dent_mm(context, responses, np.concatenate([i.force_N for i in drawn.values()]))
     camera = camera_of(design, surface)
     watched = markers.mid_mm + arm
     arrays: dict[str, Any] = {}
@@ -139,10 +144,33 @@ def run_twin(context: Context, folder: Path) -> None:
             "model": f"linear {wall} on a finer, non-nested mesh; simulated",
             "nodes": len(mesh.nodes_mm),
             "samples": count,
+            "dent_mm_largest": dent,
             "contacts": {name: len(item.force_N) for name, item in drawn.items()},
             "tripped_no_switch": {name: int((~arrays[f"{name}.tripped"]).sum()) for name in SETS},
         },
     )
+
+
+def deepest_dent_mm(context: Context, responses: FloatArray, force_N: FloatArray) -> float:
+    """Largest motion of a marker under any one contact, by linear theory, mm.
+
+    Raises
+    ------
+    DesignError
+        If it is larger than the sensor: the forces are not for this wall.
+    """
+    per_N = np.linalg.norm(responses[..., :3], axis=2).max(axis=1)
+    dent = float((per_N * force_N).max(initial=0.0))
+    size = float(np.sort(np.ptp(context.surface.bounds_mm(), axis=0))[1]) / 2.0
+    if dent > size:
+        most = context.design.training.force_max_N
+        raise DesignError(
+            f"contacts of up to {most:g} N are too strong for this wall: they would press it in "
+            f"by {dent:.3g} mm, and the sensor is {size:.3g} mm from its middle to its side; lower "
+            f"training.force_max_N (a tenth of that depth is {0.1 * most * size / dent:.2g} N) or "
+            "raise wall.thickness_mm"
+        )
+    return dent
 
 
 def samples_of(design: Design, share: float) -> dict[str, int]:

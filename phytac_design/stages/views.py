@@ -1,8 +1,8 @@
 """What the camera sees: visibility of every marker, pictures, and the straight layout beside."""
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -13,7 +13,12 @@ from phytac_design.stage import Context, Stage, export_path, write_arrays, write
 from shapes.arrays import FloatArray, ImageArray
 from shapes.errors import MissingPartError
 
-TABLES = ("shape", "wall", "layout", "receptor", "switch", "camera", "light")
+if TYPE_CHECKING:
+    from decoder.camera import Camera
+    from phytac_design.optics.visibility import Visibility
+    from phytac_design.twin.expected import Expected
+
+TABLES = ("shape", "wall", "layout", "receptor", "switch", "camera", "light", "fixtures")
 
 
 def write_image(path: Path, image: ImageArray) -> None:
@@ -55,57 +60,115 @@ def red_centroids(part: Any, count: int) -> FloatArray:
     return np.asarray(np.column_stack(sums) / number[:, None])
 
 
-def run_views(context: Context, folder: Path) -> None:
-    """Visibility, density, expectations of the decoder's eyes, and pictures."""
-    from phytac_design.optics.density import density_of
+@dataclass(frozen=True, kw_only=True)
+class Shot:
+    """What one camera sees, and what the decoder's eyes will see through it."""
+
+    camera: "Camera"
+    seen: "Visibility"
+    expected: "Expected"
+    renderer: str
+
+
+def shoot(context: Context, folder: Path, camera: "Camera", mark: str, rng: Any) -> Shot:
+    """Look through one camera at rest and with all switches on; write its pictures.
+
+    ``mark`` goes into the names of its files.
+    """
     from phytac_design.optics.frame import render_frame
     from phytac_design.optics.raster import rasterise
     from phytac_design.optics.scene import build_scene
-    from phytac_design.optics.view import camera_of, tolerance_mm
+    from phytac_design.optics.view import tolerance_mm
     from phytac_design.optics.visibility import see
     from phytac_design.twin.expected import expectations
 
     design, surface, markers = context.design, context.surface, context.markers
-    camera = camera_of(design, surface)
     tolerance = tolerance_mm(camera, markers)
     all_on = np.ones(markers.count, dtype=np.bool_)
     rest = build_scene(design, surface, markers, tolerance_mm=tolerance)
     on = build_scene(design, surface, markers, tolerance_mm=tolerance, switch_on=all_on)
-    rng = np.random.default_rng(context.seed)
     seen = see(rest, on, camera, noise_std=design.camera.noise_pixel, rng=rng)
     context.progress("views: pictures")
     part_rest, part_on = rasterise(rest, camera).part, rasterise(on, camera).part
+    # A marker that shows nowhere has no visible centre; its tip stands in for it.
+    place = np.where(seen.lost[:, None], camera.project(markers.tip_mm), seen.centroid_px)
     expected = expectations(
         design,
         markers,
         rest_frame=render_frame(rest, camera),
         on_frame=render_frame(on, camera),
-        marker_px=seen.centroid_px,
+        marker_px=place,
         red_px=red_centroids(part_on, markers.count),
     )
+    rest_px = np.where(seen.lost[:, None], place, expected.rest_px)
     picture, renderer = picture_or_frame(rest, camera)
-    write_image(export_path(folder, "views/camera.png"), picture)
-    write_image(export_path(folder, "views/camera_all_on.png"), picture_or_frame(on, camera)[0])
-    write_image(export_path(folder, "views/ids.png"), id_picture(part_rest))
-    # A marker that shows nowhere has no visible centre; its tip stands in for it.
-    lost = ~np.isfinite(seen.paint_point_mm[:, 0])
-    arrays = asdict(seen) | {
-        "paint_point_mm": np.where(lost[:, None], markers.tip_mm, seen.paint_point_mm),
-        "rest_px": np.where(lost[:, None], camera.project(markers.tip_mm), expected.rest_px),
-        "tip_bias_px": expected.tip_bias_px,
-        "tip_on_px": expected.tips.on_px,
-        "tip_red_rest_px": expected.tips.red_rest_px,
-        "tip_red_on_px": expected.tips.red_on_px,
+    write_image(export_path(folder, f"views/camera{mark}.png"), picture)
+    pressed = picture_or_frame(on, camera)[0]
+    write_image(export_path(folder, f"views/camera{mark}_all_on.png"), pressed)
+    write_image(export_path(folder, f"views/ids{mark}.png"), id_picture(part_rest))
+    return Shot(
+        camera=camera,
+        seen=seen,
+        expected=replace(expected, rest_px=rest_px),
+        renderer=renderer,
+    )
+
+
+def run_views(context: Context, folder: Path) -> None:
+    """Visibility, density, expectations of the decoder's eyes, and pictures."""
+    from phytac_design.optics.density import density_of
+    from phytac_design.optics.lens_facts import lens_facts
+    from phytac_design.optics.view import cameras_of, stand_off_mm
+    from phytac_design.optics.visibility import best_of
+
+    design, surface, markers = context.design, context.surface, context.markers
+    rng = np.random.default_rng(context.seed)
+    shots = [
+        shoot(context, folder, camera, mark, rng)
+        for camera, mark in zip(cameras_of(design, surface), ("", "_far"), strict=False)
+    ]
+    best, camera = best_of([shot.seen for shot in shots])
+
+    def picked(values: list[FloatArray]) -> FloatArray:
+        return np.asarray(np.stack(values)[camera, np.arange(markers.count)])
+
+    points = [
+        np.where(shot.seen.lost[:, None], markers.tip_mm, shot.seen.paint_point_mm)
+        for shot in shots
+    ]
+    rest_px = picked([shot.expected.rest_px for shot in shots])
+    arrays = asdict(best) | {
+        "camera": camera,
+        "paint_point_mm": picked(points),
+        "paint_points_mm": np.stack(points),
+        "seen_by": np.stack([~shot.seen.occluded for shot in shots]),
+        "rest_px": rest_px,
+        "tip_bias_px": picked([shot.expected.tip_bias_px for shot in shots]),
+        "tip_on_px": picked([shot.expected.tips.on_px for shot in shots]),
+        "tip_red_rest_px": picked([shot.expected.tips.red_rest_px for shot in shots]),
+        "tip_red_on_px": picked([shot.expected.tips.red_on_px for shot in shots]),
     }
     write_arrays(folder, arrays)
-    error = np.linalg.norm(expected.rest_px - seen.centroid_px, axis=1)[~lost]
+    error = np.linalg.norm(rest_px - best.centroid_px, axis=1)[~best.lost]
     write_facts(
         folder,
         {
-            "visibility": seen.summary(),
+            "visibility": best.summary(),
             "density": asdict(density_of(surface, markers)),
-            "stand_off_mm": float(-camera.position_mm[2]),
-            "renderer": renderer,
+            "stand_off_mm": stand_off_mm(design, surface, shots[0].camera),
+            "cameras": [
+                {
+                    "end": "far" if end else "near",
+                    "stand_off_mm": stand_off_mm(design, surface, shot.camera),
+                    "best_for": int((camera == number).sum()),
+                    "visibility": shot.seen.summary(),
+                    "lens": lens_facts(design, surface, markers, shot.camera),
+                }
+                for number, (end, shot) in enumerate(
+                    zip(design.camera.end_numbers, shots, strict=True)
+                )
+            ],
+            "renderer": shots[0].renderer,
             "centroid_bias_px": float(np.sqrt((error**2).mean())),
         },
     )
@@ -117,7 +180,7 @@ def told_apart(context: Context) -> str:
 
     views = context.arrays("views")
     occluded, fused = np.flatnonzero(views["occluded"]), np.flatnonzero(views["fused"])
-    return visibility_advice(context.design, context.markers, occluded, fused)
+    return visibility_advice(context.design, context.markers, occluded, fused, views["hidden_by"])
 
 
 def straight_of(design: Design) -> Design:
@@ -129,20 +192,21 @@ def straight_of(design: Design) -> Design:
 def run_compare(context: Context, folder: Path) -> None:
     """Visibility of the straight layout with the same counts, and its picture, for spirals."""
     from phytac_design.optics.scene import build_scene
-    from phytac_design.optics.view import camera_of, tolerance_mm
-    from phytac_design.optics.visibility import check_visibility
+    from phytac_design.optics.view import cameras_of, tolerance_mm
+    from phytac_design.optics.visibility import best_of, check_visibility
 
     if context.design.layout.kind != "spiral":
         write_facts(folder, {"straight": None})
         return
     design, surface = straight_of(context.design), context.surface
     markers = make_markers(design, surface)
-    camera = camera_of(design, surface)
+    cameras = cameras_of(design, surface)
     rng = np.random.default_rng(context.seed)
-    seen = check_visibility(design, surface, markers, rng=rng, camera=camera)
-    scene = build_scene(design, surface, markers, tolerance_mm=tolerance_mm(camera, markers))
-    write_image(export_path(folder, "views/straight.png"), picture_or_frame(scene, camera)[0])
-    write_facts(folder, {"straight": seen.summary()})
+    each = [check_visibility(design, surface, markers, rng=rng, camera=eye) for eye in cameras]
+    near = cameras[0]
+    scene = build_scene(design, surface, markers, tolerance_mm=tolerance_mm(near, markers))
+    write_image(export_path(folder, "views/straight.png"), picture_or_frame(scene, near)[0])
+    write_facts(folder, {"straight": best_of(each)[0].summary()})
 
 
 VIEWS = Stage(

@@ -21,7 +21,9 @@ from shapes.arrays import FloatArray
 from shapes.errors import NumericalError
 
 STEP_MM = 0.25
-"""Step of the central differences along the surface and in radius."""
+"""Largest step of the central differences along the surface and in radius."""
+STEP_SHARE = 0.05
+"""The same as a share of the patch's radius, so that sensors of every size are alike."""
 
 Shifts = Callable[[FloatArray, FloatArray], FloatArray]
 """(uv (c, 2), radius_mm (c,)) -> pixel shift per newton (c, n, 2) of every marker."""
@@ -153,7 +155,8 @@ def contact_signals(
     uv = np.asarray(uv, dtype=np.float64).reshape(-1, 2)
     count = len(uv)
     radius = np.broadcast_to(np.asarray(radius_mm, dtype=np.float64), count)
-    steps = _stencil(surface, uv)
+    step = np.minimum(STEP_MM, STEP_SHARE * radius)
+    steps = _stencil(surface, uv, step[:, None])
     thin = np.minimum(STEP_MM, 0.25 * radius)
     places = np.concatenate([uv, *steps, uv, uv])
     radii = np.concatenate([np.tile(radius, 5), radius + thin, radius - thin])
@@ -175,7 +178,7 @@ def contact_signals(
     return Signals(shift=per_N[0], slopes=np.stack(slopes, axis=2))
 
 
-def _stencil(surface: Surface, uv: FloatArray) -> list[FloatArray]:
+def _stencil(surface: Surface, uv: FloatArray, step_mm: FloatArray) -> list[FloatArray]:
     """Positions a step to either side, along and around; clipped to open edges."""
     point, normal = surface.point(uv), surface.normal(uv)
     along = surface.tangents(uv)[:, 0]
@@ -185,7 +188,7 @@ def _stencil(surface: Surface, uv: FloatArray) -> list[FloatArray]:
     steps = []
     for direction in (along, around):
         for sign in (1.0, -1.0):
-            moved = surface.chart(point + sign * STEP_MM * direction)
+            moved = surface.chart(point + sign * step_mm * direction)
             for axis in range(2):
                 if not surface.periodic[axis]:
                     moved[:, axis] = np.clip(moved[:, axis], low[axis], high[axis])

@@ -10,6 +10,8 @@ from shapes.errors import NumericalError
 
 CONDITION_MAX = 1e10
 """Above this the condensed stiffness has lost more than half of double precision."""
+ALONG_MIN = 1e-3
+"""Sine of the angle between view and normal below which u cannot be observed (0.06°)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,19 +21,23 @@ class Condensed:
     Attributes
     ----------
     shift_to_mm : (n, 2) float
-        a_i of the apparent displacement u_i = a_i · (pixel shift).
+        a_i of the apparent displacement u_i = a_i · (pixel shift); 0 where u_i is not observable.
     compliance_px : (2n, n) float
         Pixel shifts per newton on each marker's footprint.
     stiffness : (n, n) float
-        K of F = K·u, N/mm.
+        K of F = K·u, N/mm; rows and columns of markers whose u_i is not observable are 0.
     condition : float
         Condition number of the compliance that K inverts.
+    sensitivity_px_mm : (n,) float
+        |s_i|: how far a marker's image moves per millimetre of inward motion; small where the
+        camera looks along the normal.
     """
 
     shift_to_mm: FloatArray
     compliance_px: FloatArray
     stiffness: FloatArray
     condition: float
+    sensitivity_px_mm: FloatArray
 
 
 def condense(
@@ -43,7 +49,9 @@ def condense(
     paper's u has to be *defined*: u_i is the inward motion that would explain the marker's shift
     best if it moved along its normal only, u_i = s·Δ/|s|² with s = J·(-n) the pixels per mm of
     inward motion. K is the inverse of the compliance in u, so every other motion is condensed
-    load-free and F = K·u is exact for normal forces on the markers (derived here).
+    load-free and F = K·u is exact for normal forces on the markers (derived here). Where the
+    camera looks along the normal, s vanishes: u_i says nothing, and K counts that marker as
+    load-free.
 
     Parameters
     ----------
@@ -59,29 +67,44 @@ def condense(
     Raises
     ------
     NumericalError
-        If K cannot be formed to half of double precision.
+        If pressing a marker moves no marker's image, or K cannot be formed to half of double
+        precision.
     """
     slope = camera.jacobian(watched_mm)
     inward = -np.einsum("nij,nj->ni", slope, normal)
-    size = np.sum(inward**2, axis=1)
-    if not (np.isfinite(size).all() and (size > 0.0).all()):
-        marker = int(np.argmin(np.where(np.isfinite(size), size, -1.0)))
-        raise NumericalError(
-            f"marker {marker}: pressing it moves its image by nothing; the camera looks along its "
-            "normal, so its force cannot be read from one camera"
-        )
-    shift_to_mm = inward / size[:, None]
     compliance_px = np.einsum("nij,njm->nim", slope, motion_mm)
-    apparent = np.einsum("ni,nim->nm", shift_to_mm, compliance_px)
-    condition = float(np.linalg.cond(apparent))
+    if not np.isfinite(compliance_px).all():
+        marker = int(np.flatnonzero(~np.isfinite(compliance_px).all(axis=(1, 2)))[0])
+        raise NumericalError(
+            f"marker {marker}: the shift of its image is not finite: the camera does not see it; "
+            "run `phytac check` on the design"
+        )
+    sensitivity = np.linalg.norm(inward, axis=1)
+    scale = np.linalg.norm(slope, ord=2, axis=(1, 2))
+    possible = (scale[:, None] * np.abs(motion_mm).max(axis=1)).max(axis=0)
+    still = np.abs(compliance_px).max(axis=(0, 1)) <= ALONG_MIN * possible
+    if still.any():
+        marker = int(np.argmax(still))
+        raise NumericalError(
+            f"marker {marker}: pressing it moves no marker's image: the camera looks along its "
+            "normal, so its force cannot be read; place more markers beside it"
+        )
+    seen = np.flatnonzero(sensitivity > ALONG_MIN * scale)
+    shift_to_mm = np.zeros_like(inward)
+    shift_to_mm[seen] = inward[seen] / sensitivity[seen, None] ** 2
+    apparent = np.einsum("ni,nim->nm", shift_to_mm, compliance_px)[np.ix_(seen, seen)]
+    condition = float(np.linalg.cond(apparent)) if len(seen) else 1.0
     if not condition < CONDITION_MAX:
         raise NumericalError(
             f"the markers' compliance cannot be inverted (condition {condition:.2g}): markers "
             "are too close for the wall's thickness; use fewer rows or columns"
         )
+    stiffness = np.zeros((len(normal), len(normal)))
+    stiffness[np.ix_(seen, seen)] = np.linalg.inv(apparent)
     return Condensed(
         shift_to_mm=shift_to_mm,
         compliance_px=compliance_px.reshape(2 * len(normal), -1),
-        stiffness=np.linalg.inv(apparent),
+        stiffness=stiffness,
         condition=condition,
+        sensitivity_px_mm=sensitivity,
     )

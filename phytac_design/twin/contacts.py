@@ -16,6 +16,8 @@ from shapes.arrays import BoolArray, FloatArray, IntArray
 Placement = Literal["receptor", "anywhere"]
 JITTER_MM = 1.0
 """A rig that presses on receptors hits them within this distance, along and around."""
+JITTER_SHARE = 1.0 / 3.0
+"""But within this share of the smallest patch's radius, on the smallest sensors."""
 TRIES = 400
 POOL = 2048
 """Places drawn at once: charts are cheaper by the thousand than one by one."""
@@ -92,7 +94,8 @@ def draw_contacts(
     both radii and a footprint; where the sensor has no room for as many, a sample has fewer.
     """
     training = design.training
-    places = _places(surface, markers, placement, rng)
+    jitter = min(JITTER_MM, JITTER_SHARE * training.patch_radius_min_mm)
+    places = _places(surface, markers, placement, rng, jitter)
     rows: list[tuple[int, float, float, float, float]] = []
     for sample in range(samples):
         multi = rng.random() < training.multi_contact and most > 1
@@ -119,7 +122,11 @@ def draw_contacts(
 
 
 def _places(
-    surface: Surface, markers: Markers, placement: Placement, rng: np.random.Generator
+    surface: Surface,
+    markers: Markers,
+    placement: Placement,
+    rng: np.random.Generator,
+    jitter_mm: float,
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Chart coordinates (2,) and points (3,) of one random place after the other."""
     while True:
@@ -127,14 +134,15 @@ def _places(
             uv = by_area(surface, rng.random((POOL, 2)))
             uv = uv[surface.sensing(uv)]
         else:
-            uv = _beside(surface, markers, rng.integers(markers.count, size=POOL), rng)
+            ids = rng.integers(markers.count, size=POOL)
+            uv = _beside(surface, markers, ids, rng, jitter_mm)
         yield from zip(uv, surface.point(uv), strict=True)
 
 
 def _beside(
-    surface: Surface, markers: Markers, ids: IntArray, rng: np.random.Generator
+    surface: Surface, markers: Markers, ids: IntArray, rng: np.random.Generator, jitter_mm: float
 ) -> FloatArray:
-    """Places (m, 2) within ``JITTER_MM`` of markers (m,), along and around, within open edges.
+    """Places (m, 2) within ``jitter_mm`` of markers (m,), along and around, within open edges.
 
     Steps are taken in the tangent plane and brought back to the surface, so that they are as
     long at a pole as anywhere.
@@ -142,7 +150,7 @@ def _beside(
     uv, normal = markers.uv[ids], markers.normal[ids]
     along = surface.tangents(uv)[:, 0]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    step = rng.uniform(-JITTER_MM, JITTER_MM, size=(len(ids), 2))
+    step = rng.uniform(-jitter_mm, jitter_mm, size=(len(ids), 2))
     aside = step[:, :1] * along + step[:, 1:] * np.cross(normal, along)
     moved = surface.chart(surface.point(uv) + aside)
     low, high = surface.domain.T

@@ -1,7 +1,8 @@
 """Linear response of the markers' paint to patches of force, by the adjoint of each marker.
 
 One solve for each marker and direction gives the response to *any* contact as an inner product,
-so the cost is that of the markers, not of the contacts.
+so the cost is that of the markers, not of the contacts. Fewer contacts than that are solved one
+by one.
 """
 
 from collections.abc import Callable
@@ -10,7 +11,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from phytac_design.layout import Markers
-from phytac_design.mechanics.compliance import column_turn
+from phytac_design.mechanics.compliance import column_turn, probe_loads
 from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.locate import locate
 from phytac_design.mechanics.meshing.mesh import ShellMesh
@@ -48,7 +49,7 @@ def motion_responses(
     """Motion of every marker per newton of each patch, (c, n, 6): translation mm, rotation rad.
 
     Where the shell repeats itself around (checked), only the adjoints of column 0 are solved and
-    turned: d_k(f) = R^k d_0(R^-k f).
+    turned: d_k(f) = R^k d_0(R^-k f). Contacts that are fewer than the adjoints are solved instead.
 
     Parameters
     ----------
@@ -62,8 +63,11 @@ def motion_responses(
     columns = markers.lattice.columns if markers.lattice else 1
     turn = column_turn(model, mesh, columns)
     base = np.arange(markers.count) if turn is None else np.flatnonzero(markers.column == 0)
+    loads = patch_loads(mesh, surface, uv, radius_mm)
+    if len(uv) < 6 * len(base):
+        return np.moveaxis(probe_loads(model, mesh, loads, markers.uv, batch=CHUNK), 2, 0)
     adjoint = _adjoints(model, motion_probe(mesh, markers.uv[base]), progress)
-    patches = patch_loads(mesh, surface, uv, radius_mm).T.tocsr()
+    patches = loads.T.tocsr()
     if turn is None:
         return np.asarray(patches @ adjoint).reshape(len(uv), markers.count, 6)
     around = mesh.around or 1

@@ -14,8 +14,7 @@ from phytac_design.optics.frame import render_frame
 from phytac_design.optics.picture import render_picture
 from phytac_design.optics.raster import all_pieces, pixels_alone, points_seen, rasterise
 from phytac_design.optics.rays import RAY_ERROR, pixel_rays, ray_grid
-from phytac_design.optics.sampled import sampled_fraction
-from phytac_design.optics.scene import SHELL, Scene, paint_owner
+from phytac_design.optics.scene import SHELL, Scene
 from shapes.arrays import FloatArray
 from shapes.errors import MissingPartError
 from tests.optics.cases import Bench, make_design
@@ -161,6 +160,31 @@ def test_pixel_rays_are_the_lens_itself(name: str, benches: dict[str, Bench]) ->
 
 
 @EVERY
+def test_rays_of_chosen_pixels_are_the_lens_itself(name: str, benches: dict[str, Bench]) -> None:
+    lens = benches[name].camera.lens
+    rng = np.random.default_rng(0)
+    # Also beyond the image, where there is no grid.
+    pixels = rng.integers([-40, -30], [lens.width_px + 40, lens.height_px + 30], (5000, 2))
+    exact = lens.unproject(pixels.astype(float))
+    rays = ray_grid(lens).at(pixels)
+    np.testing.assert_array_equal(np.isnan(rays), np.isnan(exact))
+    assert np.nanmax(np.abs(rays - exact)) <= 2.0 * RAY_ERROR
+
+
+def test_a_field_smaller_than_a_coarse_cell_is_not_missed() -> None:
+    # A strong barrel folds 12 px from the centre; everything beyond is blind.
+    lens = BrownConrady(
+        width_px=400, height_px=300, fx_px=40.0, fy_px=40.0, cx_px=212.0, cy_px=140.0,
+        distortion=(-2.5, 0.0, 0.0, 0.0),
+    )  # fmt: skip
+    seen = np.isfinite(pixel_rays(lens)[..., 0])
+    y, x = np.indices(seen.shape)
+    exact = np.isfinite(lens.unproject(np.column_stack([x.ravel(), y.ravel()]).astype(float))[:, 0])
+    assert 100 < exact.sum() < 1000
+    np.testing.assert_array_equal(seen.ravel(), exact)
+
+
+@EVERY
 def test_frame_without_supersampling_is_the_id_map(name: str, benches: dict[str, Bench]) -> None:
     case = benches[name]
     scene = case.scene()
@@ -182,36 +206,6 @@ def test_a_bent_sample_is_what_a_shifted_lens_sees(benches: dict[str, Bench]) ->
     grid = (0, 0, 1, float(offset[0]), float(offset[1]))
     fill(here, all_pieces(here), grid, owner, np.zeros(owner.shape))
     assert np.mean(owner == shifted.triangle) > 0.9999
-
-
-@EVERY
-def test_sampled_fraction_is_near_the_exact_one(name: str, benches: dict[str, Bench]) -> None:
-    case = benches[name]
-    scene = case.scene()
-    owner = paint_owner(rasterise(scene, case.camera).part)
-    visible = np.bincount(owner[owner >= 0], minlength=scene.count)
-    alone = pixels_alone(scene, case.camera)[0]
-    exact = np.divide(visible, alone, out=np.zeros(scene.count), where=alone > 0)
-    assert exact.max() <= 1.0
-    # With more rays than pixels every pixel is taken.
-    whole = sampled_fraction(scene, case.camera, rays=100_000)
-    np.testing.assert_array_equal(whole.alone, alone)
-    np.testing.assert_array_equal(whole.visible, visible)
-    few = sampled_fraction(scene, case.camera)
-    assert np.mean(np.abs(few.fraction - exact) <= 0.02) >= 0.99
-
-
-def test_sampled_fraction_of_half_hidden_markers() -> None:
-    full = {"width_px": 1296, "height_px": 972, "focal_px": 485.0}
-    case = Bench(make_design(layout={"kind": "straight"}, camera=full))
-    scene = case.scene()
-    owner = paint_owner(rasterise(scene, case.camera).part)
-    alone = pixels_alone(scene, case.camera)[0]
-    exact = np.bincount(owner[owner >= 0], minlength=scene.count) / alone
-    few = sampled_fraction(scene, case.camera)
-    assert np.mean(exact < 0.99) > 0.2
-    assert np.mean(np.abs(few.fraction - exact) <= 0.02) >= 0.99
-    assert few.alone.sum() < 0.8 * alone.sum()
 
 
 def test_alone_counts_what_leaves_a_bent_image(benches: dict[str, Bench]) -> None:

@@ -99,6 +99,22 @@ def test_a_quad_covers_exactly_the_pixels_inside_it() -> None:
     assert np.all(buffers.triangle[buffers.part == 0] == -1)
 
 
+@pytest.mark.parametrize(
+    ("x", "y"),
+    [
+        ((-70.0, -50.6), (-30.0, 30.0)),
+        ((50.6, 70.0), (-30.0, 30.0)),
+        ((-30.0, 30.0), (-60.0, -40.6)),
+        ((-30.0, 30.0), (40.6, 60.0)),
+    ],
+)
+def test_a_quad_that_ends_before_the_first_pixel_centre_colours_none(
+    x: tuple[float, float], y: tuple[float, float]
+) -> None:
+    scene = soup((rectangle(x, y, 100.0), SHELL, -1))
+    assert int((rasterise(scene, simple_camera()).part == SHELL).sum()) == 0
+
+
 def test_edges_through_pixel_centres_leave_no_hole() -> None:
     # The diagonal and all sides pass through pixel centres.
     scene = soup((rectangle((-20.0, 20.0), (-20.0, 20.0), 100.0), SHELL, -1))
@@ -119,7 +135,7 @@ def test_the_nearer_of_two_crossing_quads_wins_whatever_their_order() -> None:
     # One faces the camera at z = 100; the other runs from 50 to 150 and crosses it at x = 0.
     flat = (rectangle((-20.0, 20.0), (-10.0, 10.0), 100.0), FIRST_MARKER, 0)
     steep = (
-        [[-10, -9, 50], [30, -27, 150], [30, 27, 150], [-10, 9, 50]],
+        [[-10.0, -9.0, 50.0], [30.0, -27.0, 150.0], [30.0, 27.0, 150.0], [-10.0, 9.0, 50.0]],
         FIRST_MARKER + 2,
         1,
     )

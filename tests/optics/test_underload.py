@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from decoder.camera import Camera
+from decoder.segmentation import ColourModel, segment
 from phytac_design.layout import Markers, make_markers
+from phytac_design.optics.frame import render_frame
+from phytac_design.optics.paint import paints_of
 from phytac_design.optics.raster import pixels_alone
 from phytac_design.optics.scene import Scene, build_scene
 from phytac_design.optics.underload import FUSED_PX, press_all, sight
@@ -27,6 +30,23 @@ def moved(markers: Markers, who: int, by: np.ndarray) -> np.ndarray:
     motion = np.zeros((markers.count, 6))
     motion[who, :3] = by
     return motion
+
+
+def random_motion(count: int, size_mm: float) -> np.ndarray:
+    """Small moves and turns of all markers."""
+    rng = np.random.default_rng(3)
+    return rng.normal(scale=[size_mm] * 3 + [size_mm / 20.0] * 3, size=(count, 6))
+
+
+def finer(design: Design, factor: int) -> Design:
+    """The same view with ``factor`` times the pixels each way."""
+    camera = design.camera
+    update = {
+        "width_px": factor * camera.width_px,
+        "height_px": factor * camera.height_px,
+        "focal_px": factor * camera.focal_px,
+    }
+    return design.model_copy(update={"camera": camera.model_copy(update=update)})
 
 
 def over(markers: Markers, camera: Camera, front: int, back: int) -> np.ndarray:
@@ -66,21 +86,9 @@ def test_a_marker_in_front_hides_another_and_only_that_one_is_disturbed(
     assert pressed.crosstalk_px(rest)[untouched].max() == 0.0
 
 
-def test_half_covered_marker_has_crosstalk_though_it_stands_still(
-    sensor: tuple[Design, Markers, Scene, Camera],
-) -> None:
-    _, markers, scene, camera = sensor
-    back = int(np.flatnonzero(markers.row == markers.row.max())[0])
-    front = int(np.flatnonzero(markers.row == 0)[0])
-    whole = over(markers, camera, front, back)
-    rest = sight(scene, camera)
-    for side in np.linspace(0.0, 3.0, 13):
-        motion = moved(markers, front, whole + np.array([side, 0.0, 0.0]))
-        pressed = sight(scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm), camera)
-        if 0.2 < pressed.fraction[back] < 0.8:
-            break
-    assert 0.2 < pressed.fraction[back] < 0.8
-    assert pressed.crosstalk_px(rest)[back] > 0.5
+def test_half_covered_marker_has_crosstalk_though_it_stands_still(side_mm: float) -> None:
+    rest, pressed, camera, back = half_covered(1, side_mm)
+    assert sight(pressed, camera).crosstalk_px(sight(rest, camera))[back] > 0.5
 
 
 def test_first_force_is_found_and_nothing_before(
@@ -115,6 +123,7 @@ def test_first_force_is_found_and_nothing_before(
     assert fused(first)
     assert not fused(first - 10.0 / 2**6)
     assert found.least_gap_same_px[near] <= FUSED_PX
+    assert found.first_marker.tolist() in ([0, -1], [near, -1])
 
 
 def test_still_markers_are_told_from_moving_ones(
@@ -133,3 +142,98 @@ def test_still_markers_are_told_from_moving_ones(
     assert found.crosstalk_still_px[0] == 0.0  # it moved most of all
     assert (found.crosstalk_still_px <= found.crosstalk_px).all()
     assert found.shift_px[0] > 10.0
+    mine = np.linalg.norm(
+        camera.project(markers.tip_mm[:1] + motion[:1, :3]) - camera.project(markers.tip_mm[:1])
+    )
+    # The point looked at is the middle of the paint, not of the end face.
+    assert found.shift_px[0] == pytest.approx(mine, rel=0.2)
+
+
+def test_own_motion_is_no_crosstalk() -> None:
+    """Markers that nothing covers, moved and turned every way, have none, to the last bit."""
+    design = small(layout={"rows": 3, "columns": 8}, receptor={"band_marker_mm": 0.4})
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    camera = camera_of(design, surface)
+    scene = build_scene(design, surface, markers, tolerance_mm=tolerance_mm(camera, markers))
+    # Inward, so that none sinks into the wall.
+    motion = random_motion(markers.count, 0.4)
+    motion[:, :3] += 2.0 * markers.direction
+    rest = sight(scene, camera)
+    pressed = sight(scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm), camera)
+    free = (rest.fraction == 1.0) & (pressed.fraction == 1.0)
+    assert free.sum() >= 12
+    assert pressed.shift_px(rest)[free].min() > 3.0
+    assert pressed.crosstalk_px(rest)[free].max() == 0.0
+
+
+@pytest.fixture(scope="module")
+def side_mm() -> float:
+    """How far aside the one in front must be moved to cover about half of the other."""
+    for side in np.linspace(0.0, 3.0, 13):
+        _, pressed, camera, back = half_covered(1, float(side))
+        if 0.2 < sight(pressed, camera).fraction[back] < 0.8:
+            return float(side)
+    pytest.fail("never half covered")
+
+
+def half_covered(factor: int, side: float) -> tuple[Scene, Scene, Camera, int]:
+    """Scenes at rest and with a marker half covered by one that moved; camera; that marker."""
+    design = finer(small(), factor)
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    camera = camera_of(design, surface)
+    scene = build_scene(design, surface, markers, tolerance_mm=1e-3)
+    back = int(np.flatnonzero(markers.row == markers.row.max())[0])
+    # Of the other colour, so that the two make no blob together.
+    front = int(np.flatnonzero((markers.row == 0) & (markers.colour != markers.colour[back]))[0])
+    whole = over(markers, camera, front, back)
+    motion = moved(markers, front, whole + np.array([side, 0.0, 0.0]))
+    return scene, scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm), camera, back
+
+
+def test_sampling_of_crosstalk(side_mm: float) -> None:
+    """Four times finer pixels give the same crosstalk in pixels, within what sampling allows."""
+    coarse, fine = (
+        sight(pressed, camera).crosstalk_px(sight(rest, camera))[back]
+        for rest, pressed, camera, back in (half_covered(1, side_mm), half_covered(4, side_mm))
+    )
+    assert fine / 4.0 > 0.5
+    assert coarse == pytest.approx(fine / 4.0, abs=0.15)
+
+
+def test_a_decoder_suffers_what_crosstalk_says(side_mm: float) -> None:
+    """Blobs of the decoder's own segmentation shift by it, of a marker that stands still."""
+    rest, pressed, camera, back = half_covered(2, side_mm)
+    model = ColourModel.from_rgb(paints_of(rest.paints))
+    home = sight(rest, camera)
+    seen = sight(pressed, camera)
+    expected = seen.offset_px[back] - home.offset_px[back]
+    assert np.linalg.norm(expected) > 1.0
+    centre = home.alone_px[back] + home.offset_px[back]
+    found = []
+    for scene in (rest, pressed):
+        blobs = segment(render_frame(scene, camera), model)
+        own = blobs.centroid_px[blobs.colour == model.names.index(rest.paints[rest.colour[back]])]
+        found.append(own[np.linalg.norm(own - centre, axis=1).argmin()])
+    assert found[1] - found[0] == pytest.approx(expected, abs=0.35)
+
+
+def test_worst_press_is_the_tightest_where_nothing_happens(
+    sensor: tuple[Design, Markers, Scene, Camera],
+) -> None:
+    _, markers, scene, camera = sensor
+    one = int(sight(scene, camera).gap_same_px.argmin())
+    same = np.flatnonzero(markers.colour == markers.colour[one])
+    image = camera.project(markers.tip_mm)
+    near = same[np.argsort(np.linalg.norm(image[same] - image[one], axis=1))[1]]
+    towards = markers.tip_mm[near] - markers.tip_mm[one]
+    motions = np.stack([moved(markers, one, s * towards)[None] for s in (0.0, 0.2, 0.1)])
+    found = press_all(
+        scene, camera, pivots_mm=markers.mid_mm, motions=motions, forces_N=np.array([5.0])
+    )
+    assert np.isinf(found.first_force_N).all()
+    assert (found.first_marker == -1).all()
+    assert found.worst == 1
+    assert found.press_gap_same_px[1] == found.least_gap_same_px.min()
+    assert found.press_crosstalk_px.max() == found.crosstalk_px.max()

@@ -1,0 +1,193 @@
+"""Cameras before the near end, beyond the far one, and at both."""
+
+import dataclasses
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from decoder.bundle import load_bundle
+from decoder.run import measure_frame, read_image, rest_positions
+from phytac_design.accuracy import PRESETS
+from phytac_design.build import build
+from phytac_design.checkup import checkup
+from phytac_design.design_file import load_design
+from phytac_design.optics.raster import rasterise
+from phytac_design.optics.scene import BAR, SHELL
+from phytac_design.optics.view import camera_of, cameras_of, stand_off_mm
+from phytac_design.optics.visibility import best_of, check_visibility
+from phytac_design.spec import Design
+from phytac_design.stage import Context
+from phytac_design.stages.resolution import RESOLUTION
+from phytac_design.stages.views import VIEWS
+from shapes.errors import DesignError
+from tests.optics.cases import Bench, make_design
+
+SIZE = {"width_px": 648, "height_px": 486, "focal_px": 242.5}
+ROWS = {"rows": 4, "columns": 8}
+TOWARDS_FAR = ROWS | {"height_near_mm": 0.5, "height_far_mm": 6.0}
+TOWARDS_NEAR = ROWS | {"height_near_mm": 6.0, "height_far_mm": 0.5}
+
+
+def at(ends: str, layout: dict[str, Any], **sections: Any) -> Design:
+    shape = {"kind": "cylinder", "diameter_outer_mm": 60.0, "length_mm": 60.0}
+    return make_design(
+        shape=shape, layout=layout, camera=SIZE | {"ends": ends}, **({"name": ends} | sections)
+    )
+
+
+def test_the_far_camera_sees_what_the_near_one_sees_of_the_mirrored_sensor() -> None:
+    straight = {"kind": "straight"}
+    near = Bench(at("near", TOWARDS_FAR | straight))
+    far = Bench(at("far", TOWARDS_NEAR | straight))
+    stands = [stand_off_mm(b.design, b.surface, b.camera) for b in (near, far)]
+    assert stands[0] == pytest.approx(stands[1], rel=1e-12)
+    assert far.camera.position_mm[2] == pytest.approx(60.0 + stands[1], rel=1e-12)
+    one, two = rasterise(near.scene(), near.camera).part, rasterise(far.scene(), far.camera).part
+    # The sensor is mirrored in z, and the far camera's x runs the other way.
+    for code in (SHELL, BAR):
+        assert ((one == code) != (two[:, ::-1] == code)).mean() < 2e-4
+
+
+def test_the_far_cameras_bar_begins_at_its_rim() -> None:
+    bench = Bench(at("far", TOWARDS_NEAR))
+    scene = bench.scene()
+    bar = scene.vertices[scene.triangles[scene.part == BAR]]
+    assert bar[..., 2].max() == pytest.approx(55.0)
+    assert bar[..., 2].min() == pytest.approx(0.0)
+    flat = np.ptp(bar[..., 2], axis=1) == 0.0
+    np.testing.assert_allclose(bar[flat][..., 2], 55.0)  # one cap, towards the camera
+    shell = scene.vertices[scene.triangles[scene.part == SHELL]].reshape(-1, 3)
+    radius = np.hypot(shell[:, 0], shell[:, 1])
+    outer = shell[radius > 30.0 + bench.design.wall.rim_flange_mm - 1e-6]
+    np.testing.assert_allclose(outer[:, 2], 64.0)  # the end of the rim that the camera sees
+
+
+def test_heights_that_grow_towards_the_camera_are_said() -> None:
+    assert checkup(at("far", TOWARDS_NEAR))["warnings"] == []
+    (warning,) = checkup(at("far", TOWARDS_FAR))["warnings"]
+    assert "height_far_mm < height_near_mm" in warning
+    (warning,) = checkup(at("near", TOWARDS_NEAR))["warnings"]
+    assert "height_far_mm > height_near_mm" in warning
+
+
+def test_one_camera_that_sees_a_marker_is_enough() -> None:
+    hidden = {"kind": "straight", "rows": 2, "columns": 4}
+    layout = hidden | {"height_near_mm": 24.0, "height_far_mm": 1.0}
+    alone = checkup(at("near", layout))
+    assert alone["occluded_markers"] == [4, 5, 6, 7]
+    design = at("both", layout)
+    report = checkup(design)
+    assert report["clear"]
+    assert [camera["end"] for camera in report["cameras"]] == ["near", "far"]
+    assert report["cameras"][0]["visibility"]["occluded"] == 4
+    assert sum(camera["best_for"] for camera in report["cameras"]) == 8
+    bench_markers = Bench(at("near", layout)).markers
+    surface, rng = design.surface(), np.random.default_rng(0)
+    each = [
+        check_visibility(design, surface, bench_markers, rng=rng, camera=camera)
+        for camera in cameras_of(design, surface)
+    ]
+    best, camera = best_of(each)
+    assert set(camera[4:]) == {1}
+    np.testing.assert_array_equal(best.visible_px[4:], each[1].visible_px[4:])
+    np.testing.assert_array_equal(
+        best.centroid_px[:4][camera[:4] == 0], each[0].centroid_px[:4][camera[:4] == 0]
+    )
+
+
+def test_the_best_camera_is_one_that_tells_the_marker_apart() -> None:
+    bench = Bench(at("near", TOWARDS_FAR))
+    rng = np.random.default_rng(0)
+    one = check_visibility(bench.design, bench.surface, bench.markers, rng=rng)
+    assert one.clear[:4].all()
+    assert not one.switch_unreadable[:4].any()
+    marker = np.arange(bench.markers.count)
+    two = dataclasses.replace(
+        one,
+        visible_px=one.visible_px + 100,
+        fused=marker == 0,
+        occluded=marker == 1,
+        red_on_px=np.where(marker == 2, 0, one.red_on_px),
+    )
+    best, camera = best_of([one, two])
+    np.testing.assert_array_equal(camera[:4], [0, 0, 0, 1])
+    assert best.clear[:4].all()
+    assert best.visible_px[2] == one.visible_px[2]
+    assert best.visible_px[3] == one.visible_px[3] + 100
+
+
+def test_a_closed_end_has_no_camera() -> None:
+    design = load_design("hemisphere")
+    section = design.camera.model_copy(update={"ends": "far"})
+    with pytest.raises(DesignError, match="the hemisphere is not open there"):
+        cameras_of(design.model_copy(update={"camera": section}), design.surface())
+
+
+@pytest.mark.parametrize(("start", "words"), [(-40.0, "bar starts at z = 100.00"), (5.0, "")])
+def test_a_far_camera_inside_the_bar_is_refused(start: float, words: str) -> None:
+    design = at("far", TOWARDS_NEAR, light={"bar_start_mm": start})
+    if not words:
+        assert camera_of(design, design.surface()).position_mm[2] > 60.0
+        return
+    with pytest.raises(DesignError, match=words) as caught:
+        camera_of(design, design.surface())
+    assert "raise light.bar_start_mm above -29.89" in str(caught.value)
+
+
+TRAINING = {"samples": 40, "samples_test": 20}
+
+
+def test_a_build_with_a_far_camera_decodes_its_own_frames(tmp_path: Path) -> None:
+    design = at("far", TOWARDS_NEAR, training=TRAINING)
+    only = ["underload", "frames"]
+    build(design, tmp_path / "x", accuracy="draft", only=only, progress=lambda _: None)
+    bundle = load_bundle(tmp_path / "x" / "decoder")
+    np.testing.assert_allclose(bundle.camera.rotation, np.diag([-1.0, 1.0, -1.0]))
+    views = tmp_path / "x" / "views"
+    rest = rest_positions(bundle, read_image(views / "frame_rest.png"))
+    frame = read_image(views / "frame_pressed.png")
+    measured = measure_frame(bundle, frame, rest_px=rest)
+    truth = json.loads((views / "frame_pressed.json").read_text())
+    assert set(measured.koi) == {int(key) for key in truth}
+    forces = measured.forces_N(bundle, "koi_inverse")
+    # Few markers far apart decode coarsely, from either end.
+    assert forces.sum() == pytest.approx(sum(truth.values()), rel=0.5)
+
+
+def resolved(design: Design) -> tuple[dict[str, Any], set[str]]:
+    """Facts of the stage ``resolution``, and names of pictures, run as a build does."""
+    context = Context(design=design, accuracy=PRESETS["draft"], seed=0, progress=lambda _: None)
+    with tempfile.TemporaryDirectory() as name:
+        views, bound = Path(name) / "views", Path(name) / "bound"
+        views.mkdir()
+        bound.mkdir()
+        VIEWS.run(context, views)
+        context.folders["views"] = views
+        RESOLUTION.run(context, bound)
+        context.folders["resolution"] = bound
+        pictures = {path.name for path in (views / "export" / "views").iterdir()}
+        return context.facts("resolution"), pictures
+
+
+def test_two_cameras_give_two_sets_of_pictures_and_a_better_bound() -> None:
+    one, pictures = resolved(at("near", TOWARDS_FAR))
+    assert pictures == {"camera.png", "camera_all_on.png", "ids.png"}
+    two, pictures = resolved(at("both", TOWARDS_FAR))
+    assert pictures == {"camera.png", "camera_all_on.png", "ids.png"} | {
+        "camera_far.png",
+        "camera_far_all_on.png",
+        "ids_far.png",
+    }
+    assert (one["cameras"], two["cameras"]) == (1, 2)
+    for key in ("force_N_worst", "along_mm_median", "force_known_place_N_median"):
+        assert two["bound"]["10 N"][key] < 0.9 * one["bound"]["10 N"][key]
+
+
+def test_two_cameras_have_no_decoder_yet(tmp_path: Path) -> None:
+    with pytest.raises(DesignError, match=r"--only views,compare,resolution,shell,step,mesh"):
+        build(at("both", TOWARDS_FAR), tmp_path / "x", accuracy="draft")
+    assert not (tmp_path / "x").exists()

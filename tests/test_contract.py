@@ -1,0 +1,140 @@
+"""The contract of a family: any design of it goes through every room, to forces decoded."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from decoder.bundle import load_bundle
+from decoder.estimators import ESTIMATORS
+from decoder.run import measure_frame, rest_positions
+from phytac_design.accuracy import PRESETS
+from phytac_design.build import build
+from phytac_design.checkup import checkup
+from phytac_design.mechanics.meshing.mesh import marker_mesh
+from phytac_design.rules import check_design
+from phytac_design.spec import Design
+from phytac_design.stage import Context, graphics_libraries
+from phytac_design.stages.frames import Pressed, shoot
+from phytac_design.stages.twin import cell_radius_mm
+from phytac_design.twin.contacts import Contacts, switch_states
+from phytac_design.twin.response import motion_responses, superpose
+from phytac_design.twin.shell import truth_shell
+from shapes import REGISTRY
+from tests.designs import DRAWN, drawn
+
+FORCE_N = 15.0
+seeds = st.integers(0, 2**32 - 1)
+every_family = pytest.mark.parametrize("kind", sorted(REGISTRY))
+again = settings(
+    deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
+)
+
+
+def test_every_family_is_drawn() -> None:
+    assert set(DRAWN) == set(REGISTRY)
+
+
+def not_finite(value: Any, name: str = "") -> list[str]:
+    """Names of the figures in nested tables that are NaN."""
+    if isinstance(value, dict):
+        return [bad for key, item in value.items() for bad in not_finite(item, f"{name}.{key}")]
+    if isinstance(value, list | tuple):
+        return [bad for item in value for bad in not_finite(item, name)]
+    return [name] if isinstance(value, float) and math.isnan(value) else []
+
+
+@every_family
+@settings(again, max_examples=5)
+@given(seed=seeds)
+def test_markers_lie_on_the_wall_and_are_nodes_of_its_mesh(kind: str, seed: int) -> None:
+    design = drawn(kind, seed)
+    surface, markers = check_design(design)
+    wall = design.wall.thickness_mm
+    size = float(np.ptp(surface.bounds_mm(), axis=0).max())
+    on_face = markers.mid_mm + wall / 2.0 * markers.normal
+    assert np.abs(surface.point(surface.chart(on_face)) - on_face).max() < 1e-9 * size
+    mesh = marker_mesh(surface, markers, thickness_mm=wall, refine=2)
+    assert np.abs(mesh.nodes_mm[mesh.marker_nodes] - markers.mid_mm).max() < 1e-9 * size
+    assert len(np.unique(mesh.marker_nodes)) == markers.count
+
+
+@every_family
+@settings(again, max_examples=2)
+@given(seed=seeds)
+def test_any_design_is_checked(kind: str, seed: int) -> None:
+    report = checkup(drawn(kind, seed))
+    assert not_finite(report) == []
+    assert report["clear"], report["advice"]
+    assert report["markers"]["density_per_cm2"] > 0.5
+
+
+def one_press(context: Context, marker: int) -> Pressed:
+    """One patch the size of a marker's cell, on the simulated sensor's own mesh."""
+    design, surface, markers = context.design, context.surface, context.markers
+    contacts = Contacts(
+        sample=np.array([0]),
+        uv=markers.uv[[marker]],
+        radius_mm=np.array([cell_radius_mm(context)]),
+        force_N=np.array([FORCE_N]),
+        samples=1,
+    )
+    mesh, model = truth_shell(design, surface, context.accuracy.truth_refine)
+    unit = motion_responses(
+        model, mesh, surface, markers, uv=contacts.uv, radius_mm=contacts.radius_mm
+    )
+    return Pressed(
+        contacts=contacts,
+        switching=switch_states(design, surface, markers, contacts),
+        motion=superpose(unit, contacts),
+    )
+
+
+def through_every_room(design: Design, out: Path) -> None:
+    built = build(
+        design,
+        out,
+        accuracy="draft",
+        only=["shell", "step", "mesh", "decoder"],
+        progress=lambda _: None,
+    )
+    folder = built.out
+    assert (folder / "shell" / "shell.stl").stat().st_size > 0
+    assert (folder / "mesh" / "shell.inp").stat().st_size > 0
+    # The stage refuses a STEP that is not valid, not one body or of another volume.
+    assert (folder / "shell" / "shell.step").is_file() == all(graphics_libraries().values())
+    bundle = load_bundle(folder / "decoder")
+    context = Context(design=design, accuracy=PRESETS["draft"], seed=0, progress=lambda _: None)
+    assert len(bundle.colour) == context.markers.count
+    # The marker that shows a force best, of those whose switch can be read.
+    shown = np.linalg.norm(bundle.model.compliance_px, axis=0)
+    marker = int(np.argmax(np.where(bundle.tips.readable, shown, 0.0)))
+    pressed = one_press(context, marker)
+    rest = rest_positions(bundle, shoot(context, pressed, None))
+    frame = shoot(context, pressed, 0)
+    measured = measure_frame(bundle, frame, rest_px=rest)
+    on = pressed.switching.bits[0]
+    assert on[marker]
+    # Switches whose red hardly tells on from off may be missed, but none is invented.
+    assert set(np.flatnonzero(on & bundle.tips.readable)) <= set(measured.koi)
+    assert set(measured.koi) <= set(np.flatnonzero(on))
+    assert measured.found.all()
+    force = measured.forces_N(bundle, "koi_inverse")
+    assert force.sum() == pytest.approx(FORCE_N, rel=0.35)
+    assert force[marker] > 0.5 * force.sum()
+    usable = bundle.stiffness_usable[measured.koi].all()
+    warned = any("cannot be used" in text for text in measured.warnings(bundle, force))
+    assert warned != usable
+    for name in ESTIMATORS:
+        assert np.isfinite(measured.forces_N(bundle, name)).all()
+    assert (measured.forces_N(bundle, "koi_inverse")[~on] == 0.0).all()
+
+
+@every_family
+def test_a_drawn_design_goes_through_every_room(kind: str, tmp_path: Path) -> None:
+    """One design of each family, always the same one: whole builds are slow."""
+    through_every_room(drawn(kind, 5), tmp_path / kind)
