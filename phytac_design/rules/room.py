@@ -34,7 +34,8 @@ def check_heights(design: Design, surface: Surface, markers: Markers) -> None:
     height, free = markers.height_mm[worst], room[worst]
     if height >= free:
         mend = lower_heights(design, surface, markers) or (
-            "no height fits there: keep markers off such tightly curved places"
+            "no height fits there: lower wall.thickness_mm, receptor.diameter_outer_mm or the "
+            "number of markers, or keep them off such tightly curved places"
         )
         round_about = surface.name == "cylinder"
         where = "at the axis" if round_about else "where the wall's normals meet"

@@ -121,20 +121,6 @@ def lead_of(report: dict[str, Any]) -> str:
     )
 
 
-def load_line(load: dict[str, Any]) -> str:
-    """What happens under load, in one sentence."""
-    where = (
-        "no marker hides or fuses"
-        if load["first_force_N"] is None
-        else f"markers hide or fuse from {load['first_force_N']:.2g} N on"
-    )
-    return (
-        f"Pressed with up to {load['force_N']:g} N at {load['presses']} places: {where}; a "
-        f"marker's centroid is disturbed by at most {load['crosstalk_px']:.2g} px "
-        f"({load['crosstalk_still_px']:.2g} px for one that stands still)."
-    )
-
-
 def lens_section(lens: dict[str, Any], *, in_rows: bool) -> str:
     """Scale, noise and blur of each row, and the depth of field."""
     names = {"mm_per_px": "{} mm per px", "noise": "{} noise mm"}
@@ -209,7 +195,7 @@ def sections_of(context: Context, report: dict[str, Any]) -> list[tuple[str, str
         ("Lens", lens_section(report["lens"], in_rows=context.markers.in_rows)),
         (
             "Under load",
-            f"<p>{load_line(report['under_load'])}</p>"
+            f"<p>{html_escape(report['under_load']['sentence'])}</p>"
             + unrolled(
                 context.arrays("underload")["crosstalk_px"],
                 "Crosstalk: greatest shift of a centroid that is not its marker's own motion",
