@@ -1,6 +1,6 @@
-"""The whole build of the published sensor: from an empty cache, again, and its report's facts.
+"""Whole builds: the published sensor from an empty cache and again, and every other shape.
 
-``python -m benchmarks.build [--quick]``
+``python -m benchmarks.build [--quick] [--parts cylinder60,drafts,standard]``
 """
 
 import json
@@ -9,17 +9,22 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import Table, arguments
+from benchmarks.harness import Table, run_parts
+from phytac_design.design_file import shipped_designs
 
 PAPER = "paper"
 
 
-def run(cache: Path, out: Path, accuracy: str) -> tuple[float, dict[str, Any]]:
-    """Build ``cylinder60`` in a process of its own: wall seconds and its JSON summary."""
-    words = ["build", "cylinder60", "--out", str(out), "--accuracy", accuracy, "--json"]
+def run(
+    cache: Path, out: Path, accuracy: str, design: str = "cylinder60"
+) -> tuple[float, dict[str, Any]]:
+    """Build a shipped design in a process of its own: wall seconds and its JSON summary."""
+    words = ["build", design, "--out", str(out), "--accuracy", accuracy, "--json"]
     start = time.perf_counter()
     done = subprocess.run(
         [sys.executable, "-c", "from phytac_design.cli import main; main()", *words],
@@ -99,18 +104,63 @@ def add_facts(table: Table, report: dict[str, Any]) -> None:
         )
 
 
+def add_shapes(table: Table, *, accuracy: str, target: str) -> None:
+    """Whole builds of the other shipped designs, each from an empty cache."""
+    for design in shipped_designs():
+        if design == "cylinder60":
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            scratch = Path(folder)
+            seconds, summary = run(scratch / "cache", scratch / "out", accuracy, design)
+            report = json.loads((scratch / "out" / "report" / "report.json").read_text())
+        slowest = max(summary["timing_s"], key=summary["timing_s"].get)
+        table.add(
+            f"{design}, {accuracy}: whole build, decoder included, empty cache",
+            seconds,
+            "s",
+            reference=summary["timing_s"][slowest],
+            source=f"reference: its slowest stage, {slowest}",
+            target=target,
+        )
+        seen = report["visibility"]
+        table.add(
+            f"{design}: markers hidden or fused",
+            seen["occluded"] + seen["fused"],
+            "markers",
+            reference=report["markers"]["count"],
+            source="reference: all markers",
+            target="== 0",
+        )
+        table.add(
+            f"{design}, {accuracy}: KOI inverse, held-out simulated contacts, relative error",
+            report["decoder"]["koi_inverse"]["relative_error"],
+            "relative",
+            reference=report["resolution"]["bound"]["10 N"]["force_N_median"],
+            source="reference: median bound at 10 N, in newtons",
+        )
+
+
+def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
+    """All parts by name, in order."""
+
+    def cylinder(table: Table) -> None:
+        presets = {"draft": "<= 60"} if quick else {"draft": "<= 60", "standard": "<= 600"}
+        with tempfile.TemporaryDirectory() as folder:
+            scratch = Path(folder)
+            add_times(table, scratch, presets)
+            last = scratch / list(presets)[-1] / "report" / "report.json"
+            add_facts(table, json.loads(last.read_text()))
+
+    return {
+        "cylinder60": cylinder,
+        "drafts": partial(add_shapes, accuracy="draft", target="<= 60"),
+        "standard": partial(add_shapes, accuracy="standard", target="<= 600"),
+    }
+
+
 def main() -> None:
-    """Run the benchmark."""
-    quick = arguments(__doc__ or "").quick
-    table = Table("build")
-    presets = {"draft": "<= 60"} if quick else {"draft": "<= 60", "standard": "<= 600"}
-    with tempfile.TemporaryDirectory() as folder:
-        scratch = Path(folder)
-        add_times(table, scratch, presets)
-        last = scratch / list(presets)[-1] / "report" / "report.json"
-        add_facts(table, json.loads(last.read_text()))
-    if not quick:
-        print(table.write())
+    """Run all parts, or those named."""
+    run_parts("build", parts, __doc__ or "")
 
 
 if __name__ == "__main__":

@@ -7,12 +7,15 @@ import shutil
 import subprocess
 import tempfile
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Table, arguments, median_of
+from benchmarks import fabrication_switch
+from benchmarks.harness import Table, median_of, run_parts
 from phytac_design.design_file import load_design, shipped_designs
 from phytac_design.fabrication.cad import (
     cad_facts,
@@ -323,13 +326,17 @@ def add_rows(table: Table, *, quick: bool) -> None:
         shapes_rows(table, rest, folder)
 
 
+def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
+    """All parts by name, in order."""
+    return {
+        "shells": partial(add_rows, quick=quick),
+        "switch": partial(fabrication_switch.add_rows, quick=quick),
+    }
+
+
 def main() -> None:
-    """Run all rows."""
-    quick = arguments(__doc__.splitlines()[0] if __doc__ else "").quick
-    table = Table("fabrication")
-    add_rows(table, quick=quick)
-    if not quick:
-        table.write()
+    """Run all parts, or those named."""
+    run_parts("fabrication", parts, (__doc__ or "").split("\n", 1)[0])
 
 
 if __name__ == "__main__":

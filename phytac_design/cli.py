@@ -13,7 +13,7 @@ import typer
 # times slower on two.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from phytac_design import cli_mechanics
+from phytac_design import cli_mechanics, cli_switch
 from phytac_design.cli_options import DesignArgument, JsonOption, Preset, SeedOption, say
 from shapes.errors import DesignError, PhytacError
 
@@ -220,7 +220,12 @@ def decode(
     typer.echo(f"total {forces.sum():.2f} N on {len(measured.koi)} switched receptors")
 
 
-for command in (cli_mechanics.press, cli_mechanics.mesh, cli_mechanics.calibrate):
+for command in (
+    cli_mechanics.press,
+    cli_mechanics.mesh,
+    cli_mechanics.calibrate,
+    cli_switch.switch,
+):
     app.command()(command)
 
 

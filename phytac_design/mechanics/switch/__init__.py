@@ -1,0 +1,1 @@
+"""Threshold switches: axisymmetric hyperelastic solids that snap, and their inverse design."""

@@ -1,0 +1,222 @@
+"""Verification of the solid of revolution: closed forms, and a published snapping cap."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from phytac_design.mechanics.switch import mesh as meshes
+from phytac_design.mechanics.switch import path
+from phytac_design.mechanics.switch.buckling import Waves
+from phytac_design.mechanics.switch.materials import (
+    Material,
+    StVenantKirchhoff,
+    Yeoh,
+    bulk_of,
+    neo_hookean,
+)
+from phytac_design.mechanics.switch.mesh import AxiMesh
+from phytac_design.mechanics.switch.model import AxiModel
+from shapes.arrays import BoolArray, FloatArray, IntArray
+
+CAP = {"radius": 4.758, "base": 0.9, "thickness": 0.01576, "ring": 0.42}
+"""Clamped cap of Mescall (1966), inches; ring load at this share of the base radius."""
+NONE = np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """A figure and what it should be."""
+
+    value: float
+    exact: float
+
+    @property
+    def error(self) -> float:
+        """Relative error."""
+        return abs(self.value / self.exact - 1.0)
+
+
+def edge_load(mesh: AxiMesh, line: IntArray, traction: FloatArray) -> FloatArray:
+    """Nodal forces (N, 2) of a dead traction (2m + 1, 2), MPa, along a line of nodes in order."""
+    gauss, weight = np.polynomial.legendre.leggauss(3)
+    value = np.stack([0.5 * gauss * (gauss - 1), 1 - gauss**2, 0.5 * gauss * (gauss + 1)], axis=1)
+    slope = np.stack([gauss - 0.5, -2 * gauss, gauss + 0.5], axis=1)
+    window = np.lib.stride_tricks.sliding_window_view(np.arange(len(line)), 3)[::2]
+    nodes = mesh.nodes_mm[line[window]]
+    at, along = value @ nodes, slope @ nodes
+    area = 2.0 * np.pi * at[..., 0] * np.hypot(along[..., 0], along[..., 1]) * weight
+    part = np.einsum("eg,gk,egc->ekc", area, value, value @ traction[window])
+    out = np.zeros_like(mesh.nodes_mm)
+    np.add.at(out, line[window], part)
+    return out
+
+
+def _ordered(nodes: IntArray, key: FloatArray) -> IntArray:
+    return nodes[np.argsort(key[nodes])]
+
+
+def _sphere(material: Material, cells: tuple[int, int]) -> tuple[AxiModel, FloatArray, int]:
+    """Half of a sphere of radii 1 and 2, dead unit pressure inside, and its inner u_r."""
+    mesh = meshes.quarter_sphere(1.0, 2.0, cells)
+    r, z = mesh.nodes_mm.T
+    held = np.zeros((len(r), 2), dtype=bool)
+    held[mesh.where(z), 1] = True
+    model = AxiModel(mesh=mesh, material=material, held=held, tied=NONE)
+    inside = _ordered(mesh.where(np.hypot(r, z) - 1.0), np.arctan2(r, z))
+    load = edge_load(mesh, inside, mesh.nodes_mm[inside])
+    return model, model.reduced(load), model.node_unknown(mesh.at(1.0, 0.0), 0)
+
+
+def thick_sphere(poisson: float, cells: tuple[int, int] = (8, 6)) -> Found:
+    """Small motion of the inner wall of a thick sphere under pressure (Lamé)."""
+    from scipy.sparse.linalg import spsolve
+
+    model, load, inner = _sphere(neo_hookean(modulus_MPa=1.0, poisson=poisson), cells)
+    state = model.state(np.zeros(model.count))
+    assert state is not None  # noqa: S101 - the body at rest is not inside out
+    moved = spsolve(state.tangent, load)
+    exact = ((1.0 - 2.0 * poisson) + (1.0 + poisson) * 8.0 / 2.0) / 7.0
+    return Found(value=float(moved[inner]), exact=exact)
+
+
+def inflated_sphere(stretch: float, poisson: float = 0.4999) -> Found:
+    """Pressure at a large stretch of the inner wall of a thick neo-Hookean sphere, μ = 1 MPa."""
+    material = Yeoh(coefficients_MPa=(0.5,), bulk_MPa=bulk_of(1.0, poisson))
+    model, load, inner = _sphere(material, (6, 6))
+    course = path.Course(unknown=inner, end_mm=stretch - 1.0, steps=8, arc="never")
+    point = path.trace(model, load, course)[-1]
+    outer = ((stretch**3 + 7.0) / 8.0) ** (1.0 / 3.0)
+
+    def part(x: float) -> float:
+        return 2.0 / x + 0.5 / x**4
+
+    # The dead traction acts on the area at rest; pressure is force over the area as it is.
+    return Found(value=point.load_factor / stretch**2, exact=part(outer) - part(stretch))
+
+
+def pulled_bar(material: Material, stretch: float) -> float:
+    """Nominal stress, MPa, of a bar of two elements pulled to a stretch."""
+    mesh = meshes.rectangle(0.0, 1.0, 1.0, (1, 2))
+    z = mesh.nodes_mm[:, 1]
+    held = np.zeros((len(z), 2), dtype=bool)
+    held[mesh.where(z), 1] = True
+    model = AxiModel(mesh=mesh, material=material, held=held, tied=mesh.where(z - 1.0))
+    top = model.node_unknown(int(model.tied[0]), 1)
+    load = np.zeros(model.count)
+    load[top] = np.pi
+    course = path.Course(unknown=top, end_mm=stretch - 1.0, steps=8, arc="never")
+    return path.trace(model, load, course)[-1].load_factor
+
+
+def clamped_plate(cells: int = 20, poisson: float = 0.3) -> Found:
+    """Deflection of a thin clamped disc under pressure (Kirchhoff, and Timoshenko's shear)."""
+    from scipy.sparse.linalg import spsolve
+
+    radius, thick = 10.0, 0.2
+    mesh = meshes.rectangle(0.0, radius, thick, (cells, 1))
+    r, z = mesh.nodes_mm.T
+    held = np.zeros((len(r), 2), dtype=bool)
+    held[mesh.where(r - radius)] = True
+    material = neo_hookean(modulus_MPa=1e3, poisson=poisson)
+    model = AxiModel(mesh=mesh, material=material, held=held, tied=NONE)
+    over = _ordered(mesh.where(z - thick), r)
+    load = edge_load(mesh, over, np.tile([0.0, 1.0], (len(over), 1)))
+    state = model.state(np.zeros(model.count))
+    assert state is not None  # noqa: S101 - the body at rest is not inside out
+    moved = spsolve(state.tangent, model.reduced(load))
+    bending = 1e3 * thick**3 / (12.0 * (1.0 - poisson**2))
+    shear = 1e3 / (2.0 * (1.0 + poisson))
+    exact = radius**4 / (64.0 * bending) + radius**2 / (4.0 * 5.0 / 6.0 * shear * thick)
+    return Found(value=float(moved[model.node_unknown(mesh.at(0.0, 0.1), 1)]), exact=exact)
+
+
+def squeezed_ring(mode: int = 2, cells: tuple[int, int] = (1, 1)) -> Found:
+    """Dead radial load at which a long tube buckles with ``mode`` waves (Singer and Babcock 1970).
+
+    q = n² E′ I / R³ per unit of mid-surface for loads that keep their direction, plane strain.
+    """
+    radius, thick, poisson = 10.0, 0.2, 0.3
+    mesh = meshes.rectangle(radius - 0.5 * thick, radius + 0.5 * thick, 0.2, cells)
+    held: BoolArray = np.zeros((len(mesh.nodes_mm), 2), dtype=bool)
+    held[:, 1] = True
+    model = AxiModel(
+        mesh=mesh,
+        material=StVenantKirchhoff(modulus_MPa=1e3, poisson=poisson),
+        held=held,
+        tied=NONE,
+    )
+    r, z = mesh.nodes_mm.T
+    middle = _ordered(mesh.where(r - radius), z)
+    load = model.reduced(edge_load(mesh, middle, np.tile([-1.0, 0.0], (len(middle), 1))))
+    unknown = model.node_unknown(int(middle[0]), 0)
+    stiff = 1e3 / (1.0 - poisson**2)
+    exact = mode**2 * stiff * thick**3 / (12.0 * radius**3)
+    waves = Waves(model=model)
+    low, high = 0.0, 4.0 * exact * radius**2 / (stiff * thick)
+    load_at = 0.0
+    for _ in range(14):
+        way = 0.5 * (low + high)
+        course = path.Course(unknown=unknown, end_mm=-way, steps=1, arc="never")
+        point = path.trace(model, load, course)[-1]
+        load_at = point.load_factor
+        low, high = (low, way) if waves.negatives(point, mode) else (way, high)
+    return Found(value=load_at, exact=exact)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CapPath:
+    """Path of the clamped cap: apex way (in), load (lb), its slope; the load's pattern."""
+
+    apex: FloatArray
+    load: FloatArray
+    slope: FloatArray
+    pattern: FloatArray
+    model: AxiModel
+    points: list[path.Point]
+
+    def extremes(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Peak and valley, each as way and load, by the cubic through points and slopes."""
+        from scipy.interpolate import CubicHermiteSpline
+
+        curve = CubicHermiteSpline(self.apex, self.load, self.slope)
+        turns = [float(x) for x in curve.derivative().roots() if 0.0 < x < self.apex[-1]]
+        peak, valley = turns[0], turns[1]
+        return (peak, float(curve(peak))), (valley, float(curve(valley)))
+
+
+def clamped_cap(
+    *,
+    ring: bool = True,
+    cells: tuple[int, int] = (50, 1),
+    steps: int = 40,
+    end: float = 0.09,
+    scale: float = 1.0,
+    arc: bool = False,
+) -> CapPath:
+    """Cap of 10⁷ psi and ν 0.3 under a ring load, or under a load on its apex.
+
+    ``scale`` multiplies the wall; ``arc`` follows it by arc-length (a thinner one snaps back).
+    """
+    radius, base = CAP["radius"], CAP["base"]
+    thick = scale * CAP["thickness"]
+    mesh = meshes.cap(radius, base, thick, cells)
+    drop = float(np.sqrt(radius**2 - base**2))
+    angle = np.arctan2(mesh.nodes_mm[:, 0], mesh.nodes_mm[:, 1] + drop)
+    held = np.zeros(mesh.nodes_mm.shape, dtype=bool)
+    held[np.abs(angle - np.arcsin(base / radius)) < 1e-9] = True
+    material = StVenantKirchhoff(modulus_MPa=1e7, poisson=0.3)
+    model = AxiModel(mesh=mesh, material=material, held=held, tied=NONE)
+    at = CAP["ring"] * base if ring else 0.0
+    load = np.zeros(mesh.nodes_mm.shape)
+    load[mesh.at(at, float(np.sqrt(radius**2 - at**2)) - drop), 1] = -1.0
+    apex = model.node_unknown(mesh.at(0.0, radius - drop), 1)
+    course = path.Course(unknown=apex, end_mm=-end, steps=steps, arc="always" if arc else "never")
+    points = path.trace(model, model.reduced(load), course)
+    return CapPath(
+        apex=np.array([-p.unknowns[apex] for p in points]),
+        load=np.array([p.load_factor for p in points]),
+        slope=np.array([-1.0 / p.drive[apex] for p in points]),
+        pattern=model.reduced(load),
+        model=model,
+        points=points,
+    )

@@ -1,0 +1,268 @@
+"""Inverse design: the bowl whose limit load is the threshold, within space, mold and rubber."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from phytac_design.mechanics.switch.bowl import Bowl
+from phytac_design.mechanics.switch.buckling import first_buckling
+from phytac_design.mechanics.switch.curve import Curve, Snap, press_bowl, snap_of
+from phytac_design.mechanics.switch.feasible import feasible
+from phytac_design.mechanics.switch.fit import (
+    DEEPER_mm,
+    MisfitError,
+    fillets,
+    judge,
+    shape_of,
+)
+from phytac_design.mechanics.switch.presets import Rubber
+from phytac_design.mechanics.switch.space import Space, Tolerance
+from phytac_design.mechanics.switch.tolerance import Spread, limit_load, threshold_spread
+from shapes.errors import DesignError, NumericalError
+
+THRESHOLD_TOL = 2e-3
+"""Largest error of the limit load that the search accepts; meshes add about as much."""
+SEARCH = 12
+SOFTEST_MPa, STIFFEST_MPa = 0.05, 100.0
+"""Moduli of rubbers, from gels to the hardest polyurethanes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwitchDesign:
+    """A switch that fits.
+
+    Attributes
+    ----------
+    threshold_N : float
+        Asked for.
+    bowl : Bowl
+        Its dimensions.
+    rubber : Rubber
+        What it is cast of.
+    space : Space
+        What it fits.
+    curve : Curve
+        Force against stroke, on the fine mesh.
+    snap : Snap
+        Limit load, valley, stroke, strain.
+    buckling : dict of int to float
+        Waves around the axis to the stroke, mm, from which the path is unstable against them; all
+        beyond the limit load.
+    spread : Spread
+        Of the threshold.
+    tolerance : Tolerance
+        Behind that spread.
+    """
+
+    threshold_N: float
+    bowl: Bowl
+    rubber: Rubber
+    space: Space
+    curve: Curve
+    snap: Snap
+    buckling: dict[int, float] = field(default_factory=dict)
+    spread: Spread
+    tolerance: Tolerance
+
+    @property
+    def error(self) -> float:
+        """Limit load over the threshold, less 1."""
+        return self.snap.limit_N / self.threshold_N - 1.0
+
+    @property
+    def visible_mm(self) -> float:
+        """Red that comes out of the end face."""
+        return self.snap.stroke_mm - self.space.recess_mm
+
+    def stem_length_mm(self, face_to_end_mm: float) -> float:
+        """Stem from the bowl's underside to the tip, by the way from outer face to end face."""
+        return self.bowl.depth_mm + face_to_end_mm - self.space.recess_mm
+
+
+def design_switch(
+    threshold_N: float, rubber: Rubber, space: Space, tolerance: Tolerance | None = None
+) -> SwitchDesign:
+    """Find wall, depth, diameter and fillets of the bowl whose limit load is the threshold.
+
+    The widest bowl that fits is taken: it has the longest stroke and the thickest wall. Fillets
+    are tried from sharp to round, depths from the least that the stroke needs.
+
+    Raises
+    ------
+    DesignError
+        If none fits; it says which thresholds do, and which moduli would.
+    """
+    if not (np.isfinite(threshold_N) and threshold_N > 0.0):
+        raise DesignError(
+            f"a switch's threshold must be a positive number of newtons (got {threshold_N:g}); "
+            "0.5 is the published one"
+        )
+    reasons = []
+    for fillet in fillets(space):
+        try:
+            curve = _curve_of(threshold_N, rubber, space, fillet)
+            snap = judge(curve, rubber, space)
+            buckling = _buckling(curve, snap)
+        except MisfitError as error:
+            reasons.append(f"with fillets of {fillet:.3g} mm {error}")
+            if error.thin:
+                break  # rounder fillets ask for thinner walls still
+            continue
+        except NumericalError as error:
+            reasons.append(f"with fillets of {fillet:.3g} mm {error}")
+            continue
+        bowl, band = curve.body.bowl, tolerance or Tolerance()
+        spread = threshold_spread(
+            bowl,
+            rubber.material,
+            band,
+            threshold_N=snap.limit_N,
+            hole_diameter_mm=space.hole_diameter_mm,
+        )
+        return SwitchDesign(
+            threshold_N=threshold_N,
+            bowl=bowl,
+            rubber=rubber,
+            space=space,
+            curve=curve,
+            snap=snap,
+            buckling=buckling,
+            spread=spread,
+            tolerance=band,
+        )
+    raise DesignError(_refusal(threshold_N, rubber, space, reasons))
+
+
+def _curve_of(threshold_N: float, rubber: Rubber, space: Space, fillet_mm: float) -> Curve:
+    """Curve of the bowl whose limit load is the threshold, as deep as its stroke needs."""
+    depth, wall = space.stroke_mm + DEEPER_mm, 0.0
+    while True:
+        wall = _wall(threshold_N, rubber, space, fillet_mm, depth, guess_mm=wall)
+        if wall < space.wall_min_mm:
+            raise MisfitError(
+                f"the wall would be {wall:.4f} mm, thinner than the {space.wall_min_mm:g} mm that "
+                "the mold casts",
+                thin=True,
+            )
+        bowl = shape_of(space, fillet_mm, depth, wall)
+        curve = press_bowl(
+            bowl,
+            rubber.material,
+            hole_diameter_mm=space.hole_diameter_mm,
+            refine=2,
+            steps=18,
+            arc="never",
+        )
+        snap = snap_of(curve)
+        short = space.stroke_mm - (snap.stroke_mm if snap else 0.0)
+        if short <= 0.0 or not curve.complete or bowl.depth_mm < depth:
+            return curve
+        depth += short + 0.02
+
+
+def _wall(
+    threshold_N: float,
+    rubber: Rubber,
+    space: Space,
+    fillet_mm: float,
+    depth_mm: float,
+    *,
+    guess_mm: float,
+) -> float:
+    """Wall, mm, by the secant method on logarithms: coarse mesh first, then the fine one."""
+    half = 0.5 * space.diameter_mm
+    most = 0.4 * half
+
+    def load(log_wall: float, refine: int) -> float:
+        wall = float(np.exp(log_wall))
+        try:
+            bowl = shape_of(space, fillet_mm, depth_mm, wall)
+            found = limit_load(
+                bowl, rubber.material, hole_diameter_mm=space.hole_diameter_mm, refine=refine
+            )
+        except (DesignError, NumericalError):
+            found = None
+        # A wall too thick to snap counts as far too strong.
+        return 0.5 if found is None else float(np.log(found / threshold_N))
+
+    # F ≈ 1.2 E a² (t/a)^2.2, measured on such bowls.
+    unit = 1.2 * rubber.material.modulus_MPa * half**2
+    start = guess_mm or half * (threshold_N / unit) ** (1.0 / 2.2)
+    bounds = (np.log(0.03 * half), np.log(most))
+    x = float(np.clip(np.log(start), *bounds))
+    if not guess_mm:
+        x = _secant(lambda at: load(at, 1), x, bounds, tolerance=0.02)
+    if np.exp(x) < 0.9 * space.wall_min_mm:
+        return float(np.exp(x))
+    return float(np.exp(_secant(lambda at: load(at, 2), x, bounds, tolerance=THRESHOLD_TOL)))
+
+
+def _secant(
+    function: Callable[[float], float],
+    x: float,
+    bounds: tuple[float, float],
+    *,
+    tolerance: float,
+) -> float:
+    slope, last = 2.2, None
+    for _ in range(SEARCH):
+        y = function(x)
+        if abs(y) <= tolerance:
+            return x
+        if last is not None and x != last[0]:
+            slope = float(np.clip((y - last[1]) / (x - last[0]), 1.0, 4.0))
+        last = (x, y)
+        x = float(np.clip(x - y / slope, *bounds))
+        if x == last[0]:
+            word = "thick" if y < 0.0 else "thin"
+            raise MisfitError(
+                f"a wall of {np.exp(x):.3g} mm is as {word} as can be, and not enough"
+            )
+    raise MisfitError(f"no wall near {np.exp(x):.3g} mm meets the threshold")
+
+
+def _buckling(curve: Curve, snap: Snap) -> dict[int, float]:
+    """Stroke from which each wave number is unstable; none may come before the limit."""
+    ways = curve.stroke_mm
+    keep = np.flatnonzero(ways <= snap.stroke_mm)
+    before = keep[ways[keep] <= snap.limit_stroke_mm]
+    # All the way to the limit, and every third point beyond it.
+    chosen = np.unique(np.concatenate([before, keep[len(before) :: 3], keep[-1:]]))
+    found = first_buckling(curve.body.model, [curve.points[k] for k in chosen])
+    at = {mode: float(ways[chosen[index]]) for mode, index in found.items()}
+    early = {mode: way for mode, way in at.items() if way <= snap.limit_stroke_mm}
+    if early:
+        mode = min(early, key=lambda n: early[n])
+        raise MisfitError(
+            f"the bowl buckles with {mode} waves around its axis at {early[mode]:.3g} mm, before "
+            f"its limit load at {snap.limit_stroke_mm:.3g} mm"
+        )
+    return at
+
+
+def _refusal(threshold_N: float, rubber: Rubber, space: Space, reasons: list[str]) -> str:
+    modulus = rubber.material.modulus_MPa
+    room = (
+        f"a switch of {threshold_N:g} N does not fit a bowl {space.diameter_mm:.3g} mm wide of "
+        f"{rubber.name} at {modulus:.3g} MPa: "
+    )
+    found = feasible(rubber, space)
+    why = "; ".join(reasons) or "no bowl fits"
+    if found is None:
+        thinner = feasible(rubber, replace(space, wall_min_mm=0.5 * space.wall_min_mm))
+        if thinner is None:
+            return f"{room}{why}. No wall fits: raise the footprint, or ask for less red"
+        return (
+            f"{room}{why}. No wall of {space.wall_min_mm:g} mm or more snaps that far; if the mold "
+            f"casts thinner ones, from {thinner.least_N:.3g} N ({thinner.least_wall_mm:.3g} mm) to "
+            f"{thinner.most_N:.3g} N ({thinner.most_wall_mm:.3g} mm) fit"
+        )
+    low, high = modulus * threshold_N / found.most_N, modulus * threshold_N / found.least_N
+    fits = (
+        f"{room}{why}. From {found.least_N:.3g} to {found.most_N:.3g} N fit with walls of "
+        f"{found.least_wall_mm:.3g} to {found.most_wall_mm:.3g} mm"
+    )
+    if high < SOFTEST_MPa or low > STIFFEST_MPa:
+        return f"{fits}; no rubber's modulus would do: ask for a threshold nearer to those"
+    return f"{fits}; or take a rubber of {low:.3g} to {high:.3g} MPa"

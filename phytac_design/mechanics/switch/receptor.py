@@ -1,0 +1,83 @@
+"""The space and the rubber of a design's switches."""
+
+from pathlib import Path
+
+import numpy as np
+
+from phytac_design.layout import make_markers
+from phytac_design.mechanics.switch.material_fit import TERMS, fit_uniaxial, read_test
+from phytac_design.mechanics.switch.presets import Rubber, rubber
+from phytac_design.mechanics.switch.space import Space
+from phytac_design.spec import Design
+from shapes.errors import DesignError, InputError
+
+STRAIN_OF_TEST = 0.6
+"""Share of a test's largest strain that a switch may reach again and again."""
+
+
+def space_of(design: Design, *, wall_min_mm: float = 0.2) -> Space:
+    """Space of a design's switches: footprint, hole, tip, stroke, and its closest neighbours.
+
+    Raises
+    ------
+    DesignError
+        If no bowl fits.
+    """
+    from scipy.spatial import cKDTree
+
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    places = surface.point(markers.uv)
+    if len(places) > 1:
+        near, _ = cKDTree(places).query(places, k=2)
+        pitch = float(np.min(near[:, 1]))
+    else:
+        pitch = 1e9
+    switch = design.switch
+    return Space(
+        footprint_diameter_mm=switch.footprint_diameter_mm,
+        hole_diameter_mm=design.receptor.diameter_hole_mm,
+        stem_diameter_mm=switch.tip_diameter_mm,
+        pitch_mm=pitch,
+        gap_mm=design.print_rules.gap_min_mm,
+        recess_mm=switch.tip_recess_mm,
+        visible_mm=switch.stroke_mm - switch.tip_recess_mm,
+        wall_min_mm=wall_min_mm,
+    )
+
+
+def chosen_rubber(
+    name: str, *, modulus_MPa: float | None = None, test: Path | None = None, law: str = "yeoh"
+) -> Rubber:
+    """Rubber of a preset, at another modulus, or fitted to a tensile test.
+
+    Raises
+    ------
+    DesignError, InputError
+        If there is no data for it.
+    """
+    if test is None:
+        preset = rubber(name)
+        return preset if modulus_MPa is None else preset.of_modulus(modulus_MPa)
+    if modulus_MPa is not None:
+        raise DesignError(
+            f"a tensile test sets the modulus itself (got {test} and {modulus_MPa:g} MPa); leave "
+            "out one"
+        )
+    if law not in TERMS:
+        raise InputError(f"no law {law!r} of rubbers; known: {', '.join(TERMS)}")
+    stretch, stress = read_test(test)
+    fit = fit_uniaxial(
+        stretch,
+        stress,
+        law="neo-hookean" if law == "neo-hookean" else "ogden" if law == "ogden" else "yeoh",
+    )
+    return Rubber(
+        name=test.stem,
+        material=fit.material,
+        strain_max=STRAIN_OF_TEST * (float(stretch.max()) - 1.0),
+        assumption=(
+            f"{law} fitted to {test.name}, {fit.error:.1%} off; Poisson's ratio 0.49 and "
+            f"{STRAIN_OF_TEST:.0%} of the test's strain are assumed"
+        ),
+    )

@@ -1,0 +1,133 @@
+"""What a designed switch is, as a dict, as text, as plots."""
+
+from typing import Any
+
+import numpy as np
+
+from phytac_design.mechanics.switch.design import SwitchDesign
+from phytac_design.mechanics.switch.feasible import Feasible
+from phytac_design.mechanics.switch.svg import line_plot
+from shapes.arrays import FloatArray
+
+
+def switch_dict(made: SwitchDesign) -> dict[str, Any]:
+    """All facts of a switch, JSON-ready."""
+    stroke, force, strain = made.curve.dense()
+    spread, law = made.spread, made.rubber.material
+    return {
+        "threshold_N": made.threshold_N,
+        "error": made.error,
+        "bowl": dict(vars(made.bowl)),
+        "rubber": {
+            "name": made.rubber.name,
+            "modulus_MPa": law.modulus_MPa,
+            "poisson": law.poisson,
+            "strain_max": made.rubber.strain_max,
+            "assumption": made.rubber.assumption,
+        },
+        **vars(made.snap),
+        "visible_mm": made.visible_mm,
+        "buckling_mm": {str(mode): way for mode, way in made.buckling.items()},
+        "spread": {
+            "thickness_mm": made.tolerance.thickness_mm,
+            "modulus": made.tolerance.modulus,
+            **vars(spread),
+        },
+        "curve": {
+            "stroke_mm": stroke.round(5).tolist(),
+            "force_N": force.round(6).tolist(),
+            "strain": strain.round(4).tolist(),
+        },
+        "warnings": warnings(made),
+    }
+
+
+def warnings(made: SwitchDesign, *, printed_wall_mm: float = 0.0) -> list[str]:
+    """What to mind before casting."""
+    out = [f"assumed: {made.rubber.assumption}"]
+    band = max(made.spread.high_N - made.threshold_N, made.threshold_N - made.spread.low_N)
+    if band > 0.25 * made.threshold_N:
+        out.append(
+            f"the threshold spreads from {made.spread.low_N:.3g} to {made.spread.high_N:.3g} N "
+            f"with walls ± {made.tolerance.thickness_mm:g} mm: measure and sort, or cast closer"
+        )
+    if made.bowl.thickness_mm < printed_wall_mm:
+        out.append(
+            f"a wall of {made.bowl.thickness_mm:.3g} mm is thinner than the {printed_wall_mm:g} mm "
+            "that the printer builds: cast it in a rigid mold, not off a printed master"
+        )
+    if made.buckling:
+        mode = min(made.buckling, key=lambda n: made.buckling[n])
+        out.append(
+            f"beyond its limit load the bowl may leave the axisymmetric way, with {mode} waves "
+            f"from {made.buckling[mode]:.3g} mm on"
+        )
+    if not made.curve.complete:
+        out.append(
+            f"the way was followed to {made.snap.travel_mm:.3g} mm, where the wall folds onto "
+            "itself"
+        )
+    return out
+
+
+def switch_text(made: SwitchDesign) -> str:
+    """Describe a switch for a person."""
+    bowl, snap, spread = made.bowl, made.snap, made.spread
+    shape = (
+        f"bowl {bowl.diameter_mm:.3g} mm wide, {bowl.depth_mm:.3f} mm deep, wall "
+        f"{bowl.thickness_mm:.3f} mm, fillets {bowl.fillet_mm:.2g} mm; pad "
+        f"{bowl.pad_diameter_mm:.3g} mm, stem {bowl.stem_diameter_mm:.3g} mm"
+    )
+    threshold = (
+        f"threshold {snap.limit_N:.4f} N at {snap.limit_stroke_mm:.3f} mm (asked "
+        f"{made.threshold_N:g} N, {made.error:+.2%}); releases below {snap.valley_N:.3f} N"
+    )
+    stroke = (
+        f"stroke {snap.stroke_mm:.3f} mm: {made.visible_mm:.3f} mm of red come out; peak "
+        f"strain {snap.strain:.0%} of {made.rubber.strain_max:.0%}"
+    )
+    band = (
+        f"threshold {spread.low_N:.3g} to {spread.high_N:.3g} N (95 %) with walls ± "
+        f"{made.tolerance.thickness_mm:g} mm and modulus ± {made.tolerance.modulus:.0%}; "
+        f"it grows as wall^{spread.exponent_thickness:.2f} (± {spread.sensitivity_N:.3g} N)"
+    )
+    waves = (
+        f"unstable against waves {sorted(made.buckling)} beyond the limit load"
+        if made.buckling
+        else "stays axisymmetric"
+    )
+    return f"{shape}\n{threshold}\n{stroke}\n{band}\n{waves}"
+
+
+def curve_plot(made: SwitchDesign) -> str:
+    """Force–stroke curve as SVG."""
+    stroke, force, _ = made.curve.dense()
+    snap = made.snap
+    return line_plot(
+        {f"{made.rubber.name}, {made.rubber.material.modulus_MPa:.3g} MPa": (stroke, force)},
+        title=f"Threshold switch for {made.threshold_N:g} N",
+        labels=("stroke (mm)", "force (N)"),
+        marks=[
+            (snap.limit_stroke_mm, snap.limit_N, f"limit {snap.limit_N:.3f} N"),
+            (snap.valley_stroke_mm, snap.valley_N, f"valley {snap.valley_N:.3f} N"),
+        ],
+    )
+
+
+def range_over_modulus(found: Feasible, modulus_MPa: FloatArray) -> FloatArray:
+    """Smallest and largest threshold at moduli (m,), (m, 2) N."""
+    ends = [found.at(float(modulus)) for modulus in modulus_MPa]
+    return np.array([[end.least_N, end.most_N] for end in ends])
+
+
+def range_plot(found: Feasible, modulus_MPa: FloatArray) -> str:
+    """Thresholds that fit, over the modulus, as SVG."""
+    ends = range_over_modulus(found, modulus_MPa)
+    return line_plot(
+        {
+            f"largest, wall {found.most_wall_mm:.2f} mm": (modulus_MPa, ends[:, 1]),
+            f"smallest, wall {found.least_wall_mm:.2f} mm": (modulus_MPa, ends[:, 0]),
+        },
+        title="Thresholds that fit the receptor",
+        labels=("modulus (MPa)", "threshold (N)"),
+    )
