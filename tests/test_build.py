@@ -118,6 +118,19 @@ def test_same_inputs_give_the_same_files(
         assert first[path] == digest, path
 
 
+def test_a_spiral_whose_straight_rows_cannot_be_made_is_not_compared(tmp_path: Path) -> None:
+    from phytac_design.accuracy import PRESETS
+    from phytac_design.design_file import load_design
+    from phytac_design.stage import Context
+    from phytac_design.stages.views import run_compare
+
+    context = Context(design=load_design("cylinder60-dense"), accuracy=PRESETS["draft"], seed=0)
+    run_compare(context, tmp_path)
+    facts = json.loads((tmp_path / "facts.json").read_text())
+    assert facts["straight"] is None
+    assert "hidden by nearer ones at every height" in facts["why"]
+
+
 @pytest.mark.parametrize(
     ("change", "stages"),
     [
