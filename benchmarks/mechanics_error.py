@@ -155,7 +155,7 @@ def published(table: Table, *, quick: bool) -> None:
         truth = true_motion(trial, everywhere, 32 if quick else trial.fine)
         for k, n in enumerate(trial.sizes[:1] if quick else trial.sizes):
             found = estimate_error(
-                lambda m, t=trial, p=points[n]: probed(t.build(m), p),  # type: ignore[misc]
+                lambda m, t=trial, p=points[n]: probed(t.build(m), p),  # type: ignore[misc]  # defaults bind the loop's values
                 (n, n // 2),
             )
             part = truth[ends[k] : ends[k + 1]]
@@ -264,7 +264,7 @@ def _cost(
         table.add(
             f"mesh error: processor time with the estimate on {len(levels)} meshes / without, "
             f"refine {levels[0]}",
-            spent(lambda r=levels: estimate_error(make, r)) / alone,  # type: ignore[misc]
+            spent(lambda r=levels: estimate_error(make, r)) / alone,  # type: ignore[misc]  # likewise
             "x",
             reference=alone,
             source="seconds of one mesh, from elements to displacements",

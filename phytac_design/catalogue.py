@@ -1,7 +1,7 @@
 """What shapes there are, and what each asks of a design file: the text of `phytac shapes`."""
 
 import inspect
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, Field, fields
 from typing import Any
 
 import shapes
@@ -25,7 +25,7 @@ def shape_page(name: str) -> str:
     """
     family = shapes.family(name)
     rows = [f"[shape]\nkind = {name!r}".replace("'", '"')]
-    for item in fields(family):  # type: ignore[arg-type]  # every family is a dataclass
+    for item in _variables(family):
         rows.append(f"# {item.metadata['doc']}{_range(item.metadata)}")
         rows.append(f"{item.name} = {_value(item.default)}")
     return f"{_drawing(family)}\n\n" + "\n".join(rows)
@@ -45,11 +45,15 @@ def shape_facts() -> list[dict[str, Any]]:
                     "maximum": item.metadata.get("maximum"),
                     "required": item.default is MISSING,
                 }
-                for item in fields(family)  # type: ignore[arg-type]
+                for item in _variables(family)
             ],
         }
         for name, family in shapes.REGISTRY.items()
     ]
+
+
+def _variables(family: type[Surface]) -> tuple[Field[Any], ...]:
+    return fields(family)  # type: ignore[arg-type]  # every family is a dataclass
 
 
 def _drawing(family: type[Surface]) -> str:

@@ -1,9 +1,11 @@
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from decoder.camera import Camera
+from decoder.lens import KannalaBrandt
 from phytac_design.layout import make_markers
 from phytac_design.optics.view import camera_of, cameras_of, refuse_swallowed, tolerance_mm
 from shapes import Cylinder
@@ -129,3 +131,24 @@ def test_a_light_bar_that_swallows_tips_is_refused() -> None:
     check(16.4)  # tips with their switch on end at 29.2 - 11.5 - 1.2 = 16.5 mm
     with pytest.raises(DesignError, match=r"row 22 .* 16\.50 mm"):
         check(16.6)
+
+
+def test_tolerance_of_receptors_beyond_the_field_is_finite() -> None:
+    lens = KannalaBrandt(
+        width_px=400,
+        height_px=300,
+        fx_px=120.0,
+        fy_px=120.0,
+        cx_px=199.5,
+        cy_px=149.5,
+        distortion=(0.0, 0.0, 0.0, 0.0),
+    )
+    design = make_design()
+    markers = make_markers(design, design.surface())
+    # Straight before a tip, looking away: that receptor lies beyond the field.
+    ahead = markers.tip_mm[0] + np.array([0.0, 0.0, 5.0])
+    inside = replace(Camera.at(lens, z_mm=0.0), position_mm=ahead)
+    assert not np.isfinite(inside.jacobian(markers.tip_mm[:1])).all()
+    found = tolerance_mm(inside, markers)
+    assert np.isfinite(found).all()
+    assert (found > 0.0).all()
