@@ -10,6 +10,7 @@ from decoder.lens import LENSES, Lens
 from phytac_design.fixture_section import FIXTURES_MAX, AnyFixture
 from phytac_design.layout_section import LayoutSection, ReceptorSection
 from phytac_design.section import Section, assumed
+from phytac_design.switch_section import MoldSection, SwitchSection
 from shapes import Surface
 from shapes.errors import DesignError
 
@@ -72,23 +73,6 @@ class WallSection(Section):
     """Length of the clamped rim added beyond each end of the sensing surface; 0 for none."""
     rim_flange_mm: float = assumed(1.6, ge=0.0, le=200.0)
     """How far a rim stands out beyond the outer face, for the connectors."""
-
-
-class SwitchSection(Section):
-    """The threshold switch: a soft bowl on the outer face, its stem, its red tip."""
-
-    threshold_N: float = Field(0.5, gt=0.0, le=1000.0)
-    """The switch turns on when the force on its bowl's footprint exceeds this."""
-    release_N: float = assumed(0.4, ge=0.0, le=1000.0)
-    """The switch turns off again below this force; lower than the threshold."""
-    footprint_diameter_mm: float = assumed(4.6, gt=0.0, le=500.0)
-    """Diameter of the bowl: contact pressure is summed over this disc."""
-    tip_diameter_mm: float = assumed(1.2, gt=0.0, le=200.0)
-    """Diameter of the red tip; it must pass the hole."""
-    tip_recess_mm: float = assumed(0.3, ge=0.0, le=100.0)
-    """How far the resting tip stays behind the end face."""
-    stroke_mm: float = assumed(1.5, gt=0.0, le=100.0)
-    """How far a switch that is on pushes its tip."""
 
 
 CAMERA_PRESETS: dict[str, dict[str, float]] = {
@@ -290,6 +274,7 @@ class Design(Section):
     layout: LayoutSection = LayoutSection()
     receptor: ReceptorSection = ReceptorSection()
     switch: SwitchSection = SwitchSection()
+    mold: MoldSection = MoldSection()
     camera: CameraSection = CameraSection()
     light: LightSection = LightSection()
     material: MaterialSection = MaterialSection()

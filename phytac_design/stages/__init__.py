@@ -7,6 +7,7 @@ from phytac_design.stages.mesh import MESH
 from phytac_design.stages.report import REPORT
 from phytac_design.stages.resolution import RESOLUTION
 from phytac_design.stages.shell import SHELL, STEP
+from phytac_design.stages.switch import SWITCH
 from phytac_design.stages.twin import RESPONSE, TWIN
 from phytac_design.stages.underload import UNDERLOAD
 from phytac_design.stages.views import COMPARE, VIEWS
@@ -18,6 +19,7 @@ STAGES: tuple[Stage, ...] = (
     RESOLUTION,
     SHELL,
     STEP,
+    SWITCH,
     MESH,
     RESPONSE,
     TWIN,

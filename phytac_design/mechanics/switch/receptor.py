@@ -15,8 +15,10 @@ STRAIN_OF_TEST = 0.6
 """Share of a test's largest strain that a switch may reach again and again."""
 
 
-def space_of(design: Design, *, wall_min_mm: float = 0.2) -> Space:
+def space_of(design: Design, *, wall_min_mm: float | None = None) -> Space:
     """Space of a design's switches: footprint, hole, tip, stroke, and its closest neighbours.
+
+    All bowls have the stem of the longest switch, which leaves its tip by the mold's draft.
 
     Raises
     ------
@@ -34,15 +36,21 @@ def space_of(design: Design, *, wall_min_mm: float = 0.2) -> Space:
     else:
         pitch = 1e9
     switch = design.switch
+    reach = float(np.linalg.norm(markers.tip_mm - places, axis=1).max()) - switch.tip_recess_mm
+    taper = 2.0 * float(np.tan(np.radians(design.mold.draft_deg)))
+    # No bowl is taller than half a sphere.
+    tallest = 0.5 * min(switch.footprint_diameter_mm, pitch - design.print_rules.gap_min_mm)
+    stem = switch.tip_diameter_mm + taper * (reach + max(tallest, 0.0))
     return Space(
         footprint_diameter_mm=switch.footprint_diameter_mm,
         hole_diameter_mm=design.receptor.diameter_hole_mm,
-        stem_diameter_mm=switch.tip_diameter_mm,
+        stem_diameter_mm=stem,
         pitch_mm=pitch,
         gap_mm=design.print_rules.gap_min_mm,
         recess_mm=switch.tip_recess_mm,
         visible_mm=switch.stroke_mm - switch.tip_recess_mm,
-        wall_min_mm=wall_min_mm,
+        wall_min_mm=switch.wall_min_mm if wall_min_mm is None else wall_min_mm,
+        draft_deg=design.mold.draft_deg,
     )
 
 

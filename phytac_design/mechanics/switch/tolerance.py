@@ -115,7 +115,9 @@ def _loads(
 ) -> FloatArray:
     loads = []
     for wall in walls:
-        other = replace(bowl, thickness_mm=float(wall))
+        # A bowl of nearly half a sphere grows inward.
+        depth = min(bowl.depth_mm, 0.5 * bowl.diameter_mm - float(wall))
+        other = replace(bowl, thickness_mm=float(wall), depth_mm=depth)
         try:
             load = limit_load(other, material, hole_diameter_mm=hole_diameter_mm, refine=1)
         except NumericalError:
