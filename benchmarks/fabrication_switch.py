@@ -1,6 +1,10 @@
 """Threshold switches: the solver against references, and five switches designed to a threshold."""
 
+import json
+import os
 import shutil
+import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -8,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import Table, arguments
+from phytac_design.design_file import shipped_designs
 from phytac_design.mechanics.switch import cases
 from phytac_design.mechanics.switch.bowl import bowl_model
 from phytac_design.mechanics.switch.ccx import ccx_curve
@@ -272,8 +277,47 @@ def calculix(table: Table, made: SwitchDesign, *, quick: bool) -> None:
     )
 
 
+def shipped(table: Table, *, quick: bool) -> None:
+    """Switches of the shipped designs: limit load, spread of lengths, red that the camera sees."""
+    for name in ["cylinder60"] if quick else shipped_designs():
+        with tempfile.TemporaryDirectory() as scratch:
+            out = Path(scratch) / "out"
+            words = ["build", name, "--only", "switch", "--out", str(out)]
+            subprocess.run(
+                [sys.executable, "-c", "from phytac_design.cli import main; main()", *words],
+                env={**os.environ, "PHYTAC_CACHE": str(Path(scratch) / "cache")},
+                stdout=subprocess.DEVNULL,
+                check=True,
+            )
+            facts = json.loads((out / "switch" / "switches.json").read_text())
+        error = max(abs(item["error"]) for item in facts["switches"])
+        red = facts["red"]
+        table.add(
+            f"{name}: limit load off the design's threshold",
+            100.0 * error,
+            "%",
+            reference=facts["switches"][0]["threshold_N"],
+            source="the bowl's own curve",
+            target="<= 1.0",
+            note=f"{len(facts['parts'])} lengths of stem",
+        )
+        wanted = red["farthest_needed_px"]
+        table.add(
+            f"{name}: red of the farthest switch when on",
+            red["farthest_on_px"],
+            "px",
+            reference=wanted,
+            source=f"rendered; the decoder needs {wanted:.3g} px there",
+            target=f"> {wanted:.3g}",
+            note=f"{red['unreadable']} switches of this design show too little"
+            if red["unreadable"]
+            else "every switch shows enough",
+        )
+
+
 def add_rows(table: Table, *, quick: bool) -> None:
     """Add all rows; ``quick`` takes coarse meshes and one switch."""
+    shipped(table, quick=quick)
     cap(table, quick=quick)
     closed_forms(table)
     switches(table, quick=quick)

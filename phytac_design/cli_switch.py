@@ -16,7 +16,10 @@ def switch(
     threshold: Annotated[
         float | None, typer.Option("--threshold-N", help="Threshold, N; the design's if not given.")
     ] = None,
-    material: Annotated[str, typer.Option(help="Rubber: tpu-8400n or silicone-a30.")] = "tpu-8400n",
+    material: Annotated[
+        str | None,
+        typer.Option(help="Rubber: tpu-8400n or silicone-a30; the design's if not given."),
+    ] = None,
     modulus: Annotated[
         float | None, typer.Option("--modulus-MPa", help="Young's modulus of the rubber.")
     ] = None,
@@ -25,18 +28,21 @@ def switch(
     ] = None,
     law: Annotated[str, typer.Option(help="For --test: neo-hookean, yeoh or ogden.")] = "yeoh",
     wall_min: Annotated[
-        float, typer.Option("--wall-min-mm", help="Thinnest wall that the mold casts.")
-    ] = 0.2,
+        float | None, typer.Option("--wall-min-mm", help="Thinnest wall that the mold casts.")
+    ] = None,
     tolerance: Annotated[
-        float, typer.Option("--tolerance-mm", help="± of the wall, at two deviations.")
-    ] = 0.05,
+        float | None, typer.Option("--tolerance-mm", help="± of the wall, at two deviations.")
+    ] = None,
     plot: Annotated[Path | None, typer.Option(help="Force–stroke curve to write, SVG.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Design the threshold switch: a soft bowl that snaps at the asked force."""
+    """Design the threshold switch: a soft bowl that snaps at the asked force.
+
+    What is not given is taken from the design's table [switch].
+    """
     from phytac_design.design_file import load_design
     from phytac_design.mechanics.switch.design import design_switch
-    from phytac_design.mechanics.switch.receptor import chosen_rubber, space_of
+    from phytac_design.mechanics.switch.receptor import chosen_rubber, rubber_of, space_of
     from phytac_design.mechanics.switch.report import (
         curve_plot,
         switch_dict,
@@ -49,11 +55,19 @@ def switch(
     if plot:
         check_svg(plot)
     loaded = load_design(design)
+    own = loaded.switch
+    if material is None and modulus is None and test is None:
+        chosen = rubber_of(loaded)
+    else:
+        chosen = chosen_rubber(material or own.material, modulus_MPa=modulus, test=test, law=law)
     made = design_switch(
-        loaded.switch.threshold_N if threshold is None else threshold,
-        chosen_rubber(material, modulus_MPa=modulus, test=test, law=law),
+        own.threshold_N if threshold is None else threshold,
+        chosen,
         space_of(loaded, wall_min_mm=wall_min),
-        Tolerance(thickness_mm=tolerance),
+        Tolerance(
+            thickness_mm=own.wall_tolerance_mm if tolerance is None else tolerance,
+            modulus=own.modulus_tolerance,
+        ),
     )
     if plot:
         say(f"wrote {write_svg(plot, curve_plot(made))}")

@@ -6,28 +6,32 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.fabrication.switch_set import SwitchSet, make_switches
+from decoder.switches import RED_LEAST_PX, RED_RATIO
+from phytac_design.fabrication.switch_set import SwitchSet, make_switches, revolved_volume_mm3
+from phytac_design.finite import finite
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.stage import Context, Stage, export_path, write_facts
+from shapes.arrays import FloatArray
 
 TABLES = ("shape", "wall", "layout", "receptor", "switch", "mold", "print_rules", "camera", "light")
 
 
 def run(context: Context, folder: Path) -> None:
-    """Write ``switch/switch_….json`` and ``.svg`` for each threshold."""
+    """Write ``switch/switches.json``, and a curve (JSON and SVG) for each threshold."""
     from phytac_design.mechanics.switch.design import design_switch
-    from phytac_design.mechanics.switch.receptor import chosen_rubber, space_of
+    from phytac_design.mechanics.switch.receptor import rubber_of, space_of
     from phytac_design.mechanics.switch.report import curve_plot, switch_dict
     from phytac_design.mechanics.switch.space import Tolerance
     from phytac_design.mechanics.switch.svg import write_svg
 
     design = context.design
     switch = design.switch
-    rubber = chosen_rubber(switch.material, modulus_MPa=switch.modulus_MPa or None)
+    rubber = rubber_of(design)
     space = space_of(design)
     tolerance = Tolerance(thickness_mm=switch.wall_tolerance_mm, modulus=switch.modulus_tolerance)
     made = []
-    for threshold in np.unique(thresholds_N(design, context.markers)):
+    thresholds = thresholds_N(design, context.markers)
+    for threshold in np.unique(thresholds):
         context.progress(f"switch: bowl for {threshold:g} N")
         found = design_switch(float(threshold), rubber, space, tolerance)
         facts = switch_dict(found)
@@ -36,7 +40,49 @@ def run(context: Context, folder: Path) -> None:
         export_path(folder, f"{name}.json").write_text(text + "\n", encoding="utf-8")
         write_svg(export_path(folder, f"{name}.svg"), curve_plot(found))
         made.append({key: value for key, value in facts.items() if key != "curve"})
-    write_facts(folder, {"switches": made})
+    switches = make_switches(design, context.surface, context.markers, made, thresholds)
+    parts = [
+        {
+            "part": f"switch {switches.label(kind)}",
+            "file": "",
+            "count": len(switches.markers_of(kind)),
+            "material": "tpu",
+            "volume_mm3": revolved_volume_mm3(switches.profile(kind)),
+            "note": f"{float(switches.lengths_mm[kind[1]]):.1f} mm from the outer face to the tip",
+        }
+        for kind in switches.kinds
+    ]
+    facts = {"switches": made, "red": red_of(context), "parts": parts}
+    text = json.dumps(finite(facts), indent=1, ensure_ascii=False)
+    export_path(folder, "switch/switches.json").write_text(text + "\n", encoding="utf-8")
+    write_facts(folder, facts)
+
+
+def red_of(context: Context) -> dict[str, Any]:
+    """What the camera sees of the red tips against what the decoder needs, at the weakest switch.
+
+    The picture is made with the design's stroke; the bowls' own is at least that.
+    """
+    views = context.arrays("views")
+    rest, out = views["tip_red_rest_px"], views["tip_red_on_px"]
+    needed = RED_RATIO * rest + RED_LEAST_PX
+    worst = int(np.argmin(out - needed))
+    far = int(np.argmax(np.linalg.norm(context.markers.tip_mm - _eye_mm(context), axis=1)))
+    return {
+        "worst_marker": context.markers.name(worst),
+        "worst_on_px": float(out[worst]),
+        "worst_needed_px": float(needed[worst]),
+        "farthest_marker": context.markers.name(far),
+        "farthest_on_px": float(out[far]),
+        "farthest_needed_px": float(needed[far]),
+        "unreadable": int((out <= needed).sum()),
+    }
+
+
+def _eye_mm(context: Context) -> FloatArray:
+    from phytac_design.optics.view import cameras_of
+
+    return cameras_of(context.design, context.surface)[0].position_mm
 
 
 def switches_of(context: Context) -> SwitchSet:
@@ -51,4 +97,4 @@ def switches_of(context: Context) -> SwitchSet:
     )
 
 
-SWITCH = Stage(name="switch", tables=TABLES, run=run)
+SWITCH = Stage(name="switch", tables=TABLES, needs=("views",), run=run)

@@ -54,6 +54,18 @@ def space_of(design: Design, *, wall_min_mm: float | None = None) -> Space:
     )
 
 
+def rubber_of(design: Design) -> Rubber:
+    """Rubber of a design's switches.
+
+    Raises
+    ------
+    DesignError
+        If there is no data for it.
+    """
+    modulus = design.switch.modulus_MPa
+    return chosen_rubber(design.switch.material, modulus_MPa=modulus or None)
+
+
 def chosen_rubber(
     name: str, *, modulus_MPa: float | None = None, test: Path | None = None, law: str = "yeoh"
 ) -> Rubber:
