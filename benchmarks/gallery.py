@@ -1,7 +1,7 @@
 """Pictures of every shipped design, for the README: python -m benchmarks.gallery [NAME ...].
 
 One image each from the stages ``views`` and ``resolution`` of a draft build: the camera's view, and
-on the unrolled surface the layout, the local density and the force resolution.
+on the report's flat map of the surface the layout, the local density and the force resolution.
 """
 
 import sys
@@ -19,7 +19,7 @@ from phytac_design.accuracy import PRESETS
 from phytac_design.build import build, select_stages
 from phytac_design.design_file import load_design, shipped_designs
 from phytac_design.optics.density import density_map
-from phytac_design.report import figures
+from phytac_design.report import figures, maps
 from phytac_design.stage import EXPORT, Context
 from shapes.arrays import FloatArray, ImageArray
 from shapes.errors import NumericalError
@@ -29,8 +29,10 @@ import matplotlib.pyplot as plt
 
 FOLDER = Path(__file__).parents[1] / "docs" / "images"
 SIZE_IN = (12.0, 9.0)
-DOT, MARKER = 9.0, 22.0
+DOT, MARKER = 11.0, 22.0
 """Areas of a piece of the surface and of a marker on the maps, points²."""
+BAR = (1.03, 0.0, 0.045, 1.0)
+"""Colour bar in shares of its map: beside it and as tall."""
 FLAT_MM = 1e-6
 BYTES_MAX = 150_000
 FORCE_N = 10
@@ -62,23 +64,24 @@ def gallery_image(context: Context) -> ImageArray:
     axes[0, 0].set_axis_off()
     axes[0, 0].set_title(f"{design.name}: the camera's view")
     local = density_map(surface, markers)
-    pieces, dots = surface.unwrap(local.uv), surface.unwrap(markers.uv)
+    pieces, dots = (maps.flat_map(surface, uv) for uv in (local.uv, markers.uv))
     colours = [design.layout.colours[k % len(design.layout.colours)] for k in markers.colour]
     low, high = markers.height_mm.min(), markers.height_mm.max()
     heights = f"{low:.3g} mm" if high - low < FLAT_MM else f"{low:.3g} to {high:.3g} mm"
 
     def draw(axis: Any, title: str, values: FloatArray | None, label: str = "") -> None:
         if values is None:
-            axis.scatter(*pieces.T, color="#e4e1da", s=DOT, marker="s", linewidths=0)
+            axis.scatter(*pieces.points.T, color="#e4e1da", s=DOT, marker="s", linewidths=0)
         else:
             shown = values[local.owner]
             fill = axis.scatter(
-                *pieces.T, c=shown, s=DOT, marker="s", linewidths=0, vmin=0.0, cmap="viridis"
+                *pieces.points.T, c=shown, s=DOT, marker="s", linewidths=0, vmin=0.0, cmap="viridis"
             )
-            figure.colorbar(fill, ax=axis, label=label)
+            figure.colorbar(fill, cax=axis.inset_axes(BAR), label=label)
         size = MARKER if values is None else MARKER / 5.0
-        axis.scatter(*dots.T, color=[figures.INK[name] for name in colours], s=size)
-        axis.set(xlabel="around (mm)", ylabel="along (mm)", aspect="equal", title=title)
+        axis.scatter(*dots.points.T, color=[figures.INK[name] for name in colours], s=size)
+        figures.draw_map(axis, dots)
+        axis.set_title(title)
 
     draw(axes[0, 1], f"{markers.count} markers, {heights} tall", None)
     draw(axes[1, 0], "local density", local.per_cm2, "markers per cm²")

@@ -1,13 +1,15 @@
 """Figures of the report, as PNG bytes. matplotlib is imported only here."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from io import BytesIO
+from textwrap import wrap
 from typing import Any
 
 import cv2
 import numpy as np
 
-from shapes.arrays import FloatArray, ImageArray
+from phytac_design.report.maps import FlatMap
+from shapes.arrays import BoolArray, FloatArray, ImageArray
 
 INK = {
     "blue": "#1c48d6",
@@ -16,7 +18,19 @@ INK = {
     "magenta": "#c2189b",
     "cyan": "#0fa3b1",
 }
-DPI = 110
+DPI = 130
+MAP_IN = 3.9
+"""Longest side of a map, inches; two stand side by side on the page."""
+LEFT_IN, RIGHT_IN, BELOW_IN, ABOVE_IN = 0.85, 1.0, 0.65, 0.15
+BAR_IN, BAR_GAP_IN = 0.16, 0.1
+LEAST_IN = 0.5
+LABEL_PT = 10.0
+LETTERS_PER_IN = 13.0
+"""Letters of that size to the inch, about."""
+DOT_SHARE = 0.5
+"""Diameter of a dot as a share of the markers' spacing on the map."""
+LOG_RANGE = 30.0
+"""Bars whose heights differ by more than this are drawn on a logarithmic axis."""
 
 
 def _png(figure: Any) -> bytes:
@@ -29,70 +43,144 @@ def _png(figure: Any) -> bytes:
     return buffer.getvalue()
 
 
-def _axes(size: tuple[float, float]) -> tuple[Any, Any]:
+def _figure(size: tuple[float, float]) -> Any:
     import matplotlib as mpl
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(figsize=size, layout="constrained")
-    return figure, axes
+    return plt.figure(figsize=size)
 
 
-def unrolled_map(
-    flat_mm: FloatArray, values: FloatArray, *, title: str, label: str, colours: list[str]
+def map_size_in(flat: FlatMap) -> tuple[float, float]:
+    """Width and height of a map on paper, inches, true to its sides unless it is a mere strip."""
+    wide, tall = (flat.limits[1] - flat.limits[0]).tolist()
+    scale = MAP_IN / max(wide, tall)
+    return max(wide * scale, LEAST_IN), max(tall * scale, LEAST_IN)
+
+
+def draw_map(axes: Any, flat: FlatMap) -> None:
+    """Set up axes for a map: limits, sense, true aspect, labels and the outline."""
+    for edge in flat.outline:
+        axes.plot(*edge.T, color="#b5b5b5", linewidth=0.9, zorder=1)
+    (x0, y0), (x1, y1) = flat.limits
+    axes.set(xlim=(x0, x1), ylim=(y1, y0) if flat.y_down else (y0, y1), aspect="equal")
+    axes.set(xlabel=flat.x_label, ylabel=flat.y_label)
+
+
+def value_map(
+    flat: FlatMap,
+    values: FloatArray,
+    *,
+    label: str,
+    colours: Sequence[str],
+    marked: BoolArray | None = None,
+    cross: FloatArray | None = None,
 ) -> bytes:
-    """Markers on the unrolled surface, filled by a value, edged by their paint.
+    """Markers on a map, filled by a value, edged by their paint; the bar is as tall as the map.
 
     Parameters
     ----------
-    flat_mm : (n, 2) float
-        Around and along, mm.
+    flat : FlatMap
+        Places of the n markers.
     values : (n,) float
-        What the fill shows.
-    title, label : str
-        Of the figure and of its colour bar.
+        What the fill shows; markers without a finite value are left hollow.
+    label : str
+        Of the colour bar.
     colours : list of str
         Paint of each marker.
+    marked : (n,) bool, optional
+        Markers to put a red ring around.
+    cross : (2,) float, optional
+        Place to mark with a cross.
     """
-    figure, axes = _axes((8.6, 5.2))
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    wide, tall = map_size_in(flat)
+    size = LEFT_IN + wide + RIGHT_IN, BELOW_IN + tall + ABOVE_IN
+    figure = _figure(size)
+
+    def box(left: float, width: float) -> Any:
+        rectangle = (left / size[0], BELOW_IN / size[1], width / size[0], tall / size[1])
+        return figure.add_axes(rectangle)
+
+    axes, bar = box(LEFT_IN, wide), box(LEFT_IN + wide + BAR_GAP_IN, BAR_IN)
+    draw_map(axes, flat)
+    _break_labels(axes, wide, tall)
+    known = np.isfinite(values)
+    low, high = (
+        (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 0.0)
+    )
     if high - low <= 1e-9 * max(abs(high), 1e-300):  # one value all over: a range that says so
         low, high = (0.0, high) if high > 0.0 else (0.0, 1.0)
+    area = float(np.prod(np.ptp(flat.points[np.isfinite(flat.points[:, 0])], axis=0)))
+    per_unit = 72.0 * wide / float(flat.limits[1, 0] - flat.limits[0, 0])
+    across = DOT_SHARE * np.sqrt(area / max(len(values), 1)) * per_unit
+    width_pt = float(np.clip(across, 2.5, 8.0))
+    edge = np.array([INK.get(name, "black") for name in colours])
     dots = axes.scatter(
-        flat_mm[:, 0],
-        flat_mm[:, 1],
-        c=values,
+        *flat.points[known].T,
+        c=values[known],
         vmin=low,
         vmax=high,
-        s=46,
+        s=width_pt**2,
         cmap="viridis",
-        edgecolors=[INK.get(name, "black") for name in colours],
-        linewidths=1.4,
+        edgecolors=edge[known],
+        linewidths=0.16 * width_pt,
+        zorder=3,
     )
-    figure.colorbar(dots, ax=axes, label=label)
-    axes.set(xlabel="around the sensor (mm)", ylabel="along, away from the camera (mm)")
-    axes.set_title(title)
-    axes.set_aspect("equal")
+    axes.scatter(
+        *flat.points[~known].T,
+        facecolors="none",
+        s=width_pt**2,
+        edgecolors=edge[~known],
+        linewidths=0.16 * width_pt,
+        zorder=3,
+    )
+    if marked is not None and marked.any():
+        ring = {"facecolors": "none", "edgecolors": "#d00000", "linewidths": 1.2, "zorder": 4}
+        axes.scatter(*flat.points[marked].T, s=(1.7 * width_pt) ** 2, **ring)
+    if cross is not None:
+        axes.plot(*cross, marker="x", color="#d00000", markersize=11, markeredgewidth=2, zorder=5)
+    figure.colorbar(dots, cax=bar, label=label)
     return _png(figure)
 
 
-def error_bars(table: Mapping[str, Mapping[str, Any]], *, title: str) -> bytes:
-    """Relative error of each estimator below and from 5 N, in per cent."""
-    figure, axes = _axes((7.2, 3.4))
+def _break_labels(axes: Any, wide: float, tall: float) -> None:
+    """Break axis labels that are longer than their side."""
+    for axis, side in ((axes.xaxis, wide), (axes.yaxis, tall)):
+        lines = wrap(axis.get_label_text(), max(int(side * LETTERS_PER_IN), 8))
+        axis.set_label_text("\n".join(lines), fontsize=LABEL_PT)
+
+
+def error_bars(table: Mapping[str, Mapping[str, Any]], marks: Mapping[str, str]) -> bytes:
+    """Relative error of each estimator below and from 5 N, in per cent.
+
+    ``marks`` holds a footnote sign for estimators that the limits speak of.
+    """
+    figure = _figure((6.4, 3.2))
+    figure.set_layout_engine("constrained")
+    axes = figure.add_subplot()
     names = list(table)
     place = np.arange(len(names))
+    shown: list[float] = []
     for shift, (group, label) in enumerate(
         (("below_5N", "contacts below 5 N"), ("from_5N", "contacts from 5 N"))
     ):
-        values = [100.0 * table[name][group]["relative_error"] for name in names]
-        axes.bar(place + 0.4 * shift - 0.2, values, 0.38, label=label)
-    axes.set_xticks(place, [name.replace("_", " ") for name in names])
+        values = np.array([100.0 * _number(table[name][group]) for name in names])
+        shown += values[np.isfinite(values) & (values > 0.0)].tolist()
+        axes.bar(place + 0.4 * shift - 0.2, np.nan_to_num(values), 0.38, label=label)
+    if shown and max(shown) > LOG_RANGE * min(shown):
+        axes.set_yscale("log")
+        axes.set_ylim(min(shown) / 2.0, 2.0 * max(shown))
+    axes.set_xticks(place, [name.replace("_", " ") + marks.get(name, "") for name in names])
     axes.set_ylabel("mean relative error (%)")
-    axes.set_title(title)
-    axes.legend()
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
     axes.grid(axis="y", alpha=0.3)
     return _png(figure)
+
+
+def _number(group: Mapping[str, Any]) -> float:
+    value = group["relative_error"]
+    return float("nan") if value is None else float(value)
 
 
 def thumbnail(image: ImageArray, width_px: int) -> bytes:

@@ -1,52 +1,135 @@
 """report.html: one self-contained page that opens from disk."""
 
+import math
+import re
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
+from phytac_design.report.names import absent_why, name_of, place_of
+
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; margin: 0 auto; max-width: 60rem; padding: 1rem;
-       color: #1a1a1a; background: #fff; }
-h1 { margin-bottom: 0; } h2 { margin-top: 2rem; border-bottom: 1px solid #ccc; }
+       color: #1a1a1a; background: #fff; overflow-wrap: break-word; }
+h1 { margin-bottom: 0; line-height: 1.2; }
+h2 { margin-top: 2rem; border-bottom: 1px solid #ccc; }
 table { border-collapse: collapse; margin: 0.5rem 0; display: block; overflow-x: auto; }
-th, td { border: 1px solid #ccc; padding: 0.2rem 0.6rem; text-align: right; }
-th:first-child, td:first-child { text-align: left; }
-img { max-width: 100%; height: auto; }
-figure { margin: 0.5rem 0; } figcaption { color: #555; font-size: 0.9rem; }
-.pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(20rem, 1fr)); gap: 1rem; }
-.verdict { font-size: 1.15rem; padding: 0.6rem 1rem; border-left: 6px solid #18863a;
+th, td { border: 1px solid #ccc; padding: 0.2rem 0.6rem; text-align: right; vertical-align: top; }
+th { font-weight: 600; } tbody th { font-weight: 400; }
+th:first-child, td:first-child, td.text, .facts td, .facts th { text-align: left; }
+tr.weak th, tr.weak td { color: #666; background: #f5f5f5; }
+img, svg { max-width: 100%; height: auto; }
+figure { margin: 0.5rem 0; } figcaption { color: #555; font-size: 0.9em; }
+.pair { display: grid; gap: 1rem; align-items: start;
+        grid-template-columns: repeat(auto-fit, minmax(min(20rem, 100%), 1fr)); }
+.verdict { font-size: 1.1rem; padding: 0.6rem 1rem; border-left: 6px solid #18863a;
            background: #eef8f0; }
-.bad { border-color: #b3261e; background: #fbeeed; }
-.note { background: #fff8e1; padding: 0.4rem 1rem; border-left: 6px solid #c08a00; }
-@media print { body { max-width: none; } h2 { break-after: avoid; } }
+.verdict p { margin: 0; } .verdict ul { margin: 0.4rem 0 0; padding: 0; list-style: none;
+           font-size: 1rem; }
+.verdict li { padding-left: 1.6rem; text-indent: -1.6rem; }
+.verdict li::before { display: inline-block; width: 1.6rem; text-indent: 0; font-weight: 700; }
+li.good::before { content: "✓"; color: #18863a; } li.odd::before { content: "!"; color: #9a6b00; }
+li.bad::before { content: "✗"; color: #b3261e; }
+.verdict.odd { border-color: #c08a00; background: #fff8e1; }
+.verdict.bad { border-color: #b3261e; background: #fbeeed; }
+.foot { color: #555; font-size: 0.9em; margin-top: 0; }
+.note { background: #f3f3f3; padding: 0.4rem 1rem; border-left: 6px solid #999; }
+@media (max-width: 30rem) { body { padding: 0.6rem; } table { font-size: 0.85rem; }
+  th, td { padding: 0.2rem 0.35rem; } }
+@media print { body { max-width: none; font-size: 11px; padding: 0; }
+  h2 { break-after: avoid; } figure, tr, .verdict { break-inside: avoid; }
+  table { display: table; font-size: 9px; } .verdict, li { font-size: 11px; }
+  .pair { grid-template-columns: 1fr 1fr; }
+  * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
 """
+DASH = "–"
+SHOWN = 12
+"""Items of a list that are shown."""
+SMALL = 1e-3
+LARGE = 1e4
+
+
+def missing(value: Any) -> bool:
+    """Whether a figure does not exist: None, NaN, infinite, or an empty text."""
+    if isinstance(value, float):
+        return not math.isfinite(value)
+    return value is None or value == ""
 
 
 def number(value: Any) -> str:
-    """Figure as people write it: four significant digits, integers whole."""
+    """Figure as people write it: four significant digits, integers whole, a dash for none."""
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if missing(value):
+        return DASH
     if isinstance(value, float):
-        return f"{value:.4g}"
+        if value != 0.0 and abs(value) < SMALL:
+            return f"{value:.2g}"
+        return f"{value:.0f}" if abs(value) >= LARGE else f"{value:.4g}"
+    if isinstance(value, list | tuple):
+        inner = any(isinstance(item, list | tuple) for item in value)
+        more = f" … ({len(value)})" if len(value) > SHOWN else ""
+        return (("; " if inner else ", ").join(map(number, value[:SHOWN])) or "none") + more
     return escape(str(value))
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """HTML table; the first cell of each row is its heading."""
-    top = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
+def cell(value: Any) -> str:
+    """One cell of a table; words to the left, figures to the right."""
+    words = isinstance(value, str) and not missing(value)
+    return f'<td class="text">{number(value)}</td>' if words else f"<td>{number(value)}</td>"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[Any]], weak: Sequence[bool] = ()) -> str:
+    """HTML table; the first cell of each row is its heading. ``weak`` rows are greyed."""
+    grey = [*weak, *[False] * (len(rows) - len(weak))]
+    top = "".join(f'<th scope="col">{escape(item)}</th>' for item in head)
     body = "".join(
-        f'<tr><th scope="row">{escape(str(row[0]))}</th>'
-        + "".join(f"<td>{number(cell)}</td>" for cell in row[1:])
+        f'<tr{" class=weak" if faint else ""}><th scope="row">{number(row[0])}</th>'
+        + "".join(cell(item) for item in row[1:])
         + "</tr>"
-        for row in rows
+        for row, faint in zip(rows, grey, strict=True)
     )
     return f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def facts(values: Mapping[str, Any]) -> str:
-    """Two-column table of names and figures; nested tables are flattened with dots."""
-    return table(("figure", "value"), list(flatten(values).items()))
+def facts(values: Mapping[str, Any], section: str = "") -> str:
+    """Two-column table of names and figures of one section of ``report.json``.
+
+    Figures that do not exist are a dash, with the reason where it is known. The path in
+    ``report.json`` shows when a name is pointed at. Lists of records follow as tables of their own.
+    """
+    rows, records = [], []
+    flat = flatten(values, f"{section}." if section else "")
+    for path in sorted(flat, key=place_of):
+        value = flat[path]
+        if _are_records(value):
+            records.append(_records(path, value))
+            continue
+        why = absent_why(path) if missing(value) else ""
+        shown = f'<td class="text">{DASH} ({escape(why)})</td>' if why else cell(value)
+        name = f'<th scope="row" title="{escape(path)}">{escape(name_of(path))}</th>'
+        rows.append(f"<tr>{name}{shown}</tr>")
+    head = '<tr><th scope="col">figure</th><th scope="col">value</th></tr>'
+    return (
+        f'<table class="facts"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>'
+        + "".join(records)
+    )
+
+
+def _are_records(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(v, Mapping) for v in value)
+
+
+def _records(path: str, items: Sequence[Mapping[str, Any]]) -> str:
+    """Table of records, a column for each of their keys."""
+    flat = [flatten(item) for item in items]
+    found = dict.fromkeys(key for item in flat for key in item)
+    keys = sorted(found, key=lambda key: place_of(f"{path}.{key}"))
+    head = [name_of(f"{path}.{key}").removeprefix(f"{path}.") for key in keys]
+    body = table(head, [[item.get(key) for key in keys] for item in flat])
+    name = name_of(path)
+    return f"<p>{escape(name[:1].upper() + name[1:])}:</p>{body}"
 
 
 def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -71,6 +154,19 @@ def figure(data: bytes, caption: str, kind: str = "png") -> str:
     )
 
 
+def drawing(svg: str, caption: str) -> str:
+    """Inline SVG that shrinks with the page, and its caption."""
+    size = re.search(r'<svg [^>]*?width="([\d.]+)" height="([\d.]+)"', svg)
+    if size and "viewBox" not in svg:
+        svg = svg.replace("<svg ", f'<svg viewBox="0 0 {size[1]} {size[2]}" ', 1)
+    return f"<figure>{svg}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def pair(*parts: str) -> str:
+    """Figures side by side where there is room."""
+    return f'<div class="pair">{"".join(parts)}</div>'
+
+
 def page(title: str, sections: Sequence[tuple[str, str]], lead: str) -> str:
     """Whole page from sections (heading, HTML)."""
     body = "".join(f"<section><h2>{escape(head)}</h2>{html}</section>" for head, html in sections)
@@ -80,33 +176,3 @@ def page(title: str, sections: Sequence[tuple[str, str]], lead: str) -> str:
         f"<title>{escape(title)}</title><style>{STYLE}</style></head>"
         f"<body><h1>{escape(title)}</h1>{lead}{body}</body></html>\n"
     )
-
-
-def score_table(scores: Mapping[str, Mapping[str, Any]]) -> str:
-    """Estimators side by side."""
-    head = (
-        "estimator",
-        "relative error %",
-        "MAE N",
-        "SD N",
-        "below 5 N %",
-        "from 5 N %",
-        "single %",
-        "multi %",
-        "middle %",
-        "near rims %",
-        "contacts",
-    )
-    groups = ("below_5N", "from_5N", "single", "multi", "middle", "near_rims")
-    rows = [
-        (
-            name,
-            100.0 * item["relative_error"],
-            item["mae_N"],
-            item["sd_N"],
-            *(100.0 * item[group]["relative_error"] for group in groups),
-            item["samples"],
-        )
-        for name, item in scores.items()
-    ]
-    return table(head, rows)

@@ -1,0 +1,89 @@
+"""Drawing one sensor: its maps, and the pictures that the stages wrote."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from decoder.run import read_image
+from phytac_design.report import figures, maps, page
+from phytac_design.stage import EXPORT, Context
+from shapes.arrays import BoolArray, FloatArray
+
+MARKS = ("", "_far")
+"""What the stages add to the names of the pictures of the first and of the second camera."""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Draws the markers of one sensor on its maps."""
+
+    context: Context
+
+    @cached_property
+    def colours(self) -> list[str]:
+        """Paint of each marker."""
+        paints = self.context.design.layout.colours
+        return [paints[index % len(paints)] for index in self.context.markers.colour]
+
+    @cached_property
+    def flat(self) -> maps.FlatMap:
+        """Map of the surface."""
+        return maps.flat_map(self.context.surface, self.context.markers.uv)
+
+    @cached_property
+    def picture(self) -> maps.FlatMap | None:
+        """Map of the camera's picture, for shapes that face their one camera."""
+        if maps.family(self.context.surface) == "tube":
+            return None
+        camera = self.context.design.camera
+        pixels = self.context.arrays("views")["rest_px"]
+        return maps.picture_map(pixels, (camera.width_px, camera.height_px))
+
+    def on_surface(
+        self,
+        values: FloatArray,
+        caption: str,
+        label: str,
+        *,
+        marked: BoolArray | None = None,
+        cross: FloatArray | None = None,
+    ) -> str:
+        """Figure of values (n,) on the surface's map; ``cross`` (u, v) is marked by a cross."""
+        at = None if cross is None else maps.flat_map(self.context.surface, cross[None]).points[0]
+        data = figures.value_map(
+            self.flat, values, label=label, colours=self.colours, marked=marked, cross=at
+        )
+        return page.figure(data, f"{caption}; {self.flat.note}")
+
+    def both(
+        self,
+        values: FloatArray,
+        caption: str,
+        label: str,
+        *,
+        marked: BoolArray | None = None,
+        cross: FloatArray | None = None,
+    ) -> str:
+        """Figures on the surface's map and, for shapes that face the camera, in its picture."""
+        surface = self.on_surface(values, caption, label, marked=marked, cross=cross)
+        if self.picture is None:
+            return surface
+        data = figures.value_map(
+            self.picture, values, label=label, colours=self.colours, marked=marked
+        )
+        return surface + page.figure(data, f"{caption}; {self.picture.note}")
+
+
+def photo(context: Context, stage: str, name: str, caption: str) -> str:
+    """Figure of a picture that a stage wrote; "" if it wrote none."""
+    path = context.folders[stage] / EXPORT / "views" / name
+    if not path.is_file():
+        return ""
+    return page.figure(figures.thumbnail(read_image(path), 900), caption, "jpeg")
+
+
+def of_camera(report: Mapping[str, Any], number: int) -> str:
+    """Words that tell one of two cameras from the other; "" if there is one."""
+    cameras = report["cameras"]
+    return f", {cameras[number]['end']} camera" if len(cameras) > 1 else ""

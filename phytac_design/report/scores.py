@@ -1,0 +1,83 @@
+"""Tables of estimators, with a mark where the limits of the sensor speak of one."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from phytac_design.report import page
+
+STIFFNESS = ("fem", "fem_nn", "fem_nn_identity")
+"""Estimators that rest on K·u."""
+WEAK_SHARE = 0.1
+"""Rows are greyed where an estimator cannot be used at this share of the markers."""
+GROUPS = ("below_5N", "from_5N", "single", "multi", "middle", "near_rims")
+HEAD = (
+    "estimator",
+    "relative error (%)",
+    "MAE (N)",
+    "SD (N)",
+    "below 5 N (%)",
+    "from 5 N (%)",
+    "single (%)",
+    "multi (%)",
+    "middle (%)",
+    "near rims (%)",
+    "contacts",
+)
+
+
+def marks_of(limits: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
+    """Footnote signs of estimators: † where K·u is noise, ‡ where no force can be read."""
+    out = {}
+    for name in names:
+        noisy = name in STIFFNESS and limits["fem_unusable_count"]
+        out[name] = ("†" if noisy else "") + ("‡" if limits["force_unreadable"] else "")
+    return out
+
+
+def score_table(
+    scores: Mapping[str, Mapping[str, Any]], limits: Mapping[str, Any], count: int
+) -> str:
+    """Estimators side by side, with footnotes.
+
+    Parameters
+    ----------
+    scores : mapping
+        ``decoder``, ``decoder_anywhere`` or ``decoder_frames`` of the report.
+    limits : mapping
+        ``limit_figures`` of the report.
+    count : int
+        Markers of the sensor.
+    """
+    marks = marks_of(limits, list(scores))
+    rows = [
+        (
+            name + marks[name],
+            _percent(item),
+            item["mae_N"],
+            item["sd_N"],
+            *(_percent(item[group]) for group in GROUPS),
+            item["samples"],
+        )
+        for name, item in scores.items()
+    ]
+    faint, unread = limits["fem_unusable_count"], len(limits["force_unreadable"])
+    weak = [
+        unread >= WEAK_SHARE * count or (name in STIFFNESS and faint >= WEAK_SHARE * count)
+        for name in scores
+    ]
+    feet = []
+    if faint:
+        feet.append(
+            f"† At {faint} of {count} markers K·u cannot tell a force from noise (median over all "
+            f"markers: {page.number(limits['fem_noise_N_median'])} N): use koi_inverse."
+        )
+    if unread:
+        feet.append(f"‡ Forces on {unread} of {count} markers cannot be read by any estimator.")
+    if any(page.missing(value) for row in rows for value in row):
+        feet.append(f"{page.DASH}: no such contacts among these.")
+    return page.table(HEAD, rows, weak) + "".join(f'<p class="foot">{foot}</p>' for foot in feet)
+
+
+def _percent(score: Mapping[str, Any]) -> float | None:
+    error = score["relative_error"]
+    return None if page.missing(error) else 100.0 * float(error)

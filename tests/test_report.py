@@ -1,0 +1,326 @@
+"""The report: maps of every shape, names, unusable estimators, the verdict, two cameras."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from phytac_design.accuracy import PRESETS
+from phytac_design.build import BuildResult
+from phytac_design.layout import make_markers
+from phytac_design.optics.view import cameras_of
+from phytac_design.report import figures, maps, names, page, scores, sections, verdict
+from phytac_design.report.drawing import Drawing
+from phytac_design.stage import Context, write_arrays, write_facts
+from phytac_design.stages.report import forced_past
+from phytac_design.stages.views import run_views
+from tests.designs import DRAWN, drawn, small
+
+FAMILIES = {
+    "cylinder": "tube",
+    "cone": "tube",
+    "cuboid": "tube",
+    "grip": "tube",
+    "hemisphere": "dome",
+    "plane": "sheet",
+    "patch": "sheet",
+}
+NO_LIMITS: dict[str, Any] = {
+    "fem_unusable_count": 0,
+    "fem_noise_N_median": 0.1,
+    "force_unreadable": [],
+    "switches_unreadable": [],
+}
+
+
+def a_score(error: float = 0.1) -> dict[str, Any]:
+    one = {"mae_N": 0.2, "sd_N": 0.3, "relative_error": error, "samples": 9}
+    return one | {group: dict(one) for group in scores.GROUPS}
+
+
+def a_report(**changes: Any) -> dict[str, Any]:
+    """What the verdict reads, of a sensor without fault."""
+    table = {name: a_score() for name in ("fem", "fem_nn", "fem_nn_identity", "koi_inverse")}
+    good: dict[str, Any] = {
+        "description": "a <b>",
+        "forced": [],
+        "cameras": [{"end": "near"}],
+        "visibility": {"occluded": 0, "fused": 0},
+        "under_load": {
+            "force_N": 25.0,
+            "presses": 8,
+            "first_force_N": None,
+            "not_solved": 0,
+        },
+        "limits": [],
+        "shell": {"watertight": True},
+        "frames": {"refused": 0, "frames": 5, "first_refusal": ""},
+        "markers": {"count": 40, "density_per_cm2": 1.6, "surface_class": "parallel"},
+        "decoder": table,
+        "decoder_frames": table,
+    }
+    return good | changes
+
+
+@pytest.mark.parametrize("kind", sorted(DRAWN))
+def test_maps_have_the_sense_that_they_state(kind: str) -> None:
+    design = drawn(kind, 0)
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    flat = maps.flat_map(surface, markers.uv)
+    assert maps.family(surface) == FAMILIES[kind]
+    assert len(np.unique(flat.points.round(6), axis=0)) == markers.count
+    (low, high), places = flat.limits, flat.points
+    assert ((places > low) & (places < high)).all()
+    pixels = cameras_of(design, surface)[0].project(markers.tip_mm)
+    if FAMILIES[kind] == "tube":
+        assert "as seen from outside" in flat.note
+        assert not flat.y_down
+        return
+    assert flat.y_down
+    # Same place, same sense: right is right and down is down in the picture.
+    for axis in (0, 1):
+        assert np.corrcoef(places[:, axis], pixels[:, axis])[0, 1] > 0.95
+    assert "around" not in flat.x_label
+
+
+def test_a_dome_is_spread_from_its_pole() -> None:
+    surface = drawn("hemisphere", 1).surface()
+    (u0, u1), _ = surface.domain
+    uv = np.array([[u1, 1.0], [u0, 0.0], [u0, np.pi / 2.0], [(u0 + u1) / 2.0, np.pi]])
+    places = maps.flat_map(surface, uv).points
+    length = u1 - u0  # the chart of a dome is the length of its meridian
+    expected = [[0.0, 0.0], [length, 0.0], [0.0, length], [-length / 2.0, 0.0]]
+    assert places == pytest.approx(np.array(expected), abs=1e-9)
+
+
+def test_a_plane_is_drawn_from_its_centre_and_a_patch_from_its_corner() -> None:
+    plane, patch = (drawn(kind, 2).surface() for kind in ("plane", "patch"))
+    middle = plane.domain.mean(axis=1)[None]
+    assert maps.flat_map(plane, middle).points == pytest.approx(np.zeros((1, 2)))
+    assert "from its centre" in maps.flat_map(plane, middle).x_label
+    corner = patch.domain[:, 0][None]
+    assert maps.flat_map(patch, corner).points == pytest.approx(np.zeros((1, 2)))
+    assert "from its corner" in maps.flat_map(patch, corner).x_label
+
+
+@pytest.mark.parametrize("sides", [(200.0, 40.0), (60.0, 60.0), (30.0, 120.0)])
+def test_the_colour_bar_is_as_tall_as_the_map(sides: tuple[float, float]) -> None:
+    places = np.random.default_rng(0).random((50, 2)) * sides
+    flat = maps.FlatMap(
+        points=places, outline=(), x_label="x", y_label="y", y_down=False, note="flat"
+    )
+    wide, tall = figures.map_size_in(flat)
+    extent = flat.limits[1] - flat.limits[0]
+    assert wide / tall == pytest.approx(extent[0] / extent[1], rel=1e-6)
+    data = figures.value_map(flat, places[:, 0], label="mm", colours=["blue"] * 50)
+    image: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    top = figures.ABOVE_IN * figures.DPI
+    bottom = top + tall * figures.DPI
+    at = round((figures.LEFT_IN + wide + figures.BAR_GAP_IN + figures.BAR_IN / 2.0) * figures.DPI)
+    bar = np.flatnonzero(np.ptp(image[:, at].astype(int), axis=1) > 40)
+    assert (bar[0], bar[-1]) == (pytest.approx(top, abs=3), pytest.approx(bottom, abs=3))
+    edge = round(figures.LEFT_IN * figures.DPI)
+    frame = np.flatnonzero((image[:, edge - 2 : edge + 3] < 90).all(axis=2).any(axis=1))
+    assert frame[0] == pytest.approx(top, abs=3)
+    assert bottom - 3 <= frame[-1]
+
+
+def test_figures_that_do_not_exist_are_dashes_with_their_reason() -> None:
+    for value in (None, float("nan"), float("inf"), ""):
+        assert page.number(value) == "–"
+    html = page.facts({"first_force_N": None, "odd": None, "presses": 3}, "under_load")
+    assert "– (nothing hides or fuses)" in html
+    assert ">least force at which a marker hides or fuses (N)<" in html
+    assert ">under_load.odd</th><td>–</td>" in html
+    assert html.index("places pressed") < html.index("least force")
+    assert "None" not in html
+    assert page.number([[0.0, 1.0], [2.0, 3.5]]) == "0, 1; 2, 3.5"
+    assert page.number(list(range(40))).endswith("11 … (40)")
+    assert page.number([]) == "none"
+    assert page.number(23456.7) == "23457"
+    assert page.number(1.23456e-5) == "1.2e-05"
+
+
+def test_estimators_that_cannot_be_used_are_marked() -> None:
+    table = {name: a_score() for name in ("fem", "koi_inverse")}
+    clean = scores.score_table(table, NO_LIMITS, 40)
+    assert "†" not in clean
+    assert "weak" not in clean
+    some = NO_LIMITS | {"fem_unusable_count": 3, "fem_noise_N_median": 7.25}
+    html = scores.score_table(table, some, 40)
+    assert ">fem†<" in html
+    assert ">koi_inverse<" in html
+    assert "At 3 of 40 markers" in html
+    assert "7.25 N" in html
+    assert "class=weak" not in html  # 3 of 40 are less than a tenth
+    half = scores.score_table(table, some | {"fem_unusable_count": 20}, 40)
+    assert '<tr class=weak><th scope="row">fem†<' in half
+    assert half.count("class=weak") == 1
+    blind = scores.score_table(table, some | {"force_unreadable": [1, 2, 3, 4]}, 40)
+    assert ">fem†‡<" in blind
+    assert ">koi_inverse‡<" in blind
+    assert blind.count("class=weak") == 2
+    table["fem"]["below_5N"]["relative_error"] = float("nan")
+    empty = scores.score_table(table, NO_LIMITS, 40)
+    assert "<td>–</td>" in empty
+    assert "no such contacts" in empty
+
+
+def test_verdict_of_a_sensor_without_fault() -> None:
+    found = verdict.findings(a_report())
+    assert {item.level for item in found} == {"good"}
+    html = verdict.lead(a_report())
+    assert 'class="verdict good"' in html
+    assert "a &lt;b&gt;" in html
+
+
+@pytest.mark.parametrize(
+    ("change", "level", "text"),
+    [
+        ({"forced": ["2 markers hidden (rows 0 to 1)"]}, "bad", "--force though 2 markers hidden"),
+        ({"visibility": {"occluded": 4, "fused": 2}}, "bad", "4 markers are hidden and 2 fuse"),
+        (
+            {
+                "under_load": {
+                    "force_N": 25.0,
+                    "presses": 8,
+                    "first_force_N": 6.254,
+                    "first_place": "on marker (row 3, column 4)",
+                    "first_marker": "(row 2, column 4)",
+                    "not_solved": 0,
+                }
+            },
+            "odd",
+            "from 6.254 N on: marker (row 2, column 4), pressed on marker (row 3, column 4)",
+        ),
+        ({"limits": ["3 of 40 switches cannot be read well"]}, "odd", "3 of 40 switches cannot"),
+        ({"shell": {"watertight": False}}, "bad", "NOT watertight"),
+        (
+            {"frames": {"refused": 2, "frames": 5, "first_refusal": "too few blobs"}},
+            "odd",
+            "2 of 5 rendered frames could not be decoded, the first because too few blobs",
+        ),
+    ],
+)
+def test_verdict_says_what_fails(change: dict[str, Any], level: str, text: str) -> None:
+    found = verdict.findings(a_report(**change))
+    assert any(text in item.text and item.level == level for item in found)
+    assert f'class="verdict {level}"' in verdict.lead(a_report(**change))
+
+
+def test_verdict_without_a_decoded_contact() -> None:
+    none = {"koi_inverse": a_score(float("nan")) | {"samples": 0}}
+    html = verdict.lead(a_report(decoder=none))
+    assert "No simulated contact tripped a switch" in html
+    assert "nan" not in html
+
+
+@pytest.mark.parametrize(("fused", "first_N", "reasons"), [(0, 19.0, 0), (2, 19.0, 1), (2, 3.0, 2)])
+def test_a_build_past_a_gate_is_told_from_its_results(
+    fused: int, first_N: float, reasons: int, tmp_path: Path
+) -> None:
+    context = Context(
+        design=small(demands={"clear_force_N": 10.0}), accuracy=PRESETS["draft"], seed=0
+    )
+    for name in ("views", "underload"):
+        (tmp_path / name).mkdir()
+        context.folders[name] = tmp_path / name
+    lost = np.zeros(context.markers.count, dtype=bool)
+    views = {"occluded": lost, "fused": lost.copy(), "hidden_by": lost.astype(int)}
+    views["fused"][:fused] = True
+    write_arrays(tmp_path / "views", views)
+    facts = {"first_force_N": first_N, "first_place": "on marker (row 1, column 2)"}
+    write_facts(tmp_path / "underload", facts)
+    found = forced_past(context)
+    assert len(found) == reasons
+    assert ("2 markers fused" in "".join(found)) == (fused > 0)
+    assert ("from 3 N on" in "".join(found)) == (first_N < 10.0)
+
+
+@pytest.mark.parametrize(("kind", "maps_drawn"), [("plane", 2), ("hemisphere", 2), ("cone", 1)])
+def test_shapes_that_face_the_camera_are_drawn_in_its_picture_too(
+    kind: str, maps_drawn: int, tmp_path: Path
+) -> None:
+    context = Context(design=drawn(kind, 3), accuracy=PRESETS["draft"], seed=0)
+    camera = cameras_of(context.design, context.surface)[0]
+    write_arrays(tmp_path, {"rest_px": camera.project(context.markers.tip_mm)})
+    context.folders["views"] = tmp_path
+    values = np.arange(context.markers.count, dtype=float)
+    place = context.markers.uv[0]
+    html = Drawing(context).both(values, "Gap", "px", marked=values < 2.0, cross=place)
+    assert html.count("data:image/png") == maps_drawn
+    assert ("Gap; in the camera&#x27;s picture" in html) == (maps_drawn == 2)
+    picture = maps.picture_map(camera.project(context.markers.tip_mm), (864, 648))
+    wide, tall = figures.map_size_in(picture)
+    assert wide / tall == pytest.approx(864 / 648, rel=0.03)
+
+
+def test_bars_of_very_unlike_errors_and_of_none_are_drawn() -> None:
+    table = {"fem": a_score(900.0), "koi_inverse": a_score(0.05)}
+    table["fem"]["below_5N"]["relative_error"] = None
+    assert figures.error_bars(table, {"fem": "†"}).startswith(b"\x89PNG")
+    nothing = {"fem": a_score(float("nan"))}
+    assert figures.error_bars(nothing, {}).startswith(b"\x89PNG")
+
+
+def test_records_are_tables_of_their_own() -> None:
+    parts = [{"note": "a", "part": "switch A0"}, {"part": "switch A1", "note": None}]
+    html = page.facts({"parts": parts, "red": {"unreadable": 2}}, "switch")
+    assert html.count("<table") == 2
+    assert html.index(">part<") < html.index(">note<")
+    assert ">switch A1</th><td>–</td>" in html
+
+
+def test_two_cameras_show_both_pictures_and_lenses(tmp_path: Path) -> None:
+    design = small(
+        camera={"ends": "both", "width_px": 648, "height_px": 486, "focal_px": 242.0},
+        layout={"rows": 4, "columns": 8, "height_far_mm": 3.0},
+    )
+    context = Context(design=design, accuracy=PRESETS["draft"], seed=0, progress=lambda _: None)
+    for name in ("views", "compare"):
+        (tmp_path / name).mkdir()
+        context.folders[name] = tmp_path / name
+    run_views(context, tmp_path / "views")
+    write_facts(tmp_path / "compare", {"straight": None, "why": "no <rows>"})
+    views = context.facts("views")
+    report = {
+        "cameras": views["cameras"],
+        "visibility": views["visibility"],
+        "straight": None,
+        "camera": {"stand_off_mm": views["stand_off_mm"], "end": "near"},
+    }
+    html = sections.camera_section(context, report, Drawing(context))
+    for end in ("near", "far"):
+        for what in ("The camera&#x27;s view at rest", "All switches on", "Exact ID map"):
+            assert any(
+                what in part and f", {end} camera" in part for part in html.split("<figcaption>")
+            )
+    assert html.count("data:image/jpeg") == 6
+    assert "no &lt;rows&gt;" in html
+    lens = sections.lens_section(context, report)
+    assert "<h3>Near camera</h3>" in lens
+    assert "<h3>Far camera</h3>" in lens
+    # Each figure under its own heading: facts on disk are sorted by key.
+    row = views["cameras"][0]["lens"]["rows"][0]
+    first = lens.split("<tbody>")[1].split("</tr>")[0]
+    cells = [part.split("<")[0] for part in first.split(">") if part.split("<")[0]]
+    assert cells[:3] == ["0", str(row["markers"]), page.number(row["mm_per_px_axial"])]
+    assert cells[-1] == page.number(row["blur_px"])
+
+
+def test_page_of_a_build_is_whole(built: BuildResult) -> None:
+    report = json.loads((built.out / "report" / "report.json").read_text())
+    html = (built.out / "report" / "report.html").read_text()
+    assert report["forced"] == []
+    assert len(report["cameras"]) == 1
+    assert ">None<" not in html
+    assert ">nan" not in html
+    for key in ("under_load", "markers", "shell", "mesh", "frames", "training", "twin"):
+        for path in page.flatten(report[key], f"{key}."):
+            assert names.name_of(path) != path or path == "under_load.sentence", path
+    for key in report["visibility"]:
+        assert names.name_of(f"visibility.{key}") != f"visibility.{key}"
