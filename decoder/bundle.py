@@ -14,21 +14,40 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
+from decoder.bundle_check import check_arrays, check_indices, check_shown
 from decoder.camera import Camera
 from decoder.estimators import ForceModel
 from decoder.lens import LENSES, Lens
-from decoder.network import ACTIVATIONS, CascadeNetwork, parameter_count
+from decoder.network import ACTIVATIONS, CascadeNetwork
 from decoder.segmentation import ColourModel
 from decoder.switches import TipModel
 from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import DesignError, InputError
 
-SCHEMA = (1, 2)
+SCHEMA = (1, 3)
 FORMAT = "phytac-decoder-bundle"
 NOISE_SHARE_MAX = 0.2
 """K·u is of use at a marker where its noise stays below this share of the largest force."""
 SHOWN = 5
 """Markers named in a sentence."""
+ENDS = ("near", "far")
+"""Ends of a sensor with two cameras, in their order."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """What one camera shows of the unloaded sensor, of markers that another one reads too.
+
+    Attributes
+    ----------
+    rest_px : (n, 2) float
+        Predicted rest positions; NaN for markers that it does not show.
+    tips : TipModel
+        What it shows of the red tips.
+    """
+
+    rest_px: FloatArray
+    tips: TipModel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +60,10 @@ class Bundle:
         Name of the design.
     design_hash : str
         Hash of the resolved design it was made from.
-    camera : Camera
-        The camera it expects.
+    cameras : tuple of Camera
+        The cameras it expects, one or two; the near end's first.
+    read_by : (n,) int
+        Camera that each marker is read through; all that is in px, is in that camera's image.
     colours : ColourModel
         Paints; the markers' colours first, ``red`` among them.
     colour : (n,) int
@@ -63,13 +84,16 @@ class Bundle:
         Standard deviation of each coordinate of a marker's centroid.
     force_max_N : float
         Largest force that the sensor is meant for.
+    shown : tuple of Shown
+        What each camera shows; empty for one camera, which shows what it reads.
     notes : dict
         Provenance: training data, seconds, accuracy; free of meaning to the decoder.
     """
 
     design: str
     design_hash: str
-    camera: Camera
+    cameras: tuple[Camera, ...]
+    read_by: IntArray
     colours: ColourModel
     colour: IntArray
     position_mm: FloatArray
@@ -80,7 +104,21 @@ class Bundle:
     threshold_N: float
     noise_centroid_px: float = 0.04
     force_max_N: float = 25.0
+    shown: tuple[Shown, ...] = ()
     notes: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def camera(self) -> Camera:
+        """The camera; of two, the near end's."""
+        return self.cameras[0]
+
+    def shown_by(self, number: int) -> Shown:
+        """What a camera shows."""
+        return self.shown[number] if self.shown else Shown(rest_px=self.rest_px, tips=self.tips)
+
+    def of_camera(self, number: int) -> str:
+        """Which camera, in a sentence; "" if there is but one."""
+        return f" of the {ENDS[number]} camera" if len(self.cameras) > 1 else ""
 
     @property
     def stiffness_usable(self) -> BoolArray:
@@ -131,7 +169,7 @@ def named(markers: IntArray) -> str:
 
 def save_bundle(bundle: Bundle, folder: Path) -> None:
     """Write ``bundle.json`` and ``bundle.safetensors`` into ``folder``."""
-    camera, model = bundle.camera, bundle.model
+    model = bundle.model
     meta = {
         "format": FORMAT,
         "schema_version": f"{SCHEMA[0]}.{SCHEMA[1]}",
@@ -139,11 +177,9 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
         "design_hash": bundle.design_hash,
         "markers": len(bundle.colour),
         "units": {"length": "mm", "force": "N", "image": "px", "stiffness": "N/mm"},
-        "camera": {
-            **lens_table(camera.lens),
-            "position_mm": camera.position_mm.tolist(),
-            "rotation": camera.rotation.tolist(),
-        },
+        # The first camera also by itself: a field keeps its meaning within a major version.
+        "camera": camera_table(bundle.camera),
+        "cameras": [camera_table(camera) for camera in bundle.cameras],
         "colours": {
             "names": list(bundle.colours.names),
             "chroma": bundle.colours.chroma.tolist(),
@@ -175,7 +211,15 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
         "compliance_px": model.compliance_px,
         "height_z_mm": model.height_z_mm,
         "neighbours": model.neighbours,
+        "read_by": bundle.read_by,
     } | {f"network.{name}": net.parameters for name, net in model.networks.items()}
+    if bundle.shown:
+        arrays |= {
+            "shown_rest_px": np.stack([item.rest_px for item in bundle.shown]),
+            "shown_tip_on_px": np.stack([item.tips.on_px for item in bundle.shown]),
+            "shown_tip_red_rest_px": np.stack([item.tips.red_rest_px for item in bundle.shown]),
+            "shown_tip_red_on_px": np.stack([item.tips.red_on_px for item in bundle.shown]),
+        }
     folder.mkdir(parents=True, exist_ok=True)
     save_file(
         {name: np.ascontiguousarray(value) for name, value in sorted(arrays.items())},
@@ -202,9 +246,13 @@ def load_bundle(folder: Path) -> Bundle:
         ) from error
     try:
         count = int(meta["markers"])
-        _check_arrays(arrays, count, sorted(meta["networks"]), folder)
-        _check_indices(arrays, count, len(meta["colours"]["names"]), folder)
-        return _assemble(meta, arrays, _camera(meta["camera"], folder))
+        # Up to schema 1.2 there was one camera.
+        tables = meta.get("cameras", [meta["camera"]])
+        arrays.setdefault("read_by", np.zeros(count, dtype=np.int64))
+        check_arrays(arrays, count, sorted(meta["networks"]), folder)
+        check_indices(arrays, count, len(meta["colours"]["names"]), len(tables), folder)
+        check_shown(arrays, count, len(tables), folder)
+        return _assemble(meta, arrays, tuple(_camera(table, folder) for table in tables))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{folder}/bundle.json is not a decoder bundle: {type(error).__name__} {error}"
@@ -236,49 +284,13 @@ def _read_meta(folder: Path) -> dict[str, Any]:
     return meta
 
 
-def _check_arrays(arrays: dict[str, Any], count: int, networks: list[str], folder: Path) -> None:
-    n = count
-    expected: dict[str, tuple[int, ...]] = {
-        "colour": (n,),
-        "position_mm": (n, 3),
-        "rest_px": (n, 2),
-        "tip_bias_px": (n, 2),
-        "tip_on_px": (n, 2),
-        "tip_red_rest_px": (n,),
-        "tip_red_on_px": (n,),
-        "shift_to_mm": (n, 2),
-        "stiffness": (n, n),
-        "compliance_px": (2 * n, n),
-        "height_z_mm": (n,),
-        "neighbours": (n, 8),
-    } | {f"network.{name}": (parameter_count(),) for name in networks}
-    for name, shape in expected.items():
-        if name not in arrays:
-            raise InputError(f"{folder}/bundle.safetensors lacks {name!r}; rebuild the decoder")
-        if arrays[name].shape != shape:
-            raise InputError(
-                f"{folder}/bundle.safetensors: {name} has shape {arrays[name].shape}, "
-                f"expected {shape} for {n} markers; the two files are of different builds"
-            )
-        kind = np.int64 if name in ("colour", "neighbours") else np.float64
-        if arrays[name].dtype != kind:
-            raise InputError(
-                f"{folder}/bundle.safetensors: {name} is {arrays[name].dtype}, expected "
-                f"{np.dtype(kind)}; rebuild the decoder"
-            )
-        if name != "tip_on_px" and not np.isfinite(arrays[name]).all():
-            raise InputError(
-                f"{folder}/bundle.safetensors: {name} holds numbers that are not finite"
-            )
-
-
-def _check_indices(arrays: dict[str, Any], count: int, colours: int, folder: Path) -> None:
-    for name, low, high in (("neighbours", -1, count), ("colour", 0, colours)):
-        if arrays[name].min(initial=low) < low or arrays[name].max(initial=low) >= high:
-            raise InputError(
-                f"{folder}/bundle.safetensors: {name} points beyond the bundle's {high} entries; "
-                "rebuild the decoder"
-            )
+def camera_table(camera: Camera) -> dict[str, Any]:
+    """Camera as it stands in ``bundle.json``: its lens and its pose."""
+    return {
+        **lens_table(camera.lens),
+        "position_mm": camera.position_mm.tolist(),
+        "rotation": camera.rotation.tolist(),
+    }
 
 
 def lens_table(lens: Lens) -> dict[str, Any]:
@@ -325,7 +337,7 @@ def _camera(table: dict[str, Any], folder: Path) -> Camera:
     )
 
 
-def _assemble(meta: dict[str, Any], arrays: dict[str, Any], camera: Camera) -> Bundle:
+def _assemble(meta: dict[str, Any], arrays: dict[str, Any], cameras: tuple[Camera, ...]) -> Bundle:
     for name, item in meta["networks"].items():
         if item["activation"] not in ACTIVATIONS:
             raise ValueError(f"network {name!r} has an unknown activation {item['activation']!r}")
@@ -338,10 +350,12 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], camera: Camera) -> B
         )
         for name, item in meta["networks"].items()
     }
+    several = len(cameras) > 1
     return Bundle(
         design=str(meta["design"]),
         design_hash=str(meta["design_hash"]),
-        camera=camera,
+        cameras=cameras,
+        read_by=arrays["read_by"],
         colours=ColourModel(
             names=tuple(meta["colours"]["names"]),
             chroma=np.asarray(meta["colours"]["chroma"], dtype=np.float64),
@@ -368,5 +382,18 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], camera: Camera) -> B
         # Up to schema 1.1 these were not stored.
         noise_centroid_px=float(meta.get("noise_centroid_px", 0.04)),
         force_max_N=float(meta.get("force_max_N", 25.0)),
+        shown=tuple(_shown(arrays, number) for number in range(len(cameras) if several else 0)),
         notes=dict(meta["notes"]),
+    )
+
+
+def _shown(arrays: dict[str, Any], number: int) -> Shown:
+    """What one of several cameras shows."""
+    return Shown(
+        rest_px=arrays["shown_rest_px"][number],
+        tips=TipModel(
+            on_px=arrays["shown_tip_on_px"][number],
+            red_rest_px=arrays["shown_tip_red_rest_px"][number],
+            red_on_px=arrays["shown_tip_red_on_px"][number],
+        ),
     )

@@ -55,12 +55,15 @@ def match_markers(
     blobs : Blobs
         Of the image; colours outside ``colour`` (the red tips) are left alone.
     rest_px : (n, 2) float
-        Rest positions.
+        Rest positions; NaN for a marker that the image does not show, which is not looked for.
     colour : (n,) int
         Colour of each marker, as in ``blobs.colour``.
     neighbours : (n, 8) int
         Neighbour ids, -1 beyond a rim.
     """
+    shown = np.isfinite(rest_px).all(axis=1)
+    if not shown.all():
+        return _match_some(blobs, np.flatnonzero(shown), rest_px, colour, neighbours)
     gate = 0.6 * np.minimum(nearest_same_colour_px(rest_px, colour), 200.0)
     medoid = rest_px.copy()
     position = np.full_like(rest_px, np.nan)
@@ -75,6 +78,24 @@ def match_markers(
         own = np.isfinite(motion[:, 0])
         shift[own] = (shift[own] + motion[own]) / 2.0
         medoid = rest_px + shift
+    return Matched(position_px=position, found=np.isfinite(position[:, 0]))
+
+
+def _match_some(
+    blobs: Blobs, ids: IntArray, rest_px: FloatArray, colour: IntArray, neighbours: IntArray
+) -> Matched:
+    """Match markers ``ids`` (m,) alone; all others are not found."""
+    position = np.full_like(rest_px, np.nan)
+    if len(ids):
+        # One more entry, for the neighbour -1.
+        number = np.full(len(rest_px) + 1, -1, dtype=np.int64)
+        number[ids] = np.arange(len(ids))
+        position[ids] = match_markers(
+            blobs,
+            rest_px=rest_px[ids],
+            colour=colour[ids],
+            neighbours=number[neighbours[ids]],
+        ).position_px
     return Matched(position_px=position, found=np.isfinite(position[:, 0]))
 
 

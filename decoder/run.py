@@ -1,5 +1,6 @@
-"""One frame in, a force on every marker out."""
+"""One frame of each camera in, a force on every marker out."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,12 +25,15 @@ UNSEEN_SHARE = 0.3
 UNSEEN_TIMES = 4.0
 """A marker that moves as under this many times the switch threshold, unexplained, is pressed."""
 MOVED_PX = 0.75
-"""A median shift of all markers beyond this says that the camera has moved, not the shell."""
+"""A median shift of a camera's markers beyond this says that it has moved, not the shell."""
+
+Frames = ImageArray | Sequence[ImageArray]
+"""A frame of each camera, in the bundle's order; one camera's may stand alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """What one frame shows.
+    """What one frame (of each camera) shows.
 
     Attributes
     ----------
@@ -72,12 +76,16 @@ class Measured:
                 f"only {int(self.found.sum())} of {len(self.found)} markers were found; check "
                 "light, focus and what stands before the camera"
             )
-        moved = np.nanmedian(self.shift_px, axis=0)
-        if float(np.linalg.norm(moved)) > MOVED_PX:
-            out.append(
-                f"the whole image has shifted by ({moved[0]:.1f}, {moved[1]:.1f}) px: the camera "
-                "has moved; take a new rest frame"
-            )
+        for number in range(len(bundle.cameras)):
+            own = (bundle.read_by == number) & self.found
+            if not own.any():
+                continue
+            moved = np.nanmedian(self.shift_px[own], axis=0)
+            if float(np.linalg.norm(moved)) > MOVED_PX:
+                out.append(
+                    f"the whole image{bundle.of_camera(number)} has shifted by ({moved[0]:.1f}, "
+                    f"{moved[1]:.1f}) px: the camera has moved; take a new rest frame"
+                )
         weak = self.koi[forces_N[self.koi] < 0.5 * bundle.threshold_N]
         if len(weak):
             out.append(
@@ -135,44 +143,84 @@ def read_image(path: Path) -> ImageArray:
     return np.asarray(image, dtype=np.uint8)
 
 
-def locate_markers(bundle: Bundle, image_bgr: ImageArray) -> tuple[Matched, BoolArray]:
-    """Marker positions and switch bits of one image.
+def frames_of(bundle: Bundle, frames: Frames) -> tuple[ImageArray, ...]:
+    """One frame for each of the bundle's cameras.
 
     Raises
     ------
     InputError
-        If the image has another size than the bundle's camera, or shows too few markers.
+        If there are more or fewer.
     """
-    camera = bundle.camera
+    alone = isinstance(frames, np.ndarray) and frames.ndim <= 3
+    given = (frames,) if alone else tuple(frames)
+    wanted = len(bundle.cameras)
+    if len(given) != wanted:
+        each, fix = "one camera", "give one frame of it"
+        if wanted > 1:
+            each = f"{wanted} cameras"
+            fix = "give one frame of each, taken at the same time, the near end's first"
+        number = "1 frame" if len(given) == 1 else f"{len(given)} frames"
+        raise InputError(f"the sensor {bundle.design!r} has {each} (got {number}); {fix}")
+    return given
+
+
+def locate_markers(bundle: Bundle, frames: Frames) -> tuple[Matched, BoolArray]:
+    """Marker positions and switch bits, each marker through the camera that reads it.
+
+    Raises
+    ------
+    InputError
+        If there is not one image for each camera, or one has another size than its camera, or
+        shows too few markers.
+    """
+    each = [
+        _locate(bundle, number, image) for number, image in enumerate(frames_of(bundle, frames))
+    ]
+    markers = np.arange(len(bundle.colour))
+    position = np.stack([matched.position_px for matched, _ in each])[bundle.read_by, markers]
+    bits = np.stack([on for _, on in each])[bundle.read_by, markers]
+    return Matched(position_px=position, found=np.isfinite(position[:, 0])), bits
+
+
+def _locate(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Matched, BoolArray]:
+    """Positions (px) and bits of all markers that one camera shows.
+
+    Those that another camera reads take part: their paint is then not mistaken for that of a
+    marker beside them.
+    """
+    camera, shown = bundle.cameras[number], bundle.shown_by(number)
     check_image(image_bgr, width_px=camera.width_px, height_px=camera.height_px)
     blobs = segment(image_bgr, bundle.colours)
     if len(blobs.colour) > BLOBS_MAX * len(bundle.colour):
         raise InputError(
-            f"the image shows {len(blobs.colour)} coloured blobs for {len(bundle.colour)} markers; "
-            f"is this a frame of the sensor {bundle.design!r}, in focus?"
+            f"the image{bundle.of_camera(number)} shows {len(blobs.colour)} coloured blobs for "
+            f"{len(bundle.colour)} markers; is this a frame of the sensor {bundle.design!r}, in "
+            "focus?"
         )
     matched = match_markers(
         blobs,
-        rest_px=bundle.rest_px,
+        rest_px=shown.rest_px,
         colour=bundle.colour,
         neighbours=bundle.model.neighbours,
     )
-    if matched.found.mean() < FOUND_MIN:
+    found = matched.found[bundle.read_by == number]
+    if len(found) and found.mean() < FOUND_MIN:
+        order = ", in the right order" if len(bundle.cameras) > 1 else ""
         raise InputError(
-            f"found {int(matched.found.sum())} of {len(matched.found)} markers; is this a frame "
-            f"of the sensor {bundle.design!r}, lit and in focus?"
+            f"found {int(found.sum())} of {len(found)} markers{bundle.of_camera(number)}; is this "
+            f"a frame of the sensor {bundle.design!r}, lit and in focus{order}?"
         )
     bits = read_switches(
         blobs,
-        bundle.tips,
+        shown.tips,
         red_index=bundle.colours.names.index("red"),
-        shift_px=matched.position_px - bundle.rest_px,
+        shift_px=matched.position_px - shown.rest_px,
     )
     return matched, bits
 
 
-def rest_positions(bundle: Bundle, rest_bgr: ImageArray | None) -> FloatArray:
-    """Rest positions (n, 2) px: measured in the unloaded frame where there is one."""
+def rest_positions(bundle: Bundle, rest_bgr: Frames | None) -> FloatArray:
+    """Rest positions (n, 2) px: measured in the unloaded frames where there are any."""
     if rest_bgr is None:
         return bundle.rest_px
     matched, _ = locate_markers(bundle, rest_bgr)
@@ -180,18 +228,24 @@ def rest_positions(bundle: Bundle, rest_bgr: ImageArray | None) -> FloatArray:
 
 
 def measure_frame(
-    bundle: Bundle, image_bgr: ImageArray, *, rest_px: FloatArray | None = None
+    bundle: Bundle, image_bgr: Frames, *, rest_px: FloatArray | None = None
 ) -> Measured:
-    """Find markers and switches in one frame.
+    """Find markers and switches in one frame, or one of each camera.
 
     Parameters
     ----------
     bundle : Bundle
         The sensor's decoder.
-    image_bgr : (h, w, 3) uint8
-        Camera frame.
+    image_bgr : (h, w, 3) uint8, or a sequence of them
+        Camera frame; of several cameras one of each, in the bundle's order (near end first).
     rest_px : (n, 2) float, optional
-        From :func:`rest_positions`; the bundle's prediction if not given.
+        From :func:`rest_positions`; the bundle's prediction if not given. Each marker in the
+        frame of the camera that reads it.
+
+    Raises
+    ------
+    InputError
+        See :func:`locate_markers`.
     """
     matched, bits = locate_markers(bundle, image_bgr)
     rest = bundle.rest_px if rest_px is None else rest_px

@@ -29,8 +29,6 @@ PARTS = (
     "torch",
     "opencv-contrib-python-headless",
 )
-ONE_CAMERA = ("underload", "response", "twin", "decoder", "frames", "report")
-"""Stages that work with one camera only."""
 
 Progress = Callable[[str], None]
 
@@ -101,7 +99,6 @@ def build(
     stages = select_stages(only)
     context = Context(design=design, accuracy=PRESETS[accuracy], seed=seed, progress=progress)
     check_design(design)
-    _refuse_two_cameras(design, stages)
     _claim(out, design, force=force)
     keys: dict[str, str] = {}
     ran: list[str] = []
@@ -132,16 +129,6 @@ def build(
         seconds=time.perf_counter() - begin,
         timing_s=timing,
     )
-
-
-def _refuse_two_cameras(design: Design, stages: Sequence[Stage]) -> None:
-    blocked = [stage.name for stage in stages if stage.name in ONE_CAMERA]
-    if len(design.camera.end_numbers) > 1 and blocked:
-        rest = ",".join(stage.name for stage in STAGES if stage.name not in ONE_CAMERA)
-        raise DesignError(
-            f'with two cameras (camera.ends = "both") there is no {", ".join(blocked)} yet; build '
-            f'the rest with --only {rest}, or set camera.ends = "near" or "far"'
-        )
 
 
 def _timed(stage: Stage, context: Context) -> Callable[[Path], dict[str, Any]]:

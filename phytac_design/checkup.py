@@ -25,6 +25,7 @@ from phytac_design.optics.visibility import (
 )
 from phytac_design.spec import Design
 from shapes import Surface
+from shapes.arrays import BoolArray, IntArray
 
 WIDE_DEG = 60.0
 """A camera that sees its rim this far off the axis sees the wall aslant, row behind row."""
@@ -78,7 +79,7 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
             np.flatnonzero(seen.fused),
             seen.hidden_by,
         ),
-        "warnings": warnings_of(design, surface, markers, cameras, each),
+        "warnings": warnings_of(design, surface, markers, cameras, each, best),
         "stand_off_mm": stand_off_mm(design, surface, cameras[0]),
         "cameras": [
             {
@@ -102,27 +103,36 @@ def warnings_of(
     markers: Markers,
     cameras: tuple[Camera, ...],
     each: list[Visibility],
+    best: IntArray,
 ) -> list[str]:
-    """What is odd about a design and its cameras, though it may work; each as a sentence."""
+    """What is odd about a design and its cameras, though it may work; each as a sentence.
+
+    ``best`` (n,) is the number of the camera that sees each marker best.
+    """
     out = []
     if heights_face(design):
         out.append(
             "receptors are not taller the farther they are from the camera, so near ones can hide "
             f"far ones; {heights_face(design)}"
         )
-    for camera, seen in zip(cameras, each, strict=True):
-        out.extend(blurred(design, surface, markers, camera, seen))
+    for number, (camera, seen) in enumerate(zip(cameras, each, strict=True)):
+        out.extend(blurred(design, surface, markers, camera, seen, best == number))
     if len(cameras) == 1:
         out.extend(too_close(design, surface, markers, cameras[0], each[0]))
     return out
 
 
 def blurred(
-    design: Design, surface: Surface, markers: Markers, camera: Camera, seen: Visibility
+    design: Design,
+    surface: Surface,
+    markers: Markers,
+    camera: Camera,
+    seen: Visibility,
+    own: BoolArray,
 ) -> list[str]:
-    """Say so if markers blur into the gap to the next one of their colour."""
+    """Say so if ``own`` markers (n,) blur into the gap to the next one of their colour."""
     blur = np.nan_to_num(sharpness(design.camera, camera, surface, markers).blur_px)
-    share = blur / np.maximum(seen.gap_same_colour_px, 1.0)
+    share = np.where(own, blur / np.maximum(seen.gap_same_colour_px, 1.0), 0.0)
     worst = int(share.argmax())
     if share[worst] < BLUR_MAX:
         return []

@@ -182,19 +182,24 @@ def shapes(
 @app.command()
 def decode(
     bundle: Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")],
-    frame: Annotated[Path, typer.Argument(help="Camera frame.")],
-    rest: Annotated[Path | None, typer.Option(help="Frame of the unloaded sensor.")] = None,
+    frame: Annotated[
+        list[Path], typer.Argument(help="Camera frame; of two cameras one of each, near end first.")
+    ],
+    rest: Annotated[
+        list[Path] | None,
+        typer.Option(help="Frame of the unloaded sensor; twice for two cameras, near end first."),
+    ] = None,
     estimator: Annotated[Estimator, typer.Option(help="Force estimator.")] = Estimator.koi_inverse,
     as_json: JsonOption = False,
 ) -> None:
-    """Decode one camera frame to forces in newtons."""
+    """Decode one camera frame, or one of each camera, to forces in newtons."""
     from decoder.bundle import load_bundle
     from decoder.run import measure_frame, read_image, rest_positions
 
     loaded = load_bundle(bundle)
-    image = read_image(frame)
-    rest_px = rest_positions(loaded, read_image(rest)) if rest else None
-    measured = measure_frame(loaded, image, rest_px=rest_px)
+    images = [read_image(path) for path in frame]
+    rest_px = rest_positions(loaded, [read_image(path) for path in rest]) if rest else None
+    measured = measure_frame(loaded, images, rest_px=rest_px)
     forces = measured.forces_N(loaded, estimator.value)
     warnings = measured.warnings(loaded, forces, estimator=estimator.value)
     for warning in (*loaded.limits(), *warnings):

@@ -142,15 +142,34 @@ def test_two_cameras_judge_what_is_read_through_each(plain: Context) -> None:
     markers, gap = plain.markers, np.ones(plain.markers.count)
     far = (markers.row >= 2).astype(np.int64)
     accuracy = replace(PRESETS["draft"], press_places=4)
-    found = {}
+    found, facts = {}, {}
     for ends, number in (("both", far), ("near", 0 * far), ("far", 0 * far)):
         design = small(layout={"rows": 4, "columns": 10}, camera={"ends": ends})
-        found[ends] = see_pressed(context_of(design, accuracy), gap, number)[1]
+        _, found[ends], facts[ends] = see_pressed(context_of(design, accuracy), gap, number)
     for name in ("least_gap_same_px", "least_gap_other_px", "least_fraction", "crosstalk_px"):
         alone = np.where(far, getattr(found["far"], name), getattr(found["near"], name))
         assert np.array_equal(getattr(found["both"], name), alone)
         assert not np.array_equal(alone, getattr(found["near"], name)) or "gap" not in name
     assert found["both"].press_gap_same_px.min() == found["both"].least_gap_same_px.min()
+    # What each camera loses is said apart, of the markers that are read through it.
+    assert "cameras" not in facts["near"]
+    for end, own, told in zip(
+        ("near", "far"), (far == 0, far == 1), facts["both"]["cameras"], strict=True
+    ):
+        assert (told["end"], told["read"]) == (end, 20)
+        alone = found[end]
+        assert told["least_gap_same_colour_px"] == alone.least_gap_same_px[own].min()
+        assert told["least_visible_fraction"] == alone.least_fraction[own].min()
+        assert told["crosstalk_px"] == alone.crosstalk_px[own].max()
+
+
+def test_a_camera_that_reads_nothing_loses_nothing(plain: Context) -> None:
+    design = small(layout={"rows": 4, "columns": 10}, camera={"ends": "both"})
+    accuracy = replace(PRESETS["draft"], press_places=1)
+    gap, near = np.ones(plain.markers.count), np.zeros(plain.markers.count, dtype=np.int64)
+    facts = see_pressed(context_of(design, accuracy), gap, near)[2]
+    assert facts["cameras"][1] == {"end": "far", "read": 0}
+    assert facts["cameras"][0]["read"] == 40
 
 
 def test_place_in_words(plain: Context) -> None:

@@ -26,8 +26,9 @@ def make_markers(
 ) -> Markers:
     """Place every receptor of a design on its surface.
 
-    Markers where the surface does not sense are left out. ``camera_mm`` (3,) is the camera's
-    centre for ``line-of-sight`` heights; without it the design's own camera is asked.
+    Markers where the surface does not sense are left out. ``camera_mm`` is the camera's centre
+    (3,), or those of several (c, 3), for ``line-of-sight`` heights; without it the design's own
+    are asked.
 
     Raises
     ------
@@ -38,9 +39,9 @@ def make_markers(
     found = _lattice_markers(design, surface) if in_rows else _scattered(design, surface)
     if design.layout.heights != "line-of-sight" or design.layout.position_heights_mm:
         return found
-    centre = _camera_centre_mm(design, surface) if camera_mm is None else camera_mm
+    centres = _camera_centres_mm(design, surface) if camera_mm is None else camera_mm
     dents = dent_motions(design, surface, found)
-    heights = sight_heights_mm(design, found, centre, motions=dents)
+    heights = sight_heights_mm(design, found, centres, motions=dents)
     return with_heights(design, surface, found, heights)
 
 
@@ -55,11 +56,12 @@ def with_heights(
     return replace(markers, height_mm=height_mm, tip_mm=tip)
 
 
-def _camera_centre_mm(design: Design, surface: Surface) -> FloatArray:
-    # Only this profile asks for the camera, which is a matter of optics.
-    from phytac_design.optics.view import camera_of
+def _camera_centres_mm(design: Design, surface: Surface) -> FloatArray:
+    """Centres (c, 3) of the design's cameras."""
+    # Only this profile asks for the cameras, which are a matter of optics.
+    from phytac_design.optics.view import cameras_of
 
-    return camera_of(design, surface).position_mm
+    return np.stack([camera.position_mm for camera in cameras_of(design, surface)])
 
 
 def _lattice_markers(design: Design, surface: Surface) -> Markers:

@@ -13,6 +13,12 @@ the picture; two convex outlines are apart by the greatest gap between them alon
 Heights are settled from near to far: a receptor is hidden by nearer ones only. The wall itself
 is not considered here; the visibility check renders it.
 
+Of several cameras each has to see the receptors that are nearer to it than to the others. Going
+by the distance to the own camera, whatever can hide a receptor from it is then settled before:
+what is nearer to that camera is no farther from its own. Where the halves meet, a receptor also
+keeps clear of those of the other half that are settled, as their own camera sees them: just
+behind them, and no taller, its paint would merge with theirs.
+
 Under load receptors move and lean. Given their motions for a set of presses, heights are settled
 again with more room at rest where a press takes some away, until all of it stays clear in every
 one. (By less than ``LOAD_TOL_mm``; the heights are then near to the least, not the least.)
@@ -118,13 +124,27 @@ def _near(paint: FloatArray, tubes: FloatArray, margin: float) -> IntArray:
     return np.flatnonzero((apart < margin).all(axis=1))
 
 
-def _groups(markers: Markers, camera_mm: FloatArray) -> list[IntArray]:
-    """Markers that share one height (a row of the lattice, else each its own), near ones first."""
-    away = np.linalg.norm(markers.foot_mm - camera_mm, axis=1)
+def _groups(markers: Markers) -> list[IntArray]:
+    """Markers that share one height: a row of the lattice, else each its own."""
     if not markers.in_rows:
-        return [np.array([marker]) for marker in np.argsort(away, kind="stable")]
-    rows = [np.flatnonzero(markers.row == row) for row in np.unique(markers.row)]
-    return sorted(rows, key=lambda ids: float(away[ids].mean()))
+        return [np.array([marker]) for marker in range(markers.count)]
+    return [np.flatnonzero(markers.row == row) for row in np.unique(markers.row)]
+
+
+def _away(markers: Markers, groups: list[IntArray], eyes_mm: FloatArray) -> FloatArray:
+    """Mean distance (c, g) of groups from cameras (c, 3)."""
+    away = np.linalg.norm(markers.foot_mm - eyes_mm[:, None], axis=2)
+    return np.array([[float(own[ids].mean()) for ids in groups] for own in away])
+
+
+def nearest_eye(markers: Markers, eyes_mm: FloatArray) -> IntArray:
+    """Number (n,) of the camera that has to see each marker: of (c, 3) the one nearest its row."""
+    groups = _groups(markers)
+    nearest = _away(markers, groups, np.atleast_2d(eyes_mm)).argmin(axis=0)
+    out = np.zeros(markers.count, dtype=np.int64)
+    for ids, eye in zip(groups, nearest, strict=True):
+        out[ids] = eye
+    return out
 
 
 def sight_heights_mm(
@@ -145,8 +165,9 @@ def sight_heights_mm(
         Its layout's heights bound the search.
     markers : Markers
         Their heights are not used.
-    camera_mm : (3,) float
-        Centre of the camera, which looks along the sensor axis at it.
+    camera_mm : (3,) float or (c, 3) float
+        Centre of the camera, which looks along the sensor axis at it; of several, each sees what
+        is nearest to it (:func:`nearest_eye`).
     motions : (p, n, 6) float, optional
         Translation (mm) and rotation (rad) of the middle face under each marker for p presses:
         the margin is kept under each of these too.
@@ -180,20 +201,56 @@ def sight_heights_mm(
     )
 
 
+class _Settling:
+    """Groups of receptors whose heights are settled one after the other, in every picture."""
+
+    def __init__(self, design: Design, markers: Markers, eyes_mm: FloatArray) -> None:
+        self.groups = _groups(markers)
+        self.pictures = [_Outlines(design, markers, eye) for eye in eyes_mm]
+        self.away = _away(markers, self.groups, eyes_mm)
+        # The place of each group, and of each marker's, in the order of nearness to a camera.
+        self.order = np.argsort(np.argsort(self.away, axis=1, kind="stable"), axis=1)
+        self.place = np.zeros((len(eyes_mm), markers.count), dtype=np.int64)
+        for number, ids in enumerate(self.groups):
+            self.place[:, ids] = self.order[:, [number]]
+        self.tubes = np.zeros((len(eyes_mm), markers.count, DIRECTIONS))
+        self.done = np.zeros(markers.count, dtype=bool)
+
+    def slack(self, eye: int, number: int, height: FloatArray) -> FloatArray:
+        """Least gap (m, h) of a group's painted parts to nearer tubes, as one camera sees it."""
+        nearer = self.done & (self.place[eye] < self.order[eye, number])
+        ids = self.groups[number]
+        return _slack(self.pictures[eye], ids, height, self.tubes[eye, nearer])
+
+    def settle(self, number: int, height: FloatArray) -> None:
+        """Let a group's tubes have heights (m,)."""
+        ids = self.groups[number]
+        self.done[ids] = True
+        for tubes, picture in zip(self.tubes, self.pictures, strict=True):
+            tubes[ids] = picture.tubes(ids, height)
+
+
 def _settled(
     design: Design, markers: Markers, camera_mm: FloatArray, margin_mm: FloatArray
 ) -> FloatArray:
     """Least heights (n,) that leave each marker its margin (n,) at rest."""
     layout = design.layout
-    outlines = _Outlines(design, markers, camera_mm)
+    settling = _Settling(design, markers, np.atleast_2d(camera_mm))
+    away = settling.away
     heights = np.full(markers.count, layout.height_near_mm)
     levels = np.linspace(
         layout.height_near_mm, max(layout.height_far_mm, layout.height_near_mm), LEVELS
     )
-    settled = np.zeros((0, DIRECTIONS))
-    for group in _groups(markers, camera_mm):
+    for number in np.argsort(away.min(axis=0), kind="stable"):
+        group, own = settling.groups[number], int(away[:, number].argmin())
         margin = margin_mm[group, None]
-        slack = _slack(outlines, group, np.tile(levels, (len(group), 1)), settled) - margin
+        grid = np.tile(levels, (len(group), 1))
+        watching, slack = [own], settling.slack(own, number, grid) - margin
+        for eye in (k for k in range(len(away)) if k != own):
+            both = np.minimum(slack, settling.slack(eye, number, grid) - margin)
+            # What another camera asks beyond the own one's need is left if no height gives it.
+            if (both >= 0.0).all(axis=0).any():
+                watching, slack = [*watching, eye], both
         clear = np.flatnonzero((slack >= 0.0).all(axis=0))
         if clear.size == 0:
             level = int(slack.min(axis=0).argmax())
@@ -211,12 +268,12 @@ def _settled(
             for _ in range(HALVINGS):
                 middle = (low + high) / 2.0
                 trial = np.full((len(group), 1), middle)
-                if (_slack(outlines, group, trial, settled) >= margin).all():
+                if all((settling.slack(eye, number, trial) >= margin).all() for eye in watching):
                     high = middle
                 else:
                     low = middle
         heights[group] = high
-        settled = np.concatenate([settled, outlines.tubes(group, heights[group])])
+        settling.settle(number, heights[group])
     return heights
 
 
@@ -238,22 +295,35 @@ def clearance_under_load_mm(
 
     Receptors that move by less than ``STILL`` of the most are taken as still.
     """
-    least = clearance_mm(design, markers, camera_mm)
-    rest = _Outlines(design, markers, camera_mm)
+    eyes = np.atleast_2d(camera_mm)
+    nearest = nearest_eye(markers, eyes)
+    least = np.full(markers.count, np.inf)
+    for number, eye in enumerate(eyes):
+        own = nearest == number
+        least[own] = _under_load(design, markers, eye, motions, own)[own]
+    return least
+
+
+def _under_load(
+    design: Design, markers: Markers, eye_mm: FloatArray, motions: FloatArray, own: BoolArray
+) -> FloatArray:
+    """The same for the markers (n,) that one camera has to see."""
+    least = clearance_mm(design, markers, eye_mm, chosen=own)
+    rest = _Outlines(design, markers, eye_mm)
     every = np.arange(markers.count)
     boxes = _box(rest.tubes(every, markers.height_mm))
     for motion in motions:
         size = np.linalg.norm(motion[:, :3], axis=1)
         moves = size > STILL * size.max()
         now = pressed_markers(markers, np.where(moves[:, None], motion, 0.0))
-        after = _box(_Outlines(design, now, camera_mm).tubes(every, markers.height_mm))
+        after = _box(_Outlines(design, now, eye_mm).tubes(every, markers.height_mm))
         reach = np.maximum(boxes, after)
         # Only what moves, or has something that moves before or beside it in the picture.
         room = reach[moves].max(axis=0, initial=-np.inf)
         near = -np.roll(reach, 2, axis=1) - room
         touched = (near < 2.0 * rest.radius / rest.depth(every)[:, None]).all(axis=1)
-        chosen = moves | touched
-        seen = clearance_mm(design, now, camera_mm, chosen=chosen)
+        chosen = own & (moves | touched)
+        seen = clearance_mm(design, now, eye_mm, chosen=chosen)
         least[chosen] = np.minimum(least, seen)[chosen]
     return least
 
@@ -284,14 +354,19 @@ def clearance_mm(
     """Gap (n,) that the camera sees between each painted part and the nearer receptors, mm.
 
     Negative where it is hidden in part; inf where nothing nearer comes within a diameter, and for
-    those that are not ``chosen`` (n,).
+    those that are not ``chosen`` (n,). Of several cameras (c, 3) each marker's nearest counts.
     """
     wanted = np.ones(markers.count, dtype=bool) if chosen is None else chosen
-    outlines = _Outlines(design, markers, camera_mm)
+    eyes, groups = np.atleast_2d(camera_mm), _groups(markers)
+    away, nearest = _away(markers, groups, eyes), nearest_eye(markers, eyes)
     out = np.full(markers.count, np.inf)
-    settled = np.zeros((0, DIRECTIONS))
-    for group in _groups(markers, camera_mm):
-        some = group[wanted[group]]
-        out[some] = _slack(outlines, some, markers.height_mm[some, None], settled)[:, 0]
-        settled = np.concatenate([settled, outlines.tubes(group, markers.height_mm[group])])
+    for number, eye in enumerate(eyes):
+        outlines = _Outlines(design, markers, eye)
+        own = wanted & (nearest == number)
+        settled = np.zeros((0, DIRECTIONS))
+        for place in np.argsort(away[number], kind="stable"):
+            group = groups[place]
+            some = group[own[group]]
+            out[some] = _slack(outlines, some, markers.height_mm[some, None], settled)[:, 0]
+            settled = np.concatenate([settled, outlines.tubes(group, markers.height_mm[group])])
     return out

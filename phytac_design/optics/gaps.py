@@ -3,11 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_design.optics.kernels import kernel
+from phytac_design.optics.kernels import in_bands, kernel
 from shapes.arrays import FloatArray, IntArray
-
-NEAR_PX = 64.0
-"""Gaps that are looked for first."""
 
 
 def marker_gaps(
@@ -36,12 +33,7 @@ def marker_gaps(
     pixels = np.zeros((int(starts[-1]), 2), dtype=np.int64)
     if len(pixels):
         _outline(marker, starts.copy(), pixels)
-    squared = np.full((len(colour), 2), np.inf)
-    if limit_px > NEAR_PX:  # What is near rules most of the rest out.
-        _nearest(pixels, starts, colour, NEAR_PX, squared)
-    _nearest(pixels, starts, colour, float(limit_px), squared)
-    gaps = np.sqrt(squared)
-    return gaps[:, 0], gaps[:, 1]
+    return outline_gaps(pixels, starts, colour, limit_px=limit_px)
 
 
 @kernel
@@ -73,72 +65,88 @@ def _outline(marker: NDArray[np.int32], starts: IntArray, pixels: IntArray) -> N
                 starts[i] += 1
 
 
-@kernel
-def _outside(low: int, high: int, first: int, last: int) -> int:
-    """Square of the distance between two ranges on one axis; 0 where they overlap."""
-    away = max(0, first - high, low - last)
-    return away * away
+def outline_gaps(
+    pixels: IntArray, starts: IntArray, colour: IntArray, *, limit_px: float = np.inf
+) -> tuple[FloatArray, FloatArray]:
+    """Least distances as :func:`marker_gaps`, from the markers' outlines.
 
-
-@kernel
-def _boxes(pixels: IntArray, starts: IntArray) -> IntArray:
-    """Least x and y, greatest x and y (n, 4) of each marker; -1 last where it is not visible."""
-    box = np.zeros((len(starts) - 1, 4), dtype=np.int64)
-    box[:, :2], box[:, 2:] = np.int64(1) << 30, -1
-    for i in range(len(box)):
-        for k in range(starts[i], starts[i + 1]):
-            x, y = pixels[k, 0], pixels[k, 1]
-            box[i, 0], box[i, 2] = min(box[i, 0], x), max(box[i, 2], x)
-            box[i, 1], box[i, 3] = min(box[i, 1], y), max(box[i, 3], y)
-    return box
-
-
-@kernel
-def _closer(
-    pixels: IntArray, one: tuple[int, int], two: tuple[int, int], box: IntArray, best: float
-) -> float:
-    """Least squared distance between two ranges of pixels, if below ``best``.
-
-    ``box`` holds the second range: pixels of the first that are too far from it are skipped.
+    Parameters
+    ----------
+    pixels : (m, 2) int
+        Pixels (x, y) on the outlines, marker after marker.
+    starts : (n + 1,) int
+        Where each marker's pixels start.
     """
-    x0, y0, x1, y1 = box[0], box[1], box[2], box[3]
-    for k in range(one[0], one[1]):
-        x, y = pixels[k, 0], pixels[k, 1]
-        if _outside(x, x, x0, x1) + _outside(y, y, y0, y1) >= best:
+    count = len(colour)
+    most = np.floor(limit_px * limit_px) + 1.0  # squared distances are whole
+    squared = np.full((count, 2), most)
+    box = np.zeros((count, 4), dtype=np.int64)
+    shown = np.flatnonzero(np.diff(starts))
+    if len(shown):
+        first = starts[shown]
+        box[shown, :2] = np.minimum.reduceat(pixels, first)
+        box[shown, 2:] = np.maximum.reduceat(pixels, first)
+
+    def some(first: int, last: int) -> None:
+        _outline_gaps(shown[first:last], shown, pixels, starts, box, colour, squared)
+
+    in_bands(some, len(shown))
+    gaps = np.sqrt(np.where(squared < most, squared, np.inf))
+    return gaps[:, 0], gaps[:, 1]
+
+
+@kernel
+def _between(a: IntArray, b: IntArray) -> int:
+    """Squared distance of two boxes (left, top, right, bottom)."""
+    dx, dy = max(0, a[0] - b[2], b[0] - a[2]), max(0, a[1] - b[3], b[1] - a[3])
+    return int(dx * dx + dy * dy)
+
+
+@kernel
+def _apart(one: IntArray, other: IntArray, box: IntArray, most: float) -> float:
+    """Least squared distance of pixels (m, 2) from others in a box, at most ``most``."""
+    best = most
+    for p in range(len(one)):
+        x, y = one[p, 0], one[p, 1]
+        dx, dy = max(0, box[0] - x, x - box[2]), max(0, box[1] - y, y - box[3])
+        if dx * dx + dy * dy >= best:
             continue
-        for m in range(two[0], two[1]):
-            ex, ey = pixels[m, 0] - x, pixels[m, 1] - y
+        for q in range(len(other)):
+            ex, ey = x - other[q, 0], y - other[q, 1]
             best = min(best, float(ex * ex + ey * ey))
     return best
 
 
 @kernel
-def _nearest(
-    pixels: IntArray, starts: IntArray, colour: IntArray, limit: float, squared: FloatArray
+def _outline_gaps(
+    some: IntArray,
+    shown: IntArray,
+    pixels: IntArray,
+    starts: IntArray,
+    box: IntArray,
+    colour: IntArray,
+    squared: FloatArray,
 ) -> None:
     """Least squared distance, own colour in column 0, others in column 1 of ``squared`` (n, 2).
 
-    Pairs of markers whose boxes are farther apart than the best so far, or than ``limit``, are
-    skipped.
+    The nearest box comes first: most others are then farther away than what it gives.
     """
-    n = len(colour)
-    box = _boxes(pixels, starts)
-    order = np.argsort(box[:, 0])
-    most = np.floor(limit * limit) + 1.0  # squared distances are whole
-    for first in range(n):
-        i = order[first]
-        for second in range(first + 1, n):
-            j = order[second]
-            if box[j, 2] < 0 or box[j, 0] - box[i, 2] > limit:
-                break  # Not visible, and last in order; or all that follow are farther.
+    near = np.zeros(len(box))
+    for i in some:
+        one = pixels[starts[i] : starts[i + 1]]
+        first = np.array([-1, -1])
+        for j in shown:
+            near[j] = _between(box[i], box[j])
             kind = 0 if colour[i] == colour[j] else 1
-            bound = min(most, max(squared[i, kind], squared[j, kind]))
-            apart = _outside(box[i, 0], box[i, 2], box[j, 0], box[j, 2])
-            apart += _outside(box[i, 1], box[i, 3], box[j, 1], box[j, 3])
-            if apart >= bound:
-                continue
-            one, two = (starts[i], starts[i + 1]), (starts[j], starts[j + 1])
-            best = _closer(pixels, one, two, box[j], bound)
-            if best < bound:
-                squared[i, kind] = min(squared[i, kind], best)
-                squared[j, kind] = min(squared[j, kind], best)
+            if j != i and (first[kind] < 0 or near[j] < near[first[kind]]):
+                first[kind] = j
+        for j in first:
+            if j >= 0:
+                kind = 0 if colour[i] == colour[j] else 1
+                other = pixels[starts[j] : starts[j + 1]]
+                squared[i, kind] = _apart(one, other, box[j], squared[i, kind])
+        for j in shown:
+            kind = 0 if colour[i] == colour[j] else 1
+            if j != i and near[j] < squared[i, kind]:
+                other = pixels[starts[j] : starts[j + 1]]
+                squared[i, kind] = _apart(one, other, box[j], squared[i, kind])

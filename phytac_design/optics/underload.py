@@ -19,9 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from decoder.camera import Camera
+from phytac_design.optics.gaps import outline_gaps
 from phytac_design.optics.scene import Scene
 from phytac_design.optics.visibility import FRACTION_MIN, PIXELS_MIN
-from phytac_design.optics.watch import Glance, Watch, outline_gaps
+from phytac_design.optics.watch import Glance, Watch
 from shapes.arrays import BoolArray, FloatArray, IntArray
 
 FUSED_PX = 2.0

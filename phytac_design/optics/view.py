@@ -1,5 +1,7 @@
 """The design's cameras, and the refusal of those that cannot work."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from decoder.camera import Camera, fit_distance_mm
@@ -8,13 +10,49 @@ from phytac_design.layout import Markers
 from phytac_design.optics.envelope import bar_span_mm, edge_mm, open_far
 from phytac_design.spec import Design
 from shapes import Surface
-from shapes.arrays import FloatArray
+from shapes.arrays import FloatArray, IntArray
 from shapes.errors import DesignError
 
 TOLERANCE_PX = 0.1
 """Polygons stay this close to the circles they stand for, in pixels."""
 LEAST_SHARE = 0.05
-"""Least stand-off that `fit` gives a wide lens, as a share of the near edge's largest radius."""
+"""Stand-off, as a share of the rim's radius, that `fit` gives a lens too wide for it to fill."""
+NEAREST_SHARE = 1e-4
+"""Such a lens fits its rim even this near: it looks more than 89.99° aside."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Readers:
+    """A sensor's cameras together: each marker in the image of the camera that reads it.
+
+    Attributes
+    ----------
+    cameras : tuple of Camera
+        One or two.
+    read_by : (n,) int
+        Camera of each marker.
+    """
+
+    cameras: tuple[Camera, ...]
+    read_by: IntArray
+
+    def project(self, points_mm: FloatArray) -> FloatArray:
+        """Pixels (..., n, 2) of points (..., n, 3), one or many for each marker."""
+        flat = points_mm.reshape(-1, 3)
+        shape = (*points_mm.shape[:-1], 2)
+        return self._own([camera.project(flat).reshape(shape) for camera in self.cameras])
+
+    def jacobian(self, points_mm: FloatArray) -> FloatArray:
+        """Derivative of :meth:`project` by the points, (n, 2, 3) px/mm."""
+        each = [camera.jacobian(points_mm) for camera in self.cameras]
+        return np.asarray(np.stack(each)[self.read_by, np.arange(len(self.read_by))])
+
+    def _own(self, each: list[FloatArray]) -> FloatArray:
+        """Of pixels (..., n, 2) in every image those in each marker's own."""
+        out = each[0]
+        for number, other in enumerate(each[1:], start=1):
+            out = np.where((self.read_by == number)[:, None], other, out)
+        return out
 
 
 def camera_of(design: Design, surface: Surface) -> Camera:
@@ -106,6 +144,8 @@ def fit_stand_off_mm(
 ) -> float:
     """Least stand-off at which a rim stays within ``fill`` of half the smaller image side.
 
+    Where it does so at any distance, as in a lens that looks back, ``LEAST_SHARE`` of its radius.
+
     Parameters
     ----------
     rim : (n, 3) float
@@ -123,12 +163,13 @@ def fit_stand_off_mm(
     frame = Camera.at(lens, z_mm=start_mm, backward=end == 1)
     points = frame.to_camera(rim)
     nearest = float(points[:, 2].min())
-    least = LEAST_SHARE * float(np.linalg.norm(points[:, :2], axis=1).max())
+    widest = float(np.linalg.norm(points[:, :2], axis=1).max())
 
     def reach(distance: float) -> FloatArray:
         return np.asarray(points + np.array([0.0, 0.0, distance - nearest]))
 
-    return fit_distance_mm(lens, reach, fill=fill, least_mm=least) - nearest
+    found = fit_distance_mm(lens, reach, fill=fill, least_mm=NEAREST_SHARE * widest)
+    return (found if found > NEAREST_SHARE * widest else LEAST_SHARE * widest) - nearest
 
 
 def _refuse_wall(design: Design, surface: Surface, camera: Camera, fix: str) -> None:

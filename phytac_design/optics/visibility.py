@@ -241,6 +241,8 @@ def _mends(design: Design, fused: bool) -> list[str]:
     layout, mends = design.layout, []
     if heights_face(design):
         mends.append(heights_face(design))
+    if design.camera.ends == "both" and layout.heights in {"linear", "power"}:
+        mends.append('let heights grow from both ends (layout.heights = "line-of-sight")')
     if layout.kind == "straight":
         mends.append('use layout.kind = "spiral"')
     if len(set(layout.colours)) == 1 and fused:

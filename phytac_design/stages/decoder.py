@@ -9,6 +9,7 @@ import numpy as np
 from decoder.estimators import ESTIMATORS, ForceModel
 from decoder.network import Activation
 from phytac_design.stage import EXPORT, Context, Stage, write_facts
+from phytac_design.stages.twin import readers_of
 from phytac_design.twin.dataset import Dataset, decode_points, key_node_data
 from shapes.arrays import FloatArray
 
@@ -39,11 +40,10 @@ def middle_mm(context: Context) -> tuple[float, float]:
 
 def run(context: Context, folder: Path) -> None:
     """Write ``decoder/bundle.{json,safetensors}`` and the table of estimators."""
-    from decoder.bundle import Bundle, save_bundle
+    from decoder.bundle import Bundle, Shown, save_bundle
     from decoder.switches import TipModel
     from decoder.train import split_samples, train_network
     from phytac_design.design_file import design_hash
-    from phytac_design.optics.view import camera_of
     from phytac_design.twin.expected import colour_model
     from phytac_design.twin.judge import judge
 
@@ -91,10 +91,22 @@ def run(context: Context, folder: Path) -> None:
                 middle_mm=middle_mm(context),
             ) | {"milliseconds_per_frame": 1e3 * seconds / held_out.contacts.samples}
     colours, classes = colour_model(design)
+    readers = readers_of(context)
+    shown = [
+        Shown(rest_px=rest, tips=TipModel(on_px=on, red_rest_px=red_rest, red_on_px=red_on))
+        for rest, on, red_rest, red_on in zip(
+            views["shown_rest_px"],
+            views["shown_tip_on_px"],
+            views["shown_tip_red_rest_px"],
+            views["shown_tip_red_on_px"],
+            strict=True,
+        )
+    ]
     bundle = Bundle(
         design=design.name,
         design_hash=design_hash(design),
-        camera=camera_of(design, surface),
+        cameras=readers.cameras,
+        read_by=readers.read_by,
         colours=colours,
         colour=classes[markers.colour],
         position_mm=surface.point(markers.uv),
@@ -109,6 +121,7 @@ def run(context: Context, folder: Path) -> None:
         threshold_N=design.switch.threshold_N,
         noise_centroid_px=design.camera.noise_centroid_px,
         force_max_N=design.training.force_max_N,
+        shown=tuple(shown) if len(shown) > 1 else (),
         notes={
             "data": context.facts("twin")["model"],
             "training_samples": data.contacts.samples,

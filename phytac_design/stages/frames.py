@@ -9,7 +9,7 @@ import numpy as np
 
 from phytac_design.stage import EXPORT, Context, Stage, export_path, write_facts
 from phytac_design.stages.decoder import along_mm, middle_mm
-from phytac_design.stages.views import write_image
+from phytac_design.stages.views import MARKS, write_image
 from phytac_design.twin.contacts import Contacts, Switching
 from shapes.arrays import FloatArray, ImageArray
 from shapes.errors import InputError
@@ -55,22 +55,31 @@ def press(context: Context) -> Pressed:
     )
 
 
-def shoot(context: Context, pressed: Pressed, index: int | None) -> ImageArray:
-    """Noisy frame of one sample, or of the unloaded sensor (None)."""
+def shoot(context: Context, pressed: Pressed, index: int | None) -> tuple[ImageArray, ...]:
+    """Noisy frame of each camera of one sample, or of the unloaded sensor (None)."""
     from phytac_design.optics.frame import render_frame
     from phytac_design.optics.scene import build_scene
-    from phytac_design.optics.view import camera_of, tolerance_mm
+    from phytac_design.optics.view import cameras_of, tolerance_mm
 
     design, surface, markers = context.design, context.surface, context.markers
-    camera = camera_of(design, surface)
     bits = None if index is None else pressed.switching.bits[index]
-    tolerance = tolerance_mm(camera, markers)
-    scene = build_scene(design, surface, markers, tolerance_mm=tolerance, switch_on=bits)
-    if index is not None:
-        motion = pressed.motion[index]
-        scene = scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm)
     rng = np.random.default_rng([context.seed, 3, 0 if index is None else index + 1])
-    return render_frame(scene, camera, noise_std=design.camera.noise_pixel, rng=rng)
+    frames = []
+    for camera in cameras_of(design, surface):
+        tolerance = tolerance_mm(camera, markers)
+        scene = build_scene(design, surface, markers, tolerance_mm=tolerance, switch_on=bits)
+        if index is not None:
+            motion = pressed.motion[index]
+            scene = scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm)
+        noise = design.camera.noise_pixel
+        frames.append(render_frame(scene, camera, noise_std=noise, rng=rng))
+    return tuple(frames)
+
+
+def write_frames(folder: Path, name: str, frames: tuple[ImageArray, ...]) -> None:
+    """Write ``views/NAME.png``, and ``views/NAME_far.png`` of a second camera."""
+    for frame, mark in zip(frames, MARKS, strict=False):
+        write_image(export_path(folder, f"views/{name}{mark}.png"), frame)
 
 
 def decode_all(context: Context, folder: Path, pressed: Pressed) -> Tally:
@@ -82,25 +91,25 @@ def decode_all(context: Context, folder: Path, pressed: Pressed) -> Tally:
     bundle = load_bundle(context.folders["decoder"] / EXPORT / "decoder")
     bits = pressed.switching.bits
     tally = Tally(forces_N={name: np.zeros(bits.shape) for name in ESTIMATORS})
-    rest_frame = shoot(context, pressed, None)
-    write_image(export_path(folder, "views/frame_rest.png"), rest_frame)
+    rest_frames = shoot(context, pressed, None)
+    write_frames(folder, "frame_rest", rest_frames)
     rest_px = bundle.rest_px
     try:
-        rest_px = rest_positions(bundle, rest_frame)
+        rest_px = rest_positions(bundle, rest_frames)
     except InputError as error:  # only a forced build of markers that cannot be seen gets here
         tally.refused.append(str(error))
     example = int(np.argmax(bits.sum(axis=1)))
     for index, on in enumerate(bits):
         context.progress(f"frames: {index + 1} of {len(bits)}")
-        frame = shoot(context, pressed, index)
+        frames = shoot(context, pressed, index)
         if index == example:
-            write_image(export_path(folder, "views/frame_pressed.png"), frame)
+            write_frames(folder, "frame_pressed", frames)
             truth = pressed.switching.receptor_force_N[index]
             export_path(folder, "views/frame_pressed.json").write_text(
                 json.dumps({str(i): round(float(truth[i]), 4) for i in np.flatnonzero(truth)})
             )
         try:
-            measured = measure_frame(bundle, frame, rest_px=rest_px)
+            measured = measure_frame(bundle, frames, rest_px=rest_px)
         except InputError as error:
             tally.refused.append(str(error))
             tally.missed += int(on.sum())

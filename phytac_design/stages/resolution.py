@@ -2,13 +2,16 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from phytac_design.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.stages.twin import MECHANICS
-from shapes.arrays import FloatArray
+from shapes.arrays import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from phytac_design.twin.bound import Bound
 
 FORCES_N = (1.0, 5.0, 10.0, 25.0)
 """Forces at which the bound is stated, besides the design's greatest."""
@@ -16,12 +19,24 @@ RIM_SHARE = 0.125
 """Share of the height next to each rim that is reported apart (15-105 mm of 120)."""
 
 
+def _medians(bound: "Bound", middle: BoolArray) -> dict[str, float]:
+    """Figures over all receptors, and over those (n,) in the middle of the sensor."""
+    return {
+        "force_N_median_middle": float(np.median(bound.force_N[middle])),
+        "force_N_median": float(np.median(bound.force_N)),
+        "force_N_worst": float(bound.force_N.max()),
+        "force_known_place_N_median": float(np.median(bound.force_known_N)),
+        "along_mm_median": float(np.median(bound.along_mm)),
+        "around_mm_median": float(np.median(bound.around_mm)),
+    }
+
+
 def run_resolution(context: Context, folder: Path) -> None:
     """Cramér-Rao bound of force and place at every receptor."""
     from phytac_design.mechanics.meshing.mesh import marker_mesh
     from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
     from phytac_design.optics.view import cameras_of
-    from phytac_design.twin.bound import cell_prior, contact_signals
+    from phytac_design.twin.bound import Signals, cell_prior, contact_signals
     from phytac_design.twin.response import motion_responses, point_motions
 
     design, surface, markers = context.design, context.surface, context.markers
@@ -67,20 +82,21 @@ def run_resolution(context: Context, folder: Path) -> None:
     middle = middle if middle.any() else np.ones_like(middle)  # one row, or one marker
     arrays: dict[str, Any] = {}
     table: dict[str, Any] = {}
+    # What the decoder makes use of: each marker through the one camera that reads it.
+    read = np.repeat((views["camera"] == np.arange(len(slopes))[:, None]).ravel(), 2)
+    as_read = Signals(shift=signals.shift[:, read], slopes=signals.slopes[:, read])
+    table_read: dict[str, Any] = {}
     for force in sorted({*FORCES_N, training.force_max_N}):
         bound = signals.bound(force, noise_px=noise, prior=prior)
         arrays |= {f"{key}_{force:g}": value for key, value in asdict(bound).items()}
-        table[f"{force:g} N"] = {
-            "force_N_median_middle": float(np.median(bound.force_N[middle])),
-            "force_N_median": float(np.median(bound.force_N)),
-            "force_N_worst": float(bound.force_N.max()),
-            "force_known_place_N_median": float(np.median(bound.force_known_N)),
-            "along_mm_median": float(np.median(bound.along_mm)),
-            "around_mm_median": float(np.median(bound.around_mm)),
-        }
+        table[f"{force:g} N"] = _medians(bound, middle)
+        table_read[f"{force:g} N"] = _medians(
+            as_read.bound(force, noise_px=noise, prior=prior), middle
+        )
     write_arrays(folder, arrays)
     facts = {
         "bound": table,
+        **({"bound_as_read": table_read} if len(slopes) > 1 else {}),
         "cameras": len(slopes),
         "noise_px": noise,
         "radius_mm": radius,

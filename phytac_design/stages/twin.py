@@ -1,7 +1,7 @@
 """The decoder's own mechanics (response) and, on another mesh, simulated data (twin)."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,14 +10,25 @@ from phytac_design.stage import Context, Stage, write_arrays, write_facts
 from shapes.arrays import FloatArray
 from shapes.errors import DesignError
 
+if TYPE_CHECKING:
+    from phytac_design.optics.view import Readers
+
 MECHANICS = ("shape", "wall", "layout", "receptor", "camera", "material", "switch")
 SETS = ("train", "test", "anywhere")
 """Data sets: to learn from, held out likewise, and held out with contacts anywhere."""
 
 
 def arms_mm(context: Context) -> FloatArray:
-    """From each marker's place on the middle face to the paint that the camera sees, (n, 3)."""
+    """From each marker's place on the middle face to the paint that its camera sees, (n, 3)."""
     return np.asarray(context.arrays("views")["paint_point_mm"] - context.markers.mid_mm)
+
+
+def readers_of(context: Context) -> "Readers":
+    """The cameras, each marker read through the one that sees it best (of the stage ``views``)."""
+    from phytac_design.optics.view import Readers, cameras_of
+
+    cameras = cameras_of(context.design, context.surface)
+    return Readers(cameras=cameras, read_by=context.arrays("views")["camera"])
 
 
 def cell_radius_mm(context: Context) -> float:
@@ -33,11 +44,10 @@ def cell_radius_mm(context: Context) -> float:
 
 
 def run_response(context: Context, folder: Path) -> None:
-    """Condense the decoder's mesh to what the camera sees of the markers."""
+    """Condense the decoder's mesh to what each marker's camera sees of it."""
     from phytac_design.mechanics.compliance import marker_compliance, point_motion
     from phytac_design.mechanics.meshing.mesh import marker_mesh
     from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
-    from phytac_design.optics.view import camera_of
     from phytac_design.twin.condense import condense
 
     design, surface, markers = context.design, context.surface, context.markers
@@ -61,7 +71,7 @@ def run_response(context: Context, folder: Path) -> None:
     )
     arm = arms_mm(context)
     condensed = condense(
-        camera_of(design, surface),
+        readers_of(context),
         watched_mm=markers.mid_mm + arm,
         normal=markers.normal,
         motion_mm=point_motion(compliance.motion, arm),
@@ -91,7 +101,6 @@ def run_response(context: Context, folder: Path) -> None:
 def run_twin(context: Context, folder: Path) -> None:
     """Draw contacts, solve them on the finer mesh, project and add noise."""
     from phytac_design.mechanics.receptors import unknown_receptors
-    from phytac_design.optics.view import camera_of
     from phytac_design.twin.contacts import draw_contacts, switch_states
     from phytac_design.twin.dataset import Dataset
     from phytac_design.twin.response import motion_responses, point_motions, superpose
@@ -123,7 +132,7 @@ def run_twin(context: Context, folder: Path) -> None:
         progress=context.progress,
     )
     dent = deepest_dent_mm(context, responses, np.concatenate([i.force_N for i in drawn.values()]))
-    camera = camera_of(design, surface)
+    readers = readers_of(context)
     watched = markers.mid_mm + arm
     arrays: dict[str, Any] = {}
     start = 0
@@ -131,8 +140,7 @@ def run_twin(context: Context, folder: Path) -> None:
         end = start + len(item.force_N)
         moved = point_motions(superpose(responses[start:end], item), arm)
         start = end
-        exact = camera.project((watched + moved).reshape(-1, 3)).reshape(*moved.shape[:2], 2)
-        shift = exact - camera.project(watched)
+        shift = readers.project(watched + moved) - readers.project(watched)
         noise = rng.normal(0.0, design.camera.noise_centroid_px, shift.shape)
         switching = switch_states(design, surface, markers, item)
         arrays |= Dataset(contacts=item, switching=switching, shift_px=shift + noise).arrays(name)

@@ -11,7 +11,7 @@ import numpy as np
 from phytac_design.layout.places import SAME_mm, press_places
 from phytac_design.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.stages.twin import MECHANICS
-from shapes.arrays import FloatArray, IntArray
+from shapes.arrays import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from phytac_design.optics.underload import UnderLoad
@@ -110,7 +110,7 @@ def see_pressed(
     found : UnderLoad
         What the camera sees.
     facts : dict
-        How it was found.
+        How it was found; with two cameras also what each of them loses.
     """
     from phytac_design.optics.scene import build_scene
     from phytac_design.optics.underload import press_all
@@ -132,9 +132,9 @@ def see_pressed(
         surface, markers, gap_px, context.accuracy.press_places, repeats=shell.repeats
     )
 
-    def look(motions: FloatArray, forces_N: FloatArray) -> "UnderLoad":
-        seen = [
-            press_all(
+    def look(motions: FloatArray, forces_N: FloatArray) -> dict[int, "UnderLoad"]:
+        return {
+            number: press_all(
                 scene,
                 camera,
                 pivots_mm=markers.mid_mm,
@@ -143,31 +143,55 @@ def see_pressed(
                 counted=counted,
                 progress=context.progress,
             )
-            for camera, scene, counted in views
+            for number, (camera, scene, counted) in enumerate(views)
             if counted.any()
-        ]
-        return reduce(lambda one, other: one.with_other(other), seen)
+        }
 
     full, samples = shell.motions(uv, (1.0,))
     solved = np.isfinite(full).all(axis=(1, 2, 3))
     uv, full = uv[solved], full[solved]
-    found = look(full, np.array([force]))
+    each = look(full, np.array([force]))
+    found = together(each)
     events = np.flatnonzero(np.isfinite(found.first_force_N))
     if samples and len(events):
         below, more = shell.motions(uv[events], LADDER[:-1])
         samples += more
         known = np.isfinite(below).all(axis=(1, 2, 3))
         path = np.concatenate([below, full[events]], axis=1)[known]
-        first = look(path, force * np.array(LADDER))
+        first = together(look(path, force * np.array(LADDER)))
         found.first_force_N[events[known]] = first.first_force_N
         found.first_marker[events[known]] = first.first_marker
     facts = theory_facts(samples, context.accuracy.press_tolerance)
+    if len(views) > 1:
+        facts["cameras"] = [
+            {"end": "far" if end else "near", "read": int((reader == number).sum())}
+            | (lost_of(each[number], reader == number) if number in each else {})
+            for number, end in enumerate(design.camera.end_numbers)
+        ]
     inward = -np.einsum("pni,ni->pn", full[:, -1, :, :3], markers.normal)
     return (
         uv,
         found,
         facts | {"sector_only": shell.repeats, "dent_mm": float(inward.max(initial=0.0))},
     )
+
+
+def together(each: dict[int, "UnderLoad"]) -> "UnderLoad":
+    """What all cameras see, each of the markers that are read through it."""
+    return reduce(lambda one, other: one.with_other(other), each.values())
+
+
+def lost_of(found: "UnderLoad", own: BoolArray) -> dict[str, Any]:
+    """Figures of one camera, over the markers (n,) that are read through it."""
+    return {
+        "hidden_most": int(found.hidden.max(initial=0)),
+        "fused_most": int(found.fused.max(initial=0)),
+        "least_visible_fraction": float(found.least_fraction[own].min()),
+        "least_gap_same_colour_px": float(found.least_gap_same_px[own].min()),
+        "least_gap_other_colour_px": float(found.least_gap_other_px[own].min()),
+        "crosstalk_px": float(found.crosstalk_px[own].max()),
+        "greatest_shift_px": float(found.shift_px.max(initial=0.0)),
+    }
 
 
 def run_underload(context: Context, folder: Path) -> None:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from phytac_design.optics.visibility import Visibility
     from phytac_design.twin.expected import Expected
 
+MARKS = ("", "_far")
+"""What the names of pictures and frames of each camera end in; one camera's, in nothing."""
 TABLES = ("shape", "wall", "layout", "receptor", "switch", "camera", "light", "fixtures")
 
 
@@ -70,10 +72,13 @@ class Shot:
     renderer: str
 
 
-def shoot(context: Context, folder: Path, camera: "Camera", mark: str, rng: Any) -> Shot:
+def shoot(
+    context: Context, folder: Path, camera: "Camera", mark: str, rng: Any, *, alone: bool = True
+) -> Shot:
     """Look through one camera at rest and with all switches on; write its pictures.
 
-    ``mark`` goes into the names of its files.
+    ``mark`` goes into the names of its files. A marker that shows nowhere is expected where its
+    tip would be, as long as no other camera may see it (``alone``), else nowhere (NaN).
     """
     from phytac_design.optics.frame import render_frame
     from phytac_design.optics.raster import rasterise
@@ -90,8 +95,8 @@ def shoot(context: Context, folder: Path, camera: "Camera", mark: str, rng: Any)
     seen = see(rest, on, camera, noise_std=design.camera.noise_pixel, rng=rng)
     context.progress("views: pictures")
     part_rest, part_on = rasterise(rest, camera).part, rasterise(on, camera).part
-    # A marker that shows nowhere has no visible centre; its tip stands in for it.
-    place = np.where(seen.lost[:, None], camera.project(markers.tip_mm), seen.centroid_px)
+    away = camera.project(markers.tip_mm) if alone else np.nan
+    place = np.where(seen.lost[:, None], away, seen.centroid_px)
     expected = expectations(
         design,
         markers,
@@ -123,11 +128,21 @@ def run_views(context: Context, folder: Path) -> None:
 
     design, surface, markers = context.design, context.surface, context.markers
     rng = np.random.default_rng(context.seed)
+    cameras = cameras_of(design, surface)
     shots = [
-        shoot(context, folder, camera, mark, rng)
-        for camera, mark in zip(cameras_of(design, surface), ("", "_far"), strict=False)
+        shoot(context, folder, camera, mark, rng, alone=len(cameras) == 1)
+        for camera, mark in zip(cameras, MARKS, strict=False)
     ]
     best, camera = best_of([shot.seen for shot in shots])
+    shown_px = [
+        # What no camera sees is expected where its tip would be.
+        np.where(
+            (best.lost & (camera == number))[:, None],
+            shot.camera.project(markers.tip_mm),
+            shot.expected.rest_px,
+        )
+        for number, shot in enumerate(shots)
+    ]
 
     def picked(values: list[FloatArray]) -> FloatArray:
         return np.asarray(np.stack(values)[camera, np.arange(markers.count)])
@@ -136,7 +151,8 @@ def run_views(context: Context, folder: Path) -> None:
         np.where(shot.seen.lost[:, None], markers.tip_mm, shot.seen.paint_point_mm)
         for shot in shots
     ]
-    rest_px = picked([shot.expected.rest_px for shot in shots])
+    rest_px = picked(shown_px)
+    tips = [shot.expected.tips for shot in shots]
     arrays = asdict(best) | {
         "camera": camera,
         "paint_point_mm": picked(points),
@@ -144,9 +160,13 @@ def run_views(context: Context, folder: Path) -> None:
         "seen_by": np.stack([~shot.seen.occluded for shot in shots]),
         "rest_px": rest_px,
         "tip_bias_px": picked([shot.expected.tip_bias_px for shot in shots]),
-        "tip_on_px": picked([shot.expected.tips.on_px for shot in shots]),
-        "tip_red_rest_px": picked([shot.expected.tips.red_rest_px for shot in shots]),
-        "tip_red_on_px": picked([shot.expected.tips.red_on_px for shot in shots]),
+        "tip_on_px": picked([tip.on_px for tip in tips]),
+        "tip_red_rest_px": picked([tip.red_rest_px for tip in tips]),
+        "tip_red_on_px": picked([tip.red_on_px for tip in tips]),
+        "shown_rest_px": np.stack(shown_px),
+        "shown_tip_on_px": np.stack([tip.on_px for tip in tips]),
+        "shown_tip_red_rest_px": np.stack([tip.red_rest_px for tip in tips]),
+        "shown_tip_red_on_px": np.stack([tip.red_on_px for tip in tips]),
     }
     write_arrays(folder, arrays)
     error = np.linalg.norm(rest_px - best.centroid_px, axis=1)[~best.lost]

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from decoder.camera import Camera
+from phytac_design.optics.view import Readers
 from shapes.arrays import FloatArray
 from shapes.errors import NumericalError
 
@@ -41,7 +42,11 @@ class Condensed:
 
 
 def condense(
-    camera: Camera, *, watched_mm: FloatArray, normal: FloatArray, motion_mm: FloatArray
+    camera: Camera | Readers,
+    *,
+    watched_mm: FloatArray,
+    normal: FloatArray,
+    motion_mm: FloatArray,
 ) -> Condensed:
     """Condense a marker compliance to pixels and to the apparent displacement u.
 
@@ -55,8 +60,8 @@ def condense(
 
     Parameters
     ----------
-    camera : Camera
-        The true lens.
+    camera : Camera or Readers
+        The true lens; of several cameras, each marker's own.
     watched_mm : (n, 3) float
         The paint's visible centre.
     normal : (n, 3) float

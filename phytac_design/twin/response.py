@@ -5,7 +5,7 @@ so the cost is that of the markers, not of the contacts. Fewer contacts than tha
 by one.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -66,10 +66,13 @@ def motion_responses(
     loads = patch_loads(mesh, surface, uv, radius_mm)
     if len(uv) < 6 * len(base):
         return np.moveaxis(probe_loads(model, mesh, loads, markers.uv, batch=CHUNK), 2, 0)
-    adjoint = _adjoints(model, motion_probe(mesh, markers.uv[base]), progress)
+    adjoints = _adjoints(model, motion_probe(mesh, markers.uv[base]), progress)
     patches = loads.T.tocsr()
     if turn is None:
-        return np.asarray(patches @ adjoint).reshape(len(uv), markers.count, 6)
+        # All adjoints at once would fill the memory: 11 GB for 2000 markers.
+        parts = [np.asarray(patches @ adjoint) for adjoint in adjoints]
+        return np.concatenate(parts, axis=1).reshape(len(uv), markers.count, 6)
+    adjoint = np.concatenate(list(adjoints), axis=1)
     around = mesh.around or 1
     field = adjoint.reshape(-1, around, 2, 3, adjoint.shape[1])
     out = np.empty((len(uv), markers.count // columns, columns, 2, 3))
@@ -81,15 +84,14 @@ def motion_responses(
     return out.reshape(len(uv), markers.count, 6)
 
 
-def _adjoints(model: ShellModel, probe: csr_matrix, progress: Callable[[str], None]) -> FloatArray:
-    """Shell motion (6N, r) under the unit load of each of r probe rows."""
-    out = np.empty(probe.shape[::-1])
+def _adjoints(
+    model: ShellModel, probe: csr_matrix, progress: Callable[[str], None]
+) -> Iterator[FloatArray]:
+    """Shell motion (6N, r) under the unit load of each of r probe rows, ``CHUNK`` at a time."""
     for first in range(0, probe.shape[0], CHUNK):
-        rows = slice(first, first + CHUNK)
-        out[:, rows] = model.solve(probe[rows].T).motion.reshape(probe.shape[1], -1)
-        done = min(first + CHUNK, probe.shape[0])
-        progress(f"response: {done} of {probe.shape[0]} adjoint loads")
-    return out
+        last = min(first + CHUNK, probe.shape[0])
+        yield model.solve(probe[first:last].T).motion.reshape(probe.shape[1], -1)
+        progress(f"response: {last} of {probe.shape[0]} adjoint loads")
 
 
 def point_motions(motion: FloatArray, arm_mm: FloatArray) -> FloatArray:

@@ -152,7 +152,8 @@ def make_bundle() -> Bundle:
     return Bundle(
         design="toy",
         design_hash="0" * 64,
-        camera=Camera.on_axis(width_px=640, height_px=480, focal_px=240, stand_off_mm=30),
+        cameras=(Camera.on_axis(width_px=640, height_px=480, focal_px=240, stand_off_mm=30),),
+        read_by=np.zeros(N, dtype=np.int64),
         colours=ColourModel.from_rgb({"blue": (28, 72, 214), "red": (214, 30, 34)}),
         colour=np.zeros(N, dtype=np.int64),
         position_mm=rng.normal(size=(N, 3)),
@@ -214,7 +215,7 @@ def test_spoilt_bundles_are_refused(tmp_path: Path) -> None:
     save_file({**arrays, "neighbours": far}, arrays_path)
     refused("neighbours points beyond the bundle's 12 entries")
     camera = {**json.loads(meta)["camera"], "width_px": -5}
-    meta_path.write_text(json.dumps({**json.loads(meta), "camera": camera}))
+    meta_path.write_text(json.dumps({**json.loads(meta), "cameras": [camera]}))
     refused("its sizes positive")
     with pytest.raises(InputError, match="no decoder bundle"):
         load_bundle(tmp_path / "nowhere")

@@ -16,9 +16,9 @@ from phytac_design.build import build
 from phytac_design.checkup import checkup
 from phytac_design.design_file import load_design
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.scene import BAR, SHELL
-from phytac_design.optics.view import camera_of, cameras_of, stand_off_mm
-from phytac_design.optics.visibility import best_of, check_visibility
+from phytac_design.optics.scene import BAR, RESIN, SHELL
+from phytac_design.optics.view import Readers, camera_of, cameras_of, stand_off_mm
+from phytac_design.optics.visibility import best_of, check_visibility, visibility_advice
 from phytac_design.spec import Design
 from phytac_design.stage import Context
 from phytac_design.stages.resolution import RESOLUTION
@@ -120,6 +120,20 @@ def test_the_best_camera_is_one_that_tells_the_marker_apart() -> None:
     assert best.visible_px[3] == one.visible_px[3] + 100
 
 
+def test_two_cameras_want_heights_that_grow_from_both_ends() -> None:
+    hidden, none = np.array([3]), np.array([], dtype=np.int64)
+    by = np.full(32, RESIN)
+    for ends, heights, said in (
+        ("both", "linear", True),
+        ("both", "line-of-sight", False),
+        ("near", "linear", False),
+    ):
+        bench = Bench(at("near", TOWARDS_FAR))
+        design = at(ends, TOWARDS_FAR | {"heights": heights})
+        advice = visibility_advice(design, bench.markers, hidden, none, by)
+        assert ("grow from both ends" in advice) == said
+
+
 def test_a_closed_end_has_no_camera() -> None:
     design = load_design("hemisphere")
     section = design.camera.model_copy(update={"ends": "far"})
@@ -185,9 +199,48 @@ def test_two_cameras_give_two_sets_of_pictures_and_a_better_bound() -> None:
     assert (one["cameras"], two["cameras"]) == (1, 2)
     for key in ("force_N_worst", "along_mm_median", "force_known_place_N_median"):
         assert two["bound"]["10 N"][key] < 0.9 * one["bound"]["10 N"][key]
+        # Through one camera each, markers tell less than through both.
+        assert two["bound"]["10 N"][key] < two["bound_as_read"]["10 N"][key]
+    assert "bound_as_read" not in one
+    # The same camera at half of the markers: with the place known, better than it alone.
+    known = "force_known_place_N_median"
+    assert two["bound_as_read"]["10 N"][known] < one["bound"]["10 N"][known]
 
 
-def test_two_cameras_have_no_decoder_yet(tmp_path: Path) -> None:
-    with pytest.raises(DesignError, match=r"--only views,compare,resolution,shell,step,mesh"):
-        build(at("both", TOWARDS_FAR), tmp_path / "x", accuracy="draft")
-    assert not (tmp_path / "x").exists()
+def test_what_only_the_other_camera_sees_is_expected_nowhere(tmp_path: Path) -> None:
+    """A tall near row hides the far one from the near camera, wholly where it is straight."""
+    hidden = {"kind": "straight", "rows": 2, "columns": 4}
+    design = at("both", hidden | {"height_near_mm": 24.0, "height_far_mm": 1.0})
+    context = Context(design=design, accuracy=PRESETS["draft"], seed=0, progress=lambda _: None)
+    VIEWS.run(context, tmp_path)
+    with np.load(tmp_path / "arrays.npz") as views:
+        near, far = views["shown_rest_px"]
+        assert views["camera"].tolist()[4:] == [1] * 4
+        assert np.isnan(near[4:]).all()
+        assert np.isfinite(far[4:]).all()
+        np.testing.assert_array_equal(views["rest_px"][4:], far[4:])
+        assert np.isfinite(views["paint_points_mm"]).all()
+    readers = Readers(cameras=cameras_of(design, context.surface), read_by=np.repeat([0, 1], 4))
+    tips = context.markers.tip_mm
+    pixels, slopes = readers.project(tips), readers.jacobian(tips)
+    for number, camera in enumerate(readers.cameras):
+        own = slice(4 * number, 4 * number + 4)
+        np.testing.assert_array_equal(pixels[own], camera.project(tips)[own])
+        np.testing.assert_array_equal(slopes[own], camera.jacobian(tips)[own])
+    many = readers.project(np.stack([tips, tips + 1.0]))
+    np.testing.assert_array_equal(many[0], pixels)
+    np.testing.assert_array_equal(many[1], readers.project(tips + 1.0))
+
+
+def test_blur_is_said_of_the_camera_that_reads_the_marker() -> None:
+    """In focus near its own rim each camera blurs the other end, which it does not read."""
+    sharp = {"ends": "near", "focus_mm": 30.0, "f_number": 0.7, "pixel_um": 5.6}
+    design = at("near", ROWS | {"rows": 10, "height_near_mm": 3.0, "height_far_mm": 3.0})
+
+    def said(**camera: Any) -> list[str]:
+        section = design.camera.model_copy(update=sharp | camera)
+        report = checkup(design.model_copy(update={"camera": section}))
+        return [text for text in report["warnings"] if "px wide" in text]
+
+    assert len(said()) == 1
+    assert said(ends="both") == []

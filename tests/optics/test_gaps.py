@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from phytac_design.optics.gaps import NEAR_PX, marker_gaps
+from phytac_design.optics.gaps import marker_gaps
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.scene import paint_owner
 from shapes.arrays import FloatArray, IntArray
@@ -44,7 +44,7 @@ def test_gaps_are_those_of_every_pair_of_pixels(blots: NDArray[np.int32], colour
     np.testing.assert_allclose(np.stack(marker_gaps(blots, colour)), expected, rtol=1e-15)
 
 
-@pytest.mark.parametrize("limit_px", [1.0, 5.0, 8.3, NEAR_PX, 200.0])
+@pytest.mark.parametrize("limit_px", [1.0, 5.0, 8.3, 64.0, 200.0])
 def test_gaps_up_to_a_limit_are_the_same_and_inf_beyond(
     blots: NDArray[np.int32], limit_px: float
 ) -> None:
@@ -52,7 +52,7 @@ def test_gaps_up_to_a_limit_are_the_same_and_inf_beyond(
     expected = every_pair(blots, colour)
     found = np.stack(marker_gaps(blots, colour, limit_px=limit_px))
     np.testing.assert_array_equal(found, np.where(expected <= limit_px, expected, np.inf))
-    if limit_px < NEAR_PX:
+    if limit_px < 64.0:
         assert np.isfinite(found).any()
         assert np.isinf(found).sum() > np.isinf(expected).sum()
 

@@ -1,0 +1,53 @@
+"""``stand_off_mm = "fit"`` for lenses that see nearly, or more than, half of all directions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from decoder.camera import Camera
+from decoder.lens import LENSES, Lens
+from phytac_design.optics.view import LEAST_SHARE, fit_stand_off_mm
+from shapes.arrays import FloatArray
+
+RADIUS_MM, FILL, HALF_PX = 29.2, 0.975, 324.0
+TURN = np.linspace(0.0, 2.0 * np.pi, 65)
+RIM = RADIUS_MM * np.column_stack([np.cos(TURN), np.sin(TURN), 0.0 * TURN])
+WIDE = ("kannala_brandt", "bent fisheye", "omnidirectional")
+
+
+def lens_with(name: str, edge_rad: float) -> Lens:
+    """Lens whose image is filled by what lies this far from its axis."""
+    unbent = {"kannala_brandt": (), "bent fisheye": (-0.02, 0.002, 0.0, 0.0)}.get(name, (1.2,))
+    model = name if name in LENSES else "kannala_brandt"
+    unit = LENSES[model](
+        width_px=648, height_px=648, fx_px=1.0, fy_px=1.0, cx_px=323.5, cy_px=323.5,
+        distortion=unbent,
+    )  # fmt: skip
+    focal = FILL * HALF_PX / float(unit.radius(np.array([edge_rad]))[0][0])
+    return replace(unit, fx_px=focal, fy_px=focal)
+
+
+def reach_of(lens: Lens, stand_off: float) -> FloatArray:
+    camera = Camera.at(lens, z_mm=-stand_off)
+    return np.asarray(np.linalg.norm(camera.project(RIM) - camera.centre_px, axis=1))
+
+
+@pytest.mark.parametrize("name", WIDE)
+@pytest.mark.parametrize("field_deg", [150.0, 170.0, 174.0, 175.0, 177.0, 178.0, 179.0, 179.9])
+def test_the_rim_fills_the_image_to_a_millionth(name: str, field_deg: float) -> None:
+    edge = np.radians(field_deg / 2.0)
+    lens = lens_with(name, float(edge))
+    stand_off = fit_stand_off_mm(lens, RIM, end=0, start_mm=0.0, fill=FILL)
+    assert stand_off == pytest.approx(RADIUS_MM / np.tan(edge), rel=1e-6)
+    assert reach_of(lens, stand_off) / HALF_PX == pytest.approx(FILL, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", WIDE)
+@pytest.mark.parametrize("field_deg", [180.5, 190.0, 220.0])
+def test_a_lens_that_looks_back_stands_a_little_before_the_rim(name: str, field_deg: float) -> None:
+    """No rim before it fills its image."""
+    lens = lens_with(name, float(np.radians(field_deg / 2.0)))
+    stand_off = fit_stand_off_mm(lens, RIM, end=0, start_mm=0.0, fill=FILL)
+    assert stand_off == pytest.approx(LEAST_SHARE * RADIUS_MM)
+    assert reach_of(lens, 1e-3 * RADIUS_MM).max() < FILL * HALF_PX

@@ -1,0 +1,181 @@
+"""A sensor with a camera at each end, from its heights to the forces its two frames decode to."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from decoder.bundle import Bundle, load_bundle
+from decoder.run import Frames, measure_frame, read_image, rest_positions
+from phytac_design.accuracy import PRESETS
+from phytac_design.build import build
+from phytac_design.cli import app
+from phytac_design.spec import Design
+from phytac_design.stage import Context
+from phytac_design.stages.frames import Pressed, press, shoot
+from shapes.errors import InputError
+from tests.designs import of_shape
+
+SHAPE = {"diameter_outer_mm": 34.0, "length_mm": 44.0}
+LAYOUT: dict[str, Any] = {
+    "rows": 6,
+    "columns": 12,
+    "heights": "line-of-sight",
+    "height_near_mm": 2.0,
+    "height_far_mm": 6.0,
+}
+# Patches that cover a footprint: every contact trips a switch.
+TRAINING = {"samples": 60, "samples_test": 30, "patch_radius_min_mm": 5.0}
+STAGES = {"near": ["decoder"], "both": ["underload", "frames"]}
+
+
+def cylinder(ends: str, **layout: Any) -> Design:
+    camera = {"width_px": 648, "height_px": 486, "focal_px": 242.5, "ends": ends}
+    return of_shape("cylinder", SHAPE, LAYOUT | layout, camera=camera, training=TRAINING)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    out = {}
+    for ends in ("near", "both"):
+        out[ends] = tmp_path_factory.mktemp(ends) / "x"
+        only = STAGES[ends]
+        build(cylinder(ends), out[ends], accuracy="draft", only=only, progress=lambda _: None)
+    return out
+
+
+def frames_in(out: Path, name: str) -> list[Any]:
+    return [read_image(out / "views" / f"{name}{mark}.png") for mark in ("", "_far")]
+
+
+def test_each_camera_reads_the_half_nearest_to_it(built: dict[str, Path]) -> None:
+    bundle = load_bundle(built["both"] / "decoder")
+    assert len(bundle.cameras) == len(bundle.shown) == 2
+    assert bundle.camera is bundle.cameras[0]
+    near, far = bundle.cameras
+    assert near.position_mm[2] < 0.0
+    assert far.position_mm[2] > SHAPE["length_mm"]
+    np.testing.assert_array_equal(bundle.read_by, np.arange(72) >= 36)
+    for number, shown in enumerate(bundle.shown):
+        own = bundle.read_by == number
+        np.testing.assert_array_equal(shown.rest_px[own], bundle.rest_px[own])
+        np.testing.assert_array_equal(shown.tips.red_on_px[own], bundle.tips.red_on_px[own])
+        # What it shows of the other half is elsewhere than in the other camera's image.
+        assert np.abs(shown.rest_px[~own] - bundle.rest_px[~own]).max() > 20.0
+    one = load_bundle(built["near"] / "decoder")
+    assert len(one.cameras) == 1
+    assert not one.read_by.any()
+    assert one.shown == ()
+
+
+def test_two_frames_decode_together(built: dict[str, Path]) -> None:
+    out = built["both"]
+    bundle = load_bundle(out / "decoder")
+    rest = rest_positions(bundle, frames_in(out, "frame_rest"))
+    assert np.abs(rest - bundle.rest_px).max() < 0.2
+    measured = measure_frame(bundle, frames_in(out, "frame_pressed"), rest_px=rest)
+    truth = json.loads((out / "views" / "frame_pressed.json").read_text())
+    assert set(measured.koi) == {int(key) for key in truth}
+    assert measured.found.all()
+    forces = measured.forces_N(bundle, "koi_inverse")
+    assert forces.sum() == pytest.approx(sum(truth.values()), rel=0.2)
+    assert measured.warnings(bundle, forces, estimator="koi_inverse") == []
+
+
+def test_forces_are_as_right_as_with_one_camera(built: dict[str, Path]) -> None:
+    one, two = (
+        load_bundle(built[ends] / "decoder").notes["test_relative_error"]["koi_inverse"]
+        for ends in ("near", "both")
+    )
+    assert two < 0.12
+    assert two < 1.1 * one
+
+
+def presses(design: Design, count: int) -> tuple[Context, Pressed]:
+    accuracy = replace(PRESETS["draft"], frames=count)
+    context = Context(design=design, accuracy=accuracy, seed=7, progress=lambda _: None)
+    return context, press(context)
+
+
+def decoded(bundle: Bundle, design: Design, count: int) -> tuple[float, float, int]:
+    """Mean error and mean force (N) of all forces in a frame, and switches read wrongly."""
+    context, pressed = presses(design, count)
+    rest = rest_positions(bundle, shoot(context, pressed, None))
+    off, force, wrong = [], [], 0
+    for index, bits in enumerate(pressed.switching.bits):
+        measured = measure_frame(bundle, shoot(context, pressed, index), rest_px=rest)
+        truth = pressed.switching.receptor_force_N[index]
+        off.append(abs(measured.forces_N(bundle, "koi_inverse").sum() - truth.sum()))
+        force.append(truth.sum())
+        wrong += len(set(measured.koi) ^ set(np.flatnonzero(bits)))
+    return float(np.mean(off)), float(np.mean(force)), wrong
+
+
+def test_frames_decode_as_well_as_with_one_camera(built: dict[str, Path]) -> None:
+    found = {
+        ends: decoded(load_bundle(built[ends] / "decoder"), cylinder(ends), 3)
+        for ends in ("near", "both")
+    }
+    assert found["both"][1] == pytest.approx(found["near"][1])
+    assert found["both"][0] < 0.2 * found["both"][1]
+    # The near camera sees the far rows small and aslant.
+    assert found["both"][0] < 0.7 * found["near"][0]
+    assert found["both"][2] == 0
+
+
+@pytest.mark.parametrize(
+    ("pick", "words"),
+    [
+        (lambda a, _: a, r"has 2 cameras \(got 1 frame\); give one frame of each.*near end's"),
+        (lambda a, b: [a, b, a], r"has 2 cameras \(got 3 frames\)"),
+        (lambda a, b: [b, a], r"of the near camera; .* in the right order\?"),
+        (lambda a, b: [a, 0 * b], r"found 0 of 36 markers of the far camera"),
+        (lambda a, b: [a, b[:-1]], r"image is 648x485 px"),
+    ],
+)
+def test_wrong_frames_are_refused(built: dict[str, Path], pick: Any, words: str) -> None:
+    bundle = load_bundle(built["both"] / "decoder")
+    frames: Frames = pick(*frames_in(built["both"], "frame_rest"))
+    with pytest.raises(InputError, match=words):
+        measure_frame(bundle, frames)
+
+
+def test_one_camera_takes_one_frame(built: dict[str, Path]) -> None:
+    bundle = load_bundle(built["near"] / "decoder")
+    (frame,) = shoot(*presses(cylinder("near"), 1), 0)
+    alone, listed = measure_frame(bundle, frame), measure_frame(bundle, [frame])
+    np.testing.assert_array_equal(alone.shift_px, listed.shift_px)
+    with pytest.raises(InputError, match=r"has one camera \(got 2 frames\); give one frame of it"):
+        measure_frame(bundle, [frame, frame])
+
+
+def test_a_camera_that_moved_is_named(built: dict[str, Path]) -> None:
+    out = built["both"]
+    bundle = load_bundle(out / "decoder")
+    rest = rest_positions(bundle, frames_in(out, "frame_rest"))
+    near, far = frames_in(out, "frame_pressed")
+    measured = measure_frame(bundle, [near, np.roll(far, (2, 3), axis=(0, 1))], rest_px=rest)
+    told = measured.warnings(bundle, measured.forces_N(bundle, "koi_inverse"))
+    moved = [text for text in told if "has shifted" in text]
+    assert len(moved) == 1
+    assert "the whole image of the far camera has shifted by (3." in moved[0]
+
+
+def test_the_command_takes_a_frame_of_each_camera(built: dict[str, Path]) -> None:
+    out = built["both"]
+    pressed = [str(out / "views" / f"frame_pressed{mark}.png") for mark in ("", "_far")]
+    rest = [str(out / "views" / f"frame_rest{mark}.png") for mark in ("", "_far")]
+    words = ["decode", str(out / "decoder"), *pressed, "--json"]
+    words += ["--rest", rest[0], "--rest", rest[1]]
+    done = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert done.exit_code == 0
+    said = json.loads(done.stdout)
+    truth = json.loads((out / "views" / "frame_pressed.json").read_text())
+    assert said["found"] == 72
+    assert set(said["forces_N"]) == set(truth)
+    with pytest.raises(InputError, match="has 2 cameras"):
+        CliRunner().invoke(app, words[:3], catch_exceptions=False)
