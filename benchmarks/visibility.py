@@ -1,6 +1,6 @@
-"""What cameras see: ID maps against Embree rays, lenses, growth, and layouts side by side.
+"""What cameras see: ID maps against Embree rays, lenses, growth, layouts, extreme designs.
 
-``python -m benchmarks.visibility [--quick] [--parts maps,lenses,growth,layouts]``
+``python -m benchmarks.visibility [--quick] [--parts maps,lenses,growth,layouts,extremes]``
 """
 
 import time
@@ -12,7 +12,12 @@ from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 from numpy.typing import NDArray
 
-from benchmarks import visibility_growth, visibility_layouts, visibility_lenses
+from benchmarks import (
+    visibility_extremes,
+    visibility_growth,
+    visibility_layouts,
+    visibility_lenses,
+)
 from benchmarks.harness import Table, run_parts
 from benchmarks.visibility_lenses import busy
 from decoder.camera import Camera
@@ -229,6 +234,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "lenses": partial(visibility_lenses.add_rows, quick=quick),
         "growth": partial(visibility_growth.add_rows, quick=quick),
         "layouts": partial(visibility_layouts.add_rows, quick=quick),
+        "extremes": partial(visibility_extremes.add_rows, quick=quick),
     }
 
 

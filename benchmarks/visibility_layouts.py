@@ -11,13 +11,13 @@ from phytac_design.accuracy import PRESETS
 from phytac_design.build import copy_of
 from phytac_design.design_file import load_design
 from phytac_design.layout.places import press_places
-from phytac_design.optics.gaps import marker_gaps
+from phytac_design.optics.gaps import marker_gaps, outline_gaps
 from phytac_design.optics.raster import pixels_alone, rasterise
 from phytac_design.optics.scene import build_scene, paint_owner
 from phytac_design.optics.underload import UnderLoad, press_all, sight_of
 from phytac_design.optics.view import camera_of, tolerance_mm
 from phytac_design.optics.visibility import Visibility, check_visibility
-from phytac_design.optics.watch import Watch, outline_gaps
+from phytac_design.optics.watch import Watch
 from phytac_design.rules import check_design
 from phytac_design.spec import Design
 from phytac_design.stage import Context

@@ -4,6 +4,7 @@ from phytac_design.layout import Markers
 from phytac_design.optics.separability import check_paints
 from phytac_design.optics.sharpness import sharpness
 from phytac_design.optics.view import cameras_of, refuse_swallowed
+from phytac_design.rules import check_cameras
 from phytac_design.rules import check_design as check_rules
 from phytac_design.spec import Design
 from shapes import Surface
@@ -19,7 +20,9 @@ def check_design(design: Design) -> tuple[Surface, Markers]:
     """
     surface, markers = check_rules(design)
     check_paints(design)
-    for camera in cameras_of(design, surface):
+    cameras = cameras_of(design, surface)
+    check_cameras(design, surface, markers, cameras)
+    for camera in cameras:
         sharpness(design.camera, camera, surface, markers)
     refuse_swallowed(design, surface, markers)
     return surface, markers

@@ -7,6 +7,7 @@ camera. Cameras are checked in ``phytac_design.optics``.
 
 from phytac_design.fabrication.receptors import root_depth_mm
 from phytac_design.layout import Markers, make_markers
+from phytac_design.rules.bodies import check_cameras, check_fixtures
 from phytac_design.rules.places import check_ends, check_footprints, check_receptor_gaps
 from phytac_design.rules.room import check_heights, check_reach, check_wall
 from phytac_design.rules.sizes import MARKERS_MAX, check_sizes, check_training
@@ -33,7 +34,8 @@ def check_design(design: Design) -> tuple[Surface, Markers]:
     check_footprints(design, surface, markers)
     root_depth_mm(design, surface, markers)
     check_training(design, surface, markers)
+    check_fixtures(design, surface, markers)
     return surface, markers
 
 
-__all__ = ["MARKERS_MAX", "check_design"]
+__all__ = ["MARKERS_MAX", "check_cameras", "check_design"]
