@@ -78,8 +78,8 @@ class Bundle:
         What is seen of the red tips.
     model : ForceModel
         Matrices and networks.
-    threshold_N : float
-        Force on a switch's footprint that turns it on: a receptor that is on carries some force.
+    threshold_N : (n,) float
+        Force on each switch's footprint that turns it on: a receptor that is on carries some.
     noise_centroid_px : float
         Standard deviation of each coordinate of a marker's centroid.
     force_max_N : float
@@ -101,7 +101,7 @@ class Bundle:
     tip_bias_px: FloatArray
     tips: TipModel
     model: ForceModel
-    threshold_N: float
+    threshold_N: FloatArray
     noise_centroid_px: float = 0.04
     force_max_N: float = 25.0
     shown: tuple[Shown, ...] = ()
@@ -155,7 +155,7 @@ class Bundle:
             out.append(
                 f"the estimators fem, fem_nn and fem_nn_identity cannot be used at {len(weak)} of "
                 f"{len(self.colour)} markers ({named(weak)}): noise of their K·u exceeds "
-                f"{NOISE_SHARE_MAX * self.force_max_N:g} N (median {np.median(noise):.2g} N); use "
+                f"{NOISE_SHARE_MAX * self.force_max_N:g} N (median {np.median(noise):.3g} N); use "
                 "koi_inverse"
             )
         return out
@@ -193,7 +193,8 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
             }
             for name, net in model.networks.items()
         },
-        "threshold_N": float(bundle.threshold_N),
+        # The most usual one: up to schema 1.2 it was every marker's.
+        "threshold_N": float(np.median(bundle.threshold_N)),
         "noise_centroid_px": float(bundle.noise_centroid_px),
         "force_max_N": float(bundle.force_max_N),
         "notes": bundle.notes,
@@ -212,6 +213,7 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
         "height_z_mm": model.height_z_mm,
         "neighbours": model.neighbours,
         "read_by": bundle.read_by,
+        "threshold_N": bundle.threshold_N,
     } | {f"network.{name}": net.parameters for name, net in model.networks.items()}
     if bundle.shown:
         arrays |= {
@@ -246,9 +248,10 @@ def load_bundle(folder: Path) -> Bundle:
         ) from error
     try:
         count = int(meta["markers"])
-        # Up to schema 1.2 there was one camera.
+        # Up to schema 1.2 there was one camera and one threshold.
         tables = meta.get("cameras", [meta["camera"]])
         arrays.setdefault("read_by", np.zeros(count, dtype=np.int64))
+        arrays.setdefault("threshold_N", np.full(count, float(meta["threshold_N"])))
         check_arrays(arrays, count, sorted(meta["networks"]), folder)
         check_indices(arrays, count, len(meta["colours"]["names"]), len(tables), folder)
         check_shown(arrays, count, len(tables), folder)
@@ -378,7 +381,7 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], cameras: tuple[Camer
             neighbours=arrays["neighbours"],
             networks=networks,
         ),
-        threshold_N=float(meta["threshold_N"]),
+        threshold_N=arrays["threshold_N"],
         # Up to schema 1.1 these were not stored.
         noise_centroid_px=float(meta.get("noise_centroid_px", 0.04)),
         force_max_N=float(meta.get("force_max_N", 25.0)),

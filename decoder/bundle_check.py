@@ -37,6 +37,7 @@ def check_arrays(arrays: dict[str, Any], count: int, networks: list[str], folder
         "height_z_mm": (n,),
         "neighbours": (n, 8),
         "read_by": (n,),
+        "threshold_N": (n,),
     } | {f"network.{name}": (parameter_count(),) for name in networks}
     _check(arrays, expected, n, folder)
 

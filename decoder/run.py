@@ -86,11 +86,12 @@ class Measured:
                     f"the whole image{bundle.of_camera(number)} has shifted by ({moved[0]:.1f}, "
                     f"{moved[1]:.1f}) px: the camera has moved; take a new rest frame"
                 )
-        weak = self.koi[forces_N[self.koi] < 0.5 * bundle.threshold_N]
+        threshold = bundle.threshold_N
+        weak = self.koi[forces_N[self.koi] < 0.5 * threshold[self.koi]]
         if len(weak):
             out.append(
                 f"{len(weak)} switched receptors ({named(weak)}) decode to less than half the "
-                f"switch threshold of {bundle.threshold_N:g} N"
+                f"threshold of their switch ({threshold[weak].min():g} N or more)"
             )
         useless = self.koi[~bundle.stiffness_usable[self.koi]]
         if len(useless) and estimator != "koi_inverse":

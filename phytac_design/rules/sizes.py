@@ -3,6 +3,7 @@
 import numpy as np
 
 from phytac_design.layout import Markers
+from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.rules.refuse import SLACK_mm, refuse
 from phytac_design.spec import Design
 from shapes import Surface
@@ -89,10 +90,11 @@ def check_training(design: Design, surface: Surface, markers: Markers) -> None:
         )
     share = min(1.0, switch.footprint_diameter_mm / (2.0 * training.patch_radius_min_mm)) ** 2
     most = share * training.force_max_N
-    if most <= switch.threshold_N:
+    threshold = float(thresholds_N(design, markers).min())
+    if most <= threshold:
         refuse(
             f"no contact can trip a switch: the strongest one ({training.force_max_N:g} N) puts "
-            f"{most:.3g} N on a switch's footprint, its threshold is {switch.threshold_N:g} N; "
+            f"{most:.3g} N on a switch's footprint, its threshold is {threshold:g} N; "
             f"lower switch.threshold_N below {most:.3g} or raise training.force_max_N"
         )
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from decoder.estimators import ESTIMATORS, ForceModel
 from decoder.network import Activation
+from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.stage import EXPORT, Context, Stage, write_facts
 from phytac_design.stages.twin import readers_of
 from phytac_design.twin.dataset import Dataset, decode_points, key_node_data
@@ -118,7 +119,7 @@ def run(context: Context, folder: Path) -> None:
             red_on_px=views["tip_red_on_px"],
         ),
         model=model,
-        threshold_N=design.switch.threshold_N,
+        threshold_N=thresholds_N(design, context.markers),
         noise_centroid_px=design.camera.noise_centroid_px,
         force_max_N=design.training.force_max_N,
         shown=tuple(shown) if len(shown) > 1 else (),

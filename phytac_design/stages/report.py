@@ -15,6 +15,7 @@ from phytac_design.report.sections import sections_of
 from phytac_design.report.verdict import SIMULATED, lead
 from phytac_design.spec import Design
 from phytac_design.stage import Context, Stage, export_path, write_facts
+from phytac_design.stages.switch import SWITCH
 from phytac_design.stages.underload import UNDERLOAD
 from phytac_design.stages.views import VIEWS
 
@@ -32,7 +33,7 @@ NEEDS = (
     "decoder",
     "frames",
 )
-GATED = (VIEWS, UNDERLOAD)
+GATED = (VIEWS, UNDERLOAD, SWITCH)
 """Stages that can stop a build: it goes on past them only with --force."""
 
 

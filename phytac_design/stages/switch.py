@@ -12,35 +12,24 @@ from phytac_design.finite import finite
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.stage import Context, Stage, export_path, write_facts
 from shapes.arrays import FloatArray
+from shapes.errors import DesignError
 
 TABLES = ("shape", "wall", "layout", "receptor", "switch", "mold", "print_rules", "camera", "light")
 
 
 def run(context: Context, folder: Path) -> None:
-    """Write ``switch/switches.json``, and a curve (JSON and SVG) for each threshold."""
-    from phytac_design.mechanics.switch.design import design_switch
-    from phytac_design.mechanics.switch.receptor import rubber_of, space_of
-    from phytac_design.mechanics.switch.report import curve_plot, switch_dict
-    from phytac_design.mechanics.switch.space import Tolerance
-    from phytac_design.mechanics.switch.svg import write_svg
+    """Write ``switch/switches.json``, and a curve (JSON and SVG) for each threshold.
 
-    design = context.design
-    switch = design.switch
-    rubber = rubber_of(design)
-    space = space_of(design)
-    tolerance = Tolerance(thickness_mm=switch.wall_tolerance_mm, modulus=switch.modulus_tolerance)
-    made = []
-    thresholds = thresholds_N(design, context.markers)
-    for threshold in np.unique(thresholds):
-        context.progress(f"switch: bowl for {threshold:g} N")
-        found = design_switch(float(threshold), rubber, space, tolerance)
-        facts = switch_dict(found)
-        name = f"switch/switch_{threshold:g}N"
-        text = json.dumps(facts, indent=1, ensure_ascii=False)
-        export_path(folder, f"{name}.json").write_text(text + "\n", encoding="utf-8")
-        write_svg(export_path(folder, f"{name}.svg"), curve_plot(found))
-        made.append({key: value for key, value in facts.items() if key != "curve"})
-    switches = make_switches(design, context.surface, context.markers, made, thresholds)
+    What does not fit is written down with its reason: the stage's gate stops the build, and with
+    ``--force`` the sensor is built without its switches.
+    """
+    try:
+        made = design_switches(context, folder)
+    except DesignError as error:
+        context.progress(f"switch: {error}")
+        write_facts(folder, {"refused": str(error), "switches": [], "red": {}, "parts": []})
+        return
+    switches = _set_of(context, made)
     parts = [
         {
             "part": f"switch {switches.label(kind)}",
@@ -52,10 +41,46 @@ def run(context: Context, folder: Path) -> None:
         }
         for kind in switches.kinds
     ]
-    facts = {"switches": made, "red": red_of(context), "parts": parts}
+    facts = {"refused": "", "switches": made, "red": red_of(context), "parts": parts}
     text = json.dumps(finite(facts), indent=1, ensure_ascii=False)
     export_path(folder, "switch/switches.json").write_text(text + "\n", encoding="utf-8")
     write_facts(folder, facts)
+
+
+def design_switches(context: Context, folder: Path) -> list[dict[str, Any]]:
+    """Design one bowl for each threshold, write its curve, and return its facts without it.
+
+    Raises
+    ------
+    DesignError
+        If one does not fit the space or has no data for its rubber.
+    """
+    from phytac_design.mechanics.switch.design import design_switch
+    from phytac_design.mechanics.switch.receptor import rubber_of, space_of
+    from phytac_design.mechanics.switch.report import curve_plot, switch_dict
+    from phytac_design.mechanics.switch.space import Tolerance
+    from phytac_design.mechanics.switch.svg import write_svg
+
+    design, switch = context.design, context.design.switch
+    rubber, space = rubber_of(design), space_of(design)
+    tolerance = Tolerance(thickness_mm=switch.wall_tolerance_mm, modulus=switch.modulus_tolerance)
+    found = []
+    for threshold in np.unique(thresholds_N(design, context.markers)):
+        context.progress(f"switch: bowl for {threshold:g} N")
+        found.append(design_switch(float(threshold), rubber, space, tolerance))
+    for made in found:
+        name = f"switch/switch_{made.threshold_N:g}N"
+        text = json.dumps(switch_dict(made), indent=1, ensure_ascii=False)
+        export_path(folder, f"{name}.json").write_text(text + "\n", encoding="utf-8")
+        write_svg(export_path(folder, f"{name}.svg"), curve_plot(made))
+    return [
+        {key: value for key, value in switch_dict(made).items() if key != "curve"} for made in found
+    ]
+
+
+def refusal(context: Context) -> str:
+    """Why the design's switches cannot be made; "" if they can."""
+    return str(context.facts("switch").get("refused", ""))
 
 
 def red_of(context: Context) -> dict[str, Any]:
@@ -86,15 +111,21 @@ def _eye_mm(context: Context) -> FloatArray:
 
 
 def switches_of(context: Context) -> SwitchSet:
-    """Switches of a design whose switch stage has run."""
-    made: list[dict[str, Any]] = context.facts("switch")["switches"]
-    return make_switches(
-        context.design,
-        context.surface,
-        context.markers,
-        made,
-        thresholds_N(context.design, context.markers),
-    )
+    """Switches of a design whose switch stage has run.
+
+    Raises
+    ------
+    DesignError
+        If they cannot be made; see :func:`refusal`.
+    """
+    if refusal(context):
+        raise DesignError(refusal(context))
+    return _set_of(context, context.facts("switch")["switches"])
 
 
-SWITCH = Stage(name="switch", tables=TABLES, needs=("views",), run=run)
+def _set_of(context: Context, made: list[dict[str, Any]]) -> SwitchSet:
+    thresholds = thresholds_N(context.design, context.markers)
+    return make_switches(context.design, context.surface, context.markers, made, thresholds)
+
+
+SWITCH = Stage(name="switch", tables=TABLES, needs=("views",), gate=refusal, run=run)

@@ -8,6 +8,7 @@ import numpy as np
 
 from phytac_design.layout import Markers
 from phytac_design.layout.arc import by_area
+from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.contact import footprint_force_share
 from phytac_design.spec import Design
 from shapes import Surface
@@ -175,7 +176,7 @@ def switch_states(
     carried = share * contacts.force_N[:, None]
     total = np.zeros((contacts.samples, markers.count))
     np.add.at(total, contacts.sample, carried)
-    bits = total > design.switch.threshold_N
+    bits = total > thresholds_N(design, markers)
     owner = np.full((contacts.samples, markers.count), -1, dtype=np.int64)
     most = np.zeros((contacts.samples, markers.count))
     for index, sample in enumerate(contacts.sample):

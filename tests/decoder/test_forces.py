@@ -161,7 +161,7 @@ def make_bundle() -> Bundle:
         tip_bias_px=np.zeros((N, 2)),
         tips=TipModel(on_px=rng.normal(size=(N, 2)), red_rest_px=np.zeros(N), red_on_px=np.ones(N)),
         model=force_model(),
-        threshold_N=0.5,
+        threshold_N=np.linspace(0.4, 0.8, N),
         notes={"why": "test"},
     )
 
@@ -172,6 +172,7 @@ def test_bundle_comes_back_as_it_was(tmp_path: Path) -> None:
     back = load_bundle(tmp_path)
     assert (back.model.stiffness == bundle.model.stiffness).all()
     assert (back.camera.position_mm == bundle.camera.position_mm).all()
+    assert (back.threshold_N == bundle.threshold_N).all()
     assert back.model.networks.keys() == bundle.model.networks.keys()
     x = np.random.default_rng(3).normal(size=(4, 10))
     assert (back.model.networks["fem_nn"](x) == bundle.model.networks["fem_nn"](x)).all()

@@ -72,12 +72,13 @@ def test_older_bundles_have_one_camera(tmp_path: Path, version: str) -> None:
     save_bundle(make_bundle(), tmp_path)
     path, arrays = tmp_path / "bundle.json", load_file(tmp_path / "bundle.safetensors")
     meta = json.loads(path.read_text())
-    del meta["cameras"], arrays["read_by"]
+    del meta["cameras"], arrays["read_by"], arrays["threshold_N"]
     path.write_text(json.dumps(meta | {"schema_version": version}))
     save_file(arrays, tmp_path / "bundle.safetensors")
     back = load_bundle(tmp_path)
     assert len(back.cameras) == 1
     assert back.read_by.tolist() == [0] * N
+    assert back.threshold_N.tolist() == [meta["threshold_N"]] * N
     path.write_text(json.dumps(meta | {"schema_version": "1.4"}))
     with pytest.raises(InputError, match=r"has schema 1.4, this decoder reads 1.0 to 1.3"):
         load_bundle(tmp_path)
@@ -200,6 +201,7 @@ def pair(foreign: FloatArray) -> tuple[Bundle, list[FloatArray]]:
         tip_bias_px=np.zeros((count, 2)),
         tips=none,
         model=model,
+        threshold_N=np.full(count, 0.5),
         shown=(Shown(rest_px=here, tips=none), Shown(rest_px=rest, tips=none)),
     )
     names = [("blue", "green")[c] for c in colour]

@@ -5,6 +5,7 @@ import pytest
 
 from decoder.camera import Camera
 from decoder.estimators import ForceModel
+from phytac_design.build import copy_of
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.compliance import marker_compliance, probe_motion
 from phytac_design.mechanics.loads import patch_loads
@@ -74,6 +75,16 @@ def test_switches_follow_the_activation_law() -> None:
     assert state.bits[:, 33].tolist() == [False, True]
     assert state.tripped.tolist() == [False, True]
     assert state.owner[1, 33] == 1
+
+
+def test_switches_of_a_region_follow_its_threshold() -> None:
+    region = {"threshold_N": 2.0 * DESIGN.switch.threshold_N, "markers": [33]}
+    design = copy_of(DESIGN, switch={"regions": [region]})
+    foot, radius = DESIGN.switch.footprint_diameter_mm / 2, 5.0
+    force = 1.5 * DESIGN.switch.threshold_N * (radius / foot) ** 2
+    contacts = contacts_at(MARKERS.uv[[33]], [force], [0], radius)
+    assert switch_states(DESIGN, SURFACE, MARKERS, contacts).bits[0, 33]
+    assert not switch_states(design, SURFACE, MARKERS, contacts).bits[0, 33]
 
 
 def test_receptor_truth_sums_to_the_contact() -> None:
