@@ -14,15 +14,15 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
+from decoder.bundle_camera import camera_from, camera_table
 from decoder.bundle_check import check_arrays, check_indices, check_shown
 from decoder.camera import Camera
 from decoder.estimators import ForceModel
-from decoder.lens import LENSES, Lens
 from decoder.network import ACTIVATIONS, CascadeNetwork
 from decoder.segmentation import ColourModel
 from decoder.switches import TipModel
 from shapes.arrays import BoolArray, FloatArray, IntArray
-from shapes.errors import DesignError, InputError
+from shapes.errors import InputError
 
 SCHEMA = (1, 3)
 FORMAT = "phytac-decoder-bundle"
@@ -255,7 +255,7 @@ def load_bundle(folder: Path) -> Bundle:
         check_arrays(arrays, count, sorted(meta["networks"]), folder)
         check_indices(arrays, count, len(meta["colours"]["names"]), len(tables), folder)
         check_shown(arrays, count, len(tables), folder)
-        return _assemble(meta, arrays, tuple(_camera(table, folder) for table in tables))
+        return _assemble(meta, arrays, tuple(camera_from(table, folder) for table in tables))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{folder}/bundle.json is not a decoder bundle: {type(error).__name__} {error}"
@@ -285,59 +285,6 @@ def _read_meta(folder: Path) -> dict[str, Any]:
             f"{SCHEMA[0]}.{SCHEMA[1]}; update phytac-design or rebuild the bundle"
         )
     return meta
-
-
-def camera_table(camera: Camera) -> dict[str, Any]:
-    """Camera as it stands in ``bundle.json``: its lens and its pose."""
-    return {
-        **lens_table(camera.lens),
-        "position_mm": camera.position_mm.tolist(),
-        "rotation": camera.rotation.tolist(),
-    }
-
-
-def lens_table(lens: Lens) -> dict[str, Any]:
-    """Lens as it stands in ``bundle.json``; focal length and centre are (x, y)."""
-    return {
-        "model": lens.model,
-        "width_px": lens.width_px,
-        "height_px": lens.height_px,
-        "focal_px": lens.focal_px.tolist(),
-        "centre_px": lens.centre_px.tolist(),
-        "distortion": list(lens.distortion),
-    }
-
-
-def _camera(table: dict[str, Any], folder: Path) -> Camera:
-    """Camera of ``bundle.json``; a bundle of schema 1.0 has one focal length and no distortion."""
-    if table["model"] not in LENSES:
-        raise ValueError(
-            f"camera model {table['model']!r} is not known (known: {', '.join(LENSES)})"
-        )
-    focal = np.broadcast_to(np.asarray(table["focal_px"], dtype=np.float64), 2)
-    pose = [*table["position_mm"], *np.ravel(table["rotation"])]
-    rotation = np.asarray(table["rotation"], dtype=np.float64)
-    if rotation.shape != (3, 3) or not np.isfinite(pose).all():
-        raise InputError(
-            f"{folder}/bundle.json: the camera's pose must be finite; rebuild the decoder"
-        )
-    try:
-        lens = LENSES[table["model"]](
-            width_px=int(table["width_px"]),
-            height_px=int(table["height_px"]),
-            fx_px=float(focal[0]),
-            fy_px=float(focal[1]),
-            cx_px=float(table["centre_px"][0]),
-            cy_px=float(table["centre_px"][1]),
-            distortion=tuple(float(value) for value in table.get("distortion", ())),
-        )
-    except DesignError as error:
-        raise InputError(f"{folder}/bundle.json: {error}; rebuild the decoder") from error
-    return Camera(
-        lens=lens,
-        position_mm=np.asarray(table["position_mm"], dtype=np.float64),
-        rotation=rotation,
-    )
 
 
 def _assemble(meta: dict[str, Any], arrays: dict[str, Any], cameras: tuple[Camera, ...]) -> Bundle:

@@ -28,6 +28,8 @@ class Accuracy:
         Places at which the sensor is pressed to see what hides or fuses under load.
     press_tolerance : float
         Error of linear theory that is accepted there; 1 takes it always.
+    print_tools : bool
+        Whether molds, fixtures and kit are held against the print rules too; the shell always is.
     """
 
     cad_tolerance_mm: float
@@ -38,6 +40,7 @@ class Accuracy:
     frames: int
     press_places: int
     press_tolerance: float
+    print_tools: bool
 
     def as_dict(self) -> dict[str, float]:
         """Plain values, for hashing and reports."""
@@ -54,6 +57,7 @@ PRESETS: dict[str, Accuracy] = {
         frames=5,
         press_places=8,
         press_tolerance=1.0,
+        print_tools=False,
     ),
     "standard": Accuracy(
         cad_tolerance_mm=0.01,
@@ -64,6 +68,7 @@ PRESETS: dict[str, Accuracy] = {
         frames=50,
         press_places=40,
         press_tolerance=0.05,
+        print_tools=True,
     ),
     "fine": Accuracy(
         cad_tolerance_mm=0.005,
@@ -74,5 +79,6 @@ PRESETS: dict[str, Accuracy] = {
         frames=100,
         press_places=120,
         press_tolerance=0.02,
+        print_tools=True,
     ),
 }

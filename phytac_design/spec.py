@@ -7,8 +7,11 @@ from pydantic import Field, ValidationInfo, create_model, model_validator
 
 import shapes
 from decoder.lens import LENSES, Lens
+from phytac_design.bench_section import BenchSection, KitSection
 from phytac_design.fixture_section import FIXTURES_MAX, AnyFixture
+from phytac_design.hardware_section import HardwareSection
 from phytac_design.layout_section import LayoutSection, ReceptorSection
+from phytac_design.print_section import PrintSection
 from phytac_design.section import Section, assumed
 from phytac_design.switch_section import MoldSection, SwitchSection
 from shapes import Surface
@@ -216,17 +219,6 @@ class MaterialSection(Section):
     """Poisson's ratio."""
 
 
-class PrintSection(Section):
-    """Rules of the printer (SLA resin by default)."""
-
-    wall_min_mm: float = assumed(0.4, ge=0.0, le=100.0)
-    """Thinnest supported wall."""
-    hole_min_mm: float = assumed(0.5, ge=0.0, le=100.0)
-    """Smallest hole that stays open."""
-    gap_min_mm: float = assumed(0.3, ge=0.0, le=100.0)
-    """Smallest gap between two receptors."""
-
-
 class TrainingSection(Section):
     """Simulated contacts that train and judge the decoder."""
 
@@ -275,10 +267,13 @@ class Design(Section):
     receptor: ReceptorSection = ReceptorSection()
     switch: SwitchSection = SwitchSection()
     mold: MoldSection = MoldSection()
+    bench: BenchSection = BenchSection()
+    kit: KitSection = KitSection()
     camera: CameraSection = CameraSection()
     light: LightSection = LightSection()
     material: MaterialSection = MaterialSection()
     print_rules: PrintSection = PrintSection()
+    hardware: HardwareSection = HardwareSection()
     training: TrainingSection = TrainingSection()
     demands: DemandsSection = DemandsSection()
     fixtures: tuple[AnyFixture, ...] = Field((), max_length=FIXTURES_MAX)

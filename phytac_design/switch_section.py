@@ -72,3 +72,26 @@ class MoldSection(Section):
     """Linear shrinkage of the silicone of the mold."""
     shrink_print: float = assumed(0.0, ge=-0.1, le=0.2)
     """Linear shrinkage of the printed plates or masters that the slicer does not take out."""
+    land_mm: float = assumed(0.6, gt=0.0, le=20.0)
+    """Width of the flat ring around each bowl on which the plates meet: it pinches the rubber."""
+    channel_mm: float = assumed(1.0, gt=0.0, le=50.0)
+    """Least width of the channels between these rings, for the rubber that runs over."""
+    overflow_mm: float = assumed(1.0, gt=0.0, le=20.0)
+    """Depth of these channels; also the gap into which a blade goes to part the plates."""
+    backing_mm: float = assumed(3.0, gt=0.0, le=50.0)
+    """Least material behind cavities, keys and stems: plate, tray or silicone."""
+    wall_mm: float = assumed(3.0, gt=0.0, le=50.0)
+    """Thickness of frames and fences."""
+    moat_mm: float = assumed(3.0, gt=0.0, le=50.0)
+    """Width of the moat around the core plate, where the rubber rises that runs over."""
+    fence_mm: float = assumed(2.0, gt=0.0, le=50.0)
+    """Height of the moat's fence over the parting plane."""
+    key_mm: float = assumed(3.5, gt=0.0, le=50.0)
+    """Diameter of the registration keys at their foot."""
+    key_clearance_mm: float = assumed(0.15, ge=0.0, le=5.0)
+    """Gap between a key and its socket, square to the flank, and of the cap in its troughs."""
+    vent_step_mm: float = assumed(0.1, gt=0.0, le=5.0)
+    """Silicone mold: how much smaller a vent's radius is than the tip that it starts from; the
+    step shows where to cut."""
+    vent_gap_mm: float = assumed(0.15, gt=0.0, le=5.0)
+    """Rigid mold: gap between the stems' ends and the cap, through which air leaves."""

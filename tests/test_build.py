@@ -36,9 +36,48 @@ CONTRACT = {
     "mesh/shell.vtu",
     "decoder/bundle.json",
     "decoder/bundle.safetensors",
+    "bench/assembly.html",
+    "bench/bill_of_materials.csv",
+    "bench/casting.md",
+    "bench/paint_map.pdf",
+    "bench/paint_map.svg",
+    "bench/paint_map_inside.svg",
+    "bench/switch_placement.csv",
+    "fixtures/assembly.step",
+    "fixtures/bar.step",
+    "fixtures/bar.stl",
+    "fixtures/connector.step",
+    "fixtures/connector.stl",
+    "fixtures/cover.step",
+    "fixtures/cover.stl",
+    "fixtures/mount.step",
+    "fixtures/mount.stl",
+    "kit/README.md",
+    "kit/calibration_log.csv",
+    "kit/cell_seat.stl",
+    "kit/collar.stl",
+    "kit/decoder.gcode",
+    "kit/gripper_palm.stl",
+    "kit/indenter_1.stl",
+    "kit/indenter_2.stl",
+    "kit/indenter_ball.stl",
+    "kit/indenter_flat.stl",
+    "kit/program.csv",
+    "kit/shell.gcode",
+    "mold/cavities.csv",
+    "mold/core_tray_1.stl",
+    "mold/dome_tray_1.stl",
+    "shell/print_report.json",
+    "shell/print_report.svg",
+    "switch/switch_0.5N.json",
+    "switch/switch_0.5N.svg",
+    "switch/switches.json",
     "report/report.json",
     "report/report.html",
 }
+
+
+FABRICATION = {"switch", "hardware", "mold", "kit", "printing", "bench"}
 
 
 def quiet(_: str) -> None:
@@ -134,15 +173,18 @@ def test_a_spiral_whose_straight_rows_cannot_be_made_is_not_compared(tmp_path: P
 @pytest.mark.parametrize(
     ("change", "stages"),
     [
-        ({"description": "other words"}, {"report"}),
+        ({"description": "other words"}, {"bench", "report"}),
         (
             {"material": {"modulus_MPa": 1800.0}},
             {"underload", "resolution", "mesh", "response", "twin", "decoder", "frames"},
         ),
-        ({"print_rules": {"gap_min_mm": 0.31}}, {"shell", "step"}),
+        ({"print_rules": {"gap_min_mm": 0.31}}, {"shell", "step", *FABRICATION}),
+        ({"mold": {"land_mm": 0.7}}, FABRICATION),
+        ({"hardware": {"board": "32x32"}}, {"hardware", "printing", "bench"}),
         (
             {"training": {"force_max_N": 24.0}},
-            {"underload", "resolution", "mesh", "twin", "decoder", "frames"},
+            {"underload", "resolution", "mesh", "twin", "decoder", "frames"}
+            | {"kit", "printing", "bench"},
         ),
         ({"demands": {"clear_force_N": 1.0}}, {"underload"}),
     ],
@@ -249,56 +291,17 @@ def test_without_graphics_libraries_only_the_step_is_left_out(
     none = {"libEGL.so.1": False, "libGL.so.1": False, "libX11.so.6": False}
     monkeypatch.setattr(stage, "graphics_libraries", lambda: none)
     monkeypatch.setattr("phytac_design.fabrication.cad.shell_cad", absent)
+    monkeypatch.setattr("phytac_design.fabrication.hardware.by_cad.cadquery", absent)
     monkeypatch.setattr("phytac_design.optics.picture.render_picture", absent)
     assert shell.STEP.graphics
     assert views.VIEWS.graphics
     result = build(small(), tmp_path / "x", accuracy="draft", progress=quiet)
     files = {p.relative_to(result.out).as_posix() for p in result.out.rglob("*") if p.is_file()}
-    assert files == (CONTRACT | {"manifest.json"}) - {"shell/shell.step"}
+    steps = {name for name in CONTRACT if name.endswith(".step")}
+    assert files == (CONTRACT | {"manifest.json"}) - steps
     report = json.loads((result.out / "report" / "report.json").read_text())
     assert "libGL" in report["shell"]["step_left_out"]
     assert report["camera"]["picture"] == "rasteriser"
-
-
-REFUSALS = [
-    ({"wall": {"thickness_mm": 31.0}}, "wall"),
-    ({"layout": {"height_far_mm": 31.0}}, "axis|bar"),
-    ({"layout": {"columns": 80}}, "row"),
-    ({"receptor": {"diameter_hole_mm": 2.6}, "switch": {"tip_diameter_mm": 1.0}}, "wall"),
-    ({"camera": {"stand_off_mm": -5.0}}, "camera"),
-    ({"camera": {"stand_off_mm": 5.0}}, "rim"),
-    ({"light": {"bar_radius_mm": 25.0}}, "bar"),
-    ({"switch": {"release_N": 0.6}}, "release"),
-    ({"switch": {"threshold_N": 1000.0}}, "no contact can trip a switch"),
-    ({"training": {"patch_radius_max_mm": 1000.0}}, "larger than the sensor"),
-    ({"layout": {"rows": 2000, "columns": 2000}}, "are 4000000 markers, more than 50000"),
-]
-
-
-@pytest.mark.parametrize(("change", "word"), REFUSALS, ids=lambda v: str(v)[:40])
-def test_impossible_designs_write_nothing(change: dict, word: str, tmp_path: Path) -> None:
-    with pytest.raises(DesignError, match=word):
-        build(small(**change), tmp_path / "x", accuracy="draft", progress=quiet)
-    assert not (tmp_path / "x").exists()
-
-
-def test_markers_that_fuse_stop_the_build_unless_forced(tmp_path: Path) -> None:
-    design = small(name="one", layout={"kind": "straight", "rows": 12, "height_far_mm": 2.0})
-    seen: list[str] = []
-    with pytest.raises(DesignError, match=r"fused with another .* use layout.kind = .*--force"):
-        build(design, tmp_path / "x", accuracy="draft", progress=seen.append)
-    assert not any("shell" in text for text in seen)
-    assert not (tmp_path / "x" / "manifest.json").exists()
-    build(design, tmp_path / "x", accuracy="draft", force=True, progress=quiet)
-    report = json.loads((tmp_path / "x" / "report" / "report.json").read_text())
-    assert report["visibility"]["fused"] > 0
-    assert "verdict bad" in (tmp_path / "x" / "report" / "report.html").read_text()
-
-
-def test_markers_too_small_to_see_are_refused_not_decoded(tmp_path: Path) -> None:
-    design = small(name="far", camera={"stand_off_mm": 2000.0})
-    with pytest.raises(DesignError, match=r"112 markers hidden: .* \(rows 0 to 7"):
-        build(design, tmp_path / "x", accuracy="draft", progress=quiet)
 
 
 def test_unwritable_folder(tmp_path: Path) -> None:

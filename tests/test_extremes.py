@@ -21,6 +21,7 @@ from phytac_design.stages.decoder import limits_of
 from shapes import Cone
 from shapes.errors import DesignError, NumericalError
 from tests.designs import of_shape
+from tests.fabrication.cases import scaled
 
 SMALL = {"width_px": 648, "height_px": 486, "focal_px": 242.5}
 SHAPES: dict[str, dict[str, Any]] = {
@@ -45,28 +46,6 @@ def grid(rows: int, columns: int, **more: Any) -> dict[str, Any]:
     return table | {"heights": "constant", "height_near_mm": 2.0} | more
 
 
-SENSOR = ("shape", "wall", "layout", "receptor", "switch", "camera", "light", "training")
-"""Tables that hold a sensor's own lengths; what is bought or printed beside it stays."""
-RULES = ("wall_min_mm", "hole_min_mm", "gap_min_mm")
-
-
-def resized(case: Design, factor: float) -> Design:
-    """The same sensor, every length times ``factor``."""
-    data = case.model_dump()
-
-    def walk(table: dict[str, Any]) -> dict[str, Any]:
-        return {
-            key: value * factor if key.endswith("_mm") and isinstance(value, float) else value
-            for key, value in table.items()
-        }
-
-    for name in SENSOR:
-        data[name] = walk(data[name])
-    data["switch"]["wall_tolerance_mm"] = case.switch.wall_tolerance_mm
-    data["print_rules"] |= walk({name: data["print_rules"][name] for name in RULES})
-    return Design.model_validate(data)
-
-
 def seen(design: Design) -> dict[str, Any]:
     """Report of ``phytac check``: every figure a number, and nothing JSON cannot hold but inf."""
     report = checkup(design)
@@ -82,7 +61,7 @@ def cylinder(**tables: Any) -> Design:
 @pytest.mark.parametrize("factor", [0.05, 50.0])
 def test_radius_of_one_millimetre_and_of_one_metre(factor: float) -> None:
     """A scaled sensor before the same camera gives the same picture."""
-    small, base = seen(resized(cylinder(), factor)), seen(cylinder())
+    small, base = seen(scaled(cylinder(), factor)), seen(cylinder())
     assert small["clear"]
     assert small["stand_off_mm"] == pytest.approx(factor * base["stand_off_mm"], rel=1e-9)
     # Pixel centres on an edge may fall to either side of it.
@@ -173,7 +152,7 @@ def sharp(positions: list[list[float]], edge_mm: float = 0.81) -> Design:
 
 def test_forces_beyond_the_wall_are_refused(tmp_path: Path) -> None:
     """A grip's 25 N on a sensor of 1 mm radius, whose wall is 0.04 mm thick."""
-    tiny = resized(cylinder(), 0.05)
+    tiny = scaled(cylinder(), 0.05)
     with pytest.raises(DesignError, match=r"too strong for this wall.*the sensor is 1 mm from"):
         build(tiny, tmp_path / "x", accuracy="draft", only=["twin"], progress=quiet)
 

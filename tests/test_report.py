@@ -57,6 +57,7 @@ def a_report(**changes: Any) -> dict[str, Any]:
         },
         "limits": [],
         "shell": {"watertight": True},
+        "fabrication": {"print_violations": 0, "print_process": "sla", "interference_mm3": 0.0},
         "frames": {"refused": 0, "frames": 5, "first_refusal": ""},
         "markers": {"count": 40, "density_per_cm2": 1.6, "surface_class": "parallel"},
         "decoder": table,
@@ -200,6 +201,16 @@ def test_verdict_of_a_sensor_without_fault() -> None:
         ({"limits": ["3 of 40 switches cannot be read well"]}, "odd", "3 of 40 switches cannot"),
         ({"shell": {"watertight": False}}, "bad", "NOT watertight"),
         (
+            {"fabrication": a_report()["fabrication"] | {"print_violations": 3}},
+            "odd",
+            "3 places break the rules of the printer (sla)",
+        ),
+        (
+            {"fabrication": a_report()["fabrication"] | {"interference_mm3": 2.0}},
+            "bad",
+            "overlap by 2 mm",
+        ),
+        (
             {"frames": {"refused": 2, "frames": 5, "first_refusal": "too few blobs"}},
             "odd",
             "2 of 5 rendered frames could not be decoded, the first because too few blobs",
@@ -219,14 +230,17 @@ def test_verdict_without_a_decoded_contact() -> None:
     assert "nan" not in html
 
 
-@pytest.mark.parametrize(("fused", "first_N", "reasons"), [(0, 19.0, 0), (2, 19.0, 1), (2, 3.0, 2)])
+@pytest.mark.parametrize(
+    ("fused", "first_N", "refused", "reasons"),
+    [(0, 19.0, "", 0), (2, 19.0, "", 1), (2, 3.0, "", 2), (0, 19.0, "no bowl fits", 1)],
+)
 def test_a_build_past_a_gate_is_told_from_its_results(
-    fused: int, first_N: float, reasons: int, tmp_path: Path
+    fused: int, first_N: float, refused: str, reasons: int, tmp_path: Path
 ) -> None:
     context = Context(
         design=small(demands={"clear_force_N": 10.0}), accuracy=PRESETS["draft"], seed=0
     )
-    for name in ("views", "underload"):
+    for name in ("views", "underload", "switch"):
         (tmp_path / name).mkdir()
         context.folders[name] = tmp_path / name
     lost = np.zeros(context.markers.count, dtype=bool)
@@ -235,9 +249,11 @@ def test_a_build_past_a_gate_is_told_from_its_results(
     write_arrays(tmp_path / "views", views)
     facts = {"first_force_N": first_N, "first_place": "on marker (row 1, column 2)"}
     write_facts(tmp_path / "underload", facts)
+    write_facts(tmp_path / "switch", {"refused": refused})
     found = forced_past(context)
     assert len(found) == reasons
     assert ("2 markers fused" in "".join(found)) == (fused > 0)
+    assert ("no bowl fits" in found) == bool(refused)
     assert ("from 3 N on" in "".join(found)) == (first_N < 10.0)
 
 

@@ -137,3 +137,53 @@ def painted_manifolds(
             bands = parts.rods(axes.band_mm[own], axes.tip_mm[own])
             bodies[colour] = (bands - parts.wall) - parts.holes
     return bodies
+
+
+def united(solids: "list[Any]") -> Any:
+    """Union of ``manifold3d.Manifold`` solids, in one operation."""
+    import manifold3d
+
+    return manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
+
+
+def extruded_manifold(points_mm: FloatArray, low_mm: float, high_mm: float) -> Any:
+    """Prism over a simple polygon (n, 2), anticlockwise, from ``low_mm`` to ``high_mm`` along z.
+
+    Raises
+    ------
+    NumericalError
+        If nothing is left of it.
+    """
+    import manifold3d
+
+    section = manifold3d.CrossSection([np.asarray(points_mm, dtype=np.float64)])
+    solid = manifold3d.Manifold.extrude(section, high_mm - low_mm).translate((0.0, 0.0, low_mm))
+    if solid.is_empty():
+        raise NumericalError(
+            f"a prism of {len(points_mm)} corners from {low_mm:g} to {high_mm:g} mm is empty; "
+            "please report this design"
+        )
+    return solid
+
+
+def intersection(first: Any, second: Any) -> Any:
+    """What two ``manifold3d.Manifold`` solids share."""
+    return first ^ second
+
+
+def apart(solids: "list[TriangleMesh]") -> Any:
+    """One ``manifold3d.Manifold`` of closed meshes that do not touch each other."""
+    count = np.cumsum([0, *[len(mesh.vertices_mm) for mesh in solids]])
+    return to_manifold(
+        TriangleMesh(
+            vertices_mm=np.concatenate([mesh.vertices_mm for mesh in solids]),
+            triangles=np.concatenate(
+                [mesh.triangles + first for mesh, first in zip(solids, count[:-1], strict=True)]
+            ),
+        )
+    )
+
+
+def gap_mm(first: Any, second: Any, search_mm: float) -> float:
+    """Least distance between two ``manifold3d.Manifold`` solids, at most ``search_mm``."""
+    return float(first.min_gap(second, search_mm))

@@ -11,6 +11,7 @@ from phytac_design.optics.separability import check_paints, separability_svg
 from phytac_design.optics.sharpness import DIRECTIONS
 from phytac_design.report import figures, maps, names, page, scores
 from phytac_design.report.drawing import MARKS, Drawing, of_camera, photo
+from phytac_design.report.fabrication import fabrication_section
 from phytac_design.report.switches import switch_section
 from phytac_design.stage import Context
 
@@ -282,6 +283,7 @@ def sections_of(context: Context, report: Mapping[str, Any]) -> list[tuple[str, 
         ("Markers", markers_section(context, report, draw)),
         ("Shell", page.facts(report["shell"], "shell")),
         ("Switches", switch_section(context, report)),
+        ("Fabrication", fabrication_section(report)),
         ("Mesh", page.facts(report["mesh"], "mesh")),
         ("Decoder: rendered frames", frames_section(context, report, table("decoder_frames"))),
         (

@@ -47,6 +47,7 @@ def findings(report: Mapping[str, Any]) -> list[Finding]:
         out.append(Finding(level="bad", text="the shell is NOT watertight"))
     if not missing(shell.get("step_left_out")):
         out.append(Finding(level="odd", text=f"no STEP file: {shell['step_left_out']}"))
+    out.extend(_made(report["fabrication"]))
     frames = report["frames"]
     if frames["refused"]:
         said = (
@@ -98,6 +99,21 @@ def _readable(report: Mapping[str, Any]) -> list[Finding]:
         return [Finding(level="odd", text=text) for text in limits]
     text = "every switch can be read, and the force on every marker"
     return [Finding(level="good", text=text)]
+
+
+def _made(facts: Mapping[str, Any]) -> list[Finding]:
+    """What the printer and the bench would find."""
+    out = []
+    if facts["print_violations"]:
+        text = (
+            f"{facts['print_violations']} places break the rules of the printer "
+            f"({facts['print_process']}): see shell/print_report.json"
+        )
+        out.append(Finding(level="odd", text=text))
+    if facts["interference_mm3"]:
+        text = f"parts of the assembly overlap by {facts['interference_mm3']:.3g} mm³"
+        out.append(Finding(level="bad", text=text))
+    return out
 
 
 def sentence(text: str) -> str:

@@ -1,9 +1,14 @@
 """The stages of a build, in order."""
 
 from phytac_design.stage import Stage
+from phytac_design.stages.bench import BENCH
 from phytac_design.stages.decoder import DECODER
 from phytac_design.stages.frames import FRAMES
+from phytac_design.stages.hardware import HARDWARE
+from phytac_design.stages.kit import KIT
 from phytac_design.stages.mesh import MESH
+from phytac_design.stages.mold import MOLD
+from phytac_design.stages.printing import PRINTING
 from phytac_design.stages.report import REPORT
 from phytac_design.stages.resolution import RESOLUTION
 from phytac_design.stages.shell import SHELL, STEP
@@ -14,12 +19,17 @@ from phytac_design.stages.views import COMPARE, VIEWS
 
 STAGES: tuple[Stage, ...] = (
     VIEWS,
+    SWITCH,
     COMPARE,
     UNDERLOAD,
     RESOLUTION,
     SHELL,
     STEP,
-    SWITCH,
+    HARDWARE,
+    MOLD,
+    KIT,
+    PRINTING,
+    BENCH,
     MESH,
     RESPONSE,
     TWIN,

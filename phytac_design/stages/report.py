@@ -10,6 +10,7 @@ from phytac_design import cache
 from phytac_design.design_file import assumptions
 from phytac_design.finite import finite
 from phytac_design.optics.separability import check_paints
+from phytac_design.report.fabrication import fabrication_facts
 from phytac_design.report.page import page
 from phytac_design.report.sections import sections_of
 from phytac_design.report.verdict import SIMULATED, lead
@@ -21,18 +22,24 @@ from phytac_design.stages.views import VIEWS
 
 NEEDS = (
     "views",
+    "switch",
     "compare",
     "underload",
     "resolution",
     "shell",
     "step",
-    "switch",
+    "hardware",
+    "mold",
+    "kit",
+    "printing",
+    "bench",
     "mesh",
     "response",
     "twin",
     "decoder",
     "frames",
 )
+FABRICATION = ("hardware", "mold", "kit", "printing", "bench")
 GATED = (VIEWS, UNDERLOAD, SWITCH)
 """Stages that can stop a build: it goes on past them only with --force."""
 
@@ -45,7 +52,7 @@ def gather(context: Context) -> dict[str, Any]:
     density = views["density"]
     timing = {name: cache.record(context.folders[name])["seconds"] for name in NEEDS}
     return {
-        "schema_version": "1.1",
+        "schema_version": "1.2",
         "design": design.name,
         "description": design.description,
         "simulated": SIMULATED,
@@ -79,6 +86,7 @@ def gather(context: Context) -> dict[str, Any]:
         "lens": views["cameras"][0]["lens"],
         "shell": shell | step,
         "switch": context.facts("switch"),
+        "fabrication": fabrication_facts({name: context.facts(name) for name in FABRICATION}),
         "mesh": context.facts("mesh"),
         "decoder": {name: decoder["test"][name] for name in decoder["test"]},
         "decoder_anywhere": decoder["anywhere"],

@@ -123,6 +123,15 @@ def switches_of(context: Context) -> SwitchSet:
     return _set_of(context, context.facts("switch")["switches"])
 
 
+def without_switches(context: Context, folder: Path) -> bool:
+    """Write facts that say why a stage makes nothing, if the switches cannot be made."""
+    reason = refusal(context)
+    if reason:
+        context.progress("left out: the switches cannot be made")
+        write_facts(folder, {"left_out": reason, "parts": []})
+    return bool(reason)
+
+
 def _set_of(context: Context, made: list[dict[str, Any]]) -> SwitchSet:
     thresholds = thresholds_N(context.design, context.markers)
     return make_switches(context.design, context.surface, context.markers, made, thresholds)

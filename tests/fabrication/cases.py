@@ -81,21 +81,26 @@ def built(case: Design) -> tuple[Design, Surface, Markers]:
     return case, surface, make_markers(case, surface)
 
 
+SENSOR = ("shape", "wall", "layout", "receptor", "switch", "camera", "light", "training")
+"""Tables that hold a sensor's own lengths; what is bought or printed beside it stays."""
+RULES = ("wall_min_mm", "hole_min_mm", "gap_min_mm")
+
+
 def scaled(case: Design, factor: float) -> Design:
     """The same sensor, every length times ``factor``."""
     data = case.model_dump()
 
     def walk(table: dict[str, Any]) -> dict[str, Any]:
         return {
-            key: walk(value)
-            if isinstance(value, dict)
-            else value * factor
-            if key.endswith("_mm") and isinstance(value, float)
-            else value
+            key: value * factor if key.endswith("_mm") and isinstance(value, float) else value
             for key, value in table.items()
         }
 
-    return Design.model_validate(walk(data))
+    for name in SENSOR:
+        data[name] = walk(data[name])
+    data["switch"]["wall_tolerance_mm"] = case.switch.wall_tolerance_mm
+    data["print_rules"] |= walk({name: data["print_rules"][name] for name in RULES})
+    return Design.model_validate(data)
 
 
 @dataclass(frozen=True, kw_only=True)

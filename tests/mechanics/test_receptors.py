@@ -163,7 +163,9 @@ def test_the_decoder_takes_them_as_its_preset_says(tmp_path: Path) -> None:
             folders={"views": tmp_path},
             progress=lines.append,
         )
-        write_arrays(tmp_path, {"paint_point_mm": context.markers.tip_mm})
+        read_by = np.zeros(context.markers.count, dtype=np.int64)
+        seen = {"paint_point_mm": context.markers.tip_mm, "camera": read_by}
+        write_arrays(tmp_path, seen)
         out = tmp_path / name
         out.mkdir()
         run_response(context, out)

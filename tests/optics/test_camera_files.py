@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from decoder.bundle import _camera, lens_table
+from decoder.bundle_camera import camera_from, lens_table
 from decoder.lens import BrownConrady, KannalaBrandt, Lens, Omnidirectional, Pinhole
 from phytac_design.design_file import parse_design
 from phytac_design.optics.camera_files import read_lens, write_lens
@@ -180,15 +180,15 @@ def test_a_design_with_an_impossible_lens_is_refused() -> None:
 @pytest.mark.parametrize("name", sorted(LENS))
 def test_a_bundle_holds_the_lens(name: str) -> None:
     table = lens_table(LENS[name]) | {"position_mm": [1, 2, 3], "rotation": np.eye(3).tolist()}
-    assert _camera(table, Path()).lens == LENS[name]
+    assert camera_from(table, Path()).lens == LENS[name]
     with pytest.raises(InputError, match="distortion coefficients"):
-        _camera(table | {"distortion": [0.0] * 7}, Path())
+        camera_from(table | {"distortion": [0.0] * 7}, Path())
     with pytest.raises(ValueError, match="model 'glass' is not known"):
-        _camera(table | {"model": "glass"}, Path())
+        camera_from(table | {"model": "glass"}, Path())
 
 
 def test_a_bundle_of_schema_1_0_is_a_pinhole() -> None:
     table = lens_table(LENS["pinhole"]) | {"position_mm": [1, 2, 3], "rotation": np.eye(3).tolist()}
     del table["distortion"]
-    lens = _camera(table | {"focal_px": 970.0}, Path()).lens
+    lens = camera_from(table | {"focal_px": 970.0}, Path()).lens
     assert (lens.model, lens.fx_px, lens.fy_px) == ("pinhole", 970.0, 970.0)

@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from phytac_design.accuracy import PRESETS
 from phytac_design.check import check_design
 from phytac_design.checkup import checkup
 from phytac_design.finite import finite
 from phytac_design.optics.lens_facts import BANDS, lens_facts, row_groups
-from phytac_design.stages.report import lens_section
+from phytac_design.report.sections import lens_section
+from phytac_design.stage import Context
 from shapes.errors import DesignError
 from tests.optics.cases import Bench, make_design
 
@@ -20,6 +22,11 @@ FEW = {"rows": 3, "columns": 8, "height_near_mm": 0.5, "height_far_mm": 6.0}
 
 def facts_of(bench: Bench) -> dict[str, Any]:
     return lens_facts(bench.design, bench.surface, bench.markers, bench.camera)
+
+
+def page_of(bench: Bench) -> str:
+    context = Context(design=bench.design, accuracy=PRESETS["draft"], seed=0)
+    return lens_section(context, {"cameras": [{"end": "near", "lens": facts_of(bench)}]})
 
 
 def test_rows_hold_a_pinholes_scale() -> None:
@@ -56,17 +63,18 @@ def test_the_check_is_plain_json_and_the_page_has_a_row_each() -> None:
     bench = Bench(design)
     facts = facts_of(bench)
     assert math.isinf(facts["depth_far_mm"])
-    html = lens_section(facts, in_rows=True)
+    html = page_of(bench)
     assert html.count("<tr>") == 1 + 3
     for words in (
-        "axial mm per px",
-        "radial noise mm",
+        "mm per px, along",
+        "noise, inward (mm)",
         f"{facts['focus_mm']:.1f} mm from",
         " on, ",
     ):
         assert words in html
-    near = facts_of(Bench(make_design(layout=FEW, camera={"focus_mm": 30.0})))
-    assert f"to {near['depth_far_mm']:.1f} mm" in lens_section(near, in_rows=True)
+    bench = Bench(make_design(layout=FEW, camera={"focus_mm": 30.0}))
+    near = facts_of(bench)
+    assert f"to {near['depth_far_mm']:.1f} mm" in page_of(bench)
 
 
 def test_a_wide_lens_too_close_is_said_with_a_distance_that_works() -> None:

@@ -1,0 +1,327 @@
+"""Plate, board, lens, cover and their screws: the same behind every mount.
+
+Made in the frame of an end, along z; the camera looks towards +z::
+
+      cover                plate
+     |  back_room  board |front_room|wall|
+     |..............|####|  boss    |    |
+     |              |####|=========lens=======) - - - pupil - ▷ z
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from phytac_design.fabrication.hardware.extras import imu_seat
+from phytac_design.fabrication.hardware.parts import Kit, Part
+from phytac_design.fabrication.hardware.screws import SCREWS, Joint, TOUCH_mm, through
+from phytac_design.fabrication.hardware.solids import (
+    Circle,
+    Cut,
+    Node,
+    Point2,
+    Point3,
+    Prism,
+    Rect,
+    Union,
+    tube,
+)
+from phytac_design.spec import Design
+from shapes.errors import DesignError
+
+SKIN_mm = 0.8
+"""Material that a blind hole leaves, so that no light passes."""
+BOSS_mm = 1.2
+"""Wall of bosses and posts around a hole."""
+RING_MIN_mm = 2.0
+"""Narrowest light ring."""
+BOSS_MIN_mm = 1.5
+"""Least radius of a boss."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraUnit:
+    """Where the camera's parts lie along z, and the kit of those that are the same everywhere.
+
+    Attributes
+    ----------
+    front_mm, back_mm : float
+        Faces of the mount's plate.
+    lens_mm : float
+        Front of the lens.
+    plate : Rect
+        Least outline of the plate: it carries the cover.
+    added, removed : tuple of Node
+        Bosses to add to the mount, and holes to cut.
+    kit : Kit
+        Cover, board with lens, ring light if there is one, and the joint.
+    """
+
+    front_mm: float
+    back_mm: float
+    lens_mm: float
+    plate: Rect
+    added: tuple[Node, ...]
+    removed: tuple[Node, ...]
+    kit: Kit
+
+
+def camera_unit(
+    design: Design, camera_mm: float, stop_mm: float, *, label: str, mount: str, ring: bool
+) -> CameraUnit:
+    """Parts behind the mount ``mount`` of a camera whose centre is at z = ``camera_mm``.
+
+    Parameters
+    ----------
+    stop_mm : float
+        Where the room for plate and lens ends: the rim's end.
+    label : str
+        Ends the parts' names: ``""``, ``"_near"`` or ``"_far"``.
+    ring : bool
+        Whether the plate carries a light ring.
+
+    Raises
+    ------
+    DesignError
+        If lens and plate have no room before the rim, or the screws do not fit.
+    """
+    hardware, clearance = design.hardware, design.print_rules.clearance_mm
+    wall = hardware.wall_mm
+    lens = camera_mm + hardware.lens_pupil_mm
+    board = lens - hardware.lens_length_mm
+    back = board + hardware.front_room_mm
+    front = back + wall
+    if max(lens, front) > stop_mm - TOUCH_mm:
+        raise DesignError(
+            f"the camera has no room before the rim: {'its lens' if lens > front else 'its mount'} "
+            f"would reach {max(lens, front) - stop_mm:.1f} mm past the rim's end (camera "
+            f"{-camera_mm:.1f} mm before the sensor, lens {hardware.lens_length_mm:g} mm, its "
+            f"centre {hardware.lens_pupil_mm:g} mm behind its front); raise camera.stand_off_mm, "
+            "or correct hardware.lens_length_mm and hardware.lens_pupil_mm"
+        )
+    if front > camera_mm:
+        raise DesignError(
+            "the mount's plate would stand before the lens: the lens is "
+            f"{hardware.lens_length_mm:g} mm long, plate and parts on the board take "
+            f"{wall + hardware.front_room_mm:g} mm; lower hardware.wall_mm or "
+            "hardware.front_room_mm"
+        )
+    joint, extra = _joint(design, board, back, label=label, mount=mount)
+    floor = board - hardware.board_thickness_mm - hardware.back_room_mm - wall - extra
+    boss = max(joint.screw.hole_mm(hardware.thread) / 2.0 + BOSS_mm, BOSS_MIN_mm)
+    added = _rods(design, boss, board + TOUCH_mm, back + 0.5 * wall)
+    kit = Kit()
+    bosses: tuple[Node, ...] = ()
+    holes: tuple[Node, ...] = ()
+    if hardware.imu == "seat" and label != "_far":
+        kit, bosses, holes = imu_seat(design, floor, label=label)
+    room, cover = _cover(design, joint, (floor, board, back), boss)
+    cover = Cut(body=Union(parts=(cover, *bosses)), tools=(*joint.passing(), *holes))
+    lens_radius = hardware.lens_diameter_mm / 2.0
+    opening = Prism(
+        outline=Circle(radius_mm=lens_radius + clearance), low_mm=back - 1.0, high_mm=front + 1.0
+    )
+    parts = [
+        Part(
+            name=f"cover{label}",
+            node=cover,
+            material="resin",
+            step_mm=(0.0, 0.0, -45.0),
+            note="camera cover",
+        ),
+        Part(
+            name=f"camera{label}",
+            node=_camera(design, board, lens, joint),
+            material="electronics",
+            step_mm=(0.0, 0.0, -25.0),
+            note=f"camera board {hardware.board} with lens",
+        ),
+    ]
+    removed: list[Node] = [opening, *joint.holding()]
+    middle = 0.5 * (front + back)
+    gaps = around_mm(lens_radius + 0.5 * clearance, middle)
+    if ring:
+        gaps += ((0.0, -0.5 * sum(ring_radii_mm(design)), middle),)
+        inner, outer = ring_radii_mm(design)
+        seat, wires, light = _ring(design, front)
+        removed += [seat, wires]
+        parts.append(
+            Part(
+                name=f"ring_light{label}",
+                node=light,
+                material="light",
+                step_mm=(0.0, 0.0, 15.0),
+                note=f"ring of light, ø{2.0 * (inner + clearance):.1f} to "
+                f"ø{2.0 * (outer - clearance):.1f} mm, {hardware.strip_thickness_mm:g} mm thick",
+            )
+        )
+    return CameraUnit(
+        front_mm=front,
+        back_mm=back,
+        lens_mm=lens,
+        plate=room,
+        added=added,
+        removed=tuple(removed),
+        kit=kit
+        + Kit(
+            parts=tuple(parts),
+            joints=(joint,),
+            openings_mm=gaps,
+            clearances_mm={f"board in cover{label}": clearance, f"lens in {mount}": clearance},
+        ),
+    )
+
+
+def _rods(design: Design, radius: float, low: float, high: float) -> tuple[Node, ...]:
+    """Rods along z over all holes of the board."""
+    return tuple(
+        Prism(outline=Circle(radius_mm=radius, centre_mm=hole), low_mm=low, high_mm=high)
+        for hole in design.hardware.board_holes_mm
+    )
+
+
+def _cover(
+    design: Design, joint: Joint, levels_mm: tuple[float, float, float], boss_mm: float
+) -> tuple[Rect, Node]:
+    """Outline of the cover, and the cover without holes; levels: its back, the board, the plate."""
+    hardware, clearance = design.hardware, design.print_rules.clearance_mm
+    floor, board, back = levels_mm
+    width, height = hardware.board_size_mm
+    inside, outside = (
+        Rect(size_mm=(width + 2.0 * by, height + 2.0 * by), centre_mm=hardware.board_offset_mm)
+        for by in (clearance, clearance + hardware.wall_mm)
+    )
+    top = back - TOUCH_mm
+    tools: list[Node] = [
+        Prism(outline=inside, low_mm=floor + hardware.wall_mm, high_mm=top + 1.0),
+        _cable(design, inside, floor),
+    ]
+    # Thick bosses of the mount reach into the cover's wall.
+    aside = np.abs(np.array(hardware.board_holes_mm) - np.array(inside.centre_mm))
+    if float((aside + boss_mm + clearance - np.array(inside.size_mm) / 2.0).max()) > TOUCH_mm:
+        tools += _rods(design, boss_mm + clearance, board - clearance, top + 1.0)
+    posts = _rods(
+        design,
+        joint.screw.clearance_mm / 2.0 + BOSS_mm,
+        floor + 0.5 * hardware.wall_mm,
+        board - hardware.board_thickness_mm - TOUCH_mm,
+    )
+    block = Prism(outline=outside, low_mm=floor, high_mm=top)
+    return outside, Union(parts=(Cut(body=block, tools=tuple(tools)), *posts))
+
+
+def _joint(
+    design: Design, board: float, back: float, *, label: str, mount: str
+) -> tuple[Joint, float]:
+    """Screws through cover and board into the mount, and how much thicker the cover's back is."""
+    hardware = design.hardware
+    screw = SCREWS[hardware.screw_camera]
+    gap = TOUCH_mm
+    through_mm = hardware.board_thickness_mm + hardware.back_room_mm + hardware.wall_mm + gap
+    depth = back - board - gap + hardware.wall_mm - SKIN_mm
+    length, extra = through(
+        screw,
+        hardware.thread,
+        grip_mm=through_mm,
+        depth_mm=depth,
+        what="the camera's cover",
+    )
+    grip = through_mm + extra
+    seat = board + gap - grip
+    return Joint(
+        name=f"camera{label}",
+        screw=screw,
+        thread=hardware.thread,
+        head_part=f"cover{label}",
+        thread_part=mount,
+        seats_mm=tuple((x, y, seat) for x, y in hardware.board_holes_mm),
+        directions=tuple((0.0, 0.0, 1.0) for _ in hardware.board_holes_mm),
+        grip_mm=grip,
+        length_mm=length,
+        depth_mm=depth,
+    ), extra
+
+
+def _cable(design: Design, inside: Rect, floor: float) -> Prism:
+    """Opening for the cable in the cover's wall on the side of -y, behind the board."""
+    hardware = design.hardware
+    width, height = hardware.cable_mm
+    height = min(height, 0.8 * hardware.back_room_mm)
+    x, y = inside.centre_mm
+    edge = y - inside.size_mm[1] / 2.0
+    deep = 4.0 * hardware.wall_mm
+    return Prism(
+        outline=Rect(size_mm=(width, deep), centre_mm=(x, edge - deep / 2.0 + 0.1)),
+        low_mm=floor + hardware.wall_mm,
+        high_mm=floor + hardware.wall_mm + height,
+    )
+
+
+def _camera(design: Design, board: float, lens: float, joint: Joint) -> Node:
+    """Board with holes, and the lens on it."""
+    hardware = design.hardware
+    outline = Rect(size_mm=hardware.board_size_mm, centre_mm=hardware.board_offset_mm)
+    low = board - hardware.board_thickness_mm
+    return Cut(
+        body=Union(
+            parts=(
+                Prism(outline=outline, low_mm=low, high_mm=board),
+                Prism(
+                    outline=Circle(radius_mm=hardware.lens_diameter_mm / 2.0),
+                    low_mm=low + 0.5 * hardware.board_thickness_mm,
+                    high_mm=lens,
+                ),
+            )
+        ),
+        tools=tuple(
+            Prism(
+                outline=Circle(radius_mm=joint.screw.clearance_mm / 2.0, centre_mm=hole),
+                low_mm=low - 1.0,
+                high_mm=board + 1.0,
+            )
+            for hole in hardware.board_holes_mm
+        ),
+    )
+
+
+def around_mm(radius_mm: float, z_mm: float, count: int = 16) -> tuple[Point3, ...]:
+    """Points on a circle around the axis."""
+    turn = 2.0 * np.pi * np.arange(count) / count
+    return tuple(
+        (float(radius_mm * np.cos(angle)), float(radius_mm * np.sin(angle)), z_mm) for angle in turn
+    )
+
+
+def ring_radii_mm(design: Design) -> tuple[float, float]:
+    """Inner and outer radius of the light ring's seat: within the screws, or else around them."""
+    hardware, clearance = design.hardware, design.print_rules.clearance_mm
+    hole = SCREWS[hardware.screw_camera].hole_mm(hardware.thread) / 2.0 + SKIN_mm
+    places = np.linalg.norm(np.array(hardware.board_holes_mm), axis=1)
+    inner = hardware.lens_diameter_mm / 2.0 + clearance + BOSS_mm
+    room = float(places.min()) - hole - inner - 2.0 * clearance
+    if room < min(hardware.ring_width_mm, RING_MIN_mm):
+        inner, room = float(places.max()) + hole, np.inf
+    return inner, inner + min(hardware.ring_width_mm, room) + 2.0 * clearance
+
+
+def _ring(design: Design, front: float) -> tuple[Node, Node, Node]:
+    """Seat of the light ring in the plate's front, hole for its wires, and the ring."""
+    hardware, clearance = design.hardware, design.print_rules.clearance_mm
+    inner, outer = ring_radii_mm(design)
+    deep = min(hardware.strip_thickness_mm, 0.5 * hardware.wall_mm)
+    seat = tube(
+        Circle(radius_mm=outer), Circle(radius_mm=inner), front - deep - TOUCH_mm, front + 0.5
+    )
+    middle: Point2 = (0.0, -0.5 * (inner + outer))
+    wires = Prism(
+        outline=Circle(radius_mm=min(1.0, 0.25 * (outer - inner)), centre_mm=middle),
+        low_mm=front - hardware.wall_mm - 1.0,
+        high_mm=front,
+    )
+    light = tube(
+        Circle(radius_mm=outer - clearance),
+        Circle(radius_mm=inner + clearance),
+        front - deep,
+        front - deep + hardware.strip_thickness_mm,
+    )
+    return seat, wires, light

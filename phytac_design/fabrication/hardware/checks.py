@@ -1,0 +1,204 @@
+"""Checks of an assembly: collisions, both sides of joints, ways of light, view."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from decoder.camera import Camera
+from phytac_design.fabrication.hardware.parts import Kit
+from phytac_design.fabrication.hardware.screws import SCREWS, Joint
+from phytac_design.fabrication.printing.rays import RayTree
+from phytac_design.fabrication.solid_mesh import to_triangles
+from phytac_design.fabrication.triangles import TriangleMesh
+from phytac_design.layout import Markers
+from phytac_design.optics.envelope import bar_mesh, shell_mesh
+from phytac_design.optics.mesh import joined
+from phytac_design.optics.scene import FIRST_MARKER, build_scene
+from phytac_design.spec import Design
+from shapes import Surface
+from shapes.arrays import FloatArray
+
+NONE_mm3 = 1e-6
+"""A smaller common volume is rounding."""
+SPOKES = 24
+"""Rays around an axis that measure a hole."""
+HOLE_mm = 0.15
+"""A measured hole is a standard one within this."""
+SCENE_mm = 0.005
+"""Accuracy of the scene's fixed parts."""
+DIRECTIONS = 1500
+"""Rays from each place inside that look for light."""
+
+
+def meets(solids: Mapping[str, Any]) -> dict[str, float]:
+    """Common volume (mm³) of every pair of solids that share any, by ``"one / other"``."""
+    boxes = {name: solid.bounding_box() for name, solid in solids.items()}
+    found = {}
+    for one, other in combinations(solids, 2):
+        a, b = boxes[one], boxes[other]
+        if any(a[i] >= b[i + 3] or b[i] >= a[i + 3] for i in range(3)):
+            continue
+        volume = float((solids[one] ^ solids[other]).volume())
+        if volume > NONE_mm3:
+            found[f"{one} / {other}"] = volume
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sides:
+    """Screw of each hole on both sides of a joint, as measured in the parts' meshes.
+
+    ``""`` where no standard hole fits, ``"M2.5 M3"`` where one hole serves two screws.
+    """
+
+    joint: str
+    passing: tuple[str, ...]
+    holding: tuple[str, ...]
+
+    @property
+    def agree(self) -> bool:
+        """Whether one screw fits all holes of both sides."""
+        fits = [set(names.split()) for names in self.passing + self.holding]
+        return bool(fits) and bool(set.intersection(*fits))
+
+
+def sides_of_joint(joint: Joint, meshes: Mapping[str, TriangleMesh]) -> Sides:
+    """Measure the holes of a joint in its parts' meshes and name the screw that each is for."""
+    passing, holding = joint.probes()
+    names = {screw.name: screw for screw in SCREWS.values()}
+    clear = {name: screw.clearance_mm for name, screw in names.items()}
+    melted = joint.thread == "heat-set"
+    hold = {name: screw.insert_mm if melted else screw.tap_mm for name, screw in names.items()}
+    ways = np.array(joint.directions)
+    return Sides(
+        joint=joint.name,
+        passing=_sizes(meshes.get(joint.head_part), np.array(passing), ways, clear),
+        holding=_sizes(meshes.get(joint.thread_part), np.array(holding), ways, hold),
+    )
+
+
+def _sizes(
+    mesh: TriangleMesh | None, places: FloatArray, ways: FloatArray, table: dict[str, float]
+) -> tuple[str, ...]:
+    """Sizes of the table that the hole around each place is for."""
+    if len(places) == 0 or mesh is None:
+        return ()
+    tree = RayTree(mesh)
+    out = []
+    for place, way in zip(places, ways, strict=True):
+        first = np.cross(way, np.eye(3)[np.abs(way).argmin()])
+        first /= np.linalg.norm(first)
+        turn = 2.0 * np.pi * (np.arange(SPOKES) + 0.5) / SPOKES
+        around = np.outer(np.cos(turn), first) + np.outer(np.sin(turn), np.cross(way, first))
+        hits = tree.cast(np.tile(place, (SPOKES, 1)), around, 20.0)
+        diameter = 2.0 * float(np.where(hits.triangle >= 0, hits.distance_mm, 20.0).mean())
+        out.append(" ".join(key for key in table if abs(table[key] - diameter) <= HOLE_mm))
+    return tuple(out)
+
+
+def joined_mesh(meshes: list[TriangleMesh]) -> TriangleMesh:
+    """Several meshes as one."""
+    starts = np.cumsum([0] + [len(mesh.vertices_mm) for mesh in meshes])
+    return TriangleMesh(
+        vertices_mm=np.concatenate([mesh.vertices_mm for mesh in meshes]),
+        triangles=np.concatenate(
+            [mesh.triangles + start for mesh, start in zip(meshes, starts, strict=False)]
+        ),
+    )
+
+
+def sphere(count: int) -> FloatArray:
+    """Unit vectors (count, 3) spread evenly, on a golden spiral."""
+    index = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * index / count
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * index
+    level = np.sqrt(1.0 - z**2)
+    return np.column_stack([level * np.cos(turn), level * np.sin(turn), z])
+
+
+def light_leaks(
+    walls: TriangleMesh, places_mm: FloatArray, directions: int = DIRECTIONS
+) -> tuple[int, int]:
+    """Straight lines from places (n, 3) inside that meet no wall on their way out, and all.
+
+    Parameters
+    ----------
+    walls : TriangleMesh
+        The shell with its holes closed (by switches) and all hardware.
+    """
+    way = np.tile(sphere(directions), (len(places_mm), 1))
+    start = np.repeat(places_mm, directions, axis=0)
+    return int((RayTree(walls).cast(start, way).triangle < 0).sum()), len(start)
+
+
+def inside_places(design: Design, surface: Surface, kit: Kit, cameras: list[Camera]) -> FloatArray:
+    """Places (n, 3) inside the sensor from which light is looked for.
+
+    Before each camera, along the axis beside the bar, all around every edge of the sensing wall,
+    and in every opening between parts.
+    """
+    low, high = surface.bounds_mm()
+    aside = max(design.light.bar_radius_mm, 0.0) + 1.0
+    axis = np.linspace(low[2] + 1.0, high[2] - design.wall.thickness_mm - 1.0, 6)
+    places = [np.column_stack([np.full(6, aside), np.zeros(6), axis])] if np.ptp(axis) > 6.0 else []
+    for camera in cameras:
+        forward = 1.0 if camera.rotation[2, 2] > 0.0 else -1.0
+        front = camera.position_mm + np.array(
+            [0.0, 0.0, forward * (design.hardware.lens_pupil_mm + 0.5)]
+        )
+        places.append(front[None])
+    for way, end in surface.edges():
+        uv = np.full((16, 2), surface.domain[way, end])
+        first, last = surface.domain[1 - way]
+        uv[:, 1 - way] = np.linspace(first, last, 18)[1:-1]
+        places.append(surface.point(uv, -design.wall.thickness_mm - 0.02))
+    if kit.openings_mm:
+        places.append(np.array(kit.openings_mm))
+    return np.concatenate(places)
+
+
+def hidden_rays(
+    design: Design,
+    surface: Surface,
+    markers: Markers,
+    cameras: list[Camera],
+    hardware: TriangleMesh,
+) -> tuple[int, int]:
+    """Lines from cameras to the markers' painted faces that hardware cuts, and all of them.
+
+    Lines that the scene's own wall or light bar cuts are known to it and do not count.
+    """
+    coarse = 0.2 * design.receptor.diameter_outer_mm
+    scene = build_scene(design, surface, markers, tolerance_mm=coarse)
+    target = scene.vertices[np.unique(scene.triangles[scene.part >= FIRST_MARKER])]
+    tree = RayTree(hardware)
+    fixed = joined(
+        [
+            shell_mesh(design, surface, tolerance_mm=SCENE_mm),
+            bar_mesh(design, surface, tolerance_mm=SCENE_mm),
+        ]
+    )
+    known = RayTree(
+        TriangleMesh(vertices_mm=fixed.vertices, triangles=fixed.triangles.astype(np.int64))
+    )
+    cut = 0
+    for camera in cameras:
+        line = target - camera.position_mm
+        length = np.linalg.norm(line, axis=1)
+        way = line / length[:, None]
+        start = np.broadcast_to(camera.position_mm, target.shape)
+        blocked = tree.cast(start, way, length - 1e-3).triangle >= 0
+        if blocked.any():
+            blocked[blocked] = (
+                known.cast(start[blocked], way[blocked], length[blocked] - 1e-3).triangle < 0
+            )
+        cut += int(blocked.sum())
+    return cut, len(target) * len(cameras)
+
+
+def meshes_of(solids: Mapping[str, Any]) -> dict[str, TriangleMesh]:
+    """Triangles of manifolds."""
+    return {name: to_triangles(solid) for name, solid in solids.items()}

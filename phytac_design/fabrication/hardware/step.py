@@ -1,0 +1,48 @@
+"""Bodies of the STEP assembly: hardware, and the sensor with its switches."""
+
+from typing import Any
+
+from phytac_design.fabrication.cad import CadBody, revolved_cad, shell_cad, wall_cad
+from phytac_design.fabrication.hardware.bodies import SHELL, SWITCH_mm, switch_frames
+from phytac_design.fabrication.hardware.parts import COLOURS, Kit
+from phytac_design.fabrication.switch_set import SwitchSet
+from phytac_design.layout import Markers
+from phytac_design.spec import Design
+from shapes import Surface
+
+WALL = "shell_without_receptors"
+
+
+def hardware_bodies(kit: Kit, shapes: dict[str, Any]) -> list[CadBody]:
+    """Parts of a kit with their colours."""
+    return [
+        CadBody(name=part.name, shape=shapes[part.name], colour=COLOURS[part.material])
+        for part in kit.parts
+    ]
+
+
+def wall_body(design: Design, surface: Surface) -> CadBody:
+    """Wall and rims alone, for quick assemblies."""
+    return CadBody(name=WALL, shape=wall_cad(surface, design.wall), colour=COLOURS["shell"])
+
+
+def sensor_bodies(
+    design: Design, surface: Surface, markers: Markers, switches: SwitchSet
+) -> list[CadBody]:
+    """Whole shell, and each switch in its receptor; switches of one kind share a shape."""
+    bodies = [
+        CadBody(name=SHELL, shape=shell_cad(design, surface, markers), colour=COLOURS["shell"])
+    ]
+    origin, turn = switch_frames(surface, markers, switches)
+    for kind in switches.kinds:
+        shape = revolved_cad(switches.profile(kind, SWITCH_mm))
+        bodies.extend(
+            CadBody(
+                name=f"switch_{marker:04d}",
+                shape=shape,
+                colour=COLOURS["tpu"],
+                frame=(origin[marker], turn[marker]),
+            )
+            for marker in switches.markers_of(kind).tolist()
+        )
+    return bodies

@@ -1,0 +1,1 @@
+"""Molds for the switches of a design: rigid printed plates, or masters for a silicone mold."""

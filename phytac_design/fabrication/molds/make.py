@@ -1,0 +1,112 @@
+"""All plates or trays of a design's switches, split into sets that fit the printer's bed."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from phytac_design.fabrication.molds.cavity import Sizes, make_sizes
+from phytac_design.fabrication.molds.grid import LEAST, Plan, plan_sets
+from phytac_design.fabrication.molds.plates import (
+    cap_plate,
+    check_troughs,
+    core_plate,
+    dome_edge_mm,
+    dome_plate,
+)
+from phytac_design.fabrication.molds.trays import core_tray, dome_tray, tray_edge_mm
+from phytac_design.fabrication.switch_set import SwitchSet
+from phytac_design.fabrication.triangles import TriangleMesh
+from phytac_design.print_section import PrintSection
+from phytac_design.switch_section import MoldSection
+from shapes.errors import DesignError
+
+Maker = Callable[[Plan, Sizes], TriangleMesh]
+MAKERS: dict[str, dict[str, Maker]] = {
+    "rigid": {"dome_plate": dome_plate, "core_plate": core_plate, "cap_plate": cap_plate},
+    "silicone-master": {"dome_tray": dome_tray, "core_tray": core_tray},
+}
+TURNED = ("dome_plate", "core_tray")
+"""Parts that are printed upside down: their cavities or pegs point up."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MoldSet:
+    """Plates or trays that belong together.
+
+    Attributes
+    ----------
+    plan : Plan
+        What stands where.
+    sizes : Sizes
+        Outlines and thicknesses.
+    parts : dict
+        Name to mesh, in the frame of use (z towards the domes), before the print's shrinkage.
+    """
+
+    plan: Plan
+    sizes: Sizes
+    parts: dict[str, TriangleMesh]
+
+    def printed(self, name: str) -> TriangleMesh:
+        """Part as it is printed: on the bed, print (and silicone) shrinkage taken out."""
+        mesh = self.parts[name]
+        points = self.sizes.print_scale * mesh.vertices_mm
+        if name in TURNED:
+            points = points * [1.0, -1.0, -1.0]
+        points = points - [0.0, 0.0, points[:, 2].min()]
+        return TriangleMesh(vertices_mm=points, triangles=mesh.triangles)
+
+
+def make_molds(
+    section: MoldSection,
+    rules: PrintSection,
+    switches: SwitchSet,
+    *,
+    tolerance_mm: float = 0.01,
+) -> list[MoldSet]:
+    """Molds for all switches of a design, in as few sets as the bed allows.
+
+    Raises
+    ------
+    DesignError
+        If no set fits the bed, or the printer cannot make a detail.
+    """
+    sizes = make_sizes(section, rules, switches, tolerance_mm)
+    rigid = section.way == "rigid"
+    if rigid:
+        check_troughs(sizes)
+    edge = dome_edge_mm(sizes) if rigid else tray_edge_mm(sizes)
+    wide, deep, high = (side / sizes.print_scale for side in _bed(rules))
+    columns, lines = (int((side - 2.0 * edge) / sizes.pitch_mm) for side in (wide, deep))
+    if min(columns, lines) < LEAST:
+        least = sizes.print_scale * (LEAST * sizes.pitch_mm + 2.0 * edge)
+        raise DesignError(
+            f"the smallest mold ({section.way}) of these switches is {least:.0f} x {least:.0f} "
+            f"mm, the printer's bed {rules.bed_mm[0]:g} x {rules.bed_mm[1]:g} mm, and a mold is "
+            "not split further; lower [mold] wall_mm, moat_mm or channel_mm, or take a larger "
+            "[print_rules] bed_mm"
+        )
+    counts = [(kind, len(switches.markers_of(kind))) for kind in switches.kinds]
+    plans = plan_sets(counts, columns, lines)
+    made = [
+        MoldSet(
+            plan=plan,
+            sizes=sizes,
+            parts={name: make(plan, sizes) for name, make in MAKERS[section.way].items()},
+        )
+        for plan in plans
+    ]
+    tallest = max(float(np.ptp(mesh.vertices_mm[:, 2])) for mesh in made[0].parts.values())
+    if tallest > high:
+        raise DesignError(
+            f"the mold's tallest part is {tallest * sizes.print_scale:.3g} mm, the printer's "
+            f"height {rules.bed_mm[2]:g} mm; shorten the receptors or raise [print_rules] bed_mm"
+        )
+    return made
+
+
+def _bed(rules: PrintSection) -> tuple[float, float, float]:
+    """Bed with its long side first: long lines need fewer labels."""
+    x, y, z = rules.bed_mm
+    return max(x, y), min(x, y), z

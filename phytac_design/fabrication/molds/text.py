@@ -1,0 +1,174 @@
+"""Raised labels in a font of straight strokes."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from phytac_design.fabrication.solid_mesh import to_manifold, to_triangles, united
+from phytac_design.fabrication.triangles import TriangleMesh
+from shapes.arrays import FloatArray, IntArray
+from shapes.errors import DesignError
+
+GLYPHS = {
+    "0": ("00 20 24 04 00",),
+    "1": ("00 20", "10 14 03"),
+    "2": ("04 24 22 02 00 20",),
+    "3": ("04 24 20 00", "02 22"),
+    "4": ("04 02 22", "24 20"),
+    "5": ("24 04 02 22 20 00",),
+    "6": ("24 04 00 20 22 02",),
+    "7": ("04 24 10",),
+    "8": ("00 20 24 04 00", "02 22"),
+    "9": ("22 02 04 24 20 00",),
+    "A": ("00 03 14 23 20", "02 22"),
+    "B": ("00 04 14 23 12 21 10 00", "02 12"),
+    "C": ("24 04 00 20",),
+    "D": ("00 04 14 23 21 10 00",),
+    "E": ("24 04 00 20", "02 12"),
+    "F": ("24 04 00", "02 12"),
+    "G": ("24 04 00 20 22 12",),
+    "H": ("00 04", "20 24", "02 22"),
+    "I": ("00 20", "04 24", "10 14"),
+    "J": ("24 20 00 01",),
+    "K": ("00 04", "24 02 20"),
+    "L": ("04 00 20",),
+    "M": ("00 04 12 24 20",),
+    "N": ("00 04 20 24",),
+    "O": ("01 03 14 23 21 10 01",),
+    "P": ("00 04 24 22 02",),
+    "Q": ("01 03 14 23 21 10 01", "11 20"),
+    "R": ("00 04 24 22 02", "12 20"),
+    "S": ("24 14 03 21 10 00",),
+    "T": ("04 24", "14 10"),
+    "U": ("04 00 20 24",),
+    "V": ("04 10 24",),
+    "W": ("04 00 12 20 24",),
+    "X": ("00 24", "04 20"),
+    "Y": ("04 12 24", "12 10"),
+    "Z": ("04 24 00 20",),
+    "/": ("00 24",),
+}
+"""Strokes of each letter through points xy of a grid of 2 by 4."""
+ADVANCE = 0.82
+"""From one letter to the next, over the height of letters."""
+SLOPE_deg = 5.0
+"""Sides of letters fall off by this against the pull."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Label:
+    """A square of a face with a raised text.
+
+    Attributes
+    ----------
+    mesh : TriangleMesh
+        The square, its middle at the origin, at z = 0, with the letters on it.
+    corners : (4,) int
+        Its corner points, counter-clockwise from the one to the right and back.
+    inner : (k,) int
+        All other points.
+    """
+
+    mesh: TriangleMesh
+    corners: IntArray
+    inner: IntArray
+
+
+def strokes(text: str) -> FloatArray:
+    """Strokes (s, 2, 2) of a text whose letters are 1 high, its middle at the origin.
+
+    Raises
+    ------
+    DesignError
+        If a letter is not known.
+    """
+    unknown = sorted(set(text) - set(GLYPHS))
+    if unknown or not text:
+        raise DesignError(f"no letters for the label {text!r}; use capitals, digits and '/'")
+    found = []
+    for place, letter in enumerate(text):
+        for line in GLYPHS[letter]:
+            way = np.array([[float(pair[0]), float(pair[1])] for pair in line.split()]) / 4.0
+            way[:, 0] += place * ADVANCE
+            found.append(np.stack([way[:-1], way[1:]], axis=1))
+    width = (len(text) - 1) * ADVANCE + 0.5
+    return np.concatenate(found) - [0.5 * width, 0.5]
+
+
+@cache
+def label(text: str, side_mm: float, stroke_mm: float, height_mm: float) -> Label:
+    """Square of ``side_mm`` with a text as large as fits, ``height_mm`` raised.
+
+    Raises
+    ------
+    DesignError
+        If strokes of that width leave nothing between them.
+    """
+    drawn = strokes(text)
+    free = 0.84 * side_mm - stroke_mm
+    tall = min(free / ((len(text) - 1) * ADVANCE + 0.5), 0.5 * free)
+    if 0.25 * tall < 0.6 * stroke_mm:
+        raise DesignError(
+            f"the mold has no room for its label {text!r}: letters of {tall:.2g} mm with strokes "
+            f"of {stroke_mm:g} mm; raise [mold] channel_mm or lower [print_rules] engrave_min_mm"
+        )
+    slope = np.tan(np.radians(SLOPE_deg))
+    bars = [_bar(line, 0.5 * stroke_mm, height_mm, float(slope)) for line in tall * drawn]
+    half = 0.5 * side_mm
+    block = _box(half, -1.0)
+    mesh = to_triangles(united([to_manifold(part) for part in [block, *bars]]))
+    top = mesh.vertices_mm[:, 2] > -1e-9
+    triangles = mesh.triangles[top[mesh.triangles].all(axis=1)]
+    edge = top & (np.abs(mesh.vertices_mm[:, :2]).max(axis=1) > half - 1e-9)
+    used = np.unique(triangles)
+    place = mesh.vertices_mm[:, :2]
+    corners = np.array(
+        [
+            np.flatnonzero(edge & (np.abs(place - half * np.array(sign)).max(axis=1) < 1e-9))[0]
+            for sign in ((1, 1), (-1, 1), (-1, -1), (1, -1))
+        ]
+    )
+    return Label(
+        mesh=TriangleMesh(vertices_mm=mesh.vertices_mm, triangles=triangles),
+        corners=corners,
+        inner=np.setdiff1d(used, corners),
+    )
+
+
+def _box(half: float, bottom: float) -> TriangleMesh:
+    """Box from ``bottom`` up to 0."""
+    return _frustum(half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]), None, bottom, 0.0)
+
+
+def _frustum(low: FloatArray, high: FloatArray | None, bottom: float, top: float) -> TriangleMesh:
+    """Solid between two quadrilaterals (4, 2), counter-clockwise."""
+    high = low if high is None else high
+    points = np.concatenate(
+        [np.column_stack([low, np.full(4, bottom)]), np.column_stack([high, np.full(4, top)])]
+    )
+    k = np.arange(4)
+    n = (k + 1) % 4
+    sides = [np.column_stack([k, n, n + 4]), np.column_stack([k, n + 4, k + 4])]
+    caps = [np.array([[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]])]
+    return TriangleMesh(vertices_mm=points, triangles=np.concatenate(sides + caps))
+
+
+def _bar(line: FloatArray, half: float, height: float, slope: float) -> TriangleMesh:
+    """Stroke with square ends, from below the face to its height, sides sloping in."""
+    start, end = line
+    way = (end - start) / np.hypot(*(end - start))
+    across = np.array([-way[1], way[0]])
+
+    def outline(wide: float) -> FloatArray:
+        return np.array(
+            [
+                end + wide * (way + across),
+                start + wide * (across - way),
+                start - wide * (way + across),
+                end + wide * (way - across),
+            ]
+        )
+
+    depth = 0.5
+    return _frustum(outline(half + depth * slope), outline(half - height * slope), -depth, height)

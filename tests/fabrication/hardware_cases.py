@@ -1,0 +1,73 @@
+"""Hardware of designs with a stand-in for the fitted bowls, which take seconds to find."""
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from phytac_design.accuracy import PRESETS
+from phytac_design.build import copy_of
+from phytac_design.design_file import load_design
+from phytac_design.fabrication.hardware.assembly import make_hardware
+from phytac_design.fabrication.hardware.bodies import hardware_solids, sensor_solids
+from phytac_design.fabrication.hardware.parts import Kit
+from phytac_design.fabrication.switch_set import SwitchSet, make_switches
+from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.thresholds import thresholds_N
+from phytac_design.spec import Design
+from phytac_design.stage import Context
+from shapes import Surface
+
+SHIPPED = ("cylinder60", "cylinder40", "cone", "cuboid", "hemisphere", "grip", "plane", "patch")
+
+
+def bowl(design: Design) -> dict[str, float]:
+    """A bowl that fits the design's receptors."""
+    return {
+        "diameter_mm": design.switch.footprint_diameter_mm,
+        "depth_mm": 0.8,
+        "thickness_mm": 0.22,
+        "stem_diameter_mm": design.switch.tip_diameter_mm + 0.05,
+        "pad_diameter_mm": 1.5,
+    }
+
+
+def switches(design: Design, surface: Surface, markers: Markers) -> SwitchSet:
+    wanted = thresholds_N(design, markers)
+    made = [{"threshold_N": float(value), "bowl": bowl(design)} for value in sorted(set(wanted))]
+    return make_switches(design, surface, markers, made, wanted)
+
+
+@cache
+def case(name: str) -> tuple[Design, Surface, Markers, Kit]:
+    design = load_design(name)
+    surface = design.surface()
+    return design, surface, make_markers(design, surface), make_hardware(design, surface)
+
+
+@cache
+def solids(name: str) -> dict[str, Any]:
+    """Shell, switches and hardware of a shipped design."""
+    design, surface, markers, kit = case(name)
+    made = switches(design, surface, markers)
+    sensor = sensor_solids(design, surface, markers, made, tolerance_mm=0.05)
+    return sensor | hardware_solids(design, surface, kit, tolerance_mm=0.05)
+
+
+def changed(name: str, **tables: Any) -> Design:
+    return copy_of(load_design(name), **tables)
+
+
+def context(design: Design, folder: Path, accuracy: str = "draft") -> Context:
+    """What the stage sees after the switch stage, with the stand-in's facts."""
+    made = folder / "switch"
+    made.mkdir(parents=True, exist_ok=True)
+    facts = {"switches": [{"threshold_N": design.switch.threshold_N, "bowl": bowl(design)}]}
+    (made / "facts.json").write_text(json.dumps(facts))
+    return Context(
+        design=design,
+        accuracy=PRESETS[accuracy],
+        seed=0,
+        folders={"switch": made},
+        progress=lambda _: None,
+    )

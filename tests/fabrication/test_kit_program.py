@@ -1,0 +1,266 @@
+"""Motion program: every region is reached along its normal; the rig's log comes back as data."""
+
+import csv
+import io
+import json
+from functools import cache, partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from benchmarks.bench_measure import Move, in_sensor, read_gcode, tool_axis, tool_x
+from phytac_design.build import copy_of
+from phytac_design.design_file import to_toml
+from phytac_design.fabrication.kit.log import Log, check_steps, log_head, log_text, read_log
+from phytac_design.fabrication.kit.program import (
+    Program,
+    gcode,
+    make_program,
+    program_csv,
+    steps_of,
+    turned,
+)
+from phytac_design.fabrication.kit.regions import frames_at, make_regions
+from phytac_design.fabrication.kit.symmetry import find_symmetry
+from phytac_design.mechanics.calibrate.calibration import LINEAR_SHARE
+from phytac_design.mechanics.calibrate.measurements import Measurements, read_measurements
+from phytac_design.mechanics.calibrate.probe_response import ProbeResponse
+from phytac_design.mechanics.receptors import receptor_stiffness
+from shapes.errors import InputError
+from tests.designs import small
+from tests.fabrication.cases import built, shipped
+from tests.test_cli import phytac
+
+SHAPES = ("cylinder60", "cone", "cuboid", "grip", "hemisphere", "plane", "patch")
+PLACE_mm, ANGLE = 2e-4, 2e-6
+"""Of places and unit vectors that went through five decimals."""
+
+
+@cache
+def program_of(name: str) -> Program:
+    case = built(shipped(name))
+    return make_program(*case, make_regions(*case))
+
+
+@cache
+def moves_of(name: str, run: str) -> list[Move]:
+    return read_gcode(gcode(program_of(name), "shell" if run == "shell" else "decoder", name=name))
+
+
+def test_machine_turns_as_it_says() -> None:
+    rng = np.random.default_rng(0)
+    points, tip, turn = rng.normal(size=(9, 3)), rng.uniform(-1, 1, 9), rng.uniform(0, 6, 9)
+    due = Rotation.from_euler("z", turn[:, None]).apply(points)
+    due = Rotation.from_euler("y", tip[:, None]).apply(due)
+    assert turned(points, tip, turn) == pytest.approx(due)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("run", ["shell", "decoder"])
+def test_every_region_is_pressed_along_its_normal(name: str, run: str) -> None:
+    """Read back from the G-code alone, by rotations of another library."""
+    design, surface, markers = built(shipped(name))
+    moves = [move for move in moves_of(name, run) if move.logs]
+    region = np.array([move.region for move in moves])
+    needed = find_symmetry(surface, markers).needed
+    assert set(region.tolist()) == set(needed.tolist())
+    at = np.array([move.at for move in moves])
+    there, up, notch = in_sensor(at), tool_axis(at), tool_x(at)
+    foot, normal = surface.point(markers.uv[region]), markers.normal[region]
+    assert up == pytest.approx(normal, abs=ANGLE)
+    assert notch == pytest.approx(frames_at(surface, markers.uv[region])[:, :, 0], abs=ANGLE)
+    depth = np.sum((foot - there) * normal, axis=1)
+    assert np.linalg.norm(foot - there - depth[:, None] * normal, axis=1) == pytest.approx(
+        0.0, abs=PLACE_mm
+    )
+    targets = np.array([[log[1] for log in move.logs] for move in moves])
+    steps = [log[2] for move in moves for log in move.logs]
+    assert steps == sorted(set(steps))
+    if run == "decoder":
+        assert depth == pytest.approx(0.0, abs=PLACE_mm)
+        due = np.geomspace(design.training.force_min_N, design.training.force_max_N, 8)
+        assert targets == pytest.approx(np.tile(due, (len(moves), 1)), rel=1e-4)
+    else:
+        assert depth == pytest.approx(targets[:, 0], abs=PLACE_mm)
+        assert targets.max() < LINEAR_SHARE * design.wall.thickness_mm
+        assert len(moves) == 4 * len(needed)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_the_way_stays_out_of_the_sensor(name: str) -> None:
+    """Between presses the tool's face keeps off wall, rims and bowls; it turns far outside."""
+    design, surface, _ = built(shipped(name))
+    program = program_of(name)
+    moves = moves_of(name, "decoder")
+    at = np.array([move.at for move in moves[1:] if np.isfinite(move.at).all()])
+    turning = np.any(np.abs(np.diff(at[:, 3:], axis=0)) > 1e-9, axis=1)
+    assert np.all(at[:-1][turning][:, 0] == program.safe_mm)
+    reach = np.linalg.norm(np.abs(surface.bounds_mm()).max(axis=0))
+    assert program.safe_mm >= reach + design.wall.rim_flange_mm + program.hover_mm
+    start, end = at[:-1][~turning], at[1:][~turning]
+    share = np.linspace(0.0, 1.0, 7)[:, None, None]
+    path = (start + share * (end - start)).reshape(-1, 6)
+    there = in_sensor(path)
+    foot = surface.chart(there)
+    height = np.sum((there - surface.point(foot)) * surface.normal(foot), axis=1)
+    assert height.min() >= -PLACE_mm
+    hover = there[np.abs(height - program.hover_mm) < 1e-3]
+    assert len(hover) > 0
+
+
+def test_steps_and_targets_of_the_table() -> None:
+    design, _, markers = built(shipped("cylinder60"))
+    program = program_of("cylinder60")
+    rows = list(csv.DictReader(io.StringIO(program_csv(program, markers))))
+    assert [int(row["step"]) for row in rows] == list(range(46 * 12))
+    shell = [row for row in rows if row["run"] == "shell"]
+    decoder = [row for row in rows if row["run"] == "decoder"]
+    assert {row["target_force_N"] for row in shell} == {""}
+    forces = [float(row["target_force_N"]) for row in decoder[:8]]
+    assert forces[0] == pytest.approx(design.training.force_min_N)
+    assert forces[-1] == pytest.approx(design.training.force_max_N)
+    assert [int(r["region"]) for r in decoder] == [
+        int(program.marker[k]) for _, run, k, _ in steps_of(program) if run == "decoder"
+    ]
+    assert {int(row["tool"]) for row in rows} == {1, 2}
+    assert {row["column"] for row in rows} == {"0", "1"}
+    for row in decoder[::40]:
+        assert int(row["region"]) == int(row["row"]) * 16 + int(row["column"])
+    hemisphere = built(shipped("hemisphere"))
+    made = program_csv(program_of("hemisphere"), hemisphere[2])
+    assert {row["row"] for row in csv.DictReader(io.StringIO(made))} == {""}
+
+
+def test_one_force_step_is_the_greatest() -> None:
+    case = copy_of(shipped("plane"), kit={"force_steps": 1, "shell_steps": 1})
+    made = built(case)
+    program = make_program(*made, make_regions(*made))
+    assert program.force_N == pytest.approx([case.training.force_max_N])
+    assert len(program.displacement_mm) == 1
+
+
+E_MPa, NOISE = 2050.0, 0.01
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Log of the shell's run on a softer unit: made up with the shell model, and says so."""
+    folder = tmp_path_factory.mktemp("rig")
+    design = small(
+        layout={"rows": 8, "columns": 8, "height_far_mm": 6.0},
+        kit={"shell_steps": 2},
+    )
+    (folder / "small.toml").write_text(to_toml(design), encoding="utf-8")
+    surface, markers = built(design)[1:]
+    program = make_program(design, surface, markers, make_regions(design, surface, markers))
+    steps = [(n, k, target) for n, run, k, target in steps_of(program) if run == "shell"]
+    number, region, travel = (np.array(values) for values in zip(*steps, strict=True))
+    uv, radius = markers.uv[program.marker[region]], program.radius_mm[region]
+    rows = Measurements(
+        contact_uv=uv,
+        probe_uv=uv,
+        radius_mm=radius,
+        force_N=np.ones(len(uv)),
+        displacement_mm=np.zeros(len(uv)),
+    )
+    factors = partial(receptor_stiffness, design, markers)
+    # On the mesh that the fit takes at draft: this tests the way of the data, not the physics.
+    part = ProbeResponse(surface=surface, rows=rows, around=24, factors=factors)
+    wall = design.wall.thickness_mm
+    per_N = part(wall, design.material.poisson, False).value / E_MPa
+    rng = np.random.default_rng(0)
+    force = travel / per_N * (1.0 + NOISE * rng.standard_normal(len(travel)))
+    log = Log(
+        step=number.astype(np.int64),
+        frame=np.arange(100, 100 + len(number)),
+        time_s=2.5 * np.arange(len(number)),
+        marker=program.marker[region],
+        radius_mm=radius,
+        force_N=force,
+        displacement_mm=travel,
+    )
+    text = log_text(log, name=design.name, note="made up for a test; no rig wrote this")
+    (folder / "log.csv").write_text(text, encoding="utf-8")
+    return folder
+
+
+def test_calibrate_reads_a_log_as_it_is(rig: Path) -> None:
+    words = ("calibrate", "small.toml", "log.csv", "--accuracy", "draft", "--json")
+    out = phytac(*words, "--fix", "thickness", "--fix", "poisson", cwd=rig)
+    assert out.returncode == 0, out.stderr
+    fit = json.loads(out.stdout)
+    assert fit["value"]["modulus"] == pytest.approx(E_MPa, rel=0.02)
+    assert fit["low"]["modulus"] < E_MPa < fit["high"]["modulus"]
+    assert fit["rows"] == len(read_log(rig / "log.csv").step)
+
+
+def test_a_log_comes_back_with_its_frames(rig: Path) -> None:
+    log = read_log(rig / "log.csv")
+    assert "made up" in (rig / "log.csv").read_text().splitlines()[0]
+    assert log.frame.tolist() == list(range(100, 100 + len(log.step)))
+    assert log.time_s == pytest.approx(2.5 * np.arange(len(log.step)))
+    design = small(layout={"rows": 8, "columns": 8, "height_far_mm": 6.0}, kit={"shell_steps": 2})
+    made = built(design)
+    program = make_program(*made, make_regions(*made))
+    check_steps(log, program, made[2].count)
+    marker = {n: int(program.marker[k]) for n, _, k, _ in steps_of(program)}
+    assert [marker[n] for n in log.step.tolist()] == log.marker.tolist()
+    again = log_text(log, name="small")
+    assert again.splitlines()[-1] == (rig / "log.csv").read_text().splitlines()[-1]
+    rows = read_measurements(rig / "log.csv", made[1], made[2], wall_mm=design.wall.thickness_mm)
+    assert rows.force_N == pytest.approx(log.force_N)
+    assert rows.contact_uv == pytest.approx(made[2].uv[log.marker])
+    other = built(shipped("hemisphere"))
+    few = make_program(*other, make_regions(*other))
+    late = Log(**{**vars(log), "step": log.step + 84 * 12})
+    with pytest.raises(InputError, match="of this design"):
+        check_steps(late, few, other[2].count)
+
+
+def test_three_readings_of_one_frame(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    body = (
+        "# step 3, frame 7, 1.5 s\n4,4,0.5,0.01\n9,4,0.6,0.02\n# step 4, frame 8, 2 s\n1,4,1,0.03\n"
+    )
+    path.write_text(log_head("x") + body, encoding="utf-8")
+    log = read_log(path)
+    assert log.step.tolist() == [3, 3, 4]
+    assert log.frame.tolist() == [7, 7, 8]
+    assert log.marker.tolist() == [4, 9, 1]
+    assert log.force_N == pytest.approx([0.5, 0.6, 1.0])
+    swapped = body.replace("4,4,0.5,0.01", "0.5,4,4,0.01")
+    named = log_head("x").replace(
+        "contact_marker,patch_radius_mm,force_N", "force_N,patch_radius_mm,contact_marker"
+    )
+    path.write_text(named + swapped.split("\n9,")[0] + "\n", encoding="utf-8")
+    assert read_log(path).force_N == pytest.approx([0.5])
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("", "no readings"),
+        (log_head("x"), "no readings"),
+        (log_head("x") + "4,4,0.5,0.01\n", "line 4: no line '# step"),
+        ("marker,force_N\n", "line 1: a log has the columns contact_marker"),
+        (log_head("x") + "# step 1, frame 2, 3 s\n4,4,0.5\n", "line 5: 4 numbers"),
+        (log_head("x") + "# step 1, frame 2, 3 s\n4,4,nan,0\n", "line 5: the marker must"),
+        (log_head("x") + "# step 1, frame 2, 3 s\n4.5,4,1,0\n", "line 5: the marker must"),
+        (log_head("x") + "# step 1, frame 2, 3 s\n-1,4,1,0\n", "line 5: the marker must"),
+    ],
+)
+def test_bad_logs_name_the_line(text: str, match: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=match):
+        read_log(path)
+
+
+def test_missing_and_binary_logs(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="check the path"):
+        read_log(tmp_path / "none.csv")
+    (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(InputError, match="not even text"):
+        read_log(tmp_path / "b.csv")

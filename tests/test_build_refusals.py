@@ -1,0 +1,75 @@
+"""Designs that a build refuses or stops at: nothing half-written, one clear reason."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from phytac_design.build import build
+from shapes.errors import DesignError
+from tests.designs import small
+
+
+def quiet(_: str) -> None:
+    """No progress."""
+
+
+REFUSALS = [
+    ({"wall": {"thickness_mm": 31.0}}, "wall"),
+    ({"layout": {"height_far_mm": 31.0}}, "axis|bar"),
+    ({"layout": {"columns": 80}}, "row"),
+    ({"receptor": {"diameter_hole_mm": 2.6}, "switch": {"tip_diameter_mm": 1.0}}, "wall"),
+    ({"camera": {"stand_off_mm": -5.0}}, "camera"),
+    ({"camera": {"stand_off_mm": 5.0}}, "rim"),
+    ({"light": {"bar_radius_mm": 25.0}}, "bar"),
+    ({"switch": {"release_N": 0.6}}, "release"),
+    ({"switch": {"threshold_N": 1000.0}}, "no contact can trip a switch"),
+    ({"training": {"patch_radius_max_mm": 1000.0}}, "larger than the sensor"),
+    ({"layout": {"rows": 2000, "columns": 2000}}, "are 4000000 markers, more than 50000"),
+]
+
+
+@pytest.mark.parametrize(("change", "word"), REFUSALS, ids=lambda v: str(v)[:40])
+def test_impossible_designs_write_nothing(change: dict, word: str, tmp_path: Path) -> None:
+    with pytest.raises(DesignError, match=word):
+        build(small(**change), tmp_path / "x", accuracy="draft", progress=quiet)
+    assert not (tmp_path / "x").exists()
+
+
+def test_markers_that_fuse_stop_the_build_unless_forced(tmp_path: Path) -> None:
+    design = small(name="one", layout={"kind": "straight", "rows": 12, "height_far_mm": 2.0})
+    seen: list[str] = []
+    with pytest.raises(DesignError, match=r"fused with another .* use layout.kind = .*--force"):
+        build(design, tmp_path / "x", accuracy="draft", progress=seen.append)
+    assert not any("shell" in text for text in seen)
+    assert not (tmp_path / "x" / "manifest.json").exists()
+    build(design, tmp_path / "x", accuracy="draft", force=True, progress=quiet)
+    report = json.loads((tmp_path / "x" / "report" / "report.json").read_text())
+    assert report["visibility"]["fused"] > 0
+    assert "verdict bad" in (tmp_path / "x" / "report" / "report.html").read_text()
+
+
+def test_markers_too_small_to_see_are_refused_not_decoded(tmp_path: Path) -> None:
+    design = small(name="far", camera={"stand_off_mm": 2000.0})
+    with pytest.raises(DesignError, match=r"112 markers hidden: .* \(rows 0 to 7"):
+        build(design, tmp_path / "x", accuracy="draft", progress=quiet)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"modulus_MPa": 0.5}, r"or take a rubber of .* MPa; or go on .*--force"),
+        ({"material": "unobtainium"}, r"no data for the rubber 'unobtainium'; known: .*--force"),
+    ],
+)
+def test_switches_that_cannot_be_made_stop_the_build_unless_forced(
+    change: dict, reason: str, tmp_path: Path
+) -> None:
+    design = small(name="unmade", switch=change)
+    with pytest.raises(DesignError, match=reason):
+        build(design, tmp_path / "x", accuracy="draft", progress=quiet)
+    assert not (tmp_path / "x" / "manifest.json").exists()
+    only = ["printing", "bench"]
+    build(design, tmp_path / "x", accuracy="draft", only=only, force=True, progress=quiet)
+    made = {path.name for path in (tmp_path / "x").iterdir()}
+    assert made == {"design.toml", "manifest.json", "shell", "views"}
