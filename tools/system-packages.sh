@@ -7,7 +7,7 @@ python=${PYTHON:-python3.11}
 venv=""
 "$python" -c "import ensurepip" >/dev/null 2>&1 || venv="python3.11-venv"
 needed="$venv libegl1 libgl1 libgl1-mesa-dri libxrender1 libglu1-mesa libxcursor1 libxinerama1 libxft2"
-checkers="calculix-ccx admesh"
+checkers="calculix-ccx admesh poppler-utils"
 missing=""
 for package in $needed $checkers; do
     state=$(dpkg-query -W -f='${Status}' "$package" 2>/dev/null) || state=""
