@@ -20,7 +20,7 @@ from decoder.camera import Camera
 from decoder.estimators import ForceModel
 from decoder.network import ACTIVATIONS, CascadeNetwork
 from decoder.segmentation import ColourModel
-from decoder.switches import TipModel
+from decoder.switches import RED_LEAST_PX, TipModel
 from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import InputError
 
@@ -135,7 +135,14 @@ class Bundle:
     def limits(self) -> list[str]:
         """What this sensor cannot read whatever the frame, each as a sentence; empty for none."""
         out = []
-        unread = np.flatnonzero(~self.tips.readable)
+        hidden = ~self.tips.readable & (self.tips.red_on_px <= RED_LEAST_PX)
+        if hidden.any():
+            out.append(
+                f"{int(hidden.sum())} of {len(self.colour)} switches cannot be seen even when on "
+                f"({named(np.flatnonzero(hidden))}): something stands before their tips, such as "
+                "the light bar"
+            )
+        unread = np.flatnonzero(~self.tips.readable & ~hidden)
         if len(unread):
             out.append(
                 f"{len(unread)} of {len(self.colour)} switches cannot be read well "

@@ -118,6 +118,8 @@ def build(
         timing[stage.name] = float(cache.record(folder)["seconds"])
         reason = stage.gate(context) if stage.gate and not force else ""
         if reason:
+            if not any(out.iterdir()):
+                out.rmdir()
             raise DesignError(
                 f"{reason}; or go on all the same with --force, which marks the report"
             )

@@ -1,6 +1,8 @@
 """Every refusal of a design in one place, before anything is written or computed."""
 
+from phytac_design.fabrication.hardware.assembly import check_hardware
 from phytac_design.layout import Markers
+from phytac_design.mechanics.switch.receptor import rubber_of
 from phytac_design.optics.separability import check_paints
 from phytac_design.optics.sharpness import sharpness
 from phytac_design.optics.view import cameras_of, refuse_swallowed
@@ -25,4 +27,6 @@ def check_design(design: Design) -> tuple[Surface, Markers]:
     for camera in cameras:
         sharpness(design.camera, camera, surface, markers)
     refuse_swallowed(design, surface, markers)
+    rubber_of(design)
+    check_hardware(design, surface)
     return surface, markers

@@ -38,7 +38,7 @@ def switch(
 ) -> None:
     """Design the threshold switch: a soft bowl that snaps at the asked force.
 
-    What is not given is taken from the design's table [switch].
+    What is not given is taken from the design's table of the switch.
     """
     from phytac_design.design_file import load_design
     from phytac_design.mechanics.switch.design import design_switch
@@ -71,7 +71,11 @@ def switch(
     )
     if plot:
         say(f"wrote {write_svg(plot, curve_plot(made))}")
-    minded = warnings(made, printed_wall_mm=loaded.print_rules.wall_min_mm)
+    minded = warnings(made)
+    others = sorted({region.threshold_N for region in own.regions} - {made.threshold_N})
+    if threshold is None and others:
+        asked = ", ".join(f"{other:g}" for other in others)
+        minded.append(f"regions of this design ask for {asked} N besides: see --threshold-N")
     if as_json:
         plain = switch_dict(made) | {"design": loaded.name, "warnings": minded}
         typer.echo(json.dumps(plain, indent=1, ensure_ascii=False))

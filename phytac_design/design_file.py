@@ -213,7 +213,8 @@ def write_new_design(
     for table, change in (changes or {}).items():
         same = change.get("kind", base[table].get("kind")) == base[table].get("kind")
         base[table] = {**base[table], **change} if same else change
-    design = parse_design({**base, "name": name}, f"new design {name!r}")
+    own = {"name": name, "description": f"Made from {source}."}
+    design = parse_design({**base, **own}, f"new design {name!r}")
     if path.exists():
         raise OutputError(f"{path} exists already; choose another name or remove it")
     try:

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from phytac_design.section import Section, assumed
+from phytac_design.section import Section, assumed, refuse_stale
 
 Coordinate = Annotated[float, Field(ge=-500.0, le=500.0)]
 Size = Annotated[float, Field(gt=0.0, le=500.0)]
@@ -99,6 +99,7 @@ class HardwareSection(Section):
         """Put a preset's numbers in the place of fields that are not given."""
         if not isinstance(data, dict):
             return data
+        refuse_stale(data, BOARDS, "board", str(data.get("board", "38x38")))
         return {**BOARDS.get(str(data.get("board", "38x38")), {}), **data}
 
     @model_validator(mode="after")

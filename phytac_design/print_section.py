@@ -5,7 +5,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import model_validator
 
-from phytac_design.section import Section, assumed
+from phytac_design.section import Section, assumed, refuse_stale
 
 PROCESSES: dict[str, dict[str, Any]] = {
     "sla": {
@@ -99,6 +99,7 @@ class PrintSection(Section):
         """Put the process's numbers in the place of fields that are not given."""
         if not isinstance(data, dict):
             return data
+        refuse_stale(data, PROCESSES, "process", str(data.get("process", "sla")))
         return {**PROCESSES.get(str(data.get("process", "sla")), {}), **data}
 
     @model_validator(mode="after")

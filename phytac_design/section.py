@@ -1,5 +1,6 @@
 """What every table of a design file has in common."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -8,6 +9,34 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 def assumed(default: Any, **limits: Any) -> Any:
     """Field that the paper does not state: a default, marked as an assumption everywhere."""
     return Field(default, json_schema_extra={"assumption": True}, **limits)
+
+
+def refuse_stale(
+    data: Mapping[str, Any], presets: Mapping[str, Mapping[str, Any]], field: str, chosen: str
+) -> None:
+    """Refuse a preset whose numbers are all written out as another preset's: it would do nothing.
+
+    Raises
+    ------
+    ValueError
+        With the fields to leave out.
+    """
+    own = presets.get(chosen, {})
+    for name, other in presets.items():
+        differ = [key for key in other if key in own and _plain(other[key]) != _plain(own[key])]
+        stale = [key for key in differ if key in data and _plain(data[key]) == _plain(other[key])]
+        if name != chosen and len(stale) > 1 and 2 * len(stale) > len(differ):
+            raise ValueError(
+                f"{field} = {chosen!r}, but {', '.join(stale)} are written out as those of "
+                f"{name!r}; delete these lines, or give {chosen!r} numbers of your own"
+            )
+
+
+def _plain(value: Any) -> Any:
+    """Lists and tuples alike, whole numbers as floats."""
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return float(value) if isinstance(value, int) else value
 
 
 class Section(BaseModel):

@@ -16,8 +16,30 @@ from phytac_design.design_file import (
 )
 from phytac_design.spec import Design
 from shapes.errors import DesignError, OutputError
+from tests.designs import small
 
 MINIMAL = {"name": "a", "shape": {"kind": "cylinder", "diameter_outer_mm": 60, "length_mm": 120}}
+
+
+@pytest.mark.parametrize(
+    ("table", "change", "field"),
+    [
+        ("print_rules", {"process": "fdm"}, "hole_min_mm"),
+        ("hardware", {"board": "raspberry-pi-v2"}, "board_size_mm"),
+    ],
+)
+def test_presets_that_written_numbers_would_undo_are_refused(
+    table: str, change: dict, field: str
+) -> None:
+    written = small().model_dump(mode="json")
+    with pytest.raises(DesignError, match=f"{field}.* are written out as those of"):
+        parse_design({**written, table: {**written[table], **change}}, "new")
+    made = small(**{table: change})
+    again = parse_design(made.model_dump(mode="json"), "again")
+    assert getattr(again, table) == getattr(made, table)
+    own = {**getattr(made, table).model_dump(mode="json"), "wall_mm": 4.0}
+    if table == "hardware":
+        assert parse_design({**written, table: own}, "own").hardware.wall_mm == 4.0
 
 
 @pytest.mark.parametrize("name", shipped_designs())

@@ -40,7 +40,7 @@ def run(context: Context, folder: Path) -> None:
     def write(name: str, text: str) -> None:
         export_path(folder, f"kit/{name}").write_text(text, encoding="utf-8")
 
-    program = make_program(design, surface, markers, regions)
+    program = make_program(design, surface, markers, regions, bowl_mm=bowl)
     write("program.csv", program_csv(program, markers))
     write("shell.gcode", gcode(program, "shell", name=design.name))
     write("decoder.gcode", gcode(program, "decoder", name=design.name))

@@ -141,6 +141,16 @@ def test_one_force_step_is_the_greatest() -> None:
     assert len(program.displacement_mm) == 1
 
 
+def test_the_decoders_run_stops_before_the_bowls() -> None:
+    made = built(shipped("plane"))
+    program = make_program(*made, make_regions(*made), bowl_mm=1.8)
+    face = float(program.machine_mm[0, 0])
+    for run, stop in (("shell", face), ("decoder", face + 1.8)):
+        text = gcode(program, run, name="x")  # type: ignore[arg-type]  # both are runs
+        (first, *_) = [line for line in text.splitlines() if line.startswith("G1 X")]
+        assert float(first.split()[1][1:]) == pytest.approx(stop, abs=1e-4)
+
+
 E_MPa, NOISE = 2050.0, 0.01
 
 

@@ -248,7 +248,10 @@ def test_command(tmp_path: Path) -> None:
     facts = json.loads(out.stdout)
     assert facts["limit_N"] == pytest.approx(0.4, rel=0.01)
     assert max(facts["curve"]["force_N"]) >= facts["limit_N"] - 1e-4
-    assert any("rigid mold" in text for text in facts["warnings"])
+    assert any("assumed" in text for text in facts["warnings"])
+    path.write_text(to_toml(small(switch={"regions": [{"threshold_N": 0.7, "rows": [0, 1]}]})))
+    out = runner.invoke(app, [str(path)])
+    assert "ask for 0.7 N besides" in out.stderr
     assert (tmp_path / "c.svg").read_text().startswith("<svg")
     late = runner.invoke(app, [str(path), "--plot", str(tmp_path / "c.png")])
     assert isinstance(late.exception, OutputError)

@@ -121,6 +121,17 @@ def test_a_sound_sensor_has_no_limits() -> None:
     assert limits_of(bundle)["fem_unusable_count"] == 0
 
 
+def test_hidden_tips_are_told_from_tips_that_look_alike() -> None:
+    bundle = sound()
+    on, rest = bundle.tips.red_on_px.copy(), bundle.tips.red_rest_px.copy()
+    on[2] = 0.0
+    on[5] = rest[5] = 50.0
+    tips = replace(bundle.tips, red_on_px=on, red_rest_px=rest)
+    hidden, alike = replace(bundle, tips=tips).limits()
+    assert "1 of 12 switches cannot be seen even when on (2)" in hidden
+    assert "1 of 12 switches cannot be read well (5)" in alike
+
+
 def test_limits_name_markers_and_switches() -> None:
     # Noise of one marker's u is in every force that its stiffness reaches.
     bundle = blind(weakened(sound(), 3), 8)

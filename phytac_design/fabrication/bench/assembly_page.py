@@ -84,6 +84,10 @@ def assembly_html(
             "for the pen; the pages seen from outside are wrapped around the shell to check."
         ),
         "Or print shell/shell.3mf in several materials: then nothing is painted.",
+        (
+            "Before the switches are glued: run kit/shell.gcode and fit the wall with "
+            "`phytac calibrate` (kit/README.md)."
+        ),
     ]
     place = [
         (
@@ -101,10 +105,6 @@ def assembly_html(
     ]
     shown = "".join(figure(data, caption) for caption, data in pictures.items())
     calibrate = [
-        (
-            "Before the switches are glued: run kit/shell.gcode and fit the wall with "
-            "`phytac calibrate` (kit/README.md)."
-        ),
         "After assembly: run kit/decoder.gcode for data with the switches in.",
     ]
     grams = (

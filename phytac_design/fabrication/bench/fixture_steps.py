@@ -41,6 +41,11 @@ def fixture_steps(design: Design, hardware: Mapping[str, Any]) -> list[str]:
         f"Print {printed}; tap the holes or set the inserts before assembly.",
         light,
         camera,
+        (
+            "Rim and socket are round: turn the shell until `phytac decode` finds every marker in "
+            "a frame at rest, then tighten. Where the markers repeat around, mark column 0 "
+            "(paint map) on shell and mount first: a frame cannot tell those turns apart."
+        ),
         *(f"Screw {joint}" for joint in joints),
         "Look into the dark sensor beside a lamp: no light from outside may show.",
     ]

@@ -6,6 +6,7 @@ Ratios, times and temperatures are the paper's: A to C 1 : 5 by weight, (A + C) 
 from dataclasses import dataclass
 
 from phytac_design.fabrication.bench.materials import DENSITY_g_cm3
+from phytac_design.mechanics.switch.receptor import rubber_of
 from phytac_design.spec import Design
 
 A_TO_C = 5.0
@@ -65,12 +66,32 @@ def recipe_steps(design: Design, recipe: Recipe) -> list[str]:
         steps += [
             (
                 f"Mix {recipe.silicone_g:.1f} g of silicone by its maker's ratio, degas it, pour "
-                "it over the printed masters to the rim of the tray, let it cure as its maker says."
+                "it over both printed trays (domes, stems) up to their rims, let it cure as its "
+                "maker says. Coat the prints with release agent first: many resins keep silicone "
+                "from curing."
             ),
-            "Lift the silicone off the masters; look for torn stems and filled cavities.",
+            (
+                "Lift both silicone halves off; look for torn pegs. Try how they close on their "
+                "four keys. The hole above each stem is a vent and stays open."
+            ),
         ]
+        fill = (
+            "Lay the dome half down, cavities up, and fill its cavities and the ways around them "
+            "{volume}. Close the stem half on its keys, pressing from the middle outward, until "
+            "rubber stands in every vent; lay a flat plate and about 1 kg on it."
+        )
+        trim = (
+            " Cut what has set in the vents off each stem at the step where it grows thinner "
+            "({step:g} mm in radius): the tip ends there."
+        )
     else:
-        steps.append("Clean the printed plates, spray release agent, close them on their keys.")
+        steps.append("Clean the printed plates and spray release agent on them.")
+        fill = (
+            "Lay the dome plate down, cavities up, and fill its cavities and the ways around them "
+            "{volume}. Press the core plate on its keys until rubber stands in every stem's hole, "
+            "scrape that side, then screw or weight the cap on."
+        )
+        trim = " Open at the channel all around; pull off the thin sheet between the bowls."
     return [
         *steps,
         (
@@ -83,11 +104,12 @@ def recipe_steps(design: Design, recipe: Recipe) -> list[str]:
             f"({AC_TO_B:g} : 1 by weight); stir for 30 s; degas for 1 min. It sets soon: go on "
             "at once."
         ),
-        f"Fill the mold ({recipe.switch_mm3 / 1000.0:.2f} cm³), scrape off what stands over.",
+        fill.format(volume=f"({recipe.switch_mm3 / 1000.0:.2f} cm³ in all)"),
         "Cure at 65 °C for 1 h.",
         (
             f"Demould; the rubber has shrunk by {shrink:.2g} %, which the mold allows for. Sort "
             "the switches by the label beside each cavity."
+            + trim.format(step=design.mold.vent_step_mm)
         ),
         "Paint the end of each stem red; let it dry.",
         (
@@ -99,6 +121,7 @@ def recipe_steps(design: Design, recipe: Recipe) -> list[str]:
 
 def recipe_text(design: Design, recipe: Recipe) -> str:
     """Markdown page of the recipe."""
+    modulus_MPa = rubber_of(design).material.modulus_MPa
     fine = " Weigh A and B to 0.01 g." if min(recipe.a_g, recipe.b_g) < FINE_g else ""
     rows = [
         ("A", recipe.a_g),
@@ -132,4 +155,8 @@ def recipe_text(design: Design, recipe: Recipe) -> str:
         else f"These ratios and times are those of Hei-Cast 8400N; the design names "
         f"{design.switch.material!r}: follow its maker's.",
     ]
+    lines.append(
+        f"The bowls are designed for a modulus of {modulus_MPa:.3g} MPa. This mix is not known to "
+        "give it: thresholds go in proportion. Cast a strip, pull it, and set switch.modulus_MPa."
+    )
     return "\n".join(lines) + "\n"

@@ -134,7 +134,12 @@ def camera_unit(
             node=_camera(design, board, lens, joint),
             material="electronics",
             step_mm=(0.0, 0.0, -25.0),
-            note=f"camera board {hardware.board} with lens",
+            note=(
+                f"camera board {hardware.board} with a lens of "
+                f"{1e-3 * design.camera.focal_px * design.camera.pixel_um:.2f} mm focal length, "
+                f"{design.camera.width_px} x {design.camera.height_px} px of "
+                f"{design.camera.pixel_um:g} um"
+            ),
         ),
     ]
     removed: list[Node] = [opening, *joint.holding()]

@@ -68,8 +68,10 @@ def guide_text(
             "unless the camera's displacements are added."
         ),
         (
-            f"- `decoder.gcode`, with switches: forces of {forces} N; M100 presses on to P "
-            "newtons, holds, and logs."
+            f"- `decoder.gcode`, with switches: stops {program.bowl_mm:.2f} mm above the wall, "
+            f"before the bowls; forces of {forces} N: M100 presses on to P newtons, holds, and "
+            "logs. Mount and connector are on then, so that a collar or plate on a rim serves the "
+            "shell's run only: hold the sensor by its mount."
         ),
         "- `program.csv`: every step of both, with the place and normal in the sensor's frame.",
         "",

@@ -57,6 +57,8 @@ class Program:
         Steps of the decoder's and of the shell's run at every region.
     safe_mm : float
         X at which the sensor may turn.
+    bowl_mm : float
+        How far switches stand out of the wall: the decoder's run stops before them.
     """
 
     marker: IntArray
@@ -72,6 +74,7 @@ class Program:
     displacement_mm: FloatArray
     safe_mm: float
     hover_mm: float
+    bowl_mm: float
     feed_mm_min: float
 
 
@@ -84,8 +87,15 @@ def turned(point_mm: FloatArray, tip_rad: FloatArray, turn_rad: FloatArray) -> F
     return np.column_stack([c * x + s * z, y, c * z - s * x])
 
 
-def make_program(design: Design, surface: Surface, markers: Markers, regions: Regions) -> Program:
-    """Steps at all regions."""
+def make_program(
+    design: Design,
+    surface: Surface,
+    markers: Markers,
+    regions: Regions,
+    *,
+    bowl_mm: float = 0.0,
+) -> Program:
+    """Steps at all regions; ``bowl_mm`` is how far the switches stand out of the wall."""
     kit, training = design.kit, design.training
     point, normal = surface.point(markers.uv[regions.marker]), markers.normal[regions.marker]
     across = np.hypot(normal[:, 0], normal[:, 1])
@@ -112,8 +122,9 @@ def make_program(design: Design, surface: Surface, markers: Markers, regions: Re
         turn_deg=np.degrees(turn),
         force_N=steps,
         displacement_mm=most * np.arange(1, kit.shell_steps + 1) / kit.shell_steps,
-        safe_mm=float(np.ceil(reach + kit.hover_mm)),
+        safe_mm=float(np.ceil(reach + bowl_mm + kit.hover_mm)),
         hover_mm=kit.hover_mm,
+        bowl_mm=bowl_mm,
         feed_mm_min=kit.feed_mm_min,
     )
 
@@ -169,6 +180,8 @@ def gcode(program: Program, run: Run, *, name: str) -> str:
         if kind != run:
             continue
         touch = program.machine_mm[k]
+        # With switches in, the tool stops above their bowls and M100 presses from there.
+        stop = float(touch[0]) + (program.bowl_mm if run == "decoder" else 0.0)
         if k != last:
             if last >= 0:
                 out += _retreat(program, last)
@@ -179,8 +192,8 @@ def gcode(program: Program, run: Run, *, name: str) -> str:
                 f"; region {int(program.marker[k])}",
                 f"G0 X{program.safe_mm:.4f}",
                 "G0 " + _words(program, k),
-                f"G0 X{touch[0] + program.hover_mm:.5f}",
-                f"G1 X{touch[0]:.5f} F{program.feed_mm_min:g}",
+                f"G0 X{stop + program.hover_mm:.5f}",
+                f"G1 X{stop:.5f} F{program.feed_mm_min:g}",
             ]
             last = k
         if run == "shell":
@@ -203,5 +216,5 @@ def _words(program: Program, region: int) -> str:
 
 
 def _retreat(program: Program, region: int) -> list[str]:
-    away = program.machine_mm[region, 0] + program.hover_mm
+    away = program.machine_mm[region, 0] + program.bowl_mm + program.hover_mm
     return [f"G1 X{away:.5f} F{program.feed_mm_min:g}", f"G0 X{program.safe_mm:.4f}"]

@@ -42,7 +42,7 @@ def switch_dict(made: SwitchDesign) -> dict[str, Any]:
     }
 
 
-def warnings(made: SwitchDesign, *, printed_wall_mm: float = 0.0) -> list[str]:
+def warnings(made: SwitchDesign) -> list[str]:
     """What to mind before casting."""
     out = [f"assumed: {made.rubber.assumption}"]
     band = max(made.spread.high_N - made.threshold_N, made.threshold_N - made.spread.low_N)
@@ -50,11 +50,6 @@ def warnings(made: SwitchDesign, *, printed_wall_mm: float = 0.0) -> list[str]:
         out.append(
             f"the threshold spreads from {made.spread.low_N:.3g} to {made.spread.high_N:.3g} N "
             f"with walls ± {made.tolerance.thickness_mm:g} mm: measure and sort, or cast closer"
-        )
-    if made.bowl.thickness_mm < printed_wall_mm:
-        out.append(
-            f"a wall of {made.bowl.thickness_mm:.3g} mm is thinner than the {printed_wall_mm:g} mm "
-            "that the printer builds: cast it in a rigid mold, not off a printed master"
         )
     if made.buckling:
         mode = min(made.buckling, key=lambda n: made.buckling[n])
