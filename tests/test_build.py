@@ -180,7 +180,7 @@ def test_a_spiral_whose_straight_rows_cannot_be_made_is_not_compared(tmp_path: P
         ),
         ({"print_rules": {"gap_min_mm": 0.31}}, {"shell", "step", *FABRICATION}),
         ({"mold": {"land_mm": 0.7}}, FABRICATION),
-        ({"hardware": {"board": "32x32"}}, {"hardware", "printing", "bench"}),
+        ({"hardware": {"wall_mm": 3.5}}, {"hardware", "printing", "bench"}),
         (
             {"training": {"force_max_N": 24.0}},
             {"underload", "resolution", "mesh", "twin", "decoder", "frames"}

@@ -34,7 +34,7 @@ def test_presets_that_written_numbers_would_undo_are_refused(
     written = small().model_dump(mode="json")
     with pytest.raises(DesignError, match=f"{field}.* are written out as those of"):
         parse_design({**written, table: {**written[table], **change}}, "new")
-    made = small(**{table: change})
+    made = parse_design({**MINIMAL, table: change}, "made")
     again = parse_design(made.model_dump(mode="json"), "again")
     assert getattr(again, table) == getattr(made, table)
     own = {**getattr(made, table).model_dump(mode="json"), "wall_mm": 4.0}

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,25 +20,33 @@ from shapes.errors import MissingPartError, NumericalError
 
 PER_LINE = 10
 """Labels per line of a set (Abaqus allows 16, lines of 80 characters fewer)."""
-LIMIT_S = 3600.0
+LIMIT_S = 4.0 * 3600.0
 """Longest run of CalculiX."""
+NO_CCX = "CalculiX (ccx) is not on PATH; apt-get install calculix-ccx"
+TIGHT = (1e-4, 1e-3)
+"""Limits on residual and correction of jobs that are to be a reference."""
+BAND = 0.005
+"""Moduli of elements are rounded to this fraction of the largest."""
 
 
 def write_solid_inp(
     path: Path,
     mesh: SolidMesh,
     *,
-    modulus_MPa: float,
+    modulus_MPa: float | FloatArray,
     poisson: float,
     load: FloatArray,
     name: str,
     large: bool = False,
+    first: float = 0.25,
+    tight: bool = False,
+    everywhere: bool = False,
 ) -> Path:
     """Write a job that ``ccx`` (and Abaqus) runs as it is.
 
     C3D10 in element set SHELL, node sets ALL, TOP, BOTTOM, TIP_i and TIPS (their union), both
     rims held, one *STATIC step with the load as *CLOAD. Displacements of all nodes go to the
-    result file, those of TIPS also to the printed file.
+    result file, those of TIPS also to the printed file, after the last increment.
 
     Parameters
     ----------
@@ -45,28 +54,42 @@ def write_solid_inp(
         File to write.
     mesh : SolidMesh
         Solid mesh of the shell.
-    modulus_MPa, poisson : float
-        Material.
+    modulus_MPa : float or (E,) float
+        Modulus; of each element, it is rounded to ``BAND`` of the largest.
+    poisson : float
+        Poisson's ratio.
     load : (N, 3) float
         Nodal forces, N, e.g. a force times :func:`solid_load.solid_patch_load`.
     name : str
         Title for the heading.
     large : bool
-        Large displacements (NLGEOM), in automatic increments.
+        Large displacements (NLGEOM), in automatic increments, the first of ``first`` of the load.
+    tight : bool
+        Iterate until residual forces are below ``TIGHT[0]`` of the mean force and the correction
+        below ``TIGHT[1]`` of the increment; CalculiX takes 0.005 and 0.01.
+    everywhere : bool
+        Print displacements of all nodes after every increment instead.
     """
     if np.shape(load) != mesh.nodes_mm.shape or not np.all(np.isfinite(load)):
         raise NumericalError(
             f"the load needs three finite forces per node, {mesh.nodes_mm.shape} "
             f"(got {np.shape(load)})"
         )
-    lines = [*inp_mesh(mesh, mesh.sets, name), *inp_material(modulus_MPa, poisson)]
+    lines = [*inp_mesh(mesh, mesh.sets, name), *_materials(modulus_MPa, poisson)]
     lines += ["*BOUNDARY", "TOP, 1, 3", "BOTTOM, 1, 3"]
-    lines += ["*STEP, NLGEOM, INC=200", "*STATIC", "0.25, 1."] if large else ["*STEP", "*STATIC"]
+    lines += (
+        ["*STEP, NLGEOM, INC=200", "*STATIC", f"{first:g}, 1."] if large else ["*STEP", "*STATIC"]
+    )
+    if tight:
+        lines += ["*CONTROLS, PARAMETERS=FIELD", ", ".join(f"{limit:g}" for limit in TIGHT)]
     lines.append("*CLOAD")
     lines += [
         f"{node + 1}, {dof + 1}, {load[node, dof]:.12e}"
         for node, dof in zip(*np.nonzero(load), strict=True)
     ]
+    if everywhere:
+        lines += ["*NODE PRINT, NSET=ALL, FREQUENCY=1", "U"]
+        return write_lines(path, [*lines, "*END STEP"])
     lines += ["*NODE FILE", "U"]
     if mesh.tips:
         lines += [f"*NODE PRINT, NSET=TIPS{', FREQUENCY=200' if large else ''}", "U"]
@@ -86,13 +109,35 @@ def inp_mesh(mesh: Tetrahedra, sets: Mapping[str, IntArray], name: str) -> Itera
         yield ", ".join(map(str, nodes[6:]))
     for key, part in sets.items():
         yield f"*NSET, NSET={key}"
-        labels = (np.sort(part) + 1).tolist()
-        for first in range(0, len(labels), PER_LINE):
-            yield ", ".join(map(str, labels[first : first + PER_LINE]))
+        yield from _labels(part)
     tips = [key for key in sets if key.startswith("TIP_")]
     if tips:
         yield "*NSET, NSET=TIPS"
         yield from tips
+
+
+def _materials(modulus_MPa: float | FloatArray, poisson: float) -> Iterator[str]:
+    """Lines of one material, or of one for each band of the elements' moduli."""
+    if np.ndim(modulus_MPa) == 0:
+        yield from inp_material(float(modulus_MPa), poisson)
+        return
+    values = np.asarray(modulus_MPa, dtype=np.float64)
+    step = BAND * float(values.max())
+    band = np.rint(values / step).astype(np.int64)
+    for k in np.unique(band).tolist():
+        yield f"*ELSET, ELSET=BAND_{k}"
+        yield from _labels(np.flatnonzero(band == k))
+        yield f"*MATERIAL, NAME=RESIN_{k}"
+        yield "*ELASTIC"
+        yield f"{k * step:.9g}, {poisson:.9g}"
+        yield f"*SOLID SECTION, ELSET=BAND_{k}, MATERIAL=RESIN_{k}"
+
+
+def _labels(members: IntArray) -> Iterator[str]:
+    """Lines of a set."""
+    labels = (np.sort(members) + 1).tolist()
+    for first in range(0, len(labels), PER_LINE):
+        yield ", ".join(map(str, labels[first : first + PER_LINE]))
 
 
 def inp_material(modulus_MPa: float, poisson: float) -> Iterator[str]:
@@ -176,7 +221,7 @@ def run_ccx(path: Path) -> list[dict[tuple[str, str], tuple[IntArray, FloatArray
         If it reports an error or does not converge.
     """
     if shutil.which("ccx") is None:
-        raise MissingPartError("CalculiX (ccx) is not on PATH; apt-get install calculix-ccx")
+        raise MissingPartError(NO_CCX)
     run = subprocess.run(
         ["ccx", path.stem],
         cwd=path.parent,
@@ -194,6 +239,53 @@ def run_ccx(path: Path) -> list[dict[tuple[str, str], tuple[IntArray, FloatArray
     return _read_dat(table.read_text())
 
 
+@dataclass(frozen=True, kw_only=True)
+class Convergence:
+    """How a job with increments went.
+
+    Attributes
+    ----------
+    factor : float
+        Share of the load that was reached.
+    increments, iterations : int
+        Converged increments, and iterations of all attempts.
+    residual, correction : float
+        Of the last iteration: largest residual force over the mean force, and largest correction
+        over the increment's largest displacement.
+    """
+
+    factor: float
+    increments: int
+    iterations: int
+    residual: float
+    correction: float
+
+
+def read_convergence(path: Path) -> Convergence:
+    """Read what CalculiX wrote beside a finished job about its increments.
+
+    Raises
+    ------
+    NumericalError
+        If it wrote nothing.
+    """
+    tables = []
+    for suffix, columns in ((".sta", 7), (".cvg", 9)):
+        text = path.with_suffix(suffix).read_text() if path.with_suffix(suffix).exists() else ""
+        rows = [row.split() for row in text.splitlines()]
+        tables.append([row for row in rows if len(row) == columns and row[0].isdigit()])
+    done, tried = tables
+    if not (done and tried):
+        raise NumericalError(f"ccx wrote no increments of {path.name}; was it an NLGEOM job?")
+    return Convergence(
+        factor=float(done[-1][4]),
+        increments=len(done),
+        iterations=len(tried),
+        residual=float(tried[-1][5]) / 100.0,
+        correction=float(tried[-1][6]) / 100.0,
+    )
+
+
 def _read_dat(text: str) -> list[dict[tuple[str, str], tuple[IntArray, FloatArray]]]:
     """Tables of a ``.dat`` file by time."""
     head = re.compile(r"^ *(\w+) \([^)]*\) for set (\S+) and time +(\S+)$", re.MULTILINE)
@@ -209,3 +301,18 @@ def _read_dat(text: str) -> list[dict[tuple[str, str], tuple[IntArray, FloatArra
             table[:, 1:],
         )
     return list(times.values())
+
+
+def ccx_version() -> str:
+    """Version of the CalculiX on PATH.
+
+    Raises
+    ------
+    MissingPartError
+        If there is none.
+    """
+    if shutil.which("ccx") is None:
+        raise MissingPartError(NO_CCX)
+    run = subprocess.run(["ccx", "-v"], capture_output=True, text=True, check=False)
+    found = re.search(r"Version +(\S+)", run.stdout)
+    return found.group(1) if found else "unknown"

@@ -208,7 +208,7 @@ def solid_mesh(
                 gmsh, surface, sizes, design, centres, contact_radius_mm, receptors=receptors
             ),
         )
-    return _with_sets(raw, design, surface, markers, receptors=receptors)
+    return with_sets(raw, design, surface, markers, receptors=receptors)
 
 
 def _size_fields(
@@ -233,7 +233,7 @@ def _size_fields(
         for name, number in zip(names, numbers, strict=True):
             field.setNumber(tags[-1], name, number)
     if receptors:
-        feet, tubes = _tube_parts(gmsh, surface, design)
+        feet, tubes = tube_parts(gmsh, surface, design)
         near = field.add("Distance")
         field.setNumbers(near, "CurvesList", feet)
         field.setNumber(near, "Sampling", 24)
@@ -256,7 +256,7 @@ def _size_fields(
     return int(least)
 
 
-def _tube_parts(gmsh: Any, surface: Surface, design: Design) -> tuple[list[int], list[int]]:
+def tube_parts(gmsh: Any, surface: Surface, design: Design) -> tuple[list[int], list[int]]:
     """Curves on the two faces of the wall that close on a tube or hole; faces below the wall."""
     boxes = {
         dim: [
@@ -278,7 +278,7 @@ def _tube_parts(gmsh: Any, surface: Surface, design: Design) -> tuple[list[int],
     return feet, [tag for (tag, _), d in zip(boxes[2], depth, strict=True) if d > limit]
 
 
-def _with_sets(
+def with_sets(
     raw: Tetrahedra, design: Design, surface: Surface, markers: Markers, *, receptors: bool
 ) -> SolidMesh:
     """Find the end faces, the outer face and the receptors' tips by where the nodes lie."""

@@ -54,7 +54,9 @@ def _gmsh() -> Any:
     return gmsh
 
 
-def tetrahedra(build: Callable[[Any], None], size: Callable[[Any], int]) -> Tetrahedra:
+def tetrahedra(
+    build: Callable[[Any], None], size: Callable[[Any], int], *, extend: bool = True
+) -> Tetrahedra:
     """Mesh what ``build`` makes.
 
     Parameters
@@ -65,6 +67,8 @@ def tetrahedra(build: Callable[[Any], None], size: Callable[[Any], int]) -> Tetr
     size : callable
         Makes mesh-size fields with the Gmsh module handed in, and returns the tag of the one to
         use.
+    extend : bool
+        Whether the sizes of curves also bound those of the faces between them, however far.
 
     Raises
     ------
@@ -80,7 +84,7 @@ def tetrahedra(build: Callable[[Any], None], size: Callable[[Any], int]) -> Tetr
             ("General.Terminal", 0),
             ("General.NumThreads", 1),
             ("Mesh.MeshSizeFromPoints", 0),
-            ("Mesh.MeshSizeExtendFromBoundary", 1),
+            ("Mesh.MeshSizeExtendFromBoundary", int(extend)),
             ("Mesh.RandomSeed", 1),
             ("Mesh.ElementOrder", 2),
             ("Mesh.HighOrderOptimize", 0),

@@ -1,0 +1,229 @@
+"""The twin's shell against the referee: contacts solved by CalculiX on solids of the true CAD.
+
+``python -m benchmarks.twin [--quick] [--parts a,b]``
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csc_matrix
+
+from benchmarks.harness import Table, run_parts
+from benchmarks.referee.contacts import COUNTS, DATA
+from benchmarks.referee.read import Solved, data_file, read_solved
+from benchmarks.referee.solve import Sensor, sensor
+from phytac_design.accuracy import PRESETS
+from phytac_design.mechanics.compliance import point_motion
+from phytac_design.mechanics.large import rotations as rot
+from phytac_design.mechanics.large.batch import solve_batch
+from phytac_design.mechanics.loads import patch_loads
+from phytac_design.mechanics.meshing.mesh import ShellMesh
+from phytac_design.mechanics.solve import ShellModel
+from phytac_design.twin.response import motion_probe
+from phytac_design.twin.shell import truth_shell
+from shapes.arrays import FloatArray, IntArray
+
+SOURCE = "CalculiX NLGEOM, quadratic tetrahedra of the CAD (benchmarks/referee)"
+WORKERS = 2
+QUICK = 4
+"""Contacts of a quick run."""
+AT_N = (5.0, 10.0, 25.0)
+"""Forces at which the gap to linear theory is asked for."""
+GROUPS: tuple[tuple[str, Callable[[Solved], bool]], ...] = (
+    ("all", lambda _: True),
+    ("up to 5 N", lambda item: item.largest_N <= 5.0),
+    ("5 to 12 N", lambda item: 5.0 < item.largest_N <= 12.0),
+    ("12 to 25 N", lambda item: item.largest_N > 12.0),
+    ("one patch on a receptor", lambda item: item.contact.kind == "receptor"),
+    ("one patch anywhere", lambda item: item.contact.kind == "between"),
+    ("near a rim", lambda item: item.contact.kind == "rim"),
+    ("several patches", lambda item: item.contact.kind == "multi"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """Tips of one contact by the shell, beside the referee's.
+
+    Attributes
+    ----------
+    item : Solved
+        The referee's.
+    large_mm, linear_mm : (n, 3) float
+        By large displacements and by linear theory.
+    """
+
+    item: Solved
+    large_mm: FloatArray
+    linear_mm: FloatArray
+
+
+def shell_loads(this: Sensor, mesh: ShellMesh, solved: list[Solved]) -> csc_matrix:
+    """Load of each contact on a shell, (6N, m)."""
+    columns = [
+        patch_loads(mesh, this.surface, item.contact.centres, np.array(item.contact.radius_mm))
+        @ np.array(item.contact.force_N)
+        for item in solved
+    ]
+    return csc_matrix(np.column_stack(columns))
+
+
+def tips_of(this: Sensor, at: FloatArray, *, large: bool) -> FloatArray:
+    """Motion (n, 3) of tips that stand rigidly on the wall, from motion (n, 6) under them."""
+    arm = this.markers.tip_mm - this.markers.mid_mm
+    if not large:
+        return point_motion(at[:, :, None], arm)[:, :, 0]
+    turn = rot.deviation(rot.exponential(at[:, 3:]))
+    return np.asarray(at[:, :3] + np.einsum("nij,nj->ni", turn, arm))
+
+
+def judge(
+    this: Sensor, mesh: ShellMesh, model: ShellModel, solved: list[Solved], workers: int = WORKERS
+) -> list[Judged]:
+    """Solve the referee's contacts on a shell, linear and with large displacements."""
+    probe = motion_probe(mesh, this.markers.uv)
+    loads = shell_loads(this, mesh, solved)
+    linear = model.solve(loads.toarray()).motion
+    out = []
+    for k, sample in enumerate(solve_batch(model, loads, workers=workers)):
+        if sample.motion is None:
+            raise RuntimeError(f"contact {solved[k].index} has no shell solution: {sample.reason}")
+        at = [(probe @ m.ravel()).reshape(-1, 6) for m in (sample.motion, linear[:, :, k])]
+        out.append(
+            Judged(
+                item=solved[k],
+                large_mm=tips_of(this, at[0], large=True),
+                linear_mm=tips_of(this, at[1], large=False),
+            )
+        )
+    return out
+
+
+def gap(found: FloatArray, item: Solved, tips: IntArray | None = None) -> float:
+    """Largest distance of tips (all, or some) from the referee's, in % of its largest motion."""
+    away = np.linalg.norm(found - item.motion_mm, axis=1)
+    return float(100.0 * away[slice(None) if tips is None else tips].max() / item.peak_mm)
+
+
+def bias(found: FloatArray, item: Solved) -> float:
+    """Least-squares scale of the shell's motion over the referee's, less 1, in %."""
+    truth = item.motion_mm
+    return float(100.0 * (np.sum(found * truth) / np.sum(truth * truth) - 1.0))
+
+
+def shell_rows(table: Table, name: str, *, quick: bool) -> None:
+    """Tips of the twin's shell against the referee's, by force and by kind of contact."""
+    this = sensor(name)
+    solved = read_solved(data_file(name), this.design, this.markers)[: QUICK if quick else None]
+    refine = PRESETS["draft" if quick else "standard"].truth_refine
+    mesh, model = truth_shell(this.design, this.surface, refine)
+    judged = judge(this, mesh, model, solved)
+    what = f"{name}: twin's shell (refine {refine}, receptors, large displacements)"
+    for group, chosen in GROUPS:
+        part = [one for one in judged if chosen(one.item)]
+        if not part:
+            continue
+        errors = [gap(one.large_mm, one.item) for one in part]
+        head = f"{what}, tip displacement, {group} ({len(part)} contacts)"
+        for word, value in (("median", np.median(errors)), ("worst", np.max(errors))):
+            table.add(
+                f"{head}: {word} difference",
+                float(value),
+                "% of peak",
+                reference=0.0,
+                source=SOURCE,
+                target="<= 2",
+            )
+        table.add(
+            f"{head}: mean scale of the shell's motion over the referee's, less 1",
+            float(np.mean([bias(one.large_mm, one.item) for one in part])),
+            "%",
+            reference=0.0,
+            source=SOURCE,
+        )
+    every = np.arange(this.markers.count)
+    for label, tips_in in (
+        ("receptors that the referee models with tube and hole", lambda item: item.kept),
+        ("other receptors", lambda item: np.setdiff1d(every, item.kept)),
+    ):
+        errors = [gap(one.large_mm, one.item, tips_in(one.item)) for one in judged]
+        table.add(
+            f"{what}, tip displacement of {label}: worst difference",
+            float(np.max(errors)),
+            "% of peak",
+            reference=0.0,
+            source=SOURCE,
+        )
+    table.add(
+        f"{name}: contacts solved by the referee",
+        len(solved),
+        "contacts",
+        reference=sum(COUNTS[name]),
+        source="the frozen list",
+        target=f">= {50 if name == 'cylinder60' else 20}",
+    )
+
+
+def linear_rows(table: Table, name: str, *, quick: bool) -> None:
+    """How far linear theory is from the referee: the gap between simple model and truth is real."""
+    this = sensor(name)
+    solved = read_solved(data_file(name), this.design, this.markers)
+    alone = [item for item in solved if len(item.contact.uv) == 1]
+    refine = PRESETS["draft" if quick else "standard"].truth_refine
+    mesh, model = truth_shell(this.design, this.surface, refine)
+    for force in AT_N:
+        near = sorted(alone, key=lambda item: abs(item.largest_N - force))[:1]
+        for one in judge(this, mesh, model, near):
+            head = f"{name}: {one.item.largest_N:.4g} N on one patch ({one.item.contact.kind})"
+            for label, found in (("linear", one.linear_mm), ("large", one.large_mm)):
+                table.add(
+                    f"{head}: {label} shell, tip displacement, difference",
+                    gap(found, one.item),
+                    "% of peak",
+                    reference=0.0,
+                    source=SOURCE,
+                )
+                table.add(
+                    f"{head}: {label} shell, peak over the referee's, less 1",
+                    100.0 * (float(np.linalg.norm(found, axis=1).max()) / one.item.peak_mm - 1.0),
+                    "%",
+                    reference=0.0,
+                    source=SOURCE,
+                )
+
+
+def check_rows(table: Table) -> None:
+    """What the referee's own part and mesh cost, as ``benchmarks.referee.check`` measured."""
+    path = DATA / "checks.json"
+    rows: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["rows"]
+    for row in rows:
+        table.add(
+            f"referee: {row['case']}",
+            row["value"],
+            "% of peak",
+            reference=0.0,
+            source=row["source"],
+            target=row.get("target"),
+            note=row.get("note", ""),
+        )
+
+
+def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
+    """Parts of this benchmark."""
+    out: dict[str, Callable[[Table], None]] = {"referee": check_rows}
+    for name in COUNTS:
+        out[f"shell_{name}"] = partial(shell_rows, name=name, quick=quick)
+        out[f"linear_{name}"] = partial(linear_rows, name=name, quick=quick)
+    return out
+
+
+if __name__ == "__main__":
+    run_parts("twin", parts, __doc__ or "")
