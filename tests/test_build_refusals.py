@@ -33,8 +33,10 @@ REFUSALS = [
 
 @pytest.mark.parametrize(("change", "word"), REFUSALS, ids=lambda v: str(v)[:40])
 def test_impossible_designs_write_nothing(change: dict, word: str, tmp_path: Path) -> None:
+    seen: list[str] = []
     with pytest.raises(DesignError, match=word):
-        build(small(**change), tmp_path / "x", accuracy="draft", progress=quiet)
+        build(small(**change), tmp_path / "x", accuracy="draft", progress=seen.append)
+    assert seen == []  # refused before any stage
     assert not (tmp_path / "x").exists()
 
 

@@ -75,10 +75,6 @@ class SwitchDesign:
         """Red that comes out of the end face."""
         return self.snap.stroke_mm - self.space.recess_mm
 
-    def stem_length_mm(self, face_to_end_mm: float) -> float:
-        """Stem from the bowl's underside to the tip, by the way from outer face to end face."""
-        return self.bowl.depth_mm + face_to_end_mm - self.space.recess_mm
-
 
 def design_switch(
     threshold_N: float, rubber: Rubber, space: Space, tolerance: Tolerance | None = None
