@@ -46,6 +46,8 @@ RULES = 1
 NEAR_N = 6.0
 """Up to this force the load is tried in one increment, beyond in ever larger ones from a half."""
 FACTOR_TOL = 1e-6
+SEVERAL = 3
+"""Contacts of more patches are solved after all others."""
 POLL_S = 5.0
 
 
@@ -226,7 +228,8 @@ def keep(name: str, item: Solved) -> int:
 
 def run(name: str, *, limit: int | None, processes: int, minutes: float, pause: Path | None) -> int:
     """Solve what waits; how many failed."""
-    queue = list(waiting(name))[:limit]
+    # The dearest last: a part of the set then has all kinds in it, and is soon there.
+    queue = sorted(waiting(name), key=lambda item: len(item[1].uv) > SEVERAL)[:limit]
     total = len(load_contacts(name))
     print(f"{name}: {len(queue)} of {total} contacts to solve", flush=True)
     end = time.monotonic() + 60.0 * minutes
