@@ -7,6 +7,8 @@ from typing import Any, TypeVar, cast
 
 import numba
 
+THREADS = "PHYTAC_THREADS"
+"""Environment variable that bounds the threads; processes that run side by side set it to 1."""
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 
@@ -16,8 +18,9 @@ def kernel(function: Kernel) -> Kernel:
 
 
 def workers() -> int:
-    """Threads to use: the cores this process may run on, at most eight."""
-    return max(1, min(8, len(os.sched_getaffinity(0))))
+    """Threads to use: ``$PHYTAC_THREADS``, or the cores this process may run on, at most eight."""
+    own = os.environ.get(THREADS, "")
+    return max(1, min(8, int(own) if own.isdigit() else len(os.sched_getaffinity(0))))
 
 
 def in_bands(work: Callable[[int, int], None], rows: int, *, band_rows: int = 0) -> None:

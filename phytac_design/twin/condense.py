@@ -76,7 +76,6 @@ def condense(
         precision.
     """
     slope = camera.jacobian(watched_mm)
-    inward = -np.einsum("nij,nj->ni", slope, normal)
     compliance_px = np.einsum("nij,njm->nim", slope, motion_mm)
     if not np.isfinite(compliance_px).all():
         marker = int(np.flatnonzero(~np.isfinite(compliance_px).all(axis=(1, 2)))[0])
@@ -84,7 +83,8 @@ def condense(
             f"marker {marker}: the shift of its image is not finite: the camera does not see it; "
             "run `phytac check` on the design"
         )
-    sensitivity = np.linalg.norm(inward, axis=1)
+    shift_to_mm, sensitivity = observable(slope, normal)
+    seen = np.flatnonzero(shift_to_mm.any(axis=1))
     scale = np.linalg.norm(slope, ord=2, axis=(1, 2))
     possible = (scale[:, None] * np.abs(motion_mm).max(axis=1)).max(axis=0)
     still = np.abs(compliance_px).max(axis=(0, 1)) <= ALONG_MIN * possible
@@ -94,9 +94,6 @@ def condense(
             f"marker {marker}: pressing it moves no marker's image: the camera looks along its "
             "normal, so its force cannot be read; place more markers beside it"
         )
-    seen = np.flatnonzero(sensitivity > ALONG_MIN * scale)
-    shift_to_mm = np.zeros_like(inward)
-    shift_to_mm[seen] = inward[seen] / sensitivity[seen, None] ** 2
     apparent = np.einsum("ni,nim->nm", shift_to_mm, compliance_px)[np.ix_(seen, seen)]
     condition = float(np.linalg.cond(apparent)) if len(seen) else 1.0
     if not condition < CONDITION_MAX:
@@ -113,3 +110,26 @@ def condense(
         condition=condition,
         sensitivity_px_mm=sensitivity,
     )
+
+
+def observable(slope: FloatArray, normal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What turns pixel shifts into the apparent displacement u.
+
+    Parameters
+    ----------
+    slope : (n, 2, 3) float
+        Jacobian of the camera at the paint, px/mm.
+    normal : (n, 3) float
+        Outward normals.
+
+    Returns
+    -------
+    shift_to_mm, sensitivity_px_mm : (n, 2) and (n,) float
+        See :class:`Condensed`.
+    """
+    inward = -np.einsum("nij,nj->ni", slope, normal)
+    sensitivity = np.linalg.norm(inward, axis=1)
+    seen = sensitivity > ALONG_MIN * np.linalg.norm(slope, ord=2, axis=(1, 2))
+    shift_to_mm = np.zeros_like(inward)
+    shift_to_mm[seen] = inward[seen] / sensitivity[seen, None] ** 2
+    return shift_to_mm, sensitivity
