@@ -97,9 +97,58 @@ def build(
     """
     begin = time.perf_counter()
     stages = select_stages(only)
-    context = Context(design=design, accuracy=PRESETS[accuracy], seed=seed, progress=progress)
     check_design(design)
     _claim(out, design, force=force)
+    try:
+        context, ran, timing = run_stages(
+            design, stages, accuracy=accuracy, seed=seed, force=force, progress=progress
+        )
+    except GateError:
+        if not any(out.iterdir()):
+            out.rmdir()
+        raise
+    _export(out, design, stages, context, accuracy=accuracy, seed=seed)
+    return BuildResult(
+        out=out,
+        ran=tuple(ran),
+        cached=tuple(stage.name for stage in stages if stage.name not in ran),
+        seconds=time.perf_counter() - begin,
+        timing_s=timing,
+    )
+
+
+class GateError(DesignError):
+    """A stage says that nothing should be made of its result."""
+
+
+def run_stages(
+    design: Design,
+    stages: Sequence[Stage],
+    *,
+    accuracy: str,
+    seed: int,
+    force: bool = False,
+    progress: Progress = print,
+) -> tuple[Context, list[str], dict[str, float]]:
+    """Bring stages, in order, into the cache; nothing is exported.
+
+    Returns
+    -------
+    context : Context
+        With the folder of each stage.
+    ran : list of str
+        Stages that were not in the cache.
+    timing_s : dict
+        Seconds that each took when it ran.
+
+    Raises
+    ------
+    GateError
+        If a stage objects to going on and ``force`` is not set.
+    DesignError
+        If the design cannot be built.
+    """
+    context = Context(design=design, accuracy=PRESETS[accuracy], seed=seed, progress=progress)
     keys: dict[str, str] = {}
     ran: list[str] = []
     timing: dict[str, float] = {}
@@ -118,19 +167,8 @@ def build(
         timing[stage.name] = float(cache.record(folder)["seconds"])
         reason = stage.gate(context) if stage.gate and not force else ""
         if reason:
-            if not any(out.iterdir()):
-                out.rmdir()
-            raise DesignError(
-                f"{reason}; or go on all the same with --force, which marks the report"
-            )
-    _export(out, design, stages, context, accuracy=accuracy, seed=seed)
-    return BuildResult(
-        out=out,
-        ran=tuple(ran),
-        cached=tuple(stage.name for stage in stages if stage.name not in ran),
-        seconds=time.perf_counter() - begin,
-        timing_s=timing,
-    )
+            raise GateError(f"{reason}; or go on all the same with --force, which marks the report")
+    return context, ran, timing
 
 
 def _timed(stage: Stage, context: Context) -> Callable[[Path], dict[str, Any]]:
