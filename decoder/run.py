@@ -175,7 +175,7 @@ def locate_markers(bundle: Bundle, frames: Frames) -> tuple[Matched, BoolArray]:
         shows too few markers.
     """
     each = [
-        _locate(bundle, number, image) for number, image in enumerate(frames_of(bundle, frames))
+        locate_in(bundle, number, image) for number, image in enumerate(frames_of(bundle, frames))
     ]
     markers = np.arange(len(bundle.colour))
     position = np.stack([matched.position_px for matched, _ in each])[bundle.read_by, markers]
@@ -183,7 +183,7 @@ def locate_markers(bundle: Bundle, frames: Frames) -> tuple[Matched, BoolArray]:
     return Matched(position_px=position, found=np.isfinite(position[:, 0])), bits
 
 
-def _locate(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Matched, BoolArray]:
+def locate_in(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Matched, BoolArray]:
     """Positions (px) and bits of all markers that one camera shows.
 
     Those that another camera reads take part: their paint is then not mistaken for that of a

@@ -13,7 +13,7 @@ import typer
 # times slower on two.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from phytac_design import cli_mechanics, cli_switch
+from phytac_design import cli_import, cli_mechanics, cli_switch, cli_twin
 from phytac_design.cli_options import DesignArgument, JsonOption, Preset, SeedOption, say
 from shapes.errors import DesignError, PhytacError
 
@@ -233,8 +233,11 @@ for command in (
     cli_mechanics.mesh,
     cli_mechanics.calibrate,
     cli_switch.switch,
+    cli_twin.simulate,
+    cli_twin.scenarios,
 ):
     app.command()(command)
+app.command("import")(cli_import.import_)
 
 
 def main() -> None:

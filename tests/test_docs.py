@@ -30,7 +30,16 @@ def test_commands_of_the_docs_exist() -> None:
     assert named <= known
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/formats.md", "exports/README.md"])
+@pytest.mark.parametrize(
+    "page",
+    [
+        "README.md",
+        "docs/formats.md",
+        "docs/datasets.md",
+        "exports/README.md",
+        "examples/rig/README.md",
+    ],
+)
 def test_links_and_pictures_are_there(page: str) -> None:
     path = ROOT / page
     for target in re.findall(r"\]\(([^)#]+)\)", path.read_text()):

@@ -12,7 +12,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.metadata import version
 from multiprocessing import get_context
@@ -48,6 +48,8 @@ NEAR_N = 6.0
 FACTOR_TOL = 1e-6
 SEVERAL = 3
 """Contacts of more patches are solved after all others."""
+REACHES = (1.0, 1.06, 0.94, 1.12)
+"""Shares of the region with true receptors that are tried in turn."""
 POLL_S = 5.0
 
 
@@ -202,6 +204,31 @@ def solve_contact(
     )
 
 
+def solve_with_patience(name: str, index: int, contact: Contact) -> Solved:
+    """Solve one contact; where the mesher fails at some tangency, with a slightly other region.
+
+    Raises
+    ------
+    NumericalError
+        If no mesh is found, or CalculiX does not reach the full load.
+    """
+    this = sensor(name)
+    sizes = sizes_for(this.design, contact)
+    for reach in REACHES:
+        try:
+            done = solve_contact(
+                name, index, contact, replace(sizes, reach_mm=reach * sizes.reach_mm)
+            )
+        except NumericalError as error:
+            if "cannot mesh" not in str(error) or reach == REACHES[-1]:
+                raise
+            continue
+        return replace(
+            done, facts={**done.facts, "key": input_key(this, contact, sizes), "reach": reach}
+        )
+    raise NumericalError(f"no mesh for contact {index}")
+
+
 def waiting(name: str) -> Iterator[tuple[int, Contact]]:
     """Contacts that are not solved yet, or not with these inputs."""
     this = sensor(name)
@@ -243,7 +270,7 @@ def run(name: str, *, limit: int | None, processes: int, minutes: float, pause: 
             held = pause is not None and pause.exists()
             while queue and len(running) < processes and not held:
                 index, contact = queue.pop(0)
-                running[pool.submit(solve_contact, name, index, contact)] = index
+                running[pool.submit(solve_with_patience, name, index, contact)] = index
             done = wait(running, timeout=POLL_S, return_when=FIRST_COMPLETED)[0]
             if not running:
                 time.sleep(POLL_S)

@@ -9,10 +9,43 @@ fingertip on the ø60 cylinder).
 import numpy as np
 
 from shapes import Surface
-from shapes.arrays import FloatArray
+from shapes.arrays import FloatArray, IntArray
 
 TINY = 1e-300
 """Keeps divisions finite."""
+
+
+def near_pairs(
+    centres: FloatArray, reach: FloatArray, places: FloatArray, sizes: FloatArray
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Pairs (i, j) nearer than reach_i + sizes_j, and their distances, (p,) each.
+
+    In order of i, then j, whatever else is asked for at the same time.
+
+    Parameters
+    ----------
+    centres, places : (m, 3), (n, 3) float
+        Points, mm.
+    reach, sizes : (m,), (n,) float
+        Distances, mm.
+    """
+    from scipy.spatial import cKDTree
+
+    found = [(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))]
+    # Apart by size, or one that reaches far would pair everything with everything.
+    size = np.ceil(np.log2(np.maximum(reach, 1e-3)))
+    for group in np.unique(size):
+        mine = np.flatnonzero(size == group)
+        limit = float(reach[mine].max() + sizes.max(initial=0.0))
+        pairs = cKDTree(centres[mine]).sparse_distance_matrix(
+            cKDTree(places), limit, output_type="ndarray"
+        )
+        i, j = mine[pairs["i"]], pairs["j"].astype(np.int64)
+        near = pairs["v"] <= reach[i] + sizes[j]
+        found.append((i[near], j[near], pairs["v"][near]))
+    i, j, gap = (np.concatenate(part) for part in zip(*found, strict=True))
+    order = np.lexsort((j, i))
+    return i[order], j[order], gap[order]
 
 
 def disc_overlap_share(

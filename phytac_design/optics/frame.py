@@ -4,11 +4,14 @@ Light is linear until the last step: sub-pixels are averaged as a sensor does, t
 sRGB.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from decoder.camera import Camera
-from phytac_design.optics.fill import fill
+from decoder.lens import Perspective
+from phytac_design.optics.fill import View, fill
 from phytac_design.optics.kernels import in_bands, kernel
 from phytac_design.optics.light import triangle_light
 from phytac_design.optics.paint import BACKGROUND, to_linear, to_srgb
@@ -39,27 +42,12 @@ def render_frame(
     samples : int
         Samples per pixel, see ``sample_offsets``.
     """
-    view = project_scene(scene, camera)
-    chosen, offsets = all_pieces(view), sample_offsets(samples)
-    bent = view.rays.shape[0] > 0
-    light = np.concatenate([triangle_light(scene, camera), to_linear(np.array([BACKGROUND]))])
-    light = light[:, ::-1].astype(np.float32)
+    light = render_light(scene, camera, samples=samples)
     encode = to_srgb(np.arange(LEVELS) / (LEVELS - 1.0)).astype(np.float32)
-    frame = np.zeros((camera.height_px, camera.width_px, 3), dtype=np.uint8)
+    frame = np.zeros(light.shape, dtype=np.uint8)
 
     def band(first: int, last: int) -> None:
-        owner = np.zeros((last - first, camera.width_px), dtype=np.int32)
-        inverse = np.zeros(owner.shape)
-        total = np.zeros((*owner.shape, 3), dtype=np.float32)
-        for x, y in offsets:
-            owner[:], inverse[:] = -1, 0.0
-            here = view
-            if bent:
-                rays = ray_grid(camera.lens).rows(first, last, np.array([x, y]))
-                here = view._replace(rays=rays, origin=np.array([0, first]))
-            fill(here, chosen, (0, first, 1, float(x), float(y)), owner, inverse)
-            _add(owner, light, total)
-        _encode(total, encode, float(samples), frame[first:last])
+        _encode(light[first:last], encode, frame[first:last])
 
     in_bands(band, camera.height_px, band_rows=BAND_ROWS)
     if noise_std > 0.0:
@@ -67,6 +55,90 @@ def render_frame(
             raise ValueError("render_frame: noise_std > 0 needs a random generator; pass rng=...")
         frame = add_noise(frame, noise_std, rng)
     return frame
+
+
+def render_light(
+    scene: Scene,
+    camera: Camera,
+    *,
+    light: FloatArray | None = None,
+    lens_mm: FloatArray | None = None,
+    focus_mm: float = np.inf,
+    samples: int = 8,
+) -> NDArray[np.float32]:
+    """Linear light (h, w, 3) on the pixels, BGR: the mean over each pixel's area and the lens.
+
+    Parameters
+    ----------
+    light : (T, 3) float, optional
+        Linear RGB that each triangle sends to the camera; ``triangle_light`` by default.
+    lens_mm : (samples, 2) float, optional
+        Points of the aperture, camera x and y, that the samples look through; its centre (a lens
+        that is sharp everywhere) by default.
+    focus_mm : float
+        Distance of sharp focus: camera z for lenses that image planes sharply, distance from the
+        camera's centre for wide ones.
+    samples : int
+        Samples per pixel, see ``sample_offsets``.
+    """
+    sent = triangle_light(scene, camera) if light is None else light
+    # The last row is the background's.
+    rows: NDArray[np.float32] = np.concatenate([sent, to_linear(np.array([BACKGROUND]))])[
+        :, ::-1
+    ].astype(np.float32)
+    total = np.zeros((camera.height_px, camera.width_px, 3), dtype=np.float32)
+    points = np.zeros((samples, 2)) if lens_mm is None else lens_mm
+    view = None
+    for offset, point in zip(sample_offsets(samples), points, strict=True):
+        if view is None or lens_mm is not None:
+            view = project_scene(through_lens(scene, camera, point, focus_mm), camera)
+            chosen = all_pieces(view)
+        _look(view, chosen, camera, offset, rows, total)
+    total /= np.float32(samples)
+    return total
+
+
+def through_lens(scene: Scene, camera: Camera, point_mm: FloatArray, focus_mm: float) -> Scene:
+    """Scene as it appears through one point (2,) of the aperture, focused at ``focus_mm``.
+
+    The ray from a lens point o to P meets the surface of sharp focus where the camera's centre
+    sees ``P + o (z / focus - 1)``: a shear of space, which keeps planes and depths, and so all that
+    hides what. For a lens that does not image planes sharply z is the distance, and the shear is
+    that of the vertices.
+    """
+    if not np.any(point_mm):
+        return scene
+    seen = camera.to_camera(scene.vertices)
+    flat = isinstance(camera.lens, Perspective)
+    distance = seen[:, 2] if flat else np.linalg.norm(seen, axis=1)
+    across = np.array([*point_mm, 0.0]) @ camera.rotation
+    return replace(
+        scene, vertices=scene.vertices + (distance / focus_mm - 1.0)[:, None] * across[None]
+    )
+
+
+def _look(
+    view: View,
+    chosen: NDArray[np.int32],
+    camera: Camera,
+    offset: FloatArray,
+    light: NDArray[np.float32],
+    total: NDArray[np.float32],
+) -> None:
+    """Add what one sample of every pixel sees to ``total``."""
+    x, y = float(offset[0]), float(offset[1])
+    bent = view.rays.shape[0] > 0
+
+    def band(first: int, last: int) -> None:
+        owner = np.full((last - first, camera.width_px), -1, dtype=np.int32)
+        here = view
+        if bent:
+            rays = ray_grid(camera.lens).rows(first, last, offset)
+            here = view._replace(rays=rays, origin=np.array([0, first]))
+        fill(here, chosen, (0, first, 1, x, y), owner, np.zeros(owner.shape))
+        _add(owner, light, total[first:last])
+
+    in_bands(band, camera.height_px, band_rows=BAND_ROWS)
 
 
 def add_noise(image: ImageArray, std: float, rng: np.random.Generator) -> ImageArray:
@@ -102,13 +174,11 @@ def _add(owner: NDArray[np.int32], light: NDArray[np.float32], total: NDArray[np
 
 
 @kernel
-def _encode(
-    total: NDArray[np.float32], encode: NDArray[np.float32], samples: float, frame: ImageArray
-) -> None:
-    """Write the mean of the samples as 8-bit sRGB."""
-    scale = np.float32((len(encode) - 1) / samples)
+def _encode(light: NDArray[np.float32], encode: NDArray[np.float32], frame: ImageArray) -> None:
+    """Write linear light as 8-bit sRGB."""
+    scale = np.float32(len(encode) - 1)
     for row in range(frame.shape[0]):
         for column in range(frame.shape[1]):
             for channel in range(3):
-                level = int(total[row, column, channel] * scale + np.float32(0.5))
+                level = int(light[row, column, channel] * scale + np.float32(0.5))
                 frame[row, column, channel] = np.uint8(encode[level] + np.float32(0.5))

@@ -3,7 +3,15 @@
 A simple field, derived here: an even part, a part from the camera's side and a part from the bar
 on the axis, each Lambertian (``albedo · |cos|``), without cast shadows or gloss. It keeps the
 chroma of the paints up in the far rows, as the diffuse light inside a pale tube does.
+
+The bar's part may fall off as the light of a strip of finite length does: its points shine with the
+sine of the angle to it, so that from z_0 to z_1 a point at distance r from it, facing it, gets ::
+
+    E ~ ∫ r² dz' / (r² + (z' - z)²)²  =  (G(t_1) - G(t_0)) / r     t_i = (z_i - z) / r
+    G(t) = (t / (1 + t²) + atan t) / 2
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,9 +25,51 @@ EVEN, FROM_CAMERA, FROM_AXIS = 0.4, 0.35, 0.25
 """Shares of the light: from everywhere, from the camera's side, from the bar."""
 
 
-def albedo(scene: Scene) -> FloatArray:
-    """Linear RGB (T, 3) of each triangle's paint."""
+FALL_OFF_MOST = 4.0
+"""Most that a part near the bar gets, over what a median marker does."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Strip:
+    """A light bar as a shining line on the axis.
+
+    Attributes
+    ----------
+    near_mm, far_mm : float
+        Z of its ends.
+    unit_mm : float
+        ``fall_off`` is this times (G(t_1) - G(t_0)) / r: what makes a median marker's 1.
+    """
+
+    near_mm: float
+    far_mm: float
+    unit_mm: float
+
+    @classmethod
+    def lighting(cls, points_mm: FloatArray, *, near_mm: float, far_mm: float) -> "Strip":
+        """Strip whose light is 1 at the median of points (n, 3)."""
+        plain = cls(near_mm=near_mm, far_mm=far_mm, unit_mm=1.0)
+        median = float(np.median(plain.at(points_mm)))
+        return cls(near_mm=near_mm, far_mm=far_mm, unit_mm=1.0 / median)
+
+    def at(self, points_mm: FloatArray) -> FloatArray:
+        """Light (n,) at points (n, 3) that face the strip, over that at a median marker."""
+        distance = np.maximum(np.linalg.norm(points_mm[:, :2], axis=1), 1e-6)
+        total = np.zeros(len(points_mm))
+        for end, sign in ((self.far_mm, 1.0), (self.near_mm, -1.0)):
+            t = (end - points_mm[:, 2]) / distance
+            total += sign * 0.5 * (t / (1.0 + t**2) + np.arctan(t))
+        return np.asarray(self.unit_mm * total / distance)
+
+
+def albedo(scene: Scene, paint: FloatArray | None = None) -> FloatArray:
+    """Linear RGB (T, 3) of each triangle's paint.
+
+    ``paint`` (colours + 1, 3), if given, multiplies that of the scene's paints and of red (last).
+    """
     colours = to_linear(np.array([RESIN, PAINTS["red"], *(PAINTS[name] for name in scene.paints)]))
+    if paint is not None:
+        colours[1:] = np.clip(colours[1:] * np.roll(paint, 1, axis=0), 0.0, 1.0)
     marker, tip = paint_owner(scene.part), red_owner(scene.part)
     index = np.zeros(len(scene.part), dtype=np.int64)
     index[tip >= 0] = 1
@@ -31,16 +81,29 @@ def albedo(scene: Scene) -> FloatArray:
     return out
 
 
-def triangle_light(scene: Scene, camera: Camera) -> FloatArray:
-    """Linear RGB (T, 3) that each triangle sends to the camera, both sides alike."""
+def triangle_light(
+    scene: Scene, camera: Camera, *, strip: Strip | None = None, paint: FloatArray | None = None
+) -> FloatArray:
+    """Linear RGB (T, 3) that each triangle sends to the camera, both sides alike.
+
+    Parameters
+    ----------
+    strip : Strip, optional
+        Lets the bar's part of the light fall off; even without.
+    paint : (colours + 1, 3) float, optional
+        See :func:`albedo`.
+    """
     corners = scene.vertices[scene.triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     centre = corners.mean(axis=1)
     back = camera.position_mm - centre
     inward = -centre * np.array([1.0, 1.0, 0.0])
-    shade = EVEN + FROM_CAMERA * _cosine(normal, back) + FROM_AXIS * _cosine(normal, inward)
+    bar = FROM_AXIS * _cosine(normal, inward)
+    if strip is not None:
+        bar *= np.minimum(strip.at(centre), FALL_OFF_MOST)
+    shade = EVEN + FROM_CAMERA * _cosine(normal, back) + bar
     shade[scene.part == BAR_CODE] = 1.0
-    return albedo(scene) * shade[:, None]
+    return albedo(scene, paint) * shade[:, None]
 
 
 def _cosine(a: FloatArray, b: FloatArray) -> FloatArray:

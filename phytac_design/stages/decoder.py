@@ -39,6 +39,19 @@ def middle_mm(context: Context) -> tuple[float, float]:
     return MIDDLE[0] * length, MIDDLE[1] * length
 
 
+def plain_model(context: Context) -> ForceModel:
+    """Force model of the stage ``response``, without networks."""
+    response = context.arrays("response")
+    return ForceModel(
+        shift_to_mm=response["shift_to_mm"],
+        stiffness=response["stiffness"],
+        compliance_px=response["compliance_px"],
+        height_z_mm=context.markers.mid_mm[:, 2].copy(),
+        neighbours=context.markers.neighbours,
+        networks={},
+    )
+
+
 def run(context: Context, folder: Path) -> None:
     """Write ``decoder/bundle.{json,safetensors}`` and the table of estimators."""
     from decoder.bundle import Bundle, Shown, save_bundle
@@ -49,15 +62,8 @@ def run(context: Context, folder: Path) -> None:
     from phytac_design.twin.judge import judge
 
     design, surface, markers = context.design, context.surface, context.markers
-    response, views, twin = (context.arrays(name) for name in ("response", "views", "twin"))
-    model = ForceModel(
-        shift_to_mm=response["shift_to_mm"],
-        stiffness=response["stiffness"],
-        compliance_px=response["compliance_px"],
-        height_z_mm=markers.mid_mm[:, 2].copy(),
-        neighbours=markers.neighbours,
-        networks={},
-    )
+    views, twin = context.arrays("views"), context.arrays("twin")
+    model = plain_model(context)
     data = Dataset.from_arrays(twin, "train")
     rows = key_node_data(model, data)
     first, second, third = split_samples(data.contacts.samples, seed=context.seed)

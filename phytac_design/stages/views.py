@@ -28,6 +28,11 @@ def write_image(path: Path, image: ImageArray) -> None:
     cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 6])
 
 
+def png_bytes(image: ImageArray) -> bytes:
+    """PNG (BGR) of a camera's frame; little pressed, as noise hardly is."""
+    return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
+
+
 def picture_or_frame(scene: Any, camera: Any) -> tuple[ImageArray, str]:
     """Picture by OpenGL where it works, else the project's own renderer; and which it was."""
     from phytac_design.optics.frame import render_frame

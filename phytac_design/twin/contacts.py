@@ -143,16 +143,20 @@ def _places(
 def _beside(
     surface: Surface, markers: Markers, ids: IntArray, rng: np.random.Generator, jitter_mm: float
 ) -> FloatArray:
-    """Places (m, 2) within ``jitter_mm`` of markers (m,), along and around, within open edges.
+    """Places (m, 2) within ``jitter_mm`` of markers (m,), along and around, within open edges."""
+    step = rng.uniform(-jitter_mm, jitter_mm, size=(len(ids), 2))
+    return beside(surface, markers.uv[ids], step)
+
+
+def beside(surface: Surface, uv: FloatArray, step_mm: FloatArray) -> FloatArray:
+    """Chart positions at steps (m, 2) along and around from ``uv`` (m, 2), within open edges.
 
     Steps are taken in the tangent plane and brought back to the surface, so that they are as
     long at a pole as anywhere.
     """
-    uv, normal = markers.uv[ids], markers.normal[ids]
     along = surface.tangents(uv)[:, 0]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    step = rng.uniform(-jitter_mm, jitter_mm, size=(len(ids), 2))
-    aside = step[:, :1] * along + step[:, 1:] * np.cross(normal, along)
+    aside = step_mm[:, :1] * along + step_mm[:, 1:] * np.cross(surface.normal(uv), along)
     moved = surface.chart(surface.point(uv) + aside)
     low, high = surface.domain.T
     inside = np.clip(moved, low, high)
@@ -173,12 +177,26 @@ def switch_states(
         markers.uv,
         design.switch.footprint_diameter_mm / 2.0,
     )
-    carried = share * contacts.force_N[:, None]
     total = np.zeros((contacts.samples, markers.count))
-    np.add.at(total, contacts.sample, carried)
-    bits = total > thresholds_N(design, markers)
-    owner = np.full((contacts.samples, markers.count), -1, dtype=np.int64)
-    most = np.zeros((contacts.samples, markers.count))
+    np.add.at(total, contacts.sample, share * contacts.force_N[:, None])
+    return share_out(contacts, share, total > thresholds_N(design, markers))
+
+
+def share_out(contacts: Contacts, share: FloatArray, bits: BoolArray) -> Switching:
+    """Who presses the switches that are on, and the truth per receptor.
+
+    Parameters
+    ----------
+    contacts : Contacts
+        c contacts.
+    share : (c, n) float
+        Share of each contact's force on each footprint.
+    bits : (samples, n) bool
+        Switches that are on.
+    """
+    carried = share * contacts.force_N[:, None]
+    owner = np.full(bits.shape, -1, dtype=np.int64)
+    most = np.zeros(bits.shape)
     for index, sample in enumerate(contacts.sample):
         better = bits[sample] & (carried[index] > most[sample])
         owner[sample, better] = index
@@ -188,6 +206,6 @@ def switch_states(
     weight = np.where(mine, carried, 0.0)
     norm = weight.sum(axis=1, keepdims=True)
     parts = contacts.force_N[:, None] * weight / np.where(norm > 0.0, norm, 1.0)
-    truth = np.zeros_like(total)
+    truth = np.zeros(bits.shape)
     np.add.at(truth, contacts.sample, parts)
     return Switching(bits=bits, owner=owner, receptor_force_N=truth, tripped=tripped)

@@ -37,7 +37,7 @@ class Crew:
         ``work(state, index)`` does one sample and gives its facts. A module's function; nothing
         may pass from sample to sample.
     workers : int
-        Processes.
+        Processes; 0 works in the calling one, whatever becomes of it.
     """
 
     start: Callable[..., Any]
@@ -51,6 +51,10 @@ class Crew:
         Errors of ``start`` and ``work`` are raised here.
         """
         todo = list(indices)
+        if self.workers == 0:
+            state = self.start(*self.given) if todo else None
+            yield from ((index, self.work(state, index)) for index in todo)
+            return
         with _one_thread_each():
             done: set[int] = set()
             for index, facts in self._pool(todo, self.workers):

@@ -12,6 +12,7 @@ from scipy.sparse import csr_matrix
 
 from phytac_design.layout import Markers
 from phytac_design.mechanics.compliance import column_turn, probe_loads
+from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.locate import locate
 from phytac_design.mechanics.meshing.mesh import ShellMesh
@@ -97,6 +98,16 @@ def _adjoints(
 def point_motions(motion: FloatArray, arm_mm: FloatArray) -> FloatArray:
     """Translation u + θ x arm of body-fixed points, (…, n, 3) mm, for motion (…, n, 6)."""
     return np.asarray(motion[..., :3] + np.cross(motion[..., 3:], arm_mm))
+
+
+def turned_points(motion: FloatArray, arm_mm: FloatArray) -> FloatArray:
+    """Translation u + (R − 1)·arm of body-fixed points, (…, n, 3) mm, for motion (…, n, 6).
+
+    Motion holds translations (mm) and rotation vectors (rad) of any size. Linear motion, whose
+    rotations are infinitesimal, goes with :func:`point_motions`.
+    """
+    turn = rot.deviation(rot.exponential(motion[..., 3:]))
+    return np.asarray(motion[..., :3] + (turn @ arm_mm[..., None])[..., 0])
 
 
 def superpose(responses: FloatArray, contacts: Contacts) -> FloatArray:

@@ -31,7 +31,7 @@ def die_at_two(_: int, index: int) -> int:
     return index
 
 
-@pytest.mark.parametrize("workers", [1, 3])
+@pytest.mark.parametrize("workers", [0, 1, 3])
 def test_every_sample_is_done_once(workers: int) -> None:
     crew = Crew(start=start, given=(100,), work=work, workers=workers)
     found = list(crew.run([5, 3, 9, 0]))

@@ -65,7 +65,7 @@ def locate(
         raise NumericalError("this mesh does not know its surface; hand the surface to locate too")
     if not np.all(np.isfinite(uv)):
         raise NumericalError("a chart position is not finite (NaN or inf); check the contacts")
-    lost = _outside(surface, uv)
+    lost = outside(surface, uv)
     element, rs = np.zeros(len(uv), dtype=np.int64), np.full((len(uv), 2), np.inf)
     todo = np.flatnonzero(~lost)
     element[todo], rs[todo] = _search(
@@ -85,7 +85,8 @@ def locate(
     return mesh.quads[element], weights
 
 
-def _outside(surface: Surface, uv: FloatArray) -> BoolArray:
+def outside(surface: Surface, uv: FloatArray) -> BoolArray:
+    """Whether chart positions (n, 2) lie beyond an open edge or a pole, (n,)."""
     out = np.zeros(len(uv), dtype=np.bool_)
     for axis in (0, 1):
         if not surface.periodic[axis]:

@@ -1,0 +1,267 @@
+"""A physical camera behind the linear light of a scene: lens, vignetting, electrons, 8 bits, JPEG.
+
+Blur needs no filter: each of a pixel's samples looks through another point of the aperture
+(Haeberli and Akeley 1990), so that what hides what is right for every point of the lens.
+Diffraction is a Gaussian of the Airy disc's core.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from decoder.camera import Camera
+from phytac_design.layout import Markers
+from phytac_design.optics.frame import BAND_ROWS, render_light, sample_offsets
+from phytac_design.optics.kernels import in_bands, kernel
+from phytac_design.optics.paint import to_linear, to_srgb
+from phytac_design.optics.scene import Scene
+from phytac_design.optics.sharpness import sharpness
+from phytac_design.spec import Design
+from shapes import Surface
+from shapes.arrays import FloatArray, ImageArray
+
+WAVELENGTH_um = 0.55
+"""Green light, the middle of what colour cameras see."""
+AIRY = 0.42
+"""Standard deviation of the Gaussian nearest an Airy disc, over wavelength times f-number."""
+MID_GREY = 128.0
+"""Grey level whose noise ``noise_pixel`` is."""
+LEVELS = 1 << 14
+"""Steps of the table that encodes linear light: a quarter of a grey level in the dark."""
+ORDERS = 500
+"""Orders of the lens points that are tried."""
+DARKEST = 1e-4
+"""Least light of vignetting, so that its law stays finite."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exposure:
+    """How light becomes a frame.
+
+    Attributes
+    ----------
+    lens_blur : bool
+        Defocus by depth, and diffraction, of the design's lens; sharp everywhere if not.
+    fall_off : bool
+        The bar's light falls off along it and with the distance from it.
+    vignetting : float
+        Share of the light that is missing in the image's farthest corner.
+    full_well_e : float
+        Electrons of a white pixel, in each colour.
+    read_noise_e : float
+        Standard deviation of the read noise, electrons.
+    noise_pixel : float or None
+        Noise of a mid-grey pixel, grey levels, that shot and read noise are scaled to; None leaves
+        them as the electrons have it.
+    jpeg_quality : int
+        Quality of JPEG compression (4:2:2, as cameras send it); 0 for none.
+    """
+
+    lens_blur: bool = True
+    fall_off: bool = True
+    vignetting: float = 0.1
+    full_well_e: float = 10000.0
+    read_noise_e: float = 3.0
+    noise_pixel: float | None = None
+    jpeg_quality: int = 0
+
+    @property
+    def noise_gain(self) -> float:
+        """Factor on the noise of the electrons."""
+        if self.noise_pixel is None:
+            return 1.0
+        light = float(to_linear(np.array(MID_GREY)))
+        step = float(np.diff(to_linear(np.array([MID_GREY - 0.5, MID_GREY + 0.5])))[0])
+        noise_e = float(np.sqrt(light * self.full_well_e + self.read_noise_e**2))
+        return self.noise_pixel * step * self.full_well_e / noise_e
+
+
+CLEAN = Exposure(lens_blur=False, fall_off=False, vignetting=0.0, noise_pixel=0.0)
+"""A camera without faults."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LensBlur:
+    """The lens of a camera as far as it blurs.
+
+    Attributes
+    ----------
+    aperture_mm : float
+        Diameter.
+    focus_mm : float
+        Distance of sharp focus.
+    diffraction_px : float
+        Standard deviation of the diffraction's Gaussian.
+    """
+
+    aperture_mm: float
+    focus_mm: float
+    diffraction_px: float
+
+    def points_mm(self, count: int) -> FloatArray:
+        """Points (count, 2) of the aperture, spread evenly; as far out, on average, as a disc."""
+        return self.aperture_mm / 2.0 * disc_points(count)
+
+
+@cache
+def disc_points(count: int) -> FloatArray:
+    """Points (count, 2) of the unit disc on Vogel's spiral, with a disc's mean and variance.
+
+    Of many orders that is taken in which they go least with ``sample_offsets``: blur then widens
+    edges by as much as it should, wherever those lie.
+    """
+    if count == 1:
+        return np.zeros((1, 2))
+    index = np.arange(count)
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * index
+    radius = np.sqrt((index + 0.5) / count)
+    points = radius[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+    points -= points.mean(axis=0)
+    # A uniform disc of radius 1 has variance 1/4 each way: whiten to exactly that.
+    spread = np.linalg.cholesky(points.T @ points / count)
+    points = 0.5 * np.linalg.solve(spread, points.T).T
+    rng, offsets = np.random.default_rng(0), sample_offsets(count)
+    orders = [rng.permutation(count) for _ in range(ORDERS)]
+    least = min(orders, key=lambda order: float(np.abs(offsets.T @ points[order]).max()))
+    return np.asarray(points[least])
+
+
+def lens_blur(design: Design, camera: Camera, surface: Surface, markers: Markers) -> LensBlur:
+    """Blur of a design's lens, set as ``sharpness`` says for the nominal ``camera``.
+
+    Raises
+    ------
+    DesignError
+        If nothing is sharp.
+    """
+    section = design.camera
+    found = sharpness(section, camera, surface, markers)
+    # At the near end of the depth of field a point is one pixel wide.
+    wide = 1.0 / (1.0 / found.depth_near_mm - 1.0 / found.focus_mm)
+    return LensBlur(
+        aperture_mm=wide / section.focal_px,
+        focus_mm=found.focus_mm,
+        diffraction_px=AIRY * WAVELENGTH_um * section.f_number / section.pixel_um,
+    )
+
+
+def light_on_chip(
+    scene: Scene, camera: Camera, *, light: FloatArray, blur: LensBlur | None, samples: int = 8
+) -> NDArray[np.float32]:
+    """Linear light (h, w, 3), BGR, on the pixels behind the lens.
+
+    Parameters
+    ----------
+    light : (T, 3) float
+        Linear RGB of each triangle, of ``triangle_light``.
+    blur : LensBlur or None
+        None for a lens that is sharp everywhere.
+    samples : int
+        Samples per pixel, each through another point of the lens.
+    """
+    if blur is None:
+        return render_light(scene, camera, light=light, samples=samples)
+    out = render_light(
+        scene,
+        camera,
+        light=light,
+        lens_mm=blur.points_mm(samples),
+        focus_mm=blur.focus_mm,
+        samples=samples,
+    )
+    if blur.diffraction_px > 0.0:
+        cv2.GaussianBlur(out, (0, 0), blur.diffraction_px, dst=out)
+    return out
+
+
+def expose(
+    light: NDArray[np.float32],
+    camera: Camera,
+    exposure: Exposure,
+    *,
+    brightness: float = 1.0,
+    rng: np.random.Generator | None = None,
+) -> ImageArray:
+    """8-bit frame (h, w, 3), BGR, of the light on the chip.
+
+    Noise is independent in every pixel and colour; a pixel holds ``full_well_e`` at white and no
+    more.
+
+    Parameters
+    ----------
+    light : (h, w, 3) float32
+        See :func:`light_on_chip`; BGR.
+    brightness : float
+        Of the light, over that of the scene.
+    rng : Generator, optional
+        Draws the noise; none without.
+    """
+    height, width = light.shape[:2]
+    gain = exposure.noise_gain if rng is not None else 0.0
+    table = np.rint(to_srgb(np.arange(LEVELS) / (LEVELS - 1.0))).astype(np.uint8)
+    frame = np.zeros(light.shape, dtype=np.uint8)
+    x, y = camera.centre_px
+    corner = max(x, width - 1.0 - x) ** 2 + max(y, height - 1.0 - y) ** 2
+    left = max(1.0 - exposure.vignetting, DARKEST)
+    bend = (left**-0.5 - 1.0) / corner
+    noise = np.zeros((1, 1, 1), dtype=np.float32)
+    if rng is not None and gain > 0.0:
+        noise = rng.standard_normal(light.shape, dtype=np.float32)
+    share = gain / exposure.full_well_e
+    # Variance of the light: shot noise is its own square, over the full well.
+    shot, read = share * gain, (share * exposure.read_noise_e) ** 2
+
+    def band(first: int, last: int) -> None:
+        rows = slice(first, last)
+        own = noise[rows] if len(noise) == height else noise
+        shape = (x, y - first, bend, brightness)
+        _expose(light[rows], own, shape, (shot, read), table, frame[rows])
+
+    in_bands(band, height, band_rows=BAND_ROWS)
+    return compressed(frame, exposure.jpeg_quality) if exposure.jpeg_quality else frame
+
+
+def compressed(frame: ImageArray, quality: int) -> ImageArray:
+    """Frame after a JPEG round trip."""
+    settings = [
+        cv2.IMWRITE_JPEG_QUALITY,
+        quality,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422,
+    ]
+    _, data = cv2.imencode(".jpg", frame, settings)
+    return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.uint8)
+
+
+@kernel
+def _expose(
+    light: NDArray[np.float32],
+    noise: NDArray[np.float32],
+    shape: tuple[float, float, float, float],
+    variance: tuple[float, float],
+    table: ImageArray,
+    frame: ImageArray,
+) -> None:
+    """Vignetting, noise and sRGB.
+
+    ``shape`` is the centre (x, y) px, 1 over the square px where cos⁴ would be a quarter, and the
+    brightness.
+    """
+    x0, y0, bend, brightness = shape
+    shot, read = np.float32(variance[0]), np.float32(variance[1])
+    top = np.float32(len(table) - 1)
+    noisy = noise.shape[0] == light.shape[0] and noise.shape[1] == light.shape[1]
+    for row in range(light.shape[0]):
+        down = (row - y0) ** 2
+        for column in range(light.shape[1]):
+            fall = 1.0 + bend * ((column - x0) ** 2 + down)
+            scale = np.float32(brightness / (fall * fall))
+            for channel in range(3):
+                value = light[row, column, channel] * scale
+                if noisy:
+                    value += np.sqrt(value * shot + read) * noise[row, column, channel]
+                value = min(max(value, np.float32(0.0)), np.float32(1.0))
+                frame[row, column, channel] = table[int(value * top + np.float32(0.5))]

@@ -1,0 +1,98 @@
+"""A simulation: all that its data set depends on."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from typing import Any, Literal
+
+from phytac_design.accuracy import PRESETS, Preset
+from phytac_design.cache import code_hash
+from phytac_design.layout import Markers, make_markers
+from phytac_design.spec import Design
+from phytac_design.twin.draw import make_plan
+from phytac_design.twin.plan import Plan
+from phytac_design.twin.scatter import draw_unit
+from phytac_design.twin.scenario import Scenario
+from phytac_design.twin.unit import Unit
+from shapes import Surface
+
+Keep = Literal["inputs", "points", "frames"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """All that a data set depends on.
+
+    Attributes
+    ----------
+    design : Design
+        The sensor.
+    scenario : Scenario
+        What is done to it, on which virtual unit, and how it is solved and seen.
+    seed : int
+        Of everything random.
+    accuracy : str
+        Preset of the twin's mesh.
+    keep : str
+        ``inputs`` of the network alone, ``points`` (all markers), or ``frames`` as well.
+    """
+
+    design: Design
+    scenario: Scenario
+    seed: int = 0
+    accuracy: Preset = "standard"
+    keep: Keep = "points"
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of the job and of the program."""
+        text = json.dumps([code_hash(), self.plain()], sort_keys=True)
+        return sha256(text.encode()).hexdigest()
+
+    def plain(self) -> dict[str, Any]:
+        """The job as plain values, to hash it and to hand it to other processes."""
+        return {
+            "design": self.design.model_dump(mode="json"),
+            "scenario": self.scenario.model_dump(mode="json"),
+            "seed": self.seed,
+            "accuracy": self.accuracy,
+            "keep": self.keep,
+        }
+
+    @classmethod
+    def of(cls, plain: Mapping[str, Any]) -> "Job":
+        """Undo :meth:`plain`."""
+        return cls(
+            design=Design.model_validate(plain["design"]),
+            scenario=Scenario.model_validate(plain["scenario"]),
+            seed=plain["seed"],
+            accuracy=plain["accuracy"],
+            keep=plain["keep"],
+        )
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The sensing surface."""
+        return self.design.surface()
+
+    @cached_property
+    def markers(self) -> Markers:
+        """The markers as designed."""
+        return make_markers(self.design, self.surface)
+
+    @cached_property
+    def unit(self) -> Unit:
+        """The virtual sensor."""
+        return draw_unit(self.design, self.surface, self.markers, self.scenario.unit, self.seed)
+
+    @cached_property
+    def plan(self) -> Plan:
+        """All samples before they are solved."""
+        return make_plan(self.design, self.surface, self.unit, self.scenario, seed=self.seed)
+
+    @property
+    def refine(self) -> int:
+        """Elements of the twin's mesh per marker pitch."""
+        return PRESETS[self.accuracy].truth_refine

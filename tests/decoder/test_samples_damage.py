@@ -1,0 +1,234 @@
+"""Whatever happens to a data set's files: refused, or the very same numbers."""
+
+import io
+import json
+import zipfile
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from decoder.samples import Samples
+from decoder.samples_read import read_samples
+from decoder.samples_write import table_hash, write_samples
+from shapes.errors import InputError, OutputError
+from tests.decoder.drawn_samples import META, assert_same, drawn
+
+
+def refused_or_same(folder: Path, made: Samples) -> bool:
+    """Whether a data set is refused; if it is not, its numbers must be right."""
+    try:
+        got, meta = read_samples(folder)
+    except InputError as error:
+        return "\n" not in str(error) and str(folder) in str(error)
+    assert_same(got, made, exact=True)
+    assert meta == META
+    return False
+
+
+def sign(folder: Path, **changes: Any) -> None:
+    """Change ``dataset.json``, and make its checksums fit: somebody did it on purpose."""
+    path = folder / "dataset.json"
+    table = json.loads(path.read_text())
+    table |= changes
+    data = (folder / "samples.npz").read_bytes()
+    table["file"] |= {"bytes": len(data), "sha256": sha256(data).hexdigest()}
+    table["checksum"] = table_hash(table)
+    path.write_text(json.dumps(table))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Samples]:
+    folder = tmp_path_factory.mktemp("whole")
+    write_samples(folder, drawn(11), META)
+    return folder, read_samples(folder)[0]
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Samples]:
+    """Large enough that some of its arrays are packed with LZMA."""
+    folder = tmp_path_factory.mktemp("large")
+    write_samples(folder, drawn(11, 140, 10), META)
+    with zipfile.ZipFile(folder / "samples.npz") as file:
+        assert {info.compress_type for info in file.infolist()} == {8, 14}
+    return folder, read_samples(folder)[0]
+
+
+def test_damaged_files_are_refused(large: tuple[Path, Samples], tmp_path: Path) -> None:
+    folder, made = large
+    files = {name: (folder / name).read_bytes() for name in ("samples.npz", "dataset.json")}
+    for name, data in files.items():
+        for other, same in files.items():
+            (tmp_path / other).write_bytes(same)
+        rng = np.random.default_rng(0)
+        refused = 0
+        for offset in rng.choice(len(data), 120, replace=False):
+            broken = bytearray(data)
+            broken[offset] ^= 1 << int(rng.integers(8))
+            (tmp_path / name).write_bytes(broken)
+            refused += refused_or_same(tmp_path, made)
+        for length in np.linspace(0, len(data) - 1, 20).astype(int):
+            (tmp_path / name).write_bytes(data[:length])
+            # A text's last line end says nothing.
+            assert refused_or_same(tmp_path, made) or (
+                name == "dataset.json" and length == len(data) - 1
+            )
+        assert refused == 120 if name == "samples.npz" else refused > 90
+
+
+def test_damaged_arrays_with_right_hashes_are_refused(
+    large: tuple[Path, Samples], tmp_path: Path
+) -> None:
+    """The zip's own checks hold alone: only fields that say nothing of the data may change."""
+    folder, made = large
+    data = (folder / "samples.npz").read_bytes()
+    (tmp_path / "dataset.json").write_bytes((folder / "dataset.json").read_bytes())
+    rng = np.random.default_rng(1)
+    refused = 0
+    for offset in rng.choice(len(data), 150, replace=False):
+        broken = bytearray(data)
+        broken[offset] ^= 1 << int(rng.integers(8))
+        (tmp_path / "samples.npz").write_bytes(broken)
+        sign(tmp_path)
+        refused += refused_or_same(tmp_path, made)
+    assert refused > 120
+    for length in np.linspace(0, len(data) - 1, 20).astype(int):
+        (tmp_path / "samples.npz").write_bytes(data[:length])
+        sign(tmp_path)
+        assert refused_or_same(tmp_path, made)
+
+
+def packed(arrays: dict[str, Any], *, pickles: bool = False, more: bytes = b"") -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, array in arrays.items():
+            part = io.BytesIO()
+            np.lib.format.write_array(part, np.asarray(array), (1, 0), allow_pickle=pickles)
+            file.writestr(f"{name}.npy", part.getvalue() + more)
+    return out.getvalue()
+
+
+BAD: dict[str, tuple[str, Any, str]] = {
+    "dtype": ("light", lambda a: a.astype(np.float32), "light.npy is <f4, expected <f8"),
+    "swapped": ("time_s", lambda a: a.astype(">f8"), "is >f8, expected <f8"),
+    "shape": ("time_s", lambda a: a[:-1], r"has shape \(6,\), expected \(7,\)"),
+    "columns": ("touch_uv", np.asfortranarray, "touch_uv.npy is <f8"),
+    "pickle": ("light", lambda a: a.astype(object), "light.npy is |O, expected"),
+    "not finite": ("touch_force_N", lambda a: a * np.nan, "touch_force_N holds numbers that are"),
+    "negative": ("touch_force_N", lambda a: -a - 1, "must lie within 0 and inf"),
+    "id": ("truth_marker", lambda a: a + 9, "truth_marker points beyond its 9 entries"),
+    "sample id": ("touch_sample", lambda a: a + 7, "points beyond its 7 entries"),
+    "reason id": ("reason_index", lambda a: a + 2, "points beyond its 2 entries"),
+    "touch id": ("truth_touch", lambda a: a + 90, "truth_touch points beyond"),
+    "other's touch": ("truth_touch", lambda a: a * 0 + a.max(), "contacts of other samples"),
+    "status": ("status", lambda a: a + 2, "status must lie within -inf and 2"),
+    "silent": ("status", lambda a: a * 0 + 1, "is flagged without a reason"),
+    "loud": ("status", lambda a: a * 0, "is ok, but a reason speaks against it"),
+    "order": ("touch_sample", lambda a: a[::-1].copy(), "not in the order of the samples"),
+    "double": ("truth_marker", lambda a: a * 0, "double or not in order"),
+    "count": ("contacts", lambda a: a + 1, "contacts does not count the rows"),
+    "half": (
+        "shift_px",
+        lambda a: np.where(np.arange(2) == 1, np.int16(-(2**15)), a),
+        "lacks one of a marker's two",
+    ),
+    "bool": ("bits", lambda a: (a + np.uint8(2)).view(np.bool_), "neither true nor false"),
+    "missing": ("light", lambda _: None, "expected time_s, sequence, light"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_wrong_arrays_are_refused(whole: tuple[Path, Samples], tmp_path: Path, case: str) -> None:
+    name, change, message = BAD[case]
+    arrays = dict(np.load(whole[0] / "samples.npz"))
+    changed = change(arrays[name])
+    arrays = {key: value for key, value in (arrays | {name: changed}).items() if value is not None}
+    (tmp_path / "dataset.json").write_bytes((whole[0] / "dataset.json").read_bytes())
+    (tmp_path / "samples.npz").write_bytes(packed(arrays, pickles=case == "pickle"))
+    sign(tmp_path)
+    with pytest.raises(InputError, match=message):
+        read_samples(tmp_path)
+
+
+TABLES: dict[str, tuple[dict[str, Any], str]] = {
+    "foreign": ({"format": "coco"}, "is not a data set's"),
+    "newer": ({"schema_version": "1.1"}, "has schema 1.1, this version reads 1.0 to 1.0"),
+    "other": ({"schema_version": "2.0"}, "has schema 2.0"),
+    "no version": ({"schema_version": None}, "no readable schema_version"),
+    "counts": ({"counts": {"samples": -1}}, "counts.samples is -1|KeyError"),
+    "huge": (
+        {"counts": dict.fromkeys(
+            ("samples", "markers", "contacts", "truth", "key_nodes", "remarks"), 2**31 - 1
+        )},
+        "GiB of arrays, more than the 16 GiB allowed",
+    ),
+    "words": ({"statuses": ["failed", "ok", "flagged"]}, "statuses are"),
+    "parts": ({"parts": ["samples", "fields"]}, "parts are"),
+    "meta": ({"what": 7}, "7 should be text"),
+    "simulated": ({"simulated": "no"}, "simulated or seed is of another kind"),
+    "frame": ({"frames": {"../../secret.png": "ab"}}, "is no picture of its 7 samples"),
+    "arrays": ({"arrays": {}}, "KeyError"),
+    "reasons": ({"reasons": "abc"}, "'abc' should be a list"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", TABLES)
+def test_wrong_tables_are_refused(whole: tuple[Path, Samples], tmp_path: Path, case: str) -> None:
+    for name in ("samples.npz", "dataset.json"):
+        (tmp_path / name).write_bytes((whole[0] / name).read_bytes())
+    changes, message = TABLES[case]
+    sign(tmp_path, **changes)
+    with pytest.raises(InputError, match=message):
+        read_samples(tmp_path)
+
+
+def test_a_zip_bomb_is_not_unpacked(whole: tuple[Path, Samples], tmp_path: Path) -> None:
+    """A small file that says it holds a gigabyte is refused by its size, before any memory."""
+    (tmp_path / "dataset.json").write_bytes((whole[0] / "dataset.json").read_bytes())
+    arrays = dict(np.load(whole[0] / "samples.npz"))
+    arrays["light"] = np.zeros(2**21)
+    (tmp_path / "samples.npz").write_bytes(packed(arrays))
+    sign(tmp_path)
+    with pytest.raises(InputError, match="unpacks to more than its arrays"):
+        read_samples(tmp_path, bytes_max=2**20)
+    with pytest.raises(InputError, match=r"light\.npy has shape"):
+        read_samples(tmp_path)
+
+
+def test_arrays_longer_than_they_say(whole: tuple[Path, Samples], tmp_path: Path) -> None:
+    (tmp_path / "dataset.json").write_bytes((whole[0] / "dataset.json").read_bytes())
+    arrays = dict(np.load(whole[0] / "samples.npz"))
+    (tmp_path / "samples.npz").write_bytes(packed(arrays, more=b"1"))
+    sign(tmp_path)
+    with pytest.raises(InputError, match=r"time_s\.npy is shorter or longer than its shape"):
+        read_samples(tmp_path)
+
+
+def test_what_is_not_a_data_set(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no data set in .*No such file"):
+        read_samples(tmp_path / "nowhere")
+    (tmp_path / "dataset.json").write_text("[" * 100_000)
+    with pytest.raises(InputError, match="is not JSON"):
+        read_samples(tmp_path)
+    (tmp_path / "dataset.json").write_bytes(b"\xff\xfe")
+    with pytest.raises(InputError, match="is not JSON"):
+        read_samples(tmp_path)
+    (tmp_path / "dataset.json").write_text("[1, 2]")
+    with pytest.raises(InputError, match="is not a data set's"):
+        read_samples(tmp_path)
+    with pytest.raises(OutputError, match="is not a data set's; choose another folder"):
+        write_samples(tmp_path, drawn(0), META)
+    assert (tmp_path / "dataset.json").read_text() == "[1, 2]"
+
+
+def test_missing_arrays_file(whole: tuple[Path, Samples], tmp_path: Path) -> None:
+    (tmp_path / "dataset.json").write_bytes((whole[0] / "dataset.json").read_bytes())
+    with pytest.raises(InputError, match=r"samples.npz cannot be read \(No such file"):
+        read_samples(tmp_path)
+
+
+def test_another_design_is_refused(whole: tuple[Path, Samples]) -> None:
+    with pytest.raises(InputError, match="of the design 'none' with hash abababababab…, expected"):
+        read_samples(whole[0], expect_design_hash="12" * 32)

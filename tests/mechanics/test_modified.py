@@ -1,0 +1,272 @@
+"""The accelerated iteration: the states of Newton's method, and nothing soft or snapped unseen."""
+
+import numpy as np
+import pytest
+from scipy.sparse.linalg import LinearOperator, eigsh
+
+from phytac_design.mechanics.large import modified, resting
+from phytac_design.mechanics.large import rotations as rot
+from phytac_design.mechanics.large.anderson import Anderson
+from phytac_design.mechanics.large.compiled import Elastic
+from phytac_design.mechanics.large.corotational import Configuration, Corotational
+from phytac_design.mechanics.large.estimate import SAFETY, check_linear
+from phytac_design.mechanics.large.follower import pressure_forces
+from phytac_design.mechanics.large.modified import Found, Modified
+from phytac_design.mechanics.large.newton import Loading
+from phytac_design.mechanics.large.path import solve_large
+from phytac_design.mechanics.loads import patch_loads
+from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
+from phytac_design.mechanics.solve import ShellModel, clamped_model
+from phytac_design.mechanics.verification import large_cases
+from shapes import Surface
+from shapes.errors import NumericalError
+from tests.designs import small
+
+SURFACE = small().surface()
+MIDDLE = [30.0, np.pi]
+LIMIT = 0.7408
+"""Limit load of the thick roof at 8 elements a side (its own arc-length path); at 6 nearly."""
+
+
+def tube(thickness: float = 0.8, poisson: float = 0.38) -> tuple[Surface, ShellMesh, ShellModel]:
+    mesh = chart_mesh(SURFACE, thickness_mm=thickness, n_along=14, n_around=40)
+    return SURFACE, mesh, clamped_model(mesh, modulus_MPa=2200.0, poisson=poisson)
+
+
+@pytest.fixture(scope="module")
+def shell() -> tuple[ShellMesh, Modified]:
+    _, mesh, model = tube()
+    return mesh, Modified(model)
+
+
+@pytest.fixture(scope="module")
+def roof() -> tuple[Modified, np.ndarray]:
+    model, load, _ = large_cases.hinged_roof(6, thickness=12.7)
+    return Modified(model), load
+
+
+def pressed(
+    mesh: ShellMesh, uv: list[list[float]], force: list[float], radius: float
+) -> np.ndarray:
+    loads = patch_loads(mesh, SURFACE, np.array(uv), radius)
+    return np.asarray(loads @ np.array(force)).ravel()
+
+
+def apart(a: np.ndarray, b: np.ndarray) -> float:
+    """Largest distance of translations over the peak of ``b``."""
+    return float(
+        np.linalg.norm(a[:, :3] - b[:, :3], axis=1).max() / np.linalg.norm(b[:, :3], axis=1).max()
+    )
+
+
+def exact(model: ShellModel, load: np.ndarray) -> np.ndarray:
+    return solve_large(model, Loading(force=load))[0].state.motion
+
+
+def moved(found: Found) -> np.ndarray:
+    assert found.sample.motion is not None
+    return found.sample.motion
+
+
+@pytest.mark.parametrize("size", [1e-10, 1e-3, 0.1, 0.6])
+def test_the_compiled_forces_are_those_of_the_arrays(size: float) -> None:
+    model = tube()[2]
+    rng = np.random.default_rng(1)
+    count = len(model.nodes_mm)
+    state = Configuration(
+        displacement_mm=size * rng.normal(size=(count, 3)),
+        quaternion=rot.exponential(size * rng.normal(size=(count, 3)))
+        * rng.choice([-1.0, 1.0], size=(count, 1)),  # both are the same rotation
+    )
+    arrays = Corotational(model)
+    wanted = arrays.internal(arrays.local(state))
+    found = Elastic(model).internal(state)
+    np.testing.assert_allclose(found, wanted, atol=1e-11 * np.abs(wanted).max())
+
+
+def test_states_without_a_frame_are_refused() -> None:
+    model = tube()[2]
+    state = Corotational(model).rest()
+    for bad in (np.nan, np.inf):
+        state.displacement_mm[7] = bad
+        with pytest.raises(NumericalError, match="distorted"):
+            Elastic(model).internal(state)
+    # All corners of an element in one place: no rotation fits.
+    state.displacement_mm[7] = 0.0
+    nodes = model.quads[3]
+    state.displacement_mm[nodes] = -model.nodes_mm[nodes]
+    with pytest.raises(NumericalError, match="element 3 "):
+        Elastic(model).internal(state)
+
+
+PRESSES = {
+    "light": ([MIDDLE], [0.05], 5.0),
+    "one": ([MIDDLE], [25.0], 5.0),
+    "pulled": ([MIDDLE], [-25.0], 5.0),
+    "rim": ([[0.4, 1.0]], [25.0], 4.0),
+    "seam": ([[30.0, 0.01], [20.0, 2 * np.pi - 0.3]], [12.0, 9.0], 4.0),
+    "five": ([[10.0, k] for k in (0.5, 1.7, 2.9, 4.0, 5.2)], [25.0, 3.0, 20.0, 8.0, 15.0], 4.0),
+    "strong": ([MIDDLE], [60.0], 6.0),
+}
+
+
+@pytest.mark.parametrize("name", PRESSES)
+def test_the_end_is_newtons(shell: tuple[ShellMesh, Modified], name: str) -> None:
+    mesh, solver = shell
+    load = pressed(mesh, *PRESSES[name])
+    found = solver.solve(load)
+    assert found.sample.status == "ok"
+    assert found.sample.large
+    assert found.guarded == ""
+    gap = apart(moved(found), exact(solver.model, load))
+    assert gap < modified.CONVERGED
+    assert gap < 3.0 * found.error + 1e-9
+    turned = moved(found)[:, 3:] - exact(solver.model, load)[:, 3:]
+    assert np.abs(turned).max() < 3e-4 * np.abs(moved(found)[:, 3:]).max()
+
+
+@pytest.mark.parametrize(
+    ("thickness", "poisson", "force"), [(0.2, 0.38, 0.6), (4.0, 0.38, 400.0), (0.8, 0.499, 20.0)]
+)
+def test_thin_thick_and_near_incompressible_walls(
+    thickness: float, poisson: float, force: float
+) -> None:
+    _, mesh, model = tube(thickness, poisson)
+    load = pressed(mesh, [MIDDLE], [force], 5.0)
+    found = Modified(model).solve(load)
+    assert found.sample.status == "ok"
+    assert apart(moved(found), exact(model, load)) < modified.CONVERGED
+
+
+def test_past_a_limit_point_no_state_passes_for_good(roof: tuple[Modified, np.ndarray]) -> None:
+    solver, load = roof
+    for share in (-0.5, 0.5, 0.95, 1.05):
+        force = share * LIMIT * load
+        found = solver.solve(force)
+        if share > 1.0:
+            assert found.sample.status != "ok", share
+        else:
+            assert found.sample.status == "ok", share
+            assert apart(moved(found), exact(solver.model, force)) < modified.CONVERGED
+        assert bool(found.guarded) == (share > 0.9), share
+
+
+def squeeze(mesh: ShellMesh, model: ShellModel) -> tuple[np.ndarray, float]:
+    """Dead pressure all around, and the share of it at which the tube buckles by linear theory."""
+    load = -0.2 * pressure_forces(model.nodes_mm, model.quads)
+    shell, factor = Corotational(model), model.factor
+    free = np.flatnonzero(~model.fixed.ravel())
+    first = model.solve(load).motion.ravel()
+    tangent = shell.tangent(shell.local(shell.rest().moved(1e-4 * first)))
+    stress = (tangent - model.stiffness)[free][:, free] / 1e-4
+    size = (len(free), len(free))
+    inverse = LinearOperator(
+        size, dtype=float, matvec=lambda b: factor.scale * factor.backend.solve(factor.scale * b)
+    )
+    K = model.stiffness[free][:, free]
+    least = eigsh(
+        0.5 * (stress + stress.T), 1, K, Minv=inverse, which="SA", return_eigenvectors=False
+    )
+    return load, float(-1.0 / least[0])
+
+
+def test_buckling_that_linear_theory_does_not_foresee(shell: tuple[ShellMesh, Modified]) -> None:
+    """Even pressure: the motion stays linear to the very load at which the tube buckles."""
+    mesh, solver = shell
+    load, critical = squeeze(mesh, solver.model)
+    seen = {}
+    for share in (0.2, 0.7, 0.9, 1.3):
+        force = share * critical * load
+        assert SAFETY * check_linear(solver.model, force).error < 0.1
+        seen[share] = solver.solve(force, tolerance=0.1)
+    assert not seen[0.2].sample.large
+    assert seen[0.2].softest == pytest.approx(0.8, abs=0.05)
+    assert seen[0.7].sample.large
+    assert seen[0.7].softest == pytest.approx(0.3, abs=0.05)
+    assert seen[0.9].sample.large
+    assert seen[0.9].softest == pytest.approx(0.1, abs=0.05)
+    assert seen[1.3].guarded
+    assert seen[1.3].sample.status == "flagged"
+    assert "unstable" in seen[1.3].sample.reason
+
+
+def test_auto_takes_linear_theory_where_it_will_do(shell: tuple[ShellMesh, Modified]) -> None:
+    mesh, solver = shell
+    for force in (0.5, 12.0):
+        load = pressed(mesh, [MIDDLE], [force], 5.0)
+        check = check_linear(solver.model, load)
+        for tolerance in (0.003, 0.03, 0.3):
+            found = solver.solve(load, tolerance=tolerance)
+            assert found.linear_error == pytest.approx(check.error, rel=2e-3)
+            assert found.sample.large == (check.error * SAFETY > tolerance)
+            if not found.sample.large:
+                np.testing.assert_array_equal(moved(found), check.motion)
+                assert apart(moved(found), exact(solver.model, load)) < tolerance
+
+
+def test_same_bits_whatever_came_before(shell: tuple[ShellMesh, Modified]) -> None:
+    mesh, solver = shell
+    loads = [pressed(mesh, *PRESSES[name]) for name in ("one", "five", "rim")]
+    forward = [moved(solver.solve(load)) for load in loads]
+    other = Modified(tube()[2])
+    backward = [moved(other.solve(load)) for load in loads[::-1]][::-1]
+    for a, b in zip(forward, backward, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_no_load_and_no_number(shell: tuple[ShellMesh, Modified]) -> None:
+    _, solver = shell
+    load = np.zeros(solver.model.fixed.size)
+    found = solver.solve(load)
+    assert found.sample.status == "ok"
+    assert not found.sample.large
+    assert not moved(found).any()
+    held = load.copy()
+    held[solver.model.fixed.ravel()] = 5.0
+    assert not moved(solver.solve(held)).any()
+    for bad, why in ((np.nan, "not finite"), (1e300, "")):
+        load[600] = bad
+        found = solver.solve(load)
+        assert found.sample.status == "failed"
+        assert found.sample.motion is None
+        assert found.sample.reason
+        assert why in found.sample.reason
+    assert solver.solve(np.zeros(5)).sample.status == "failed"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("ITERATIONS", 2), ("TURNED", 1e-3), ("SOFT", 2.0), ("STRAY", 1e-6)]
+)
+def test_what_is_not_vouched_for_goes_the_guarded_way(
+    shell: tuple[ShellMesh, Modified], monkeypatch: pytest.MonkeyPatch, name: str, value: float
+) -> None:
+    mesh, solver = shell
+    load = pressed(mesh, *PRESSES["one"])
+    monkeypatch.setattr(modified, name, value)
+    found = solver.solve(load)
+    assert found.guarded
+    assert found.sample.status == "ok"
+    np.testing.assert_array_equal(moved(found), exact(solver.model, load))
+
+
+def test_a_coarse_factor_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, mesh, model = tube()
+    load = pressed(mesh, *PRESSES["one"])
+    half = Modified(model).solve(load)
+    monkeypatch.setattr(resting, "SINGLE", 0.0)
+    full = Modified(model).solve(load)
+    assert np.abs(moved(half) - moved(full)).max() > 0.0
+    assert apart(moved(half), moved(full)) < 1e-6
+
+
+def test_acceleration_solves_a_linear_system() -> None:
+    """As many steps as distinct eigenvalues: it is a Krylov method."""
+    rng = np.random.default_rng(2)
+    Q = np.linalg.qr(rng.normal(size=(60, 60)))[0]
+    A = (Q * np.repeat([0.3, 1.0, 2.5, 9.0], 15)) @ Q.T
+    b, x = rng.normal(size=60), np.zeros(60)
+    steps = Anderson()
+    for _ in range(6):
+        r = b - A @ x
+        x = steps.next(x, r, r, 0.5)
+    assert np.linalg.norm(b - A @ x) < 1e-9 * np.linalg.norm(b)

@@ -1,0 +1,239 @@
+"""The simulation as a whole: the same data however it is made, resumed, refused, and told."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from decoder.run import read_image
+from decoder.samples import STATUSES, Samples
+from decoder.samples_read import read_samples
+from decoder.samples_write import FILE, TABLE
+from phytac_design.cli import app
+from phytac_design.design_file import to_toml
+from phytac_design.simulate import Result, simulate
+from phytac_design.twin.job import Job
+from phytac_design.twin.journal import WORK, Journal
+from phytac_design.twin.scenario import Scenario, load_scenario, parse_scenario
+from shapes.errors import DesignError, OutputError
+from tests.designs import small
+
+SMALL = small(
+    training={"samples": 20}, camera={"width_px": 864, "height_px": 648, "focal_px": 323.0}
+)
+
+
+def scenario(**tables: Any) -> Scenario:
+    """The smoke scenario with some fields changed."""
+    data = load_scenario("smoke").model_dump(mode="json", exclude_unset=True)
+    for table, fields in tables.items():
+        data[table] = {**data.get(table, {}), **fields}
+    return parse_scenario(data, "smoke")
+
+
+def job_of(**changes: Any) -> Job:
+    """A job of few samples on a coarse mesh."""
+    tables = {"touch": {"samples": 6}, **changes.pop("tables", {})}
+    base = Job(design=SMALL, scenario=scenario(**tables), seed=3, accuracy="draft")
+    return replace(base, **changes)
+
+
+def run(job: Job, out: Path, **settings: Any) -> Result:
+    """Simulate quietly."""
+    return simulate(job, out, progress=lambda _: None, **settings)
+
+
+def files(out: Path) -> dict[str, bytes]:
+    """All files of a data set."""
+    return {
+        path.relative_to(out).as_posix(): path.read_bytes()
+        for path in sorted(out.rglob("*"))
+        if path.is_file()
+    }
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set made by one process without a break."""
+    out = tmp_path_factory.mktemp("whole") / "data"
+    assert run(job_of(), out, workers=0).solved == 6
+    return out
+
+
+def read(out: Path) -> Samples:
+    """Samples of a data set."""
+    return read_samples(out, check_frames=True)[0]
+
+
+def test_the_data_do_not_depend_on_the_number_of_processes(whole: Path, tmp_path: Path) -> None:
+    run(job_of(), tmp_path / "two", workers=2)
+    assert files(tmp_path / "two") == files(whole)
+    assert set(files(whole)) == {TABLE, FILE}
+
+
+def test_samples_hold_what_was_pressed_and_what_was_seen(whole: Path) -> None:
+    samples, meta = read_samples(whole)
+    plan = job_of().plan
+    assert meta.simulated
+    assert "simulated" in meta.what
+    assert set(samples.status.tolist()) == {0}
+    assert samples.touches is not None
+    np.testing.assert_allclose(samples.touches.force_N, plan.touches.force_N)
+    assert samples.shift_px is not None
+    moved = np.linalg.norm(samples.shift_px, axis=2)
+    assert (np.nanmax(moved, axis=1)[samples.contacts > 0] > 4.0 * np.nanmedian(moved)).all()
+    assert samples.truth is not None
+    total = np.zeros(samples.count)
+    np.add.at(total, samples.truth.sample, samples.truth.force_N)
+    tripped = np.zeros(samples.count)
+    np.add.at(tripped, plan.touches.sample, plan.touches.force_N * plan.switching.tripped)
+    np.testing.assert_allclose(total, tripped, rtol=1e-6, atol=1e-6)
+
+
+def test_another_seed_and_another_print_give_other_data(whole: Path, tmp_path: Path) -> None:
+    run(job_of(seed=4, tables={"touch": {"samples": 2}}), tmp_path / "seed", workers=0)
+    run(job_of(tables={"unit": {"number": 2}}), tmp_path / "print", workers=0)
+    first, print_two = read(whole), read(tmp_path / "print")
+    assert first.shift_px is not None
+    assert print_two.shift_px is not None
+    assert read(tmp_path / "seed").total_N[0] != first.total_N[0]
+    np.testing.assert_array_equal(first.total_N, print_two.total_N)
+    apart = np.abs(first.shift_px - print_two.shift_px)
+    assert 0.05 < np.nanmax(apart) < np.nanmax(np.abs(first.shift_px))
+
+
+def test_a_journal_half_done_is_finished_and_damage_is_mended(whole: Path, tmp_path: Path) -> None:
+    out = tmp_path / "data"
+    job = job_of()
+    with pytest.raises(_StopError):
+        simulate(job, out, workers=0, progress=_stop_after(3))
+    done = sorted((out / WORK).glob("*/*.bin"))
+    assert 3 <= len(done) < 6
+    done[0].write_bytes(done[0].read_bytes()[:-7])
+    said: list[str] = []
+    result = simulate(job, out, workers=0, progress=said.append)
+    assert result.solved == 6 - len(done) + 1
+    assert any(f"{len(done) - 1} of 6 samples were done before" in line for line in said)
+    assert files(out) == files(whole)
+
+
+class _StopError(Exception):
+    pass
+
+
+def _stop_after(count: int) -> Any:
+    def progress(text: str) -> None:
+        done = int(text.split()[1]) if " of 6 samples" in text else 0
+        if done >= count:
+            raise _StopError
+
+    return progress
+
+
+@pytest.fixture(autouse=True)
+def _often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Progress after every sample."""
+    monkeypatch.setattr("phytac_design.simulate.SAY_S", 0.0)
+
+
+def test_a_killed_command_goes_on_and_gives_the_same_files(whole: Path, tmp_path: Path) -> None:
+    design = tmp_path / "small.toml"
+    design.write_text(to_toml(SMALL))
+    out = tmp_path / "data"
+    command = [
+        str(Path(sys.executable).parent / "phytac"), "simulate", str(design), "smoke",
+        "--samples", "6", "--seed", "3", "--accuracy", "draft", "--workers", "2",
+        "--out", str(out),
+    ]  # fmt: skip
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    end = time.monotonic() + 120.0
+    while not list((out / WORK).glob("*/*.bin")) and time.monotonic() < end:
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    assert not (out / TABLE).exists()
+    done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
+    facts = json.loads(done.stdout)
+    assert 0 < facts["solved"] < 6
+    assert "were done before" in done.stderr
+    assert files(out) == files(whole)
+
+
+def test_a_data_set_that_is_there_is_kept_or_refused(whole: Path) -> None:
+    before = files(whole)
+    assert run(job_of(), whole, workers=0).solved == 0
+    with pytest.raises(OutputError, match="another data set"):
+        run(job_of(seed=9), whole)
+    with pytest.raises(DesignError, match="workers"):
+        run(job_of(), whole, workers=-1)
+    assert files(whole) == before
+
+
+def test_force_replaces_a_data_set(tmp_path: Path) -> None:
+    job = job_of(tables={"touch": {"samples": 1}})
+    run(job, tmp_path / "data", workers=0)
+    (tmp_path / "data" / FILE).write_bytes(b"")
+    with pytest.raises(OutputError, match="not whole"):
+        run(job, tmp_path / "data", workers=0)
+    run(job, tmp_path / "data", workers=1, force=True)
+    assert read(tmp_path / "data").count == 1
+
+
+def test_frames_are_kept_and_read_alike(tmp_path: Path) -> None:
+    solve = {"route": "frames", "displacement": "linear"}
+    job = job_of(tables={"solve": solve, "touch": {"samples": 2}}, keep="frames")
+    out = tmp_path / "data"
+    run(job, out, workers=0)
+    samples, meta = read_samples(out, check_frames=True)
+    assert sorted(meta.frames) == ["000000.png", "000001.png"]
+    frame = read_image(out / "frames" / "000001.png")
+    assert frame.shape == (SMALL.camera.height_px, SMALL.camera.width_px, 3)
+    points = job_of(tables={"solve": {"displacement": "linear"}, "touch": {"samples": 2}})
+    run(points, tmp_path / "points", workers=0)
+    other = read(tmp_path / "points")
+    assert samples.shift_px is not None
+    assert other.shift_px is not None
+    noise = SMALL.camera.noise_centroid_px
+    assert np.nanmedian(np.abs(samples.shift_px - other.shift_px)) < 3.0 * noise
+    np.testing.assert_array_equal(samples.bits_read, other.bits_read)
+
+
+def test_inputs_alone_are_the_networks(tmp_path: Path) -> None:
+    job = job_of(keep="inputs")
+    run(job, tmp_path / "data", workers=0)
+    samples = read(tmp_path / "data")
+    assert samples.shift_px is None
+    assert samples.key_nodes is not None
+    assert samples.key_nodes.inputs_mm.shape == (len(samples.key_nodes.sample), 10)
+    assert len(samples.key_nodes.sample) == int(job.plan.switching.bits.sum())
+
+
+def test_a_sample_that_fails_is_told(tmp_path: Path) -> None:
+    at = {"along": 0.5, "around": 0.5, "force_N": 1e4, "radius_mm": 4.0}
+    job = job_of(tables={"touch": {"samples": 1, "at": [at], "multi_share": 0.0}})
+    run(job, tmp_path / "data", workers=0)
+    samples = read(tmp_path / "data")
+    assert STATUSES[samples.status[0]] != "ok"
+    assert samples.why(0)
+
+
+def test_the_command_lists_scenarios_and_refuses_nonsense() -> None:
+    runner = CliRunner()
+    listed = runner.invoke(app, ["scenarios", "--json"])
+    assert listed.exit_code == 0
+    assert {"platform", "grips", "cycles", "rims"} <= set(json.loads(listed.output))
+    refused = runner.invoke(app, ["simulate", "cylinder40", "smoke", "--keep", "frames"])
+    assert isinstance(refused.exception, DesignError)
+
+
+def test_the_journal_is_gone_at_the_end(whole: Path) -> None:
+    assert not Journal(whole).root.exists()
