@@ -1,4 +1,7 @@
-"""The twin's shell against the referee: contacts solved by CalculiX on solids of the true CAD.
+"""The virtual sensor: its shell against CalculiX, its speed, its eyes, its data sets.
+
+The parts ``referee``, ``shell_…`` and ``linear_…`` hold it against contacts solved by CalculiX on
+solids of the true CAD.
 
 ``python -m benchmarks.twin [--quick] [--parts a,b]``
 """
@@ -16,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csc_matrix
 
+from benchmarks import twin_decoders, twin_engine, twin_eyes, twin_theory
 from benchmarks.harness import Table, run_parts
 from benchmarks.referee.contacts import COUNTS, DATA
 from benchmarks.referee.read import Solved, data_file, read_solved
@@ -222,6 +226,21 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     for name in COUNTS:
         out[f"shell_{name}"] = partial(shell_rows, name=name, quick=quick)
         out[f"linear_{name}"] = partial(linear_rows, name=name, quick=quick)
+    out |= {
+        name: partial(rows, quick=quick)
+        for name, rows in (
+            ("theory", twin_theory.add_rows),
+            ("eyes", twin_eyes.add_rows),
+            ("time", twin_engine.time_rows),
+            ("workers", twin_engine.worker_rows),
+            ("kills", twin_engine.kill_rows),
+            ("size", twin_engine.size_rows),
+            ("shapes", twin_engine.shape_rows),
+            ("extremes", twin_engine.extreme_rows),
+            ("corrupt", twin_engine.corrupt_rows),
+            ("decoders", twin_decoders.add_rows),
+        )
+    }
     return out
 
 

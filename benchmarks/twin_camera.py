@@ -24,10 +24,10 @@ from phytac_design.optics.scene import build_scene
 from phytac_design.optics.view import cameras_of, tolerance_mm
 from phytac_design.spec import Design
 from phytac_design.twin.contacts import draw_contacts, switch_states
-from phytac_design.twin.eyes import Eyes
-from phytac_design.twin.nominal import expected_views
 from phytac_design.twin.response import motion_responses, superpose
 from phytac_design.twin.shell import truth_shell
+from phytac_design.twin.sight.eyes import Eyes
+from phytac_design.twin.sight.nominal import expected_views
 from phytac_design.twin.unit import Unit, WallField
 from shapes import Surface
 from shapes.arrays import FloatArray, ImageArray

@@ -18,8 +18,8 @@ from phytac_design.accuracy import Preset
 from phytac_design.build import build
 from phytac_design.design_file import load_design
 from phytac_design.simulate import simulate
-from phytac_design.twin.job import Job
 from phytac_design.twin.judge import contact_forces
+from phytac_design.twin.run.job import Job
 from shapes.arrays import BoolArray, FloatArray
 
 DESIGN = "cylinder60"

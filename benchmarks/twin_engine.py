@@ -19,8 +19,8 @@ from decoder.samples_write import FILE, TABLE
 from phytac_design.accuracy import Preset
 from phytac_design.design_file import load_design, shipped_designs
 from phytac_design.simulate import Result, simulate
-from phytac_design.twin.job import Job
-from phytac_design.twin.scenario import Scenario, load_scenario, parse_scenario
+from phytac_design.twin.run.job import Job
+from phytac_design.twin.scenario.file import Scenario, load_scenario, parse_scenario
 from shapes.errors import InputError, PhytacError
 
 KILLS = 10

@@ -67,7 +67,7 @@ def import_(
 ) -> None:
     """Read your own rig: a log of contacts, and images or video, as a data set."""
     from phytac_design.design_file import load_design
-    from phytac_design.twin.rig import Settings, import_rig
+    from phytac_design.twin.rig.read import Settings, import_rig
 
     done = import_rig(
         load_design(design),

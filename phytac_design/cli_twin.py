@@ -79,8 +79,8 @@ def simulate(
     """
     from phytac_design.design_file import load_design
     from phytac_design.simulate import simulate as run
-    from phytac_design.twin.job import Job
-    from phytac_design.twin.scenario import load_scenario, parse_scenario
+    from phytac_design.twin.run.job import Job
+    from phytac_design.twin.scenario.file import load_scenario, parse_scenario
 
     loaded, wanted = load_design(design), load_scenario(scenario)
     if keep is Keep.frames and (route or wanted.solve.route) != Route.frames:
@@ -126,7 +126,7 @@ def simulate(
 
 def scenarios(as_json: JsonOption = False) -> None:
     """List the shipped scenarios."""
-    from phytac_design.twin.scenario import load_scenario, shipped_scenarios
+    from phytac_design.twin.scenario.file import load_scenario, shipped_scenarios
 
     known = {name: load_scenario(name).description for name in shipped_scenarios()}
     if as_json:

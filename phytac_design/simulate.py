@@ -25,12 +25,12 @@ from phytac_design.check import check_design
 from phytac_design.optics.exposure import Exposure
 from phytac_design.stages.decoder import plain_model
 from phytac_design.stages.views import MARKS, png_bytes
-from phytac_design.twin.collect import gather, meta_of
-from phytac_design.twin.crew import Crew
-from phytac_design.twin.eyes import AtRest, Eyes
-from phytac_design.twin.job import Job
-from phytac_design.twin.journal import Journal, write_whole
-from phytac_design.twin.nominal import expected_views
+from phytac_design.twin.run.collect import gather, meta_of
+from phytac_design.twin.run.crew import Crew
+from phytac_design.twin.run.job import Job
+from phytac_design.twin.run.journal import Journal, write_whole
+from phytac_design.twin.sight.eyes import AtRest, Eyes
+from phytac_design.twin.sight.nominal import expected_views
 from phytac_design.twin.solver import Solver
 from shapes.arrays import FloatArray, ImageArray
 from shapes.errors import DesignError, InputError, OutputError

@@ -21,9 +21,9 @@ from decoder.samples_write import FILE, TABLE
 from phytac_design.cli import app
 from phytac_design.design_file import to_toml
 from phytac_design.simulate import Result, simulate
-from phytac_design.twin.job import Job
-from phytac_design.twin.journal import WORK, Journal
-from phytac_design.twin.scenario import Scenario, load_scenario, parse_scenario
+from phytac_design.twin.run.job import Job
+from phytac_design.twin.run.journal import WORK, Journal
+from phytac_design.twin.scenario.file import Scenario, load_scenario, parse_scenario
 from shapes.errors import DesignError, OutputError
 from tests.designs import small
 

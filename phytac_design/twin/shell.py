@@ -16,7 +16,7 @@ from phytac_design.mechanics.receptors import (
 from phytac_design.mechanics.solve import ShellModel, clamped_model
 from phytac_design.spec import Design
 from phytac_design.twin.plan import Region
-from phytac_design.twin.scatter import wall_factor
+from phytac_design.twin.scenario.scatter import wall_factor
 from phytac_design.twin.unit import Unit
 from shapes import Surface
 from shapes.arrays import FloatArray

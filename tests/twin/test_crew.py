@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from phytac_design.twin.crew import Crew
+from phytac_design.twin.run.crew import Crew
 from shapes.errors import DesignError
 
 
@@ -60,7 +60,7 @@ def test_a_sample_that_kills_its_process_costs_no_other() -> None:
 SCRIPT = """
 import os, sys, time
 from pathlib import Path
-from phytac_design.twin.crew import Crew
+from phytac_design.twin.run.crew import Crew
 folder = Path(sys.argv[1])
 def start(): return None
 def work(_, index):

@@ -10,20 +10,20 @@ from phytac_design.design_file import load_design, shipped_designs
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.footprints import touch_shares
 from phytac_design.spec import Design
-from phytac_design.twin import draw
-from phytac_design.twin.bodies import reach_mm
 from phytac_design.twin.contacts import JITTER_MM, share_out, switch_states
-from phytac_design.twin.draw import make_plan
-from phytac_design.twin.history import Relaxation, felt_force, held_depth
 from phytac_design.twin.plan import Plan, Region
-from phytac_design.twin.scatter import draw_unit
-from phytac_design.twin.scenario import (
+from phytac_design.twin.scenario import draw
+from phytac_design.twin.scenario.bodies import reach_mm
+from phytac_design.twin.scenario.draw import make_plan
+from phytac_design.twin.scenario.file import (
     Scenario,
     UnitSection,
     load_scenario,
     parse_scenario,
     shipped_scenarios,
 )
+from phytac_design.twin.scenario.history import Relaxation, felt_force, held_depth
+from phytac_design.twin.scenario.scatter import draw_unit
 from phytac_design.twin.touch import INDENTERS, Touches
 from phytac_design.twin.unit import Unit
 from shapes import Surface
@@ -129,7 +129,7 @@ def test_chunks_of_samples_are_one(monkeypatch: pytest.MonkeyPatch) -> None:
     own = _asked(DRAWN["anywhere"], 30)
     whole = plan(own)
     monkeypatch.setattr(draw, "BLOCK", 7)
-    monkeypatch.setattr("phytac_design.twin.bodies.CHUNK", 11)
+    monkeypatch.setattr("phytac_design.twin.scenario.bodies.CHUNK", 11)
     parts = plan(own)
     for name, array in vars(whole.switching).items():
         assert (array == getattr(parts.switching, name)).all(), name

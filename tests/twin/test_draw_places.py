@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from phytac_design.layout import make_markers
-from phytac_design.twin.draw import make_plan
-from phytac_design.twin.scatter import draw_unit
-from phytac_design.twin.scenario import UnitSection
+from phytac_design.twin.scenario.draw import make_plan
+from phytac_design.twin.scenario.file import UnitSection
+from phytac_design.twin.scenario.scatter import draw_unit
 from phytac_design.twin.touch import INDENTERS
 from shapes.errors import DesignError
 from tests.designs import changed

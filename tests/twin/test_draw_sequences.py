@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phytac_design.twin.bodies import reach_mm
-from phytac_design.twin.hands import capped
-from phytac_design.twin.history import felt_force
-from phytac_design.twin.scenario import load_scenario
+from phytac_design.twin.scenario.bodies import reach_mm
+from phytac_design.twin.scenario.file import load_scenario
+from phytac_design.twin.scenario.hands import capped
+from phytac_design.twin.scenario.history import felt_force
 from shapes.errors import DesignError
 from tests.twin.test_draw import AT, SERIES, WALL, plan, scenario, sensor
 

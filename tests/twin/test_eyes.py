@@ -14,12 +14,12 @@ from phytac_design.optics.scene import SHELL
 from phytac_design.optics.view import cameras_of
 from phytac_design.spec import Design
 from phytac_design.twin.contacts import draw_contacts, switch_states
-from phytac_design.twin.eyes import AtRest, Eyes, Seen
-from phytac_design.twin.follow import WallMotion
-from phytac_design.twin.grid import CELL_px, grid_error
-from phytac_design.twin.nominal import expected_views
 from phytac_design.twin.response import motion_responses, superpose
 from phytac_design.twin.shell import truth_shell
+from phytac_design.twin.sight.eyes import AtRest, Eyes, Seen
+from phytac_design.twin.sight.follow import WallMotion
+from phytac_design.twin.sight.grid import CELL_px, grid_error
+from phytac_design.twin.sight.nominal import expected_views
 from phytac_design.twin.unit import Unit, WallField
 from shapes.arrays import FloatArray
 from shapes.errors import InputError

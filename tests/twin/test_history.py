@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phytac_design.twin.history import (
+from phytac_design.twin.scenario.history import (
     Creep,
     Relaxation,
     felt_cycles,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phytac_design.twin.journal import WORK, Journal
+from phytac_design.twin.run.journal import WORK, Journal
 from shapes.errors import OutputError
 
 ARRAYS = {"shift_px": np.array([[0.5, np.nan], [1e-300, -0.0]]), "bits": np.array([True, False])}
@@ -72,7 +72,7 @@ def test_a_note_that_cannot_be_read_is_of_another_job(tmp_path: Path) -> None:
 def test_two_runs_do_not_write_at_once_but_a_killed_one_holds_nothing(tmp_path: Path) -> None:
     text = (
         "import sys, time\nfrom pathlib import Path\n"
-        "from phytac_design.twin.journal import Journal\n"
+        "from phytac_design.twin.run.journal import Journal\n"
         "with Journal(Path(sys.argv[1])).opened('a'):\n    print('open', flush=True)\n"
         "    time.sleep(60)\n"
     )

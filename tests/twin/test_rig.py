@@ -24,8 +24,8 @@ from phytac_design.layout import make_markers
 from phytac_design.optics.camera_files import write_lens
 from phytac_design.stages import views
 from phytac_design.twin.contacts import Contacts, switch_states
-from phytac_design.twin.rig import Imported, Settings, import_rig, lens_difference_px
-from phytac_design.twin.rig_seen import REASONS
+from phytac_design.twin.rig.read import Imported, Settings, import_rig, lens_difference_px
+from phytac_design.twin.rig.seen import REASONS
 from shapes.errors import InputError, OutputError, PhytacError
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "rig"
@@ -332,7 +332,7 @@ def test_nothing_is_left_where_writing_fails(
     def fail(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("phytac_design.twin.rig.write_samples", fail)
+    monkeypatch.setattr("phytac_design.twin.rig.read.write_samples", fail)
     with pytest.raises(KeyboardInterrupt):
         bring(keep="frames")
     assert [item.name for item in tmp_path.iterdir()] == ["log.csv"]

@@ -8,9 +8,9 @@ import pytest
 from phytac_design.design_file import load_design
 from phytac_design.fabrication.kit.log import Log, log_text
 from phytac_design.layout import make_markers
-from phytac_design.twin.rig_contacts import contacts_of, sequences_of
-from phytac_design.twin.rig_frames import Folder, Source, match, open_source
-from phytac_design.twin.rig_log import Problems, RigLog, read_rig_log
+from phytac_design.twin.rig.contacts import contacts_of, sequences_of
+from phytac_design.twin.rig.frames import Folder, Source, match, open_source
+from phytac_design.twin.rig.log import Problems, RigLog, read_rig_log
 from phytac_design.twin.touch import INDENTERS, Touches
 from shapes.arrays import FloatArray, ImageArray
 from shapes.errors import InputError

@@ -9,8 +9,9 @@ from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.view import cameras_of
 from phytac_design.spec import Design
-from phytac_design.twin import scatter
-from phytac_design.twin.scatter import (
+from phytac_design.twin.scenario import scatter
+from phytac_design.twin.scenario.file import UnitSection
+from phytac_design.twin.scenario.scatter import (
     CUT,
     LEAST_HEIGHT,
     _wall,
@@ -18,7 +19,6 @@ from phytac_design.twin.scatter import (
     draw_unit,
     wall_factor,
 )
-from phytac_design.twin.scenario import UnitSection
 from phytac_design.twin.unit import Unit
 from shapes.arrays import FloatArray
 from tests.designs import changed

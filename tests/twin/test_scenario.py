@@ -8,14 +8,14 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from phytac_design.twin.scenario import (
+from phytac_design.twin.scenario.docs import TABLES, renewed
+from phytac_design.twin.scenario.file import (
     Scenario,
     load_scenario,
     parse_scenario,
     scenario_hash,
     shipped_scenarios,
 )
-from phytac_design.twin.scenario_docs import TABLES, renewed
 from shapes.errors import DesignError
 
 PAGE = Path(__file__).parents[2] / "docs" / "scenarios.md"
@@ -133,7 +133,7 @@ def test_switches_are_true_or_false() -> None:
 
 def test_the_page_has_every_field_as_it_is() -> None:
     page = PAGE.read_text(encoding="utf-8")
-    assert renewed(page) == page, "python -m phytac_design.twin.scenario_docs docs/scenarios.md"
+    assert renewed(page) == page, "python -m phytac_design.twin.scenario.docs docs/scenarios.md"
     assert all(f"`{name}`" in page for name in NAMES)
 
 

@@ -16,10 +16,10 @@ from phytac_design.spec import Design
 from phytac_design.twin import solver as solver_module
 from phytac_design.twin.contacts import Contacts
 from phytac_design.twin.plan import Region
-from phytac_design.twin.region import touched_region
 from phytac_design.twin.response import motion_probe, point_motions, turned_points
-from phytac_design.twin.scatter import draw_unit, wall_factor
-from phytac_design.twin.scenario import UnitSection
+from phytac_design.twin.scenario.file import UnitSection
+from phytac_design.twin.scenario.region import touched_region
+from phytac_design.twin.scenario.scatter import draw_unit, wall_factor
 from phytac_design.twin.shell import local_mesh, truth_mesh, truth_shell, unit_model, unit_shell
 from phytac_design.twin.solver import Motion, Solver
 from phytac_design.twin.touch import Touches, flat_touches

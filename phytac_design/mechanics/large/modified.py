@@ -14,6 +14,7 @@ No step is taken on trust. Beside the iteration the least eigenvalue of K₀⁻�
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -106,7 +107,11 @@ class Modified:
 
     def __init__(self, model: ShellModel) -> None:
         self.model = model
-        self._shell = Resting(model)
+
+    @cached_property
+    def _shell(self) -> Resting:
+        """Made when first needed: linear motion does without."""
+        return Resting(self.model)
 
     def linear(self, load: Any) -> FloatArray:
         """Linear motion (6N,) under a load (6N,).

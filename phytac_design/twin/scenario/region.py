@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from phytac_design.twin.placing import Window
 from phytac_design.twin.plan import Region
+from phytac_design.twin.scenario.placing import Window
 from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray
 

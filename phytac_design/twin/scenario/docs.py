@@ -1,6 +1,6 @@
 """The tables of docs/scenarios.md, written from the models themselves.
 
-``python -m phytac_design.twin.scenario_docs docs/scenarios.md`` renews them in place.
+``python -m phytac_design.twin.scenario.docs docs/scenarios.md`` renews them in place.
 """
 
 import sys
@@ -11,8 +11,8 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from phytac_design.twin.scenario import Scenario
-from phytac_design.twin.scenario_tables import (
+from phytac_design.twin.scenario.file import Scenario
+from phytac_design.twin.scenario.tables import (
     CycleSection,
     EyesSection,
     GripSection,

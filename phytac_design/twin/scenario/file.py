@@ -11,7 +11,7 @@ from typing import Any, Literal, Self, Union, get_args, get_origin
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
-from phytac_design.twin.scenario_tables import (
+from phytac_design.twin.scenario.tables import (
     CycleSection,
     EyesSection,
     GripSection,

@@ -11,10 +11,10 @@ from phytac_design.accuracy import PRESETS, Preset
 from phytac_design.cache import code_hash
 from phytac_design.layout import Markers, make_markers
 from phytac_design.spec import Design
-from phytac_design.twin.draw import make_plan
 from phytac_design.twin.plan import Plan
-from phytac_design.twin.scatter import draw_unit
-from phytac_design.twin.scenario import Scenario
+from phytac_design.twin.scenario.draw import make_plan
+from phytac_design.twin.scenario.file import Scenario
+from phytac_design.twin.scenario.scatter import draw_unit
 from phytac_design.twin.unit import Unit
 from shapes import Surface
 

@@ -3,10 +3,10 @@
 import numpy as np
 
 from phytac_design.spec import Design
-from phytac_design.twin.bodies import Ranges, indenter_shape, pick_kinds, ranges
-from phytac_design.twin.placing import Window, window
-from phytac_design.twin.scenario import GripSection, Scenario
-from phytac_design.twin.streams import Stream, stream
+from phytac_design.twin.scenario.bodies import Ranges, indenter_shape, pick_kinds, ranges
+from phytac_design.twin.scenario.file import GripSection, Scenario
+from phytac_design.twin.scenario.placing import Window, window
+from phytac_design.twin.scenario.streams import Stream, stream
 from phytac_design.twin.touch import Touches
 from shapes import Surface
 from shapes.arrays import FloatArray

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from decoder.run import read_image
-from phytac_design.twin.rig_log import Problems, RigLog
+from phytac_design.twin.rig.log import Problems, RigLog
 from shapes.arrays import FloatArray, ImageArray, IntArray
 from shapes.errors import InputError
 

@@ -18,10 +18,10 @@ from phytac_design.layout import make_markers
 from phytac_design.optics.camera_files import read_lens
 from phytac_design.spec import Design
 from phytac_design.stages.views import MARKS, png_bytes
-from phytac_design.twin.rig_contacts import contacts_of, sequences_of
-from phytac_design.twin.rig_frames import Folder, Source, match, open_source
-from phytac_design.twin.rig_log import Problems, RigLog, read_rig_log
-from phytac_design.twin.rig_seen import Rig, measure, rest_of, samples_of
+from phytac_design.twin.rig.contacts import contacts_of, sequences_of
+from phytac_design.twin.rig.frames import Folder, Source, match, open_source
+from phytac_design.twin.rig.log import Problems, RigLog, read_rig_log
+from phytac_design.twin.rig.seen import Rig, measure, rest_of, samples_of
 from phytac_design.twin.touch import Touches
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import InputError, OutputError

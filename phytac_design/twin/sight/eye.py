@@ -13,7 +13,7 @@ from phytac_design.optics.light import Strip, triangle_light
 from phytac_design.optics.scene import Scene, build_scene
 from phytac_design.optics.view import tolerance_mm
 from phytac_design.spec import Design
-from phytac_design.twin.follow import WallMotion
+from phytac_design.twin.sight.follow import WallMotion
 from phytac_design.twin.unit import Unit
 from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray

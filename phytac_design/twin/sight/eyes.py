@@ -16,11 +16,11 @@ from phytac_design.optics.underload import WALL_BACK, sight_of
 from phytac_design.optics.view import cameras_of
 from phytac_design.optics.watch import Watch
 from phytac_design.spec import Design
-from phytac_design.twin.eye import Eye, strip_of
-from phytac_design.twin.grid import grid_error
-from phytac_design.twin.nominal import expected_views, seeing_bundle
-from phytac_design.twin.paint import PaintPoints
-from phytac_design.twin.tips import TipCover
+from phytac_design.twin.sight.eye import Eye, strip_of
+from phytac_design.twin.sight.grid import grid_error
+from phytac_design.twin.sight.nominal import expected_views, seeing_bundle
+from phytac_design.twin.sight.paint import PaintPoints
+from phytac_design.twin.sight.tips import TipCover
 from phytac_design.twin.unit import Unit
 from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray, ImageArray

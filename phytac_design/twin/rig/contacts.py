@@ -7,7 +7,7 @@ import numpy as np
 
 from phytac_design.layout import Markers
 from phytac_design.spec import Design
-from phytac_design.twin.rig_log import Problems, RigLog
+from phytac_design.twin.rig.log import Problems, RigLog
 from phytac_design.twin.touch import INDENTERS, Touches
 from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray, IntArray

@@ -5,9 +5,9 @@ import numpy as np
 from decoder.samples import STATUSES, THEORIES, Meta, Samples, TouchRows, truth_rows
 from phytac_design.cache import code_hash
 from phytac_design.design_file import design_hash
-from phytac_design.twin.job import Job
-from phytac_design.twin.journal import Journal
-from phytac_design.twin.scenario import scenario_hash
+from phytac_design.twin.run.job import Job
+from phytac_design.twin.run.journal import Journal
+from phytac_design.twin.scenario.file import scenario_hash
 from shapes.errors import OutputError
 
 

@@ -8,7 +8,9 @@ import numpy as np
 from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.footprints import touch_shares
 from phytac_design.spec import Design
-from phytac_design.twin.bodies import (
+from phytac_design.twin.contacts import Switching, share_out
+from phytac_design.twin.plan import Plan, Region
+from phytac_design.twin.scenario.bodies import (
     drawn_touches,
     given_touches,
     largest_reach_mm,
@@ -17,9 +19,9 @@ from phytac_design.twin.bodies import (
     reach_mm,
     take,
 )
-from phytac_design.twin.contacts import Switching, share_out
-from phytac_design.twin.hands import hand_of, hand_touches, level_forces
-from phytac_design.twin.history import (
+from phytac_design.twin.scenario.file import CycleSection, Scenario, TimeSection
+from phytac_design.twin.scenario.hands import hand_of, hand_touches, level_forces
+from phytac_design.twin.scenario.history import (
     Relaxation,
     felt_cycles,
     felt_force,
@@ -28,10 +30,8 @@ from phytac_design.twin.history import (
     light_at,
     switch_through,
 )
-from phytac_design.twin.placing import window
-from phytac_design.twin.plan import Plan, Region
-from phytac_design.twin.region import touched_region, window_places
-from phytac_design.twin.scenario import CycleSection, Scenario, TimeSection
+from phytac_design.twin.scenario.placing import window
+from phytac_design.twin.scenario.region import touched_region, window_places
 from phytac_design.twin.touch import Touches
 from phytac_design.twin.unit import Unit
 from shapes import Surface

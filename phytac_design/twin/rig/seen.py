@@ -23,8 +23,8 @@ from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.footprints import touch_shares
 from phytac_design.spec import Design
 from phytac_design.twin.contacts import Switching, share_out
-from phytac_design.twin.rig_frames import Source
-from phytac_design.twin.rig_log import Problems, RigLog
+from phytac_design.twin.rig.frames import Source
+from phytac_design.twin.rig.log import Problems, RigLog
 from phytac_design.twin.touch import Touches
 from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray

@@ -10,10 +10,10 @@ import numpy as np
 
 from phytac_design.layout import Markers
 from phytac_design.spec import Design
-from phytac_design.twin.placing import Placer, jitter_of, placer, places_at, traverse
-from phytac_design.twin.scenario import Scenario
-from phytac_design.twin.scenario_tables import LENGTH_RADII, IndenterSection, TouchSection
-from phytac_design.twin.streams import Stream, stream
+from phytac_design.twin.scenario.file import Scenario
+from phytac_design.twin.scenario.placing import Placer, jitter_of, placer, places_at, traverse
+from phytac_design.twin.scenario.streams import Stream, stream
+from phytac_design.twin.scenario.tables import LENGTH_RADII, IndenterSection, TouchSection
 from phytac_design.twin.touch import INDENTERS, Touches
 from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray, IntArray

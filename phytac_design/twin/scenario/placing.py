@@ -7,7 +7,7 @@ import numpy as np
 
 from phytac_design.layout import Markers
 from phytac_design.twin.contacts import JITTER_MM, JITTER_SHARE, beside
-from phytac_design.twin.scenario_tables import TouchAt, TouchSection
+from phytac_design.twin.scenario.tables import TouchAt, TouchSection
 from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import DesignError

@@ -12,8 +12,8 @@ from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.view import cameras_of
 from phytac_design.spec import Design
 from phytac_design.twin.contacts import beside
-from phytac_design.twin.scenario import UnitSection
-from phytac_design.twin.streams import Stream, stream
+from phytac_design.twin.scenario.file import UnitSection
+from phytac_design.twin.scenario.streams import Stream, stream
 from phytac_design.twin.unit import Unit, WallField
 from shapes import Surface
 from shapes.arrays import FloatArray

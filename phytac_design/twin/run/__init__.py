@@ -1,0 +1,1 @@
+"""Samples over processes, kept in a journal, gathered into a data set."""

@@ -1,0 +1,1 @@
+"""What is done to a virtual sensor: scenario files, virtual prints, and plans of samples."""
