@@ -97,7 +97,9 @@ def test_a_print_has_its_own_wall_material_and_receptors() -> None:
     assert np.ptp(ratio) > 0.05
     # Receptors stiffen the wall where they are printed, and are read there.
     assert not unknown_receptors(DESIGN)
-    moved = unit_of(DESIGN, 3, marker_mm=1.0, thickness_share=0.0, thickness_wave_share=0.0)
+    moved = replace(
+        unit_of(DESIGN, 3, marker_mm=1.0, height_mm=0.0), wall=unit.wall, modulus=unit.modulus
+    )
     there = Solver(DESIGN, SURFACE, moved, refine=REFINE, displacement="linear")
     assert np.abs(there.model.stiffness - plain.stiffness).max() > 0.01 * plain.stiffness.max()
     touches = touching((*MIDDLE, 4.0, 5.0))
