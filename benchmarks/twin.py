@@ -26,17 +26,15 @@ from benchmarks.referee.read import Solved, data_file, read_solved
 from benchmarks.referee.solve import Sensor, sensor
 from phytac_design.accuracy import PRESETS
 from phytac_design.mechanics.compliance import point_motion
-from phytac_design.mechanics.large import rotations as rot
-from phytac_design.mechanics.large.batch import solve_batch
+from phytac_design.mechanics.large.modified import Modified
 from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.solve import ShellModel
-from phytac_design.twin.response import motion_probe
+from phytac_design.twin.response import motion_probe, turned_points
 from phytac_design.twin.shell import truth_shell
 from shapes.arrays import FloatArray, IntArray
 
 SOURCE = "CalculiX NLGEOM, quadratic tetrahedra of the CAD (benchmarks/referee)"
-WORKERS = 2
 QUICK = 4
 """Contacts of a quick run."""
 AT_N = (5.0, 10.0, 25.0)
@@ -83,27 +81,21 @@ def shell_loads(this: Sensor, mesh: ShellMesh, solved: list[Solved]) -> csc_matr
 def tips_of(this: Sensor, at: FloatArray, *, large: bool) -> FloatArray:
     """Motion (n, 3) of tips that stand rigidly on the wall, from motion (n, 6) under them."""
     arm = this.markers.tip_mm - this.markers.mid_mm
-    if not large:
-        return point_motion(at[:, :, None], arm)[:, :, 0]
-    turn = rot.deviation(rot.exponential(at[:, 3:]))
-    return np.asarray(at[:, :3] + np.einsum("nij,nj->ni", turn, arm))
+    return turned_points(at, arm) if large else point_motion(at[:, :, None], arm)[:, :, 0]
 
 
-def judge(
-    this: Sensor, mesh: ShellMesh, model: ShellModel, solved: list[Solved], workers: int = WORKERS
-) -> list[Judged]:
+def judge(this: Sensor, mesh: ShellMesh, model: ShellModel, solved: list[Solved]) -> list[Judged]:
     """Solve the referee's contacts on a shell, linear and with large displacements."""
     probe = motion_probe(mesh, this.markers.uv)
-    loads = shell_loads(this, mesh, solved)
-    linear = model.solve(loads.toarray()).motion
-    out = []
-    for k, sample in enumerate(solve_batch(model, loads, workers=workers)):
+    shell, out = Modified(model), []
+    for item, load in zip(solved, shell_loads(this, mesh, solved).T.toarray(), strict=True):
+        linear, sample = shell.linear(load), shell.solve(load).sample
         if sample.motion is None:
-            raise RuntimeError(f"contact {solved[k].index} has no shell solution: {sample.reason}")
-        at = [(probe @ m.ravel()).reshape(-1, 6) for m in (sample.motion, linear[:, :, k])]
+            raise RuntimeError(f"contact {item.index} has no shell solution: {sample.reason}")
+        at = [(probe @ m.ravel()).reshape(-1, 6) for m in (sample.motion, linear)]
         out.append(
             Judged(
-                item=solved[k],
+                item=item,
                 large_mm=tips_of(this, at[0], large=True),
                 linear_mm=tips_of(this, at[1], large=False),
             )

@@ -12,11 +12,11 @@ import numpy as np
 from benchmarks.harness import Table
 from decoder.run import locate_markers
 from phytac_design.build import copy_of
+from phytac_design.kernels import THREADS
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.exposure import CLEAN, Exposure, expose, lens_blur, light_on_chip
 from phytac_design.optics.frame import render_frame
-from phytac_design.optics.kernels import THREADS
 from phytac_design.optics.light import triangle_light
 from phytac_design.optics.picture import render_picture
 from phytac_design.optics.raster import rasterise

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from decoder.camera import Camera
 from decoder.lens import Lens
+from phytac_design.kernels import in_bands, kernel
 from phytac_design.optics.fill import View
-from phytac_design.optics.kernels import in_bands, kernel
 from phytac_design.optics.rays import pixel_rays
 from shapes.arrays import FloatArray
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoder.camera import Camera
+from phytac_design.kernels import in_bands, kernel
 from phytac_design.layout import Markers
 from phytac_design.optics.frame import BAND_ROWS, render_light, sample_offsets
-from phytac_design.optics.kernels import in_bands, kernel
 from phytac_design.optics.paint import to_linear, to_srgb
 from phytac_design.optics.scene import Scene
 from phytac_design.optics.sharpness import sharpness

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_design.optics.kernels import kernel
+from phytac_design.kernels import kernel
 from shapes.arrays import FloatArray
 
 EDGE_PX = 1e-9

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from decoder.camera import Camera
 from decoder.lens import Perspective
+from phytac_design.kernels import in_bands, kernel
 from phytac_design.optics.fill import View, fill
-from phytac_design.optics.kernels import in_bands, kernel
 from phytac_design.optics.light import triangle_light
 from phytac_design.optics.paint import BACKGROUND, to_linear, to_srgb
 from phytac_design.optics.raster import all_pieces, project_scene

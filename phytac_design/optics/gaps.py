@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_design.optics.kernels import in_bands, kernel
+from phytac_design.kernels import in_bands, kernel
 from shapes.arrays import FloatArray, IntArray
 
 

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from decoder.camera import Camera
 from decoder.lens import Lens, Pinhole
+from phytac_design.kernels import in_bands, kernel
 from phytac_design.optics.bent import bent_view
 from phytac_design.optics.clip import clip_near
 from phytac_design.optics.fill import View, fill
-from phytac_design.optics.kernels import in_bands, kernel
 from phytac_design.optics.scene import FIRST_MARKER, Scene
 from shapes.arrays import BoolArray, FloatArray, IntArray
 

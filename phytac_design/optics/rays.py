@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoder.lens import Lens
-from phytac_design.optics.kernels import in_bands, kernel
+from phytac_design.kernels import in_bands, kernel
 from shapes.arrays import BoolArray, FloatArray, IntArray
 
 STEPS = (32, 16, 8, 4)

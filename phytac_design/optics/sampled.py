@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from decoder.camera import Camera
 from decoder.lens import Pinhole
+from phytac_design.kernels import in_bands, kernel
 from phytac_design.optics.fill import Grid, View, corner, fill, meets, outline, reach
-from phytac_design.optics.kernels import in_bands, kernel
 from phytac_design.optics.raster import marker_windows, pieces_by_marker, project_scene
 from phytac_design.optics.rays import ray_grid
 from phytac_design.optics.scene import FIRST_MARKER, Scene

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoder.camera import Camera
+from phytac_design.kernels import in_bands, kernel
 from phytac_design.optics.fill import View, fill
-from phytac_design.optics.kernels import in_bands, kernel
 from phytac_design.optics.raster import (
     all_pieces,
     marker_windows,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phytac_design.fabrication.triangles import TriangleMesh
-from phytac_design.optics.kernels import kernel
+from phytac_design.kernels import kernel
 from shapes.arrays import FloatArray, IntArray
 
 RAY_STEP_mm = 0.1

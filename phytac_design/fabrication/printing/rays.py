@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from phytac_design.fabrication.triangles import TriangleMesh
-from phytac_design.optics.kernels import in_bands, kernel
+from phytac_design.kernels import in_bands, kernel
 from shapes.arrays import FloatArray, IntArray
 
 LEAF = 6

@@ -14,7 +14,7 @@ from scipy import ndimage
 from phytac_design.fabrication.printing.findings import Violation, place
 from phytac_design.fabrication.printing.samples import bodies
 from phytac_design.fabrication.triangles import TriangleMesh
-from phytac_design.optics.kernels import kernel
+from phytac_design.kernels import kernel
 from phytac_design.print_section import PrintSection
 from shapes.arrays import BoolArray, FloatArray, IntArray
 

@@ -6,10 +6,10 @@ hundredth here, because an element stays in the processor's cache.
 
 import numpy as np
 
+from phytac_design.kernels import kernel
 from phytac_design.mechanics.large.corotational import FIT_STEPS, FIT_TOL, Configuration
 from phytac_design.mechanics.large.rotations import SMALL
 from phytac_design.mechanics.solve import ShellModel
-from phytac_design.optics.kernels import kernel
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import NumericalError
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Any
 
+from phytac_design.kernels import THREADS as KERNEL_THREADS
 from phytac_design.mechanics.large.batch import THREADS as BLAS_THREADS
-from phytac_design.optics.kernels import THREADS as KERNEL_THREADS
 
 AHEAD = 2
 """Samples waiting for each worker: enough to keep it busy, few enough to stop at once."""
