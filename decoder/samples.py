@@ -233,7 +233,8 @@ def power_of_two_below(value: float) -> float:
 def key_nodes(model: ForceModel, samples: Samples, *, noise_px: float) -> KeyNodeRows:
     """Inputs and outputs of the FEM-NN of samples whose points were kept (paper, eq. 2).
 
-    A marker that was not found has u = 0, as in the decoder; failed samples have no rows.
+    A neighbour that was not found has u = 0, as in the decoder; a node that was not found has no
+    row, and neither have failed samples.
 
     Parameters
     ----------
@@ -252,7 +253,8 @@ def key_nodes(model: ForceModel, samples: Samples, *, noise_px: float) -> KeyNod
     force_noise = noise_px * model.stiffness_noise_N_px
     force_noise = force_noise[(force_noise > 0.0) & np.isfinite(force_noise)]
     usable = samples.status != FAILED
-    on = samples.bits_read & usable[:, None]
+    seen = np.isfinite(samples.shift_px).all(axis=2)
+    on = samples.bits_read & usable[:, None] & seen
     truth = np.zeros(on.shape)
     np.add.at(truth, (samples.truth.sample, samples.truth.marker), samples.truth.force_N)
     sample, marker = np.nonzero(on)

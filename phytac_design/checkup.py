@@ -141,7 +141,7 @@ def blurred(
     said = (
         f"the image of a point at marker {worst} is {blur[worst]:.2g} px wide (camera.f_number = "
         f"{stop:g}), {seen.gap_same_colour_px[worst]:.2g} px from the next marker of its colour; "
-        "frames made here do not show that blur"
+        "`phytac simulate` shows it in its frames, a build does not"
     )
     return [f"{said}: raise camera.f_number to {mend:g}, or set camera.focus_mm"]
 

@@ -11,6 +11,9 @@ import typer
 from phytac_design.cli_options import DesignArgument, JsonOption, Preset, SeedOption, say
 from shapes.errors import DesignError
 
+REASONS = 5
+"""Reasons that are told at the end."""
+
 
 class Route(StrEnum):
     """How a sample is seen."""
@@ -83,8 +86,11 @@ def simulate(
     from phytac_design.twin.scenario.file import load_scenario, parse_scenario
 
     loaded, wanted = load_design(design), load_scenario(scenario)
-    if keep is Keep.frames and (route or wanted.solve.route) != Route.frames:
-        raise DesignError("--keep frames needs frames (got --route points); add --route frames")
+    if samples is not None and wanted.kind == "cycles":
+        raise DesignError(
+            f"--samples does not go with {wanted.name}, a scenario of cycles; set cycle.count and "
+            "cycle.every in its file"
+        )
     data = wanted.model_dump(mode="json", exclude_unset=True)
     for table, key, value in (
         ("solve", "route", route and route.value),
@@ -115,6 +121,7 @@ def simulate(
             "solved": done.solved,
             "statuses": done.statuses,
             "theories": done.theories,
+            "reasons": done.reasons,
             "seconds": round(done.seconds, 3),
         }
         typer.echo(json.dumps(summary, indent=1))
@@ -122,6 +129,10 @@ def simulate(
     statuses = ", ".join(f"{number} {name}" for name, number in done.statuses.items() if number)
     theories = ", ".join(f"{number} {name}" for name, number in done.theories.items() if number)
     typer.echo(f"{done.out}: {done.samples} samples ({statuses}; {theories}), {done.seconds:.0f} s")
+    for reason, number in sorted(done.reasons.items(), key=lambda item: -item[1])[:REASONS]:
+        typer.echo(f"  {number} sample{'' if number == 1 else 's'}: {reason}")
+    if len(done.reasons) > REASONS:
+        typer.echo(f"  and {len(done.reasons) - REASONS} other reasons")
 
 
 def scenarios(as_json: JsonOption = False) -> None:

@@ -16,7 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from decoder.bundle import named
 from decoder.estimators import ForceModel
+from decoder.run import FOUND_WELL
 from decoder.samples import STATUSES, THEORIES, Samples, inputs_alone, key_nodes
 from decoder.samples_read import read_samples
 from decoder.samples_write import FRAMES, TABLE, file_hash, write_samples
@@ -39,6 +41,7 @@ SEEN = 7
 """Stream of random numbers of what is seen of a sample."""
 SAY_S = 2.0
 """Seconds between lines of progress."""
+FEW_FOUND = "less than 95 % of the markers were found"
 LONG_S = 120.0
 """More time left than this is told in minutes."""
 
@@ -53,7 +56,7 @@ class Result:
         The data set.
     samples, solved : int
         Samples in all, and those solved by this run.
-    statuses, theories : dict of str to int
+    statuses, theories, reasons : dict of str to int
         Samples of each.
     seconds : float
         Of this run.
@@ -64,6 +67,7 @@ class Result:
     solved: int
     statuses: dict[str, int]
     theories: dict[str, int]
+    reasons: dict[str, int]
     seconds: float
 
 
@@ -95,6 +99,16 @@ def look(job: Job, progress: Callable[[str], None]) -> Sight:
     if job.scenario.solve.route == "frames" and not eyes.nominal.tips.readable.all():
         compliance = response_of(job).compliance_px
         eyes = eyes_of(job, views=views, compliance_px=compliance)
+    if eyes.status:
+        progress(f"warning: this sensor cannot be read: {eyes.status}")
+    else:
+        lost = np.flatnonzero(~np.isfinite(eyes.at_rest.rest_px[:, 0]))
+        if len(lost):
+            progress(
+                f"warning: {len(lost)} of {job.markers.count} markers ({named(lost)}) cannot be "
+                "told at rest and are missing in every sample: their images are too small or too "
+                "blurred; raise camera.f_number or set eyes.lens_blur = false"
+            )
     return Sight(views=views, compliance_px=compliance, rest=eyes.rest)
 
 
@@ -171,20 +185,36 @@ class Worker:
                 facts["status"] = "failed"
                 facts["reasons"].append(seen.status)
             else:
-                arrays = {"shift_px": seen.shift_px, "bits_read": seen.bits}
-        self.journal.put(index, arrays, facts)
+                arrays = {"shift_px": seen.shift_px, "bits_read": seen.bits & seen.found}
+                if seen.found.mean() < FOUND_WELL and facts["status"] == "ok":
+                    facts["status"] = "flagged"
+                    facts["reasons"].append(FEW_FOUND)
+        try:
+            self.journal.put(index, arrays, facts)
+        except OSError as error:
+            raise _full(self.frames.parent, error) from None
         return facts
 
     def keep_frames(self, index: int, frames: tuple[ImageArray, ...]) -> dict[str, str]:
         """Write the frames of a sample; their hashes by name."""
-        self.frames.mkdir(exist_ok=True)
         out = {}
         for frame, mark in zip(frames, MARKS, strict=False):
             name = f"{index:06d}{mark}.png"
             data = png_bytes(frame)
-            write_whole(self.frames / name, data)
+            try:
+                self.frames.mkdir(exist_ok=True)
+                write_whole(self.frames / name, data)
+            except OSError as error:
+                raise _full(self.frames.parent, error) from None
             out[name] = sha256(data).hexdigest()
         return out
+
+
+def _full(out: Path, error: OSError) -> OutputError:
+    return OutputError(
+        f"cannot write {out}: {error.strerror}; make room, then run the same command again: what "
+        "is done stays"
+    )
 
 
 def start(plain: Mapping[str, Any], out: Path, sight: Sight) -> Worker:
@@ -243,12 +273,13 @@ def simulate(
             progress(f"simulate: {before} of {total} samples were done before")
         sight = look(job, progress) if before < total else None
         crew = Crew(start=start, given=(job.plain(), out, sight), work=work, workers=workers)
-        said = time.monotonic()
+        said, first = time.monotonic(), 0.0
         for index, item in crew.run(k for k in range(total) if k not in facts):
             facts[index] = item if item is not None else lost(job, journal, index)
+            first = first or time.perf_counter()
             if time.monotonic() - said > SAY_S or len(facts) == total:
                 said = time.monotonic()
-                progress(_line(facts, before, total, time.perf_counter() - begin))
+                progress(_line(facts, before, total, time.perf_counter() - first))
         samples = gather(job, journal)
         if job.keep == "inputs":
             noise_px = job.design.camera.noise_centroid_px
@@ -319,11 +350,12 @@ def lost(job: Job, journal: Journal, index: int) -> dict[str, Any]:
 def _line(facts: Mapping[int, Any], before: int, total: int, seconds: float) -> str:
     """One line of progress."""
     new = len(facts) - before
-    left = (total - len(facts)) * seconds / max(new, 1)
+    left = (total - len(facts)) * seconds / max(new - 1, 1)
     odd = Counter(fact["status"] for fact in facts.values())
     words = [f"{odd[status]} {status}" for status in STATUSES[1:] if odd[status]]
-    time_left = f"{left / 60.0:.0f} min left" if left > LONG_S else f"{left:.0f} s left"
-    return f"simulate: {', '.join([f'{len(facts)} of {total} samples', *words, time_left])}"
+    if new > 1:
+        words.append(f"{left / 60.0:.0f} min left" if left > LONG_S else f"{left:.0f} s left")
+    return f"simulate: {', '.join([f'{len(facts)} of {total} samples', *words])}"
 
 
 def _result(out: Path, samples: Samples, solved: int, begin: float) -> Result:
@@ -333,5 +365,8 @@ def _result(out: Path, samples: Samples, solved: int, begin: float) -> Result:
         solved=solved,
         statuses={name: int((samples.status == k).sum()) for k, name in enumerate(STATUSES)},
         theories={name: int((samples.theory == k).sum()) for k, name in enumerate(THEORIES)},
+        reasons={
+            text: int((samples.reason_index == k).sum()) for k, text in enumerate(samples.reasons)
+        },
         seconds=time.perf_counter() - begin,
     )

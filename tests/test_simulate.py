@@ -19,7 +19,7 @@ from decoder.samples import STATUSES, Samples
 from decoder.samples_read import read_samples
 from decoder.samples_write import FILE, TABLE
 from phytac_design.cli import app
-from phytac_design.design_file import to_toml
+from phytac_design.design_file import load_design, to_toml
 from phytac_design.simulate import Result, simulate
 from phytac_design.twin.run.job import Job
 from phytac_design.twin.run.journal import WORK, Journal
@@ -233,6 +233,52 @@ def test_the_command_lists_scenarios_and_refuses_nonsense() -> None:
     assert {"platform", "grips", "cycles", "rims"} <= set(json.loads(listed.output))
     refused = runner.invoke(app, ["simulate", "cylinder40", "smoke", "--keep", "frames"])
     assert isinstance(refused.exception, DesignError)
+
+
+def test_contacts_that_overlap_share_what_they_press(tmp_path: Path) -> None:
+    at = {"marker": 50, "force_N": 5.0, "radius_mm": 3.0}
+    job = job_of(tables={"touch": {"samples": 1, "at": [at, at], "multi_share": 0.0}})
+    assert job.plan.switching.receptor_force_N.sum() == pytest.approx(10.0)
+
+
+def test_markers_too_blurred_to_tell_are_missing_and_told(tmp_path: Path) -> None:
+    job = job_of(design=load_design("cylinder40"), tables={"touch": {"samples": 1}})
+    said: list[str] = []
+    simulate(job, tmp_path / "data", workers=0, progress=said.append)
+    samples = read(tmp_path / "data")
+    (warning,) = [line for line in said if line.startswith("warning: ")]
+    assert samples.shift_px is not None
+    lost = np.isnan(samples.shift_px[0, :, 0])
+    assert f"{lost.sum()} of 216 markers" in warning
+    assert lost.sum() > 10
+    assert STATUSES[samples.status[0]] == "flagged"
+    assert np.nanmax(np.linalg.norm(samples.shift_px[0], axis=1)) < 10.0
+
+
+def test_a_full_disk_is_an_error_with_a_fix(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Journal, "put", full)
+    with pytest.raises(OutputError, match=r"No space left.*make room"):
+        run(job_of(tables={"touch": {"samples": 1}}), tmp_path / "data", workers=0)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"accuracy": "drat"}, "accuracy must be"),
+        ({"seed": -1}, "seed"),
+        ({"keep": "all"}, "keep must be"),
+        ({"keep": "frames"}, "--route frames"),
+        ({"design": "cylinder60"}, "load_design"),
+    ],
+)
+def test_jobs_that_cannot_be_are_refused_at_once(change: dict[str, Any], match: str) -> None:
+    with pytest.raises(DesignError, match=match):
+        replace(job_of(), **change)
 
 
 def test_the_journal_is_gone_at_the_end(whole: Path) -> None:

@@ -203,7 +203,8 @@ def share_out(contacts: Contacts, share: FloatArray, bits: BoolArray) -> Switchi
         most[sample, better] = carried[index, better]
     mine = owner[contacts.sample] == np.arange(len(contacts.sample))[:, None]
     tripped = mine.any(axis=1)
-    weight = np.where(mine, carried, 0.0)
+    # Contacts that overlap share the switches they trip together.
+    weight = np.where(bits[contacts.sample], carried, 0.0)
     norm = weight.sum(axis=1, keepdims=True)
     parts = contacts.force_N[:, None] * weight / np.where(norm > 0.0, norm, 1.0)
     truth = np.zeros(bits.shape)

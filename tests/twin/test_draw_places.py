@@ -88,7 +88,11 @@ def test_every_way_to_name_a_place_is_the_same_place() -> None:
 
 def test_a_point_beyond_the_edge_is_nearest_to_the_edge() -> None:
     _, surface, _ = sensor("plane")
-    got = plan(scenario(touch={"at": [AT | {"point_mm": [500.0, 3.0, 0.0]}]}), sensor("plane"))
+    edge = float(np.abs(surface.bounds_mm()[:, 0]).max())
+    near, far = ([edge + beyond, 3.0, 0.0] for beyond in (8.0, 400.0))
+    got = plan(scenario(touch={"at": [AT | {"point_mm": near}]}), sensor("plane"))
+    with pytest.raises(DesignError, match="mm from the plane"):
+        plan(scenario(touch={"at": [AT | {"point_mm": far}]}), sensor("plane"))
     assert (
         (got.touches.uv >= surface.domain[:, 0]) & (got.touches.uv <= surface.domain[:, 1])
     ).all()

@@ -202,7 +202,7 @@ def test_a_video_gives_what_its_images_give(bring: Import, tmp_path: Path) -> No
     np.testing.assert_array_equal(got.shift_px, expected.shift_px)
     kept = cv2.imread(str(tmp_path / "data" / "frames" / "000000.png"))
     assert kept.shape == (480, 640, 3)
-    with pytest.raises(InputError, match="give --offset, the seconds to add to the log's clock"):
+    with pytest.raises(InputError, match="give --offset-s, the seconds to add to the log's clock"):
         import_again(bring, tmp_path, log, video)
 
 

@@ -13,6 +13,8 @@ from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import InputError
 
+LEAST_mm = 0.05
+"""Contacts of a smaller radius are taken for a wrong unit."""
 LENGTHS = {"m": 1000.0, "cm": 10.0, "inches": 25.4, "µm": 0.001}
 FORCE_TIMES = 10.0
 """Forces whose median is this many times the sensor's greatest are in another unit."""
@@ -62,6 +64,18 @@ def contacts_of(
     length = numbers.get("length_mm", np.zeros(len(rows)))
     bad = keep & (log.indenter == CYLINDER) & ~(length > 0.0)
     _note(log, problems, bad, lambda _: "a cylinder needs its length_mm, above 0")
+    radius = np.nan_to_num(numbers.get("radius_mm", np.zeros(len(rows))))
+    size = float(np.sort(np.ptp(surface.bounds_mm(), axis=0))[1])
+    bad = keep & (radius > 0.0) & ((radius > size / 2.0) | (radius < LEAST_mm))
+    _note(
+        log,
+        problems,
+        bad,
+        lambda k: (
+            f"a contact of radius {radius[k]:g} mm on a sensor {size:.3g} mm wide; is radius_mm in "
+            "mm?"
+        ),
+    )
     return Touches(
         sample=log.sample[order],
         uv=uv[order],

@@ -248,7 +248,7 @@ def _nearest(
         raise InputError(
             f"no time of {log.path} ({np.nanmin(log.time_s):.3f} to {np.nanmax(log.time_s):.3f} s) "
             f"is within {limit:g} s of a frame of {source.where} ({stamps[0]:.3f} to "
-            f"{stamps[-1]:.3f} s); give --offset, the seconds to add to the log's clock"
+            f"{stamps[-1]:.3f} s); give --offset-s, the seconds to add to the log's clock"
         )
     out = np.where(near, order[pair[best, np.arange(len(wanted))]], -1)
     said = [f"the nearest frame is {far:.3g} s away (tolerance {limit:g} s)" for far in gap]

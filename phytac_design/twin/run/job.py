@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from phytac_design.accuracy import PRESETS, Preset
 from phytac_design.cache import code_hash
@@ -17,6 +17,7 @@ from phytac_design.twin.scenario.file import Scenario
 from phytac_design.twin.scenario.scatter import draw_unit
 from phytac_design.twin.unit import Unit
 from shapes import Surface
+from shapes.errors import DesignError
 
 Keep = Literal["inputs", "points", "frames"]
 
@@ -44,6 +45,34 @@ class Job:
     seed: int = 0
     accuracy: Preset = "standard"
     keep: Keep = "points"
+
+    def __post_init__(self) -> None:
+        """Refuse settings that no data set can be made with.
+
+        Raises
+        ------
+        DesignError
+            With what is wrong and what would do.
+        """
+        if not (isinstance(self.design, Design) and isinstance(self.scenario, Scenario)):
+            raise DesignError(
+                "a job needs a design and a scenario that are loaded (got "
+                f"{type(self.design).__name__} and {type(self.scenario).__name__}); use "
+                "load_design and load_scenario"
+            )
+        if self.accuracy not in PRESETS:
+            known = ", ".join(PRESETS)
+            raise DesignError(f"accuracy must be one of {known} (got {self.accuracy!r})")
+        if self.keep not in get_args(Keep):
+            known = ", ".join(get_args(Keep))
+            raise DesignError(f"keep must be one of {known} (got {self.keep!r})")
+        if self.keep == "frames" and self.scenario.solve.route != "frames":
+            raise DesignError(
+                "frames cannot be kept where none are made (got route = 'points'); set "
+                "solve.route = 'frames', or --route frames"
+            )
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
+            raise DesignError(f"the seed must be a whole number from 0 on (got {self.seed!r})")
 
     @cached_property
     def key(self) -> str:

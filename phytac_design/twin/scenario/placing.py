@@ -12,6 +12,8 @@ from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import DesignError
 
+AWAY_mm = 10.0
+"""A point given by hand may lie this far beyond its patch's radius from the surface."""
 CELLS = 128
 """Cells along each side of the touched part in tables of area."""
 STATIONS = 513
@@ -242,7 +244,14 @@ def _place_at(surface: Surface, markers: Markers, number: int, item: TouchAt) ->
                 f"{list(item.point_mm)}; move it off the axis"
             )
         closed = np.array(surface.periodic)
-        return np.asarray(np.where(closed, found, np.clip(found, start, end)))
+        uv = np.asarray(np.where(closed, found, np.clip(found, start, end)))
+        away = float(np.linalg.norm(surface.point(uv[None])[0] - np.array(item.point_mm)))
+        if away > AWAY_mm + item.radius_mm:
+            raise DesignError(
+                f"{where}: point_mm = {list(item.point_mm)} is {away:.3g} mm from the "
+                f"{surface.name}; give a point on its outer face, in mm, in the sensor's frame"
+            )
+        return uv
     if item.along is not None and item.around is not None:
         return np.asarray(start + np.array([item.along, item.around]) * (end - start))
     if item.marker is not None:

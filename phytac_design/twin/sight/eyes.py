@@ -29,6 +29,8 @@ from shapes.errors import InputError
 Centroids = Literal["paint", "pixels"]
 DRAWS = 8
 """Noisy rest frames that a unit's rest positions and their noise are measured in."""
+UNSURE_px = 1.0
+"""A marker at rest whose place scatters more from frame to frame is mistaken for others."""
 STREAM = 23
 """Of the generators of those frames."""
 GRID_px = ((0.25, 0.5), (0.5, -0.25), (-0.25, 0.25))
@@ -350,10 +352,12 @@ class Eyes:
             after = locate_markers(bundle, self.frame(still, ~off))[0].position_px
         except InputError as error:
             return str(error)
+        noise = found.std(axis=0, ddof=1)
+        sure = np.linalg.norm(noise, axis=1) <= UNSURE_px
         return AtRest(
             bundle=bundle,
-            rest_px=found.mean(axis=0),
-            noise_px=found.std(axis=0, ddof=1),
+            rest_px=np.where(sure[:, None], found.mean(axis=0), np.nan),
+            noise_px=noise,
             grid_px=grid,
             tip_bias_px=np.nan_to_num(after - before - bundle.tip_bias_px),
         )
