@@ -11,7 +11,7 @@ build: setup
 	$(BIN)/phytac build cylinder60 --out exports/cylinder60
 
 test: setup lint types
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2
 
 lint: setup
 	$(BIN)/ruff check .
