@@ -104,7 +104,7 @@ def solve_batch(
         for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
     ]
     done: dict[int, Sample] = {}
-    with _one_thread():
+    with one_thread_each():
         everything = list(range(len(columns)))
         for k, sample in _run(model, columns, everything, workers, tolerance):
             done[k] = sample
@@ -155,10 +155,11 @@ def _run(
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    """Processes started inside use one BLAS thread each."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
+def one_thread_each(*others: str) -> Iterator[None]:
+    """Processes started inside use one BLAS thread each; ``others`` are set to 1 as well."""
+    names = (*THREADS, *others)
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
     try:
         yield
     finally:

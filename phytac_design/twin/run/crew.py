@@ -7,13 +7,13 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Any
 
 from phytac_design.kernels import THREADS as KERNEL_THREADS
-from phytac_design.mechanics.large.batch import THREADS as BLAS_THREADS
+from phytac_design.mechanics.large.batch import one_thread_each
 
 AHEAD = 2
 """Samples waiting for each worker: enough to keep it busy, few enough to stop at once."""
@@ -55,7 +55,7 @@ class Crew:
             state = self.start(*self.given) if todo else None
             yield from ((index, self.work(state, index)) for index in todo)
             return
-        with _one_thread_each():
+        with one_thread_each(KERNEL_THREADS):
             done: set[int] = set()
             for index, facts in self._pool(todo, self.workers):
                 done.add(index)
@@ -118,19 +118,3 @@ def _end_with(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Processes started inside compute on one thread."""
-    names = (*BLAS_THREADS, KERNEL_THREADS)
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
