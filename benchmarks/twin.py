@@ -41,7 +41,7 @@ AT_N = (5.0, 10.0, 25.0)
 """Forces at which the gap to linear theory is asked for."""
 LIMIT = 2.0
 RIM = (
-    "the worst are contacts beside a rim: under tall tubes there the shell turns some percent less "
+    "the worst is a contact beside a rim: under tall tubes there the shell turns some percent less "
     "than the solid, on any mesh"
 )
 GROUPS: tuple[tuple[str, Callable[[Solved], bool]], ...] = (
@@ -133,6 +133,7 @@ def shell_rows(table: Table, name: str, *, quick: bool) -> None:
         if not part:
             continue
         errors = [gap(one.large_mm, one.item) for one in part]
+        worst = part[int(np.argmax(errors))].item
         head = f"{what}, tip displacement, {group} ({len(part)} contacts)"
         for word, value in (("median", np.median(errors)), ("worst", np.max(errors))):
             table.add(
@@ -142,7 +143,7 @@ def shell_rows(table: Table, name: str, *, quick: bool) -> None:
                 reference=0.0,
                 source=SOURCE,
                 target="<= 2",
-                note=RIM if value > LIMIT else "",
+                note=RIM if value > LIMIT and worst.contact.kind == "rim" else "",
             )
         table.add(
             f"{head}: mean scale of the shell's motion over the referee's, less 1",

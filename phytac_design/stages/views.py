@@ -57,14 +57,9 @@ def id_picture(part: Any) -> ImageArray:
 def red_centroids(part: Any, count: int) -> FloatArray:
     """Centroid (n, 2) px of the visible red of each tip in an ID map, NaN where none."""
     from phytac_design.optics.scene import red_owner
+    from phytac_design.twin.sight.nominal import owner_centroids
 
-    owner = red_owner(part)
-    y, x = np.nonzero(owner >= 0)
-    ids = owner[y, x]
-    number = np.bincount(ids, minlength=count).astype(float)
-    number[number == 0] = np.nan
-    sums = [np.bincount(ids, weights=c, minlength=count) for c in (x, y)]
-    return np.asarray(np.column_stack(sums) / number[:, None])
+    return owner_centroids(red_owner(part), count)
 
 
 @dataclass(frozen=True, kw_only=True)

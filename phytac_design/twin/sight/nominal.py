@@ -68,12 +68,12 @@ def _look(
         rest_frame=render_frame(rest, camera),
         on_frame=render_frame(on, camera),
         marker_px=np.where(seen.lost[:, None], away, seen.centroid_px),
-        red_px=_centroids(red, markers.count),
+        red_px=owner_centroids(red, markers.count),
     )
     return seen, found
 
 
-def _centroids(owner: NDArray[np.int32], count: int) -> FloatArray:
+def owner_centroids(owner: NDArray[np.int32], count: int) -> FloatArray:
     """Centroid (n, 2) px of each marker's pixels in an owner image, NaN where none."""
     y, x = np.nonzero(owner >= 0)
     ids = owner[y, x]
