@@ -25,13 +25,15 @@ from benchmarks.referee.contacts import COUNTS, DATA
 from benchmarks.referee.read import Solved, data_file, read_solved
 from benchmarks.referee.solve import Sensor, sensor
 from phytac_design.accuracy import PRESETS
-from phytac_design.mechanics.compliance import point_motion
 from phytac_design.mechanics.large.modified import Modified
-from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.mesh import ShellMesh
+from phytac_design.mechanics.pressure import Holes, touch_loads
 from phytac_design.mechanics.solve import ShellModel
-from phytac_design.twin.response import motion_probe, turned_points
+from phytac_design.twin.contacts import Contacts
+from phytac_design.twin.feet import Feet
+from phytac_design.twin.response import point_motions, turned_points
 from phytac_design.twin.shell import truth_shell
+from phytac_design.twin.touch import flat_touches
 from shapes.arrays import FloatArray, IntArray
 
 SOURCE = "CalculiX NLGEOM, quadratic tetrahedra of the CAD (benchmarks/referee)"
@@ -74,35 +76,37 @@ class Judged:
 
 
 def shell_loads(this: Sensor, mesh: ShellMesh, solved: list[Solved]) -> csc_matrix:
-    """Load of each contact on a shell, (6N, m)."""
-    columns = [
-        patch_loads(mesh, this.surface, item.contact.centres, np.array(item.contact.radius_mm))
-        @ np.array(item.contact.force_N)
-        for item in solved
-    ]
-    return csc_matrix(np.column_stack(columns))
-
-
-def tips_of(this: Sensor, at: FloatArray, *, large: bool) -> FloatArray:
-    """Motion (n, 3) of tips that stand rigidly on the wall, from motion (n, 6) under them."""
-    arm = this.markers.tip_mm - this.markers.mid_mm
-    return turned_points(at, arm) if large else point_motion(at[:, :, None], arm)[:, :, 0]
+    """Load of each contact on a shell, (6N, m); nothing presses on holes, as on the solid."""
+    patches = [len(item.contact.uv) for item in solved]
+    contacts = Contacts(
+        sample=np.repeat(np.arange(len(solved)), patches),
+        uv=np.concatenate([item.contact.centres for item in solved]),
+        radius_mm=np.concatenate([item.contact.radius_mm for item in solved]),
+        force_N=np.concatenate([item.contact.force_N for item in solved]),
+        samples=len(solved),
+    )
+    holes = Holes.of(this.surface, this.markers.uv, this.design.receptor.diameter_hole_mm / 2.0)
+    unit = touch_loads(mesh, this.surface, flat_touches(contacts), holes=holes)
+    rows = np.arange(len(contacts.sample))
+    share = csc_matrix((contacts.force_N, (rows, contacts.sample)))
+    return csc_matrix(unit @ share)
 
 
 def judge(this: Sensor, mesh: ShellMesh, model: ShellModel, solved: list[Solved]) -> list[Judged]:
     """Solve the referee's contacts on a shell, linear and with large displacements."""
-    probe = motion_probe(mesh, this.markers.uv)
+    markers = this.markers
+    arm = markers.tip_mm - markers.mid_mm
+    feet = Feet(mesh, this.surface, markers.uv, this.design.receptor.diameter_outer_mm / 2.0)
     shell, out = Modified(model), []
     for item, load in zip(solved, shell_loads(this, mesh, solved).T.toarray(), strict=True):
         linear, sample = shell.linear(load), shell.solve(load).sample
         if sample.motion is None:
             raise RuntimeError(f"contact {item.index} has no shell solution: {sample.reason}")
-        at = [(probe @ m.ravel()).reshape(-1, 6) for m in (sample.motion, linear)]
         out.append(
             Judged(
                 item=item,
-                large_mm=tips_of(this, at[0], large=True),
-                linear_mm=tips_of(this, at[1], large=False),
+                large_mm=turned_points(feet.large(sample.motion), arm),
+                linear_mm=point_motions(feet.linear(linear), arm),
             )
         )
     return out

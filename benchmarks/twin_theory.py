@@ -19,10 +19,9 @@ from phytac_design.design_file import load_design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.large.newton import Loading
 from phytac_design.mechanics.large.path import solve_large
-from phytac_design.mechanics.pressure import touch_loads
 from phytac_design.spec import Design
 from phytac_design.twin.contacts import draw_contacts
-from phytac_design.twin.response import motion_probe, point_motions, turned_points
+from phytac_design.twin.response import point_motions, turned_points
 from phytac_design.twin.scenario.file import UnitSection
 from phytac_design.twin.scenario.region import touched_region
 from phytac_design.twin.scenario.scatter import draw_unit
@@ -120,16 +119,14 @@ def solve_all(this: Bench, solver: Solver, touches: Touches) -> Solved:
 
 def newton_all(this: Bench, solver: Solver, touches: Touches, count: int) -> Solved:
     """Solve the first samples by Newton's method, with a factor at every step."""
-    probe = motion_probe(solver.mesh, this.unit.markers.uv)
     out = Solved()
     for k in range(count):
         one = touches.of(k)
         start = time.process_time()
-        force = touch_loads(solver.mesh, this.surface, one) @ one.force_N
-        end = solve_large(solver.model, Loading(force=np.asarray(force).ravel()))[0]
+        force = solver.load(one, one.force_N)
+        end = solve_large(solver.model, Loading(force=force))[0]
         out.seconds.append(time.process_time() - start)
-        at = np.asarray(probe @ end.state.motion.ravel()).reshape(-1, 6)
-        out.tips_mm.append(turned_points(at, this.arm_mm))
+        out.tips_mm.append(turned_points(solver.feet.large(end.state.motion), this.arm_mm))
     return out
 
 

@@ -92,6 +92,55 @@ class Footing:
         return out
 
 
+@dataclass(frozen=True, kw_only=True)
+class Holes:
+    """Round holes through the wall: nothing presses on them.
+
+    Attributes
+    ----------
+    at : scipy.spatial.cKDTree
+        Their centres on the outer face, mm.
+    radius_mm : float
+        Of each.
+    """
+
+    at: Any
+    radius_mm: float
+
+    @classmethod
+    def of(cls, surface: Surface, uv: FloatArray, radius_mm: float) -> "Holes | None":
+        """Holes around chart places (n, 2); None where there is no hole."""
+        from scipy.spatial import cKDTree
+
+        if len(uv) == 0 or radius_mm <= 0.0:
+            return None
+        return cls(at=cKDTree(surface.point(uv)), radius_mm=radius_mm)
+
+    def carried(self, places_mm: FloatArray, width_mm: FloatArray) -> FloatArray:
+        """Share (p, q) of cells at places (p, q, 3), ``width_mm`` (p,) wide, that is wall."""
+        distance = self.at.query(places_mm.reshape(-1, 3))[0].reshape(places_mm.shape[:2])
+        share = (distance - self.radius_mm) / width_mm[:, None] + 0.5
+        return np.asarray(np.clip(share, 0.0, 1.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drilled:
+    """Pressure of touches on a wall with holes."""
+
+    whole: Footing
+    holes: Holes
+
+    def __call__(
+        self, patch: IntArray, arm_mm: FloatArray, mean_mm: FloatArray, longest_mm: FloatArray
+    ) -> FloatArray:
+        """See :class:`loads.Pressure`."""
+        out = self.whole(patch, arm_mm, mean_mm, longest_mm)
+        hit = np.flatnonzero(out.any(axis=1))
+        places = self.whole.at[patch[hit]][:, None] + arm_mm[hit]
+        out[hit] *= self.holes.carried(places, mean_mm[hit])
+        return out
+
+
 def _mean_of_hertz(r: FloatArray, half: FloatArray, width: FloatArray) -> FloatArray:
     """Mean of √(1 - (r/a)²) over intervals of length ``width`` (p,) about r (p, q), a (p,)."""
     a, w = np.maximum(half, LEAST_SHARE * width)[:, None], width[:, None]
@@ -158,7 +207,9 @@ def tangent_frame(surface: Surface, uv: FloatArray) -> tuple[FloatArray, FloatAr
     return along, np.cross(surface.normal(uv), along)
 
 
-def touch_loads(mesh: ShellMesh, surface: Surface, touches: "Touches") -> Any:
+def touch_loads(
+    mesh: ShellMesh, surface: Surface, touches: "Touches", *, holes: Holes | None = None
+) -> Any:
     """Nodal loads of touches, per newton of the normal force of each.
 
     The resultant along the inward normal at the centre is exactly 1 N, that of friction along its
@@ -173,6 +224,9 @@ def touch_loads(mesh: ShellMesh, surface: Surface, touches: "Touches") -> Any:
         The outer face.
     touches : Touches
         Contacts; their forces are not used.
+    holes : Holes, optional
+        Where the wall is open: the rest of a touch presses the more. One that stands on nothing
+        but a hole is a point force.
 
     Returns
     -------
@@ -192,7 +246,8 @@ def touch_loads(mesh: ShellMesh, surface: Surface, touches: "Touches") -> Any:
     if np.any(touches.friction):
         u, v = tangent_frame(surface, touches.uv)
         drag = touches.friction[:, :1] * u + touches.friction[:, 1:] * v
-    patches = Patches(uv=touches.uv, reach_mm=stand.reach_mm, pressure=stand, drag=drag)
+    pressure = stand if holes is None else Drilled(whole=stand, holes=holes)
+    patches = Patches(uv=touches.uv, reach_mm=stand.reach_mm, pressure=pressure, drag=drag)
     return spread_loads(mesh, surface, patches)
 
 

@@ -6,10 +6,10 @@ from typing import Literal
 import numpy as np
 
 from phytac_design.mechanics.large.modified import Modified
-from phytac_design.mechanics.pressure import touch_loads
+from phytac_design.mechanics.pressure import Holes, touch_loads
 from phytac_design.spec import Design
+from phytac_design.twin.feet import Feet
 from phytac_design.twin.plan import Region
-from phytac_design.twin.response import motion_probe
 from phytac_design.twin.shell import unit_shell
 from phytac_design.twin.touch import Touches
 from phytac_design.twin.unit import Unit
@@ -28,7 +28,8 @@ class Motion:
     Attributes
     ----------
     motion : (n, 6) float or None
-        Translation (mm) and rotation vector (rad) of the middle face under each marker.
+        Translation (mm) of the middle face under each marker, and rotation vector (rad) of the
+        tube that stands there.
     status : str
         ``ok``; ``flagged``: an equilibrium that is unstable, not known to be stable, or reached
         by a jump; ``failed``: no motion.
@@ -79,6 +80,8 @@ class Solver:
 
     Attributes
     ----------
+    feet : Feet
+        How the receptors move with the wall.
     nodes, whole_nodes : int
         Of the mesh, and of one that is fine all over.
     whole_because : str
@@ -104,7 +107,9 @@ class Solver:
         self.nodes, self.whole_nodes = len(shell.mesh.nodes_mm), shell.whole_nodes
         self.whole_because = shell.whole_because
         self.count = unit.markers.count
-        self._probe = motion_probe(self.mesh, unit.markers.uv)
+        receptor = design.receptor
+        self.feet = Feet(self.mesh, surface, unit.markers.uv, receptor.diameter_outer_mm / 2.0)
+        self._holes = Holes.of(surface, unit.markers.uv, receptor.diameter_hole_mm / 2.0)
         self._shell = Modified(self.model)
         self.deepest_mm = float(np.sort(np.ptp(surface.bounds_mm(), axis=0))[1]) / 2.0
 
@@ -129,14 +134,14 @@ class Solver:
             )
         theory: Theory = "linear" if self.displacement == "linear" else "large"
         try:
-            force = np.asarray(touch_loads(self.mesh, self.surface, touches) @ felt_N).ravel()
+            force = self.load(touches, felt_N)
             linear = self._shell.linear(force)
             self._refuse_deep(linear)
         except (PhytacError, ArithmeticError, MemoryError, ValueError) as error:
             return _failed(str(error) or type(error).__name__, theory)
         if self.displacement == "linear":
             return Motion(
-                motion=self._at_markers(linear),
+                motion=self.feet.linear(linear),
                 status="ok",
                 reason="",
                 theory="linear",
@@ -147,18 +152,22 @@ class Solver:
         sample = found.sample
         if sample.motion is None or not np.all(np.isfinite(sample.motion)):
             return _failed(sample.reason or "the motion is not finite", theory, found.guarded)
+        theory = "large" if sample.large else "linear"
+        moved = self.feet.large if sample.large else self.feet.linear
         return Motion(
-            motion=self._at_markers(sample.motion),
+            motion=moved(sample.motion),
             status=sample.status,
             reason=sample.reason,
-            theory="large" if sample.large else "linear",
+            theory=theory,
             error_estimate=found.error,
             softest=found.softest,
             guarded=found.guarded,
         )
 
-    def _at_markers(self, motion: FloatArray) -> FloatArray:
-        return np.asarray(self._probe @ motion.ravel()).reshape(-1, 6)
+    def load(self, touches: Touches, felt_N: FloatArray) -> FloatArray:
+        """Nodal load (6N,) of one sample; nothing presses on the receptors' holes."""
+        unit = touch_loads(self.mesh, self.surface, touches, holes=self._holes)
+        return np.asarray(unit @ felt_N).ravel()
 
     def _refuse_deep(self, linear: FloatArray) -> None:
         """Refuse loads that would press the wall in by more than the sensor has.

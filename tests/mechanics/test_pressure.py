@@ -11,6 +11,8 @@ from phytac_design.mechanics.pressure import (
     CYLINDER,
     FLAT,
     SPHERE,
+    Drilled,
+    Holes,
     footing,
     refuse_touches,
     tangent_frame,
@@ -343,3 +345,47 @@ def test_pairs_are_all_those_near_and_in_order() -> None:
     near = every <= reach[:, None] + size
     np.testing.assert_array_equal(np.column_stack([i, j]), np.argwhere(near))
     np.testing.assert_allclose(gap, every[near], rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_presses_on_a_hole(kind: int) -> None:
+    at = np.array([[0.3, 0.2], [9.0, 5.0]])
+    holes = Holes.of(SHEET, at[:1], 1.5)
+    assert holes is not None
+    touches = shaped(at, kind, friction=(0.1, 0.2))
+    pressure = Drilled(whole=footing(SHEET, touches), holes=holes)
+    radii = np.array([0.0, 1.2, 1.8])
+    width = np.array([0.1])
+    turned = np.cross(SHEET.normal(at[:1]), [[1.0, 0.0, 0.0]])
+    along = footing(SHEET, touches).axis[:1] if kind == CYLINDER else turned
+    arm = radii[None, :, None] * along[:, None]
+    whole = pressure.whole(np.array([0]), arm, width, width)[0]
+    np.testing.assert_allclose(pressure(np.array([0]), arm, width, width)[0], whole * [0, 0, 1])
+    assert whole.min() > 0.5
+    # 1 N all the same; the touch beside it is as it was.
+    open_, plain = (
+        touch_loads(SHEET_MESH, SHEET, touches, holes=given).toarray() for given in (holes, None)
+    )
+    np.testing.assert_array_equal(open_[:, 1], plain[:, 1])
+    for load in (open_, plain):
+        total = load.reshape(-1, 6, 2)[:, :3].sum(axis=0)
+        np.testing.assert_allclose(total[2], -1.0, atol=1e-12)
+    # The pressure that the hole lacks is outside it: the second moment grows as theory says.
+    if kind == FLAT:
+        arm_xy = SHEET_MESH.nodes_mm[:, :2] - SHEET.point(at[:1])[0, :2]
+        second = [
+            -np.sum(load.reshape(-1, 6, 2)[:, 2, 0] * np.sum(arm_xy**2, axis=1))
+            for load in (plain, open_)
+        ]
+        ring = (4.0**4 - 1.5**4) / (4.0**2 - 1.5**2) / 2.0 - 4.0**2 / 2.0
+        assert second[1] - second[0] == pytest.approx(ring, rel=0.03)
+
+
+def test_a_touch_on_nothing_but_a_hole_is_a_point_force() -> None:
+    at = np.array([[0.3, 0.2]])
+    touches = make_touches(at, FLAT, radius_mm=1.0)
+    load = touch_loads(SHEET_MESH, SHEET, touches, holes=Holes.of(SHEET, at, 1.5))
+    point = touch_loads(SHEET_MESH, SHEET, make_touches(at, FLAT, radius_mm=0.0))
+    assert abs(load - point).max() < 1e-15
+    assert Holes.of(SHEET, at, 0.0) is None
+    assert Holes.of(SHEET, at[:0], 1.0) is None

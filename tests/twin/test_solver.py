@@ -10,13 +10,14 @@ from phytac_design.design_file import load_design
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.meshing.locate import element_uv
 from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.pressure import touch_loads
+from phytac_design.mechanics.pressure import Holes, touch_loads
 from phytac_design.mechanics.receptors import unknown_receptors
 from phytac_design.spec import Design
 from phytac_design.twin import solver as solver_module
 from phytac_design.twin.contacts import Contacts
+from phytac_design.twin.feet import Feet
 from phytac_design.twin.plan import Region
-from phytac_design.twin.response import motion_probe, point_motions, turned_points
+from phytac_design.twin.response import point_motions, turned_points
 from phytac_design.twin.scenario.file import UnitSection
 from phytac_design.twin.scenario.region import touched_region
 from phytac_design.twin.scenario.scatter import draw_unit, wall_factor
@@ -103,9 +104,13 @@ def test_a_print_has_its_own_wall_material_and_receptors() -> None:
     there = Solver(DESIGN, SURFACE, moved, refine=REFINE, displacement="linear")
     assert np.abs(there.model.stiffness - plain.stiffness).max() > 0.01 * plain.stiffness.max()
     touches = touching((*MIDDLE, 4.0, 5.0))
-    field = there.model.solve(touch_loads(there.mesh, SURFACE, touches) @ touches.force_N).motion
-    at = motion_probe(there.mesh, moved.markers.uv) @ field.ravel()
-    np.testing.assert_allclose(got(there.solve(touches, touches.force_N)).ravel(), at, atol=1e-12)
+    receptor = DESIGN.receptor
+    holes = Holes.of(SURFACE, moved.markers.uv, receptor.diameter_hole_mm / 2.0)
+    load = touch_loads(there.mesh, SURFACE, touches, holes=holes) @ touches.force_N
+    field = there.model.solve(load).motion.ravel()
+    feet = Feet(there.mesh, SURFACE, moved.markers.uv, receptor.diameter_outer_mm / 2.0)
+    at = feet.linear(field)
+    np.testing.assert_allclose(got(there.solve(touches, touches.force_N)), at, atol=1e-12)
 
 
 def test_rest_linear_large_and_auto(large: Solver) -> None:
