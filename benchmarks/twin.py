@@ -21,6 +21,7 @@ from scipy.sparse import csc_matrix
 
 from benchmarks import twin_decoders, twin_engine, twin_eyes, twin_theory
 from benchmarks.harness import Table, run_parts
+from benchmarks.referee import strip
 from benchmarks.referee.contacts import COUNTS, DATA
 from benchmarks.referee.read import Solved, data_file, read_solved
 from benchmarks.referee.solve import Sensor, sensor
@@ -42,9 +43,10 @@ QUICK = 4
 AT_N = (5.0, 10.0, 25.0)
 """Forces at which the gap to linear theory is asked for."""
 LIMIT = 2.0
+RIM_MM = 5.0
 RIM = (
-    "the worst is a contact beside a rim: under tall tubes there the shell turns some percent less "
-    "than the solid, on any mesh"
+    "the worst tip stands beside a clamped rim: a solid is stiffer there than a shell (rows of the "
+    "clamped strip), and a tall tube multiplies the turn"
 )
 GROUPS: tuple[tuple[str, Callable[[Solved], bool]], ...] = (
     ("all", lambda _: True),
@@ -118,6 +120,16 @@ def gap(found: FloatArray, item: Solved, tips: IntArray | None = None) -> float:
     return float(100.0 * away[slice(None) if tips is None else tips].max() / item.peak_mm)
 
 
+def at_rim(this: Sensor, one: Judged) -> bool:
+    """Whether the tip that is farthest off stands beside a rim."""
+    tip = int(np.argmax(np.linalg.norm(one.large_mm - one.item.motion_mm, axis=1)))
+    ends = this.surface.point(
+        np.column_stack([this.surface.domain[0], [this.markers.uv[tip, 1]] * 2])
+    )
+    at = this.surface.point(this.markers.uv[tip][None])
+    return bool(np.linalg.norm(ends - at, axis=1).min() < RIM_MM)
+
+
 def bias(found: FloatArray, item: Solved) -> float:
     """Least-squares scale of the shell's motion over the referee's, less 1, in %."""
     truth = item.motion_mm
@@ -137,7 +149,7 @@ def shell_rows(table: Table, name: str, *, quick: bool) -> None:
         if not part:
             continue
         errors = [gap(one.large_mm, one.item) for one in part]
-        worst = part[int(np.argmax(errors))].item
+        worst = part[int(np.argmax(errors))]
         head = f"{what}, tip displacement, {group} ({len(part)} contacts)"
         for word, value in (("median", np.median(errors)), ("worst", np.max(errors))):
             table.add(
@@ -147,7 +159,7 @@ def shell_rows(table: Table, name: str, *, quick: bool) -> None:
                 reference=0.0,
                 source=SOURCE,
                 target="<= 2",
-                note=RIM if value > LIMIT and worst.contact.kind == "rim" else "",
+                note=RIM if value > LIMIT and at_rim(this, worst) else "",
             )
         table.add(
             f"{head}: mean scale of the shell's motion over the referee's, less 1",
@@ -210,6 +222,7 @@ def linear_rows(table: Table, name: str, *, quick: bool) -> None:
 
 def check_rows(table: Table) -> None:
     """What the referee's own part and mesh cost, as ``benchmarks.referee.check`` measured."""
+    strip.add_rows(table)
     path = DATA / "checks.json"
     rows: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["rows"]
     for row in rows:

@@ -91,7 +91,7 @@ def time_rows(table: Table, *, quick: bool) -> None:
 def worker_rows(table: Table, *, quick: bool) -> None:
     """One, two and four processes: identical data; how well two share the work."""
     design = load_design("cylinder60")
-    count = 8 if quick else 96
+    count = 8 if quick else 240
     job = Job(
         design=design,
         scenario=changed("platform", touch={"samples": count}),
