@@ -32,7 +32,7 @@ class Motion:
         tube that stands there.
     status : str
         ``ok``; ``flagged``: an equilibrium that is unstable, not known to be stable, or reached
-        by a jump; ``failed``: no motion.
+        by a jump, or linear motion by more than the wall's thickness; ``failed``: no motion.
     reason : str
         Why it is not ``ok``; else empty.
     theory : str
@@ -136,14 +136,15 @@ class Solver:
         try:
             force = self.load(touches, felt_N)
             linear = self._shell.linear(force)
-            self._refuse_deep(linear)
+            dent = self._refuse_deep(linear)
         except (PhytacError, ArithmeticError, MemoryError, ValueError) as error:
             return _failed(str(error) or type(error).__name__, theory)
         if self.displacement == "linear":
+            reason = self._too_deep(dent)
             return Motion(
                 motion=self.feet.linear(linear),
-                status="ok",
-                reason="",
+                status="flagged" if reason else "ok",
+                reason=reason,
                 theory="linear",
                 error_estimate=float("nan"),
             )
@@ -169,8 +170,18 @@ class Solver:
         unit = touch_loads(self.mesh, self.surface, touches, holes=self._holes)
         return np.asarray(unit @ felt_N).ravel()
 
-    def _refuse_deep(self, linear: FloatArray) -> None:
-        """Refuse loads that would press the wall in by more than the sensor has.
+    def _too_deep(self, dent: float) -> str:
+        """Why linear motion says little; "" where the wall moves by less than its thickness."""
+        thickness = self.mesh.thickness_mm
+        if dent <= thickness:
+            return ""
+        return (
+            f"linear theory has the wall pressed in by {dent:.3g} mm, more than its thickness of "
+            f"{thickness:.3g} mm, where it is far off; use displacement large or auto"
+        )
+
+    def _refuse_deep(self, linear: FloatArray) -> float:
+        """How far loads press the wall in, mm; refused if by more than the sensor has.
 
         Raises
         ------
@@ -184,6 +195,7 @@ class Solver:
                 f"{dent:.3g} mm, and the sensor is {self.deepest_mm:.3g} mm from its middle to its "
                 "side; lower the forces or raise wall.thickness_mm"
             )
+        return dent
 
 
 def _failed(reason: str, theory: Theory, guarded: str = "") -> Motion:

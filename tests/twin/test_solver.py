@@ -128,6 +128,11 @@ def test_rest_linear_large_and_auto(large: Solver) -> None:
     np.testing.assert_allclose(
         got(both), got(solved(linear, a)) + got(solved(linear, b)), atol=1e-12
     )
+    assert both.status == "ok"
+    deep = solved(linear, (*MIDDLE, 4.0, 200.0))
+    assert (deep.status, deep.theory) == ("flagged", "linear")
+    assert "more than its thickness of 0.8 mm" in deep.reason
+    np.testing.assert_allclose(got(deep), 10.0 * got(solved(linear, a)), rtol=1e-9)
     strong = solved(large, a, b)
     assert strong.theory == "large"
     apart = np.linalg.norm(got(strong)[:, :3] - got(both)[:, :3], axis=1).max()
