@@ -18,6 +18,7 @@ from decoder.run import read_image
 from decoder.samples import STATUSES, Samples
 from decoder.samples_read import read_samples
 from decoder.samples_write import FILE, TABLE
+from phytac_design.build import copy_of
 from phytac_design.cli import app
 from phytac_design.design_file import load_design, to_toml
 from phytac_design.simulate import Result, simulate
@@ -242,7 +243,8 @@ def test_contacts_that_overlap_share_what_they_press(tmp_path: Path) -> None:
 
 
 def test_markers_too_blurred_to_tell_are_missing_and_told(tmp_path: Path) -> None:
-    job = job_of(design=load_design("cylinder40"), tables={"touch": {"samples": 1}})
+    design = copy_of(load_design("cylinder40"), camera={"f_number": 2.8})
+    job = job_of(design=design, tables={"touch": {"samples": 1}})
     said: list[str] = []
     simulate(job, tmp_path / "data", workers=0, progress=said.append)
     samples = read(tmp_path / "data")
