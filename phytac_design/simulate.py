@@ -343,7 +343,10 @@ def lost(job: Job, journal: Journal, index: int) -> dict[str, Any]:
         "frames": {},
     }
     empty = {"shift_px": np.full((count, 2), np.nan), "bits_read": np.zeros(count, dtype=np.bool_)}
-    journal.put(index, empty, facts)
+    try:
+        journal.put(index, empty, facts)
+    except OSError as error:
+        raise _full(journal.root.parent, error) from None
     return facts
 
 

@@ -12,15 +12,17 @@ edges of a node give its gradient g by least squares, nearer ones heavier; the f
 then by g × n more. The tube takes the mean over a ring in its foot: no point of the wall tells.
 """
 
+from functools import cached_property
+
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix, diags_array, kron
+from scipy.sparse import csr_matrix, identity, kron
 
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.pressure import tangent_frame
 from phytac_design.twin.response import motion_probe
 from shapes import Surface
-from shapes.arrays import FloatArray
+from shapes.arrays import FloatArray, IntArray
 
 RING = 0.5
 """Radius of the ring over a tube's outer radius: the mean of a linear slope over the foot lies
@@ -54,20 +56,21 @@ class Feet:
         step = mesh.nodes_mm[second] - mesh.nodes_mm[first]
         self._length = np.linalg.norm(step, axis=1)
         self._along = step / self._length[:, None]
-        self._lean = self._gradient()
+        self._lean = self._leaning()
         self._mean = _means(mesh, surface, uv, RING * radius_mm)
+
+    @cached_property
+    def matrix(self) -> csr_matrix:
+        """What makes linear motion (6n,) of the receptors from that (6N,) of the nodes."""
+        size = 6 * len(self._normals)
+        spread = np.arange(size).reshape(-1, 6)[:, 3:].ravel()
+        put = csr_matrix((np.ones(len(spread)), (spread, np.arange(len(spread)))))
+        beyond = put @ (self._lean @ self._shear())
+        return csr_matrix(self._mean @ (identity(size, format="csr") + beyond))
 
     def linear(self, field: FloatArray) -> FloatArray:
         """Motion (n, 6) by a linear field (6N,): translations (mm), small rotations (rad)."""
-        at = field.reshape(-1, 6)
-        move, turn = at[:, :3], at[:, 3:]
-        i, j, n = self._first, self._second, self._normals
-        tilt = rot.cross(turn, n)
-        shear = (
-            np.sum((move[j] - move[i]) * (n[i] + n[j]), axis=1) / self._length
-            + np.sum(self._along * (tilt[i] + tilt[j]), axis=1)
-        ) / 2.0
-        return self._averaged(np.column_stack([move, turn + self._turned(shear)]))
+        return np.asarray(self.matrix @ field.ravel()).reshape(-1, 6)
 
     def large(self, field: FloatArray) -> FloatArray:
         """Motion (n, 6) by a field (6N,) of translations (mm) and rotation vectors (rad)."""
@@ -80,18 +83,31 @@ class Feet:
             np.sum(step * (n[i] + tilt[i] + n[j] + tilt[j]), axis=1)
             + np.sum(self._along * (tilt[i] + tilt[j]), axis=1)
         ) / 2.0
-        both = rot.product(turn, rot.exponential(self._turned(shear)))
-        return self._averaged(np.column_stack([move, rot.logarithm(both)]))
-
-    def _turned(self, shear: FloatArray) -> FloatArray:
-        """By how much the face turns (N, 3) beyond the director, from the edges' shear (m,)."""
-        return rot.cross((self._lean @ shear).reshape(-1, 3), self._normals)
-
-    def _averaged(self, motion: FloatArray) -> FloatArray:
+        both = rot.product(turn, rot.exponential((self._lean @ shear).reshape(-1, 3)))
+        motion = np.column_stack([move, rot.logarithm(both)])
         return np.asarray(self._mean @ motion.ravel()).reshape(-1, 6)
 
-    def _gradient(self) -> csr_matrix:
-        """Tangent gradient of each node, (3N, m), from a slope along each edge."""
+    def _shear(self) -> csr_matrix:
+        """Shear of each edge, (m, 6N), by a linear field."""
+        i, j, n = self._first, self._second, self._normals
+        move = (n[i] + n[j]) / (2.0 * self._length[:, None])
+        value = np.column_stack(
+            [
+                -move,
+                rot.cross(n[i], self._along) / 2.0,
+                move,
+                rot.cross(n[j], self._along) / 2.0,
+            ]
+        )
+        columns = np.concatenate(
+            [6 * i[:, None] + np.arange(6), 6 * j[:, None] + np.arange(6)], axis=1
+        )
+        rows = np.broadcast_to(np.arange(len(i))[:, None], columns.shape)
+        shape = (len(i), 6 * len(n))
+        return csr_matrix((value.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
+
+    def _leaning(self) -> csr_matrix:
+        """By how much each node's face turns, (3N, m), beyond its director, by edges' shear."""
         nodes = np.concatenate([self._first, self._second])
         along = np.concatenate([self._along, self._along])
         weight = 1.0 / np.concatenate([self._length, self._length])
@@ -99,18 +115,16 @@ class Feet:
         square = np.zeros((count, 3, 3))
         np.add.at(square, nodes, weight[:, None, None] * along[:, :, None] * along[:, None])
         inverse = np.linalg.pinv(square, rcond=1e-6, hermitian=True)
-        value = weight[:, None] * np.einsum("eij,ej->ei", inverse[nodes], along)
-        # The edges of a curved face are not quite tangent.
-        normal = self._normals[nodes]
-        value -= np.sum(value * normal, axis=1, keepdims=True) * normal
+        gradient = weight[:, None] * np.einsum("eij,ej->ei", inverse[nodes], along)
+        value = rot.cross(gradient, self._normals[nodes])
         edge = np.tile(np.arange(len(self._length)), 2)
         rows = 3 * nodes[:, None] + np.arange(3)
         columns = np.broadcast_to(edge[:, None], rows.shape)
         shape = (3 * count, len(self._length))
-        return coo_matrix((value.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsr()
+        return csr_matrix((value.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
 
 
-def _edges(mesh: ShellMesh) -> tuple[FloatArray, FloatArray]:
+def _edges(mesh: ShellMesh) -> tuple[IntArray, IntArray]:
     """Nodes of every edge once, (m,) each; none of no length."""
     quads = mesh.quads
     pairs = np.concatenate([quads[:, [k, (k + 1) % 4]] for k in range(4)])
@@ -130,7 +144,6 @@ def _means(mesh: ShellMesh, surface: Surface, uv: FloatArray, radius_mm: float) 
         if not surface.periodic[axis]:
             places[:, axis] = np.clip(places[:, axis], low, high)
     mean = kron(
-        kron(diags_array(np.ones(len(uv))), np.full((1, PLACES), 1.0 / PLACES)),
-        diags_array(np.ones(6)),
+        kron(identity(len(uv)), np.full((1, PLACES), 1.0 / PLACES)), identity(6), format="csr"
     )
     return csr_matrix(mean @ motion_probe(mesh, places))
