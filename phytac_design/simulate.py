@@ -117,7 +117,16 @@ def eyes_of(job: Job, **known: Any) -> Eyes:
     settings = job.scenario.eyes.model_dump()
     if settings["noise_pixel"] is None:
         settings["noise_pixel"] = job.design.camera.noise_pixel
-    return Eyes(job.design, job.surface, job.unit, exposure=Exposure(**settings), **known)
+    solve = job.scenario.solve
+    return Eyes(
+        job.design,
+        job.surface,
+        job.unit,
+        exposure=Exposure(**settings),
+        centroids=solve.centroids,
+        samples=solve.samples_per_pixel,
+        **known,
+    )
 
 
 def response_of(job: Job) -> ForceModel:

@@ -21,7 +21,7 @@ from decoder.samples_write import FILE, TABLE
 from phytac_design.build import copy_of
 from phytac_design.cli import app
 from phytac_design.design_file import load_design, to_toml
-from phytac_design.simulate import Result, simulate
+from phytac_design.simulate import Result, eyes_of, simulate
 from phytac_design.twin.run.job import Job
 from phytac_design.twin.run.journal import WORK, Journal
 from phytac_design.twin.scenario.file import Scenario, load_scenario, parse_scenario
@@ -255,6 +255,14 @@ def test_markers_too_blurred_to_tell_are_missing_and_told(tmp_path: Path) -> Non
     assert lost.sum() > 10
     assert STATUSES[samples.status[0]] == "flagged"
     assert np.nanmax(np.linalg.norm(samples.shift_px[0], axis=1)) < 10.0
+
+
+def test_knobs_of_the_eyes_reach_them() -> None:
+    tables = {"solve": {"centroids": "pixels", "samples_per_pixel": 3}}
+    eyes = eyes_of(job_of(tables=tables))
+    assert (eyes.centroids, eyes.eyes[0].samples) == ("pixels", 3)
+    plain = eyes_of(job_of())
+    assert (plain.centroids, plain.eyes[0].samples) == ("paint", 8)
 
 
 def test_a_full_disk_is_an_error_with_a_fix(

@@ -371,5 +371,10 @@ class SolveSection(Table):
     """Error that `auto` may leave, share of the largest displacement."""
     route: Literal["points", "frames"] = "points"
     """`points`: projected paint with the centroid's noise; `frames`: rendered images, tracked."""
+    centroids: Literal["paint", "pixels"] = "paint"
+    """Of `points`: of the `paint` that faces the camera, or of the `pixels` that show it, less what
+    neighbours hide when pressed (3 times slower)."""
+    samples_per_pixel: int = Field(8, ge=1, le=64)
+    """Of `frames`: points of the aperture that each pixel looks through."""
     local: StrictBool = True
     """Whether only the touched part of the wall is modelled finely."""
