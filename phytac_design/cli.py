@@ -13,7 +13,7 @@ import typer
 # times slower on two.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from phytac_design import cli_import, cli_mechanics, cli_switch, cli_twin
+from phytac_design import cli_import, cli_mechanics, cli_serve, cli_switch, cli_twin
 from phytac_design.cli_options import DesignArgument, JsonOption, Preset, SeedOption, say
 from shapes.errors import DesignError, PhytacError
 
@@ -232,6 +232,7 @@ for command in (
     cli_mechanics.press,
     cli_mechanics.mesh,
     cli_mechanics.calibrate,
+    cli_serve.serve,
     cli_switch.switch,
     cli_twin.simulate,
     cli_twin.scenarios,
