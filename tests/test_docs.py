@@ -38,6 +38,8 @@ def test_commands_of_the_docs_exist() -> None:
         "docs/datasets.md",
         "exports/README.md",
         "examples/rig/README.md",
+        "docs/streaming.md",
+        "examples/stream/README.md",
     ],
 )
 def test_links_and_pictures_are_there(page: str) -> None:

@@ -1,0 +1,348 @@
+"""The force stream under load: ten clients of which one stalls, and a soak at 480 fps.
+
+``python -m benchmarks.decoder_stream [--quick]``
+"""
+
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.decoder_stream_clients import READERS, clients
+from benchmarks.harness import Table, arguments
+from decoder.bundle import Bundle, load_bundle
+from decoder.frame import Frame, Source
+from decoder.run import read_image, rest_positions
+from decoder.serve import Limits, Server
+from decoder.stream import Decode, Stream, frame_decoder
+from decoder.wire import Message, Messages, Reading
+from phytac_design.build import build
+from phytac_design.design_file import load_design, parse_design
+from shapes.arrays import ImageArray
+
+DESIGN = "cylinder60"
+FPS = 480.0
+PERIOD_MS = 1000.0 / FPS
+PATIENCE_S = 2.0
+WARM_SHARE = 0.2
+"""Memory counts as settled after this share of the soak."""
+STAND_IN = (
+    "a stand-in for the decoder gives made-up forces on 4 to 12 key nodes at no cost: transport "
+    "alone; of a decoder's own speed it says nothing"
+)
+
+
+class Repeated(Source):
+    """The same frames over and over; ``asked_s`` keeps when each was asked for."""
+
+    said, clock = "rendered frames", "number / 480 fps"
+
+    def __init__(self, images: list[ImageArray]) -> None:
+        self.images, self.first, self.count = images, 0, 0
+        self.asked_s: list[float] = []
+
+    def __iter__(self) -> Iterator[Frame]:
+        for number in range(self.first, self.first + self.count):
+            now = time.monotonic()
+            self.asked_s.append(now)
+            yield Frame(
+                number=number,
+                timestamp_s=number / FPS,
+                images=(self.images[number % len(self.images)],),
+                ready_s=now,
+            )
+        self.asked_s.append(time.monotonic())
+        self.first += self.count
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class Ticks(Source):
+    """480 empty frames a second; one that is late by a whole period counts as missed."""
+
+    said, clock = "a stand-in", "number / 480 fps"
+
+    def __init__(self, seconds: float) -> None:
+        self._count = round(seconds * FPS)
+        self.rss_mib: list[float] = []
+
+    def __iter__(self) -> Iterator[Frame]:
+        started = time.monotonic()
+        for number in range(self._count):
+            due = started + number / FPS
+            wait = due - time.monotonic()
+            if wait > 0.0:
+                time.sleep(wait)
+            now = time.monotonic()
+            if now - due >= 1.0 / FPS:
+                self.missed += 1
+                continue
+            if number % 48 == 0:
+                self.rss_mib.append(rss_mib())
+            yield Frame(number=number, timestamp_s=number / FPS, images=(), ready_s=now)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def rss_mib() -> float:
+    """Resident memory of this process."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def sensor(folder: Path) -> tuple[Bundle, list[ImageArray], Decode]:
+    """``cylinder60`` before a camera of 640×480, its frames at rest and pressed, its decoder."""
+    data = load_design(DESIGN).model_dump(mode="json")
+    data["camera"] |= {"width_px": 640, "height_px": 480}
+    data["camera"]["focal_px"] *= 640.0 / 2592.0
+    design = parse_design(data, f"{DESIGN} at 640×480")
+    # At 640×480 some of its markers fuse: good enough to time.
+    build(
+        design,
+        folder / "build",
+        accuracy="draft",
+        only=["frames"],
+        force=True,
+        progress=lambda _: None,
+    )
+    bundle = load_bundle(folder / "build" / "decoder")
+    views = folder / "build" / "views"
+    images = [read_image(views / f"frame_{name}.png") for name in ("rest", "pressed")]
+    decode = frame_decoder(bundle, rest_px=rest_positions(bundle, images[0]))
+    return bundle, images, decode
+
+
+def made_up(bundle: Bundle) -> Decode:
+    """Forces that somebody might press with, made before."""
+    rng = np.random.default_rng(3)
+    count = len(bundle.position_mm)
+    readings = []
+    for _ in range(64):
+        koi = np.sort(rng.choice(count, rng.integers(4, 13), replace=False))
+        forces = np.zeros(count)
+        forces[koi] = rng.uniform(0.5, 25.0, len(koi))
+        readings.append(Reading(koi=koi, forces_N=forces))
+    return lambda frame: readings[frame.number % 64]
+
+
+def add_stalled(table: Table, folder: Path, *, quick: bool) -> Bundle:
+    """The sensor's own decoder with no client, and with ten of which one stalls."""
+    bundle, images, decode = sensor(folder)
+    rounds, frames = (3, 20) if quick else (20, 100)
+    messages = Messages(bundle=bundle, estimator="koi_inverse")
+    limits, started_s = Limits(patience_s=600.0), time.monotonic()
+    lone_ms: list[float] = []
+    ten_ms: list[float] = []
+    with (
+        Server(messages.hello(), port=0) as lone,
+        Server(messages.hello(), port=0, limits=limits) as busy,
+        clients(busy, started_s, stalled=1) as heard,
+    ):
+        sources = {lone.port: Repeated(images), busy.port: Repeated(images)}
+        for _ in range(rounds):
+            for server, into in ((lone, lone_ms), (busy, ten_ms)):
+                source = sources[server.port]
+                source.count, source.asked_s = frames, []
+                Stream(
+                    source=source,
+                    decode=decode,
+                    messages=messages,
+                    publish=server.publish,
+                    started_s=started_s,
+                ).run()
+                into.extend((1000.0 * np.diff(source.asked_s)).tolist())
+        sent = sources[busy.port].first
+        dropped = busy.dropped
+        busy.close()
+        got = heard()
+    lone_p50, lone_p99 = np.percentile(lone_ms, (50, 99))
+    ten_p50, ten_p99 = np.percentile(ten_ms, (50, 99))
+    head = f"{DESIGN} at 640x480, decoded and sent"
+    same = "the same loop without clients, in turns, same run"
+    table.add(
+        f"{head}, no client: median time of a frame",
+        float(lone_p50),
+        "ms",
+        reference="none",
+        source="frame by frame, koi_inverse",
+    )
+    table.add(
+        f"{head}: ten clients of which one stalls, over none: median time of a frame",
+        float(ten_p50 / lone_p50),
+        "ratio",
+        reference=float(lone_p50),
+        source=same,
+        target="<= 1.1",
+    )
+    table.add(
+        f"{head}: ten clients of which one stalls, over none: p99 time of a frame",
+        float(ten_p99 / lone_p99),
+        "ratio",
+        reference=float(lone_p99),
+        source=same,
+    )
+    table.add(
+        f"{head}: messages that the nine who read did not get ({READERS} × {sent} sent)",
+        got.missing(sent),
+        "messages",
+        reference=0,
+        source="counted by the clients",
+        target="== 0",
+    )
+    table.add(
+        f"{head}: messages dropped for the one who stalls",
+        dropped,
+        "messages",
+        reference="none",
+        source="kept to the end, though it never reads",
+    )
+    return bundle
+
+
+def add_flood(table: Table, bundle: Bundle, *, quick: bool) -> None:
+    """How long publishing holds the sensor up, whatever clients do."""
+    messages = Messages(bundle=bundle, estimator="koi_inverse")
+    decode, count = made_up(bundle), 300 if quick else 5000
+    frame = Frame(number=0, timestamp_s=0.0, images=(), ready_s=0.0)
+    message = messages.frame(decode(frame), sequence=0, timestamp_s=0.0)
+    spent: dict[str, list[float]] = {}
+    for name, stalled in (("no client", 0), ("nine who read and twenty who stall", 20)):
+        taken = spent.setdefault(name, [])
+        with Server(messages.hello(), port=0, limits=Limits(patience_s=60.0)) as server:
+            if stalled:
+                with clients(server, time.monotonic(), stalled) as heard:
+                    _publish(server, message, count, taken)
+                    server.close()
+                    heard()
+            else:
+                _publish(server, message, count, taken)
+    for name, taken in spent.items():
+        p50, p99 = np.percentile(taken, (50, 99))
+        for which, value in (("median", p50), ("p99", p99)):
+            table.add(
+                f"publishing a message, {name}: {which}",
+                float(value),
+                "ms",
+                reference=PERIOD_MS,
+                source="a frame's period at 480 fps",
+                target="<= 1" if which == "p99" else None,
+                note=STAND_IN,
+            )
+
+
+def _publish(server: Server, message: Message, count: int, taken: list[float]) -> None:
+    for number in range(count):
+        begun = time.perf_counter()
+        server.publish(message | {"sequence": number})
+        taken.append(1000.0 * (time.perf_counter() - begun))
+        time.sleep(1.0 / FPS)
+
+
+def add_soak(table: Table, bundle: Bundle, *, quick: bool) -> None:
+    """480 frames a second to nine who read and one who stalls."""
+    seconds = 3.0 if quick else 60.0
+    messages = Messages(bundle=bundle, estimator="stand-in")
+    alone = Ticks(seconds / 3.0)
+    Stream(source=alone, decode=made_up(bundle), messages=messages, publish=lambda _: None).run()
+    started_s, source = time.monotonic(), Ticks(seconds)
+    with (
+        Server(messages.hello(), port=0, limits=Limits(patience_s=PATIENCE_S)) as server,
+        clients(server, started_s, stalled=1) as heard,
+    ):
+        stream = Stream(
+            source=source,
+            decode=made_up(bundle),
+            messages=messages,
+            publish=server.publish,
+            started_s=started_s,
+        )
+        busy, begun = time.process_time(), time.monotonic()
+        stream.run()
+        share = (time.process_time() - busy) / (time.monotonic() - begun)
+        server.close()
+        got = heard()
+    sent = stream.progress.frames
+    head = f"stream at 480 fps for {seconds:g} s, nine clients read and one stalls"
+    rss = source.rss_mib
+    settled = float(np.median(rss[int(WARM_SHARE * len(rss)) :][:10]))
+    p50, p99 = np.percentile(got.latency_ms, (50, 99))
+    rows: list[dict[str, Any]] = [
+        {
+            "case": "frames that the loop missed",
+            "value": source.missed,
+            "unit": f"of {sent + source.missed}",
+            "reference": 3 * alone.missed,
+            "source": "late by a whole period; the loop alone before, without a server, times 3",
+            "target": "== 0",
+        },
+        {
+            "case": f"messages that the nine did not get ({READERS} × {sent} sent)",
+            "value": got.missing(sent),
+            "unit": "messages",
+            "reference": 0,
+            "source": "counted by the clients",
+            "target": "== 0",
+        },
+        {
+            "case": "growth of resident memory",
+            "value": float(np.median(rss[-10:])) - settled,
+            "unit": "MiB",
+            "reference": settled,
+            "source": f"after {WARM_SHARE * seconds:g} s",
+            "target": "<= 1",
+        },
+        {
+            "case": "from decoded to received: median",
+            "value": float(p50),
+            "unit": "ms",
+            "reference": PERIOD_MS,
+            "source": "a frame's period; clients in one other process",
+        },
+        {
+            "case": "from decoded to received: p99",
+            "value": float(p99),
+            "unit": "ms",
+            "reference": PERIOD_MS,
+            "source": "a frame's period; clients in one other process",
+            "target": f"<= {PERIOD_MS:.3f}",
+        },
+        {
+            "case": "processor time of loop and server",
+            "value": 100.0 * share,
+            "unit": "% of a core",
+            "reference": "none",
+            "source": "process time over wall time",
+        },
+    ]
+    if alone.missed:
+        rows[0]["note"] = (
+            f"{STAND_IN}; without any server the loop missed {alone.missed} in {seconds / 3:g} s "
+            "too: other programs had the processor"
+        )
+    for row in rows:
+        row.setdefault("note", STAND_IN)
+        row["case"] = f"{head}: {row['case']}"
+        table.add(**row)
+
+
+def add_rows(table: Table, *, quick: bool) -> None:
+    """All of the above."""
+    with tempfile.TemporaryDirectory() as scratch:
+        bundle = add_stalled(table, Path(scratch), quick=quick)
+    add_flood(table, bundle, quick=quick)
+    add_soak(table, bundle, quick=quick)
+
+
+def main() -> None:
+    """Print the rows; ``decoder`` writes them."""
+    add_rows(Table("decoder_stream"), quick=arguments(__doc__ or "").quick)
+
+
+if __name__ == "__main__":
+    main()

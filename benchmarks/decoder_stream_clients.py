@@ -1,0 +1,98 @@
+"""Clients of a force stream, in a process of their own: what they hear, and when."""
+
+import multiprocessing
+import selectors
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from decoder.serve import Server
+from decoder.wire import Splitter
+from shapes.arrays import FloatArray
+
+READERS = 9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Heard:
+    """What the clients of a run tell.
+
+    Attributes
+    ----------
+    sequences : list of list of int
+        Frames that each reader got, in order.
+    latency_ms : (m,) float
+        From the end of decoding to the bytes in a client's hands, all messages of all readers.
+    """
+
+    sequences: list[list[int]]
+    latency_ms: FloatArray
+
+    def missing(self, count: int) -> int:
+        """Messages of ``count`` that some reader did not get, or not in order."""
+        return sum(count if got != sorted(set(got)) else count - len(got) for got in self.sequences)
+
+
+def listen(port: int, readers: int, stalled: int, started_s: float, tell: Connection) -> None:
+    """Clients in one process: ``readers`` that read until the end, ``stalled`` that never do."""
+    sleepers = [_connected(port, small=True) for _ in range(stalled)]
+    selector = selectors.DefaultSelector()
+    splitters = [Splitter("lines") for _ in range(readers)]
+    sequences: list[list[int]] = [[] for _ in range(readers)]
+    late: list[float] = []
+    for number in range(readers):
+        selector.register(_connected(port), selectors.EVENT_READ, number)
+    tell.send("ready")
+    while selector.get_map():
+        for key, _ in selector.select():
+            link: Any = key.fileobj
+            data = link.recv(1 << 16)
+            now = time.monotonic() - started_s
+            if not data:
+                selector.unregister(link)
+                link.close()
+            for message in splitters[key.data].feed(data):
+                if message["type"] == "frame":
+                    sequences[key.data].append(message["sequence"])
+                    late.append(now - message["decoded_s"])
+    for sleeper in sleepers:
+        sleeper.close()
+    tell.send((sequences, late))
+
+
+def _connected(port: int, *, small: bool = False) -> socket.socket:
+    link = socket.socket()
+    if small:
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    link.connect(("127.0.0.1", port))
+    return link
+
+
+@contextmanager
+def clients(server: Server, started_s: float, stalled: int) -> Iterator[Callable[[], Heard]]:
+    """Readers, and some that stall, in a process of their own; gives what they heard."""
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    child = context.Process(
+        target=listen, args=(server.port, READERS, stalled, started_s, there), daemon=True
+    )
+    child.start()
+    here.recv()
+    while server.clients < READERS + stalled:
+        time.sleep(0.01)
+
+    def heard() -> Heard:
+        sequences, late = here.recv()
+        return Heard(sequences=sequences, latency_ms=1000.0 * np.array(late))
+
+    try:
+        yield heard
+    finally:
+        child.join(timeout=10.0)
+        child.terminate()

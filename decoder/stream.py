@@ -1,0 +1,196 @@
+"""The sensor's loop: frames in, forces out, and how it goes, once a second."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from decoder.bundle import Bundle
+from decoder.estimators import ESTIMATORS
+from decoder.frame import Frame, Source
+from decoder.imu import Imu
+from decoder.record import Recorder
+from decoder.run import measure_frame
+from decoder.wire import Message, Messages, Reading
+from shapes.arrays import FloatArray
+from shapes.errors import InputError, OutputError, PhytacError
+
+Decode = Callable[[Frame], Reading]
+"""A frame to forces, in order; raises a PhytacError for one that it cannot read."""
+
+
+def frame_decoder(
+    bundle: Bundle, *, estimator: str = "koi_inverse", rest_px: FloatArray | None = None
+) -> Decode:
+    """Decode each frame by itself.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        The sensor's decoder.
+    estimator : str
+        One of :data:`decoder.estimators.ESTIMATORS`.
+    rest_px : (n, 2) float, optional
+        From :func:`decoder.run.rest_positions`.
+
+    Raises
+    ------
+    InputError
+        If there is no such estimator.
+    """
+    if estimator not in ESTIMATORS:
+        raise InputError(f"no estimator {estimator!r}; known: {', '.join(ESTIMATORS)}")
+
+    def decode(frame: Frame) -> Reading:
+        measured = measure_frame(bundle, frame.images, rest_px=rest_px)
+        forces = measured.forces_N(bundle, estimator)
+        warnings = measured.warnings(bundle, forces, estimator=estimator)
+        return Reading(koi=measured.koi, forces_N=forces, warnings=warnings)
+
+    return decode
+
+
+@dataclass(kw_only=True)
+class Progress:
+    """How the stream goes.
+
+    Attributes
+    ----------
+    seconds : float
+        Since it began.
+    frames : int
+        Decoded, or tried, so far.
+    unread : int
+        Of these, those that gave no forces.
+    fps : float
+        Frames a second, since the last progress.
+    latency_ms : list of float
+        From a frame at hand to its message published, since the last progress.
+    missed, skipped : int
+        Frames so far that went by while another was decoded, and that could not be read.
+    """
+
+    seconds: float = 0.0
+    frames: int = 0
+    unread: int = 0
+    fps: float = 0.0
+    missed: int = 0
+    skipped: int = 0
+    latency_ms: list[float] = field(default_factory=list)
+
+    def text(self, *, clients: int, dropped: int) -> str:
+        """One line for people."""
+        p50, p99 = np.percentile(self.latency_ms, (50, 99)) if self.latency_ms else (0.0, 0.0)
+        more = "".join(
+            f", {count} {name}"
+            for count, name in (
+                (self.missed, "missed"),
+                (self.skipped, "skipped"),
+                (self.unread, "unread"),
+            )
+            if count
+        )
+        return (
+            f"{self.seconds:6.0f} s  {self.fps:6.1f} fps  latency p50 {p50:.2f} p99 {p99:.2f} ms  "
+            f"{clients} client{'' if clients == 1 else 's'}, {dropped} dropped{more}"
+        )
+
+
+@dataclass(kw_only=True)
+class Stream:
+    """Decodes a source's frames and publishes their messages.
+
+    Attributes
+    ----------
+    source : Source
+        Of the frames.
+    decode : callable
+        A frame to a reading.
+    messages : Messages
+        Makes them; its ``started_unix_s`` is that of ``started_s``.
+    publish : callable
+        Takes each message and returns at once.
+    started_s : float
+        ``time.monotonic()`` at which ``decoded_s`` is 0.
+    imu : Imu, optional
+        Motion samples to merge in.
+    recorder : Recorder, optional
+        Where contacts are kept.
+    report : callable
+        Told about frames that cannot be decoded and a disk that is full.
+    each_second : callable
+        Told how it goes.
+    progress : Progress
+        How it has gone so far.
+    """
+
+    source: Source
+    decode: Decode
+    messages: Messages
+    publish: Callable[[Message], None]
+    started_s: float = field(default_factory=time.monotonic)
+    imu: Imu | None = None
+    recorder: Recorder | None = None
+    report: Callable[[str], None] = print
+    each_second: Callable[[Progress], None] = lambda _: None
+    progress: Progress = field(default_factory=Progress)
+
+    def run(self) -> None:
+        """Run to the source's end.
+
+        Raises
+        ------
+        PhytacError
+            If the source or the publisher fails. A frame that cannot be decoded is published as
+            not valid, with the reason.
+        """
+        now, source = self.progress, self.source
+        reported_s, reported_frames, told_s = self.started_s, 0, -np.inf
+        for frame in source:
+            message = self._message(frame)
+            self.publish(message)
+            if not message["valid"]:
+                now.unread += 1
+                if frame.ready_s - told_s > 1.0:
+                    told_s = frame.ready_s
+                    self.report(f"frame {frame.number}: {message['warnings'][-1]}")
+            self._record(message)
+            now.frames += 1
+            now.latency_ms.append(message["latency_ms"])
+            now.missed, now.skipped = source.missed, source.skipped
+            done_s = time.monotonic()
+            now.seconds = done_s - self.started_s
+            if done_s - reported_s >= 1.0:
+                now.fps = (now.frames - reported_frames) / (done_s - reported_s)
+                self.each_second(now)
+                reported_s, reported_frames = done_s, now.frames
+                now.latency_ms.clear()
+        now.missed, now.skipped = source.missed, source.skipped
+
+    def _message(self, frame: Frame) -> Message:
+        try:
+            reading = self.decode(frame)
+        except (PhytacError, cv2.error, np.linalg.LinAlgError) as error:
+            reading = Reading.none(f"the frame cannot be decoded: {error}")
+        done_s = time.monotonic()
+        return self.messages.frame(
+            reading,
+            sequence=frame.number,
+            timestamp_s=frame.timestamp_s,
+            decoded_s=done_s - self.started_s,
+            latency_ms=1000.0 * (done_s - frame.ready_s),
+            missed=self.source.missed + self.source.skipped,
+            imu=self.imu.latest(frame.timestamp_s) if self.imu else None,
+        )
+
+    def _record(self, message: Message) -> None:
+        if self.recorder is None:
+            return
+        try:
+            self.recorder.add(message)
+        except OutputError as error:
+            # A full disk is no reason to leave the robot without forces.
+            self.report(f"recording stops: {error}")
+            self.recorder = None

@@ -1,0 +1,198 @@
+"""Recorded pictures of one camera: a folder of images, or a video."""
+
+import re
+from abc import ABC, abstractmethod
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from shapes.arrays import ImageArray
+from shapes.errors import InputError
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+STAMP_NS = re.compile(r"\d{16,19}")
+STAMP_S = re.compile(r"\d+\.\d+")
+ENDS_OF_FILES = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
+"""What a whole file ends with; OpenCV gives half a picture for a file that was cut off."""
+
+
+class Track(ABC):
+    """Pictures of one camera that were recorded.
+
+    Attributes
+    ----------
+    said : str
+        Folder or file.
+    count : int or None
+        How many there are; None where only reading them tells.
+    stamped : bool
+        Whether the recording says when they were taken.
+    """
+
+    said: str
+    count: int | None
+    stamped: bool
+
+    @abstractmethod
+    def grab(self) -> bool:
+        """Go on to the next picture; False after the last."""
+
+    @abstractmethod
+    def retrieve(self) -> ImageArray:
+        """The picture gone to.
+
+        Raises
+        ------
+        InputError
+            If it is torn.
+        """
+
+    @abstractmethod
+    def time_s(self) -> float:
+        """When the picture gone to was taken, where the recording says so."""
+
+    @abstractmethod
+    def rewind(self) -> None:
+        """Before the first picture."""
+
+    def close(self) -> None:  # noqa: B027 - most have nothing to let go
+        """Let files go."""
+
+
+class Folder(Track):
+    """Image files, by their times where all names are times, else by the numbers in their names.
+
+    Names are times if all are seconds with decimals (``12.350.png``) or nanoseconds, as ROS
+    exports them.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+
+    def __init__(self, where: Path) -> None:
+        self.said = str(where)
+        if where.is_dir():
+            try:
+                files = [item for item in where.iterdir() if item.suffix.lower() in SUFFIXES]
+            except OSError as error:
+                raise InputError(f"no frames at {where} ({error.strerror})") from None
+        else:
+            files = [where]
+        if not files:
+            raise InputError(
+                f"{where} holds no image (got none of {', '.join(SUFFIXES)}); give the folder of "
+                "the frames themselves, or a video"
+            )
+        stems = [item.stem for item in files]
+        self.stamped = True
+        if all(STAMP_S.fullmatch(stem) for stem in stems):
+            times = [float(stem) for stem in stems]
+        elif all(STAMP_NS.fullmatch(stem) for stem in stems):
+            times = [int(stem) / 10**9 for stem in stems]
+        else:
+            times, self.stamped = [0.0] * len(files), False
+        order = sorted(range(len(files)), key=lambda i: (times[i], _natural(files[i].name)))
+        self._files = [files[i] for i in order]
+        self._times = [times[i] for i in order]
+        self.count = len(files)
+        self._at = -1
+
+    def grab(self) -> bool:
+        """Go on to the next picture; False after the last."""
+        self._at += 1
+        return self._at < len(self._files)
+
+    def retrieve(self) -> ImageArray:
+        """The picture gone to."""
+        return whole_image(self._files[self._at])
+
+    def time_s(self) -> float:
+        """What its name says."""
+        return self._times[self._at]
+
+    def rewind(self) -> None:
+        """Before the first picture."""
+        self._at = -1
+
+
+class Video(Track):
+    """A video that OpenCV reads.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+
+    count = None
+    stamped = True
+
+    def __init__(self, where: Path) -> None:
+        self.said = str(where)
+        self._open()
+
+    def _open(self) -> None:
+        self._video = cv2.VideoCapture(self.said)
+        if not self._video.isOpened():
+            raise InputError(
+                f"{self.said} is not a video or image that can be read; give an image (PNG, JPEG), "
+                "a folder of images, a video, or a camera's number"
+            )
+
+    def grab(self) -> bool:
+        """Go on to the next picture; False after the last."""
+        return bool(self._video.grab())
+
+    def retrieve(self) -> ImageArray:
+        """The picture gone to."""
+        good, image = self._video.retrieve()
+        if not good or image is None:
+            raise InputError(f"a frame of {self.said} cannot be decoded")
+        return np.asarray(image, dtype=np.uint8)
+
+    def time_s(self) -> float:
+        """When it is shown."""
+        return float(self._video.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
+
+    def rewind(self) -> None:
+        """Before the first picture."""
+        self._video.release()
+        self._open()
+
+    def close(self) -> None:
+        """Let the file go."""
+        self._video.release()
+
+
+def whole_image(path: Path) -> ImageArray:
+    """An image file as BGR.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or is cut off.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror})") from None
+    ending = ENDS_OF_FILES.get(path.suffix.lower())
+    # Some cameras pad their files.
+    if ending and not data.rstrip(b"\0").endswith(ending):
+        raise InputError(f"{path} is cut off, or no {path.suffix[1:].upper()} file")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
+    except cv2.error as error:
+        raise InputError(f"{path} cannot be decoded ({error.err})") from None
+    if image is None:
+        raise InputError(f"{path} is not an image that can be read (PNG, JPEG, BMP, TIFF)")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def _natural(name: str) -> list[tuple[str, int]]:
+    """Sorts frame_9 before frame_10."""
+    parts = re.split(r"(\d+)", name)
+    return [(a, int(b or 0)) for a, b in zip(parts[::2], [*parts[1::2], ""], strict=True)]

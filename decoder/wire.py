@@ -1,0 +1,363 @@
+"""Messages of a force stream: what they hold, and how they stand on the wire.
+
+``docs/streaming.md`` is the description for those who read them.
+"""
+
+import json
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from decoder.bundle import Bundle, named
+from shapes.arrays import FloatArray, IntArray
+from shapes.errors import InputError
+
+FORMAT = "phytac-stream"
+VERSION = "1.0"
+FRAMINGS = ("lines", "length")
+"""JSON lines, or each message after its length in bytes (4 bytes, big-endian)."""
+MESSAGE_MAX_BYTES = 1 << 24
+"""A longer message is a broken stream."""
+FORCE_LIMIT_N = 1e6
+"""What is beyond this is no force but a computation gone wrong."""
+FORCE_DIGITS = 4
+POSITION_DIGITS = 3
+TIME_DIGITS = 6
+UNITS = {"force": "N", "length": "mm", "time": "s", "latency": "ms", "frame": "sensor"}
+
+Message = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """What a decoder makes of one frame.
+
+    Attributes
+    ----------
+    koi : (m,) int
+        Key nodes of interest: markers whose switch is on.
+    forces_N : (n,) float
+        Inward force on every marker; zero off the key nodes of interest.
+    warnings : sequence of str
+        Reasons to distrust them.
+    valid : bool
+        Whether the frame could be decoded at all.
+    """
+
+    koi: IntArray
+    forces_N: FloatArray
+    warnings: Sequence[str] = ()
+    valid: bool = True
+
+    @classmethod
+    def none(cls, reason: str) -> "Reading":
+        """Of a frame that could not be decoded, with the reason."""
+        nothing = np.zeros(0)
+        return cls(koi=nothing.astype(np.int64), forces_N=nothing, warnings=(reason,), valid=False)
+
+
+def contact_groups(koi: IntArray, neighbours: IntArray) -> list[list[int]]:
+    """Key nodes in groups that hang together, as rows of ``koi``, in growing order.
+
+    Parameters
+    ----------
+    koi : (m,) int
+        Markers.
+    neighbours : (n, 8) int
+        Neighbour ids, -1 beyond a rim; one that is named by one side alone counts too.
+    """
+    of = {marker: row for row, marker in enumerate(koi.tolist())}
+    label = list(range(len(of)))
+
+    def root(row: int) -> int:
+        while label[row] != row:
+            label[row] = label[label[row]]
+            row = label[row]
+        return row
+
+    for row, near in enumerate(neighbours[koi].tolist()):
+        for marker in near:
+            if marker in of:
+                label[root(row)] = root(of[marker])
+    groups: dict[int, list[int]] = {}
+    for row in range(len(label)):
+        groups.setdefault(root(row), []).append(row)
+    return list(groups.values())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Messages:
+    """Makes the messages of one sensor.
+
+    Attributes
+    ----------
+    bundle : Bundle
+        The sensor's decoder.
+    estimator : str
+        That gives the forces.
+    source : str
+        Where frames come from, in words.
+    clock : str
+        What ``timestamp_s`` counts (see :attr:`decoder.sources.Source.clock`).
+    started_unix_s : float
+        Unix time at which ``decoded_s`` is 0.
+    normals : (n, 3) float, optional
+        Outward unit normals of the surface at the markers; without them there is no net vector.
+    """
+
+    bundle: Bundle
+    estimator: str
+    source: str = ""
+    clock: str = ""
+    started_unix_s: float = 0.0
+    normals: FloatArray | None = None
+
+    def hello(self, *, positions: bool = True) -> Message:
+        """The first message; serial ports get it without the markers' ``positions``."""
+        bundle = self.bundle
+        out: Message = {
+            "type": "hello",
+            "format": FORMAT,
+            "version": VERSION,
+            "design": bundle.design,
+            "design_hash": bundle.design_hash,
+            "estimator": self.estimator,
+            "source": self.source,
+            "clock": self.clock,
+            "started_unix_s": round(self.started_unix_s, TIME_DIGITS),
+            "cameras": len(bundle.cameras),
+            "markers": len(bundle.position_mm),
+            "force_max_N": float(bundle.force_max_N),
+            "units": UNITS,
+            "limits": bundle.limits(),
+        }
+        if positions:
+            out["positions_mm"] = np.round(bundle.position_mm, POSITION_DIGITS).tolist()
+        return out
+
+    def frame(
+        self,
+        reading: Reading,
+        *,
+        sequence: int,
+        timestamp_s: float,
+        decoded_s: float = 0.0,
+        latency_ms: float = 0.0,
+        missed: int = 0,
+        imu: Message | None = None,
+    ) -> Message:
+        """One frame's forces; forces that are no numbers are left out, with a warning.
+
+        Parameters
+        ----------
+        reading : Reading
+            Of the frame.
+        sequence : int
+            Number of the frame in its source.
+        timestamp_s : float
+            When it was taken.
+        decoded_s, latency_ms : float
+            When it was decoded, and how long after it was at hand.
+        missed : int
+            Frames before this one that were not decoded.
+        imu : dict, optional
+            Motion sample that belongs to it.
+        """
+        forces, koi = reading.forces_N, reading.koi
+        # Not so for NaN.
+        good = np.abs(forces[koi]) <= FORCE_LIMIT_N
+        warnings, broken = list(reading.warnings), koi[~good]
+        if len(broken):
+            warnings.append(
+                f"the forces on {len(broken)} markers ({named(broken)}) came out as no numbers; "
+                "they are left out"
+            )
+        koi = koi[good]
+        out: Message = {
+            "type": "frame",
+            "sequence": sequence,
+            "timestamp_s": _rounded(timestamp_s, TIME_DIGITS),
+            "decoded_s": _rounded(decoded_s, TIME_DIGITS),
+            "latency_ms": _rounded(latency_ms, 3),
+            "valid": reading.valid and not len(broken),
+            "total_N": _rounded(forces[koi].sum(), FORCE_DIGITS),
+            "contacts": self._contacts(forces, koi),
+            "koi": koi.tolist(),
+            "forces_N": np.round(forces[koi], FORCE_DIGITS).tolist(),
+            "warnings": warnings,
+            "missed": missed,
+        }
+        if self.normals is not None:
+            # Pressing acts along the inward normal.
+            net = -(forces[koi] @ self.normals[koi])
+            out["net_force_N"] = [_rounded(part, FORCE_DIGITS) for part in net]
+        if imu is not None:
+            out["imu"] = imu
+        return out
+
+    def _contacts(self, forces_N: FloatArray, koi: IntArray) -> list[Message]:
+        """Groups of key nodes, the strongest first."""
+        # Plain lists: there are a dozen key nodes, and arrays of that size cost more to make.
+        markers, forces = koi.tolist(), forces_N[koi].tolist()
+        places = self.bundle.position_mm[koi].tolist()
+        out = []
+        for group in contact_groups(koi, self.bundle.model.neighbours):
+            # K·u may come out negative; a pull must not push the mean off the contact.
+            weight = [max(forces[row], 0.0) for row in group]
+            if sum(weight) <= 0.0:
+                weight = [1.0] * len(group)
+            middle = [
+                sum(w * places[row][axis] for w, row in zip(weight, group, strict=True))
+                / sum(weight)
+                for axis in range(3)
+            ]
+            out.append(
+                {
+                    "markers": [markers[row] for row in group],
+                    "force_N": _rounded(sum(forces[row] for row in group), FORCE_DIGITS),
+                    "position_mm": [_rounded(part, POSITION_DIGITS) for part in middle],
+                }
+            )
+        return sorted(out, key=lambda contact: -contact["force_N"])
+
+
+def end_message(reason: str) -> Message:
+    """The last message, with why the stream ends."""
+    return {"type": "end", "reason": reason}
+
+
+def _rounded(value: float, digits: int) -> float:
+    # Adding 0.0 makes -0.0 a plain zero.
+    return round(float(value), digits) + 0.0
+
+
+def json_bytes(message: Message) -> bytes:
+    """UTF-8 JSON on one line, ASCII alone: some readers take other line ends for their own.
+
+    Raises
+    ------
+    InputError
+        If it holds a number that is not finite.
+    """
+    try:
+        text = json.dumps(message, separators=(",", ":"), allow_nan=False)
+    except ValueError as error:
+        raise InputError(f"a message holds a number that is not finite ({error})") from None
+    return text.encode()
+
+
+def framed(text: bytes, framing: str) -> bytes:
+    """One message's JSON as it stands on the wire.
+
+    Raises
+    ------
+    InputError
+        If there is no such framing, or the message is too long.
+    """
+    check_framing(framing)
+    if len(text) > MESSAGE_MAX_BYTES:
+        raise InputError(f"a message of {len(text)} bytes is longer than {MESSAGE_MAX_BYTES}")
+    return text + b"\n" if framing == "lines" else struct.pack(">I", len(text)) + text
+
+
+def encode(message: Message, framing: str) -> bytes:
+    """A message as it stands on the wire.
+
+    Raises
+    ------
+    InputError
+        See :func:`json_bytes` and :func:`framed`.
+    """
+    return framed(json_bytes(message), framing)
+
+
+def with_dropped(text: bytes, dropped: int) -> bytes:
+    """A message's JSON with the number of messages that its receiver was not sent.
+
+    The rest of it is the same for all receivers and made once.
+    """
+    return text[:-1] + b',"dropped":%d}' % dropped
+
+
+def check_framing(framing: str) -> None:
+    """Refuse a framing that there is not.
+
+    Raises
+    ------
+    InputError
+        If there is none of this name.
+    """
+    if framing not in FRAMINGS:
+        raise InputError(f"no format {framing!r} for a stream; known: {', '.join(FRAMINGS)}")
+
+
+class Splitter:
+    """Bytes as they arrive, in pieces of any size, to messages.
+
+    Parameters
+    ----------
+    framing : str
+        One of ``FRAMINGS``.
+    """
+
+    def __init__(self, framing: str) -> None:
+        check_framing(framing)
+        self._framing = framing
+        self._held = bytearray()
+
+    def feed(self, data: bytes) -> list[Message]:
+        """Messages that are complete with these bytes.
+
+        Raises
+        ------
+        InputError
+            If they are no messages of a stream.
+        """
+        self._held += data
+        out = []
+        while (text := self._next()) is not None:
+            out.append(_parsed(text))
+        return out
+
+    def _next(self) -> bytes | None:
+        held = self._held
+        if self._framing == "lines":
+            start, end = 0, held.find(b"\n")
+            length = len(held) if end < 0 else end
+            after = end + 1
+            ready = end >= 0
+        else:
+            if len(held) < 4:
+                return None
+            start, (length,) = 4, struct.unpack(">I", held[:4])
+            end = after = 4 + length
+            ready = len(held) >= end
+        if length > MESSAGE_MAX_BYTES:
+            raise InputError(
+                f"a message of {length} bytes or more; is this a stream in the format "
+                f"{self._framing!r} of phytac serve?"
+            )
+        if not ready:
+            return None
+        text = bytes(held[start:end])
+        del held[:after]
+        return text
+
+
+def _parsed(text: bytes) -> Message:
+    try:
+        message = json.loads(text, parse_constant=_refuse)
+    except ValueError as error:
+        raise InputError(f"not a message of a stream: {error}") from None
+    except RecursionError:
+        raise InputError("not a message of a stream: nested too deeply") from None
+    if not isinstance(message, dict) or not isinstance(message.get("type"), str):
+        raise InputError("not a message of a stream: no object with a type")
+    return message
+
+
+def _refuse(name: str) -> float:
+    raise ValueError(f"{name} is no number of JSON")

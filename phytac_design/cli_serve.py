@@ -1,0 +1,185 @@
+"""The command that streams forces."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from phytac_design.cli_options import say
+from shapes.errors import InputError
+
+
+class Framing(StrEnum):
+    """How messages are told apart."""
+
+    lines = "lines"
+    length = "length"
+
+
+def serve(
+    bundle: Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")],
+    source: Annotated[
+        list[str],
+        typer.Argument(
+            help="Image, folder of images, video, or a camera's number; two of two cameras, near "
+            "end first."
+        ),
+    ],
+    fps: Annotated[
+        float | None,
+        typer.Option(help="Play a recording at this rate, as a camera would; ask a camera for it."),
+    ] = None,
+    port: Annotated[int, typer.Option(help="TCP port; 0 takes a free one.", min=0, max=65535)] = (
+        5757
+    ),
+    host: Annotated[
+        str, typer.Option(help="Address to listen at; 0.0.0.0 lets other machines in.")
+    ] = "127.0.0.1",
+    framing: Annotated[
+        Framing, typer.Option("--format", help="JSON lines, or each message after its length.")
+    ] = Framing.lines,
+    estimator: Annotated[str, typer.Option(help="Force estimator.")] = "koi_inverse",
+    rest: Annotated[
+        list[Path] | None,
+        typer.Option(help="Frame of the unloaded sensor; twice for two cameras, near end first."),
+    ] = None,
+    serial: Annotated[
+        Path | None, typer.Option(help="Serial port to send JSON lines to as well.")
+    ] = None,
+    baud: Annotated[int, typer.Option(help="Bits a second of the serial port.")] = 115200,
+    imu: Annotated[
+        Path | None, typer.Option(help="File or port of motion samples; see docs/streaming.md.")
+    ] = None,
+    record: Annotated[Path | None, typer.Option(help="CSV of contacts to write.")] = None,
+    every: Annotated[
+        bool, typer.Option("--every", help="Leave out no frame of a recording that is late.")
+    ] = False,
+    loop: Annotated[bool, typer.Option("--loop", help="Play a recording over and over.")] = False,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Begin when the first client has come.")
+    ] = False,
+) -> None:
+    """Stream forces to robots, Unity or ROS over TCP, until the source ends or Ctrl-C."""
+    import contextlib
+    import signal
+    import time
+
+    from decoder.bundle import load_bundle
+    from decoder.imu import Imu
+    from decoder.record import Recorder
+    from decoder.run import read_image, rest_positions
+    from decoder.serial_port import SerialPort
+    from decoder.serve import Server
+    from decoder.sources import open_source
+    from decoder.stream import Progress, Stream, frame_decoder
+    from decoder.wire import Messages
+
+    loaded = load_bundle(bundle)
+    check_sources(loaded.design, len(loaded.cameras), source)
+    rest_px = rest_positions(loaded, [read_image(path) for path in rest]) if rest else None
+    decode = frame_decoder(loaded, estimator=estimator, rest_px=rest_px)
+    camera = loaded.camera
+    # Whoever runs it as a service stops it by SIGTERM.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with contextlib.ExitStack() as stack:
+        frames = open_source(
+            source,
+            fps=fps,
+            every=every,
+            loop=loop,
+            size_px=(camera.width_px, camera.height_px),
+            report=say,
+        )
+        stack.callback(frames.close)
+        started_s = time.monotonic()
+        messages = Messages(
+            bundle=loaded,
+            estimator=estimator,
+            source=frames.said,
+            clock=frames.clock,
+            started_unix_s=time.time(),
+        )
+        motion = None
+        if imu is not None:
+            motion = Imu(imu, clock=lambda: time.monotonic() - started_s, report=say)
+            stack.callback(motion.close)
+            check_motion(loop=loop, port=motion.is_port)
+        server = stack.enter_context(
+            Server(
+                messages.hello(),
+                host=host,
+                port=port,
+                framing=framing.value,
+                serial=SerialPort(serial, baud=baud) if serial else None,
+                serial_hello=messages.hello(positions=False),
+                report=say,
+            )
+        )
+        recorder = stack.enter_context(Recorder(record)) if record else None
+        for warning in (*loaded.limits(), *open_to_others(server.host)):
+            say(f"warning: {warning}")
+        say(f"{loaded.design}: {frames.said} to {server.host} port {server.port}; Ctrl-C stops")
+
+        def each_second(now: Progress) -> None:
+            say(now.text(clients=server.clients, dropped=server.dropped))
+
+        stream = Stream(
+            source=frames,
+            decode=decode,
+            messages=messages,
+            publish=server.publish,
+            started_s=started_s,
+            imu=motion,
+            recorder=recorder,
+            report=say,
+            each_second=each_second,
+        )
+        try:
+            if wait:
+                server.wait_for_client()
+            stream.run()
+            stopped = False
+        except KeyboardInterrupt:
+            server.close("stopped")
+            stopped = True
+    went = stream.progress
+    kept = f", {recorder.rows} rows in {record}" if recorder else ""
+    typer.echo(
+        f"{went.frames} frames in {went.seconds:.1f} s, {went.unread} unread, {went.skipped} "
+        f"skipped, {went.missed} missed, {server.dropped} messages dropped{kept}"
+    )
+    if stopped:
+        raise typer.Exit(130)
+
+
+def check_sources(design: str, cameras: int, source: list[str]) -> None:
+    """Refuse another number of sources than the sensor has cameras.
+
+    Raises
+    ------
+    InputError
+        If there is.
+    """
+    if len(source) != cameras:
+        each = "one camera: one source" if cameras == 1 else f"{cameras} cameras: one source each"
+        raise InputError(f"the sensor {design!r} has {each} (got {len(source)})")
+
+
+def open_to_others(address: str) -> list[str]:
+    """What to say of an address that is not this machine's own loop."""
+    if address.startswith("127.") or address == "::1":
+        return []
+    return [f"whoever reaches {address} can listen; nothing is encrypted"]
+
+
+def check_motion(*, loop: bool, port: bool) -> None:
+    """Refuse a recording that begins again while its motion samples do not.
+
+    Raises
+    ------
+    InputError
+        If it would.
+    """
+    if loop and not port:
+        raise InputError("a file of motion samples does not begin again; leave out --loop or --imu")

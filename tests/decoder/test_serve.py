@@ -1,0 +1,312 @@
+"""The server: everyone gets everything, whoever stalls, shouts, leaves or comes."""
+
+import os
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from decoder.serial_port import SerialPort
+from decoder.serve import Limits, Server
+from decoder.wire import Message, Splitter
+from shapes.errors import InputError, OutputError
+
+HELLO = {"type": "hello", "name": "x" * 3000}
+BULK = "x" * 20000
+PATIENCE_S = 30.0
+"""Far beyond what anything here takes; tests fail by it instead of hanging."""
+
+
+def wait_until(done: Callable[[], bool]) -> None:
+    until = time.monotonic() + PATIENCE_S
+    while not done():
+        assert time.monotonic() < until, "it never happened"
+        time.sleep(0.002)
+
+
+class Client:
+    """Reads in a thread of its own until the server closes, or its first message alone."""
+
+    def __init__(self, server: Server, framing: str = "lines", *, read: bool = True) -> None:
+        self.socket = socket.socket()
+        self.socket.settimeout(PATIENCE_S)
+        if not read:
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        self.socket.connect((server.host, server.port))
+        self._splitter = Splitter(framing)
+        self.got: list[Message] = []
+        while not self.got:
+            self._take()
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        if read:
+            self._thread.start()
+
+    def _take(self) -> bool:
+        data = self.socket.recv(65536 if self.got else 4)
+        self.got += self._splitter.feed(data)
+        return bool(data)
+
+    def _read(self) -> None:
+        try:
+            while self._take():
+                pass
+        except OSError:
+            pass
+
+    def all(self) -> list[Message]:
+        self._thread.join(PATIENCE_S)
+        assert not self._thread.is_alive()
+        self.socket.close()
+        return self.got
+
+
+def numbered(count: int, bulk: str = "") -> list[Message]:
+    return [{"type": "frame", "sequence": number, "bulk": bulk} for number in range(count)]
+
+
+def sequences(messages: list[Message]) -> list[int]:
+    return [message["sequence"] for message in messages if message["type"] == "frame"]
+
+
+@pytest.mark.parametrize("framing", ["lines", "length"])
+def test_all_get_all_in_order_between_hello_and_end(framing: str) -> None:
+    with Server(HELLO, port=0, framing=framing) as server:
+        assert server.host == "127.0.0.1"
+        clients = [Client(server, framing) for _ in range(3)]
+        assert server.clients == 3
+        for message in numbered(200):
+            server.publish(message)
+            time.sleep(0.0002)
+    for client in clients:
+        hello, *frames, end = client.all()
+        assert hello == HELLO | {"dropped": 0}
+        assert frames == [message | {"dropped": 0} for message in numbered(200)]
+        assert end["type"] == "end"
+        assert end["reason"] == "the source has ended"
+    assert server.dropped == 0
+
+
+def test_one_of_ten_that_stalls_costs_the_others_nothing_and_is_closed() -> None:
+    said: list[str] = []
+    limits = Limits(queue=40, patience_s=0.5)
+    with Server(HELLO, port=0, limits=limits, report=said.append) as server:
+        clients = [Client(server) for _ in range(9)]
+        stalled = Client(server, read=False)
+        longest = 0.0
+        sent = 0
+        until = time.monotonic() + PATIENCE_S
+        while server.clients == 10:
+            assert time.monotonic() < until
+            begun = time.thread_time()
+            server.publish({"type": "frame", "sequence": sent, "bulk": BULK})
+            longest = max(longest, time.thread_time() - begun)
+            sent += 1
+            time.sleep(0.002)
+        server.publish({"type": "frame", "sequence": sent, "bulk": BULK})
+    for client in clients:
+        got = client.all()
+        assert sequences(got) == list(range(sent + 1))
+        assert got[-1]["dropped"] == 0
+    assert longest < 0.05
+    assert server.dropped > 40
+    stalled.socket.close()
+    (told,) = [text for text in said if "took nothing for 0.5 s" in text]
+    assert told.endswith(f", {server.dropped} messages dropped; closed")
+
+
+def test_a_slow_client_gets_the_newest_whole_messages_and_is_told_what_it_lost() -> None:
+    with Server(HELLO, port=0, limits=Limits(queue=10, patience_s=PATIENCE_S)) as server:
+        slow, quick = Client(server, read=False), Client(server)
+        # More than the system's buffers hold.
+        for message in numbered(400, BULK):
+            server.publish(message)
+            if message["sequence"] % 8 == 7:
+                wait_until(lambda m=message: sequences(quick.got[-1:]) == [m["sequence"]])  # type: ignore[misc]
+        slow._thread.start()
+    got = slow.all()
+    numbers = sequences(got)
+    assert numbers == sorted(set(numbers))
+    assert numbers[-9:] == list(range(391, 400))
+    lost = 400 - len(numbers)
+    assert lost > 100
+    assert got[-1]["dropped"] == server.dropped
+    # The end took a place in the queue as well.
+    assert got[-1]["dropped"] == lost
+    # Each says how many had gone when it went out: those are the gaps so far.
+    frames = [message for message in got if message["type"] == "frame"]
+    for message, place in zip(frames, range(len(frames)), strict=True):
+        assert message["dropped"] >= message["sequence"] - place
+    assert sequences(quick.all()) == list(range(400))
+
+
+def test_clients_come_and_go() -> None:
+    with Server(HELLO, port=0) as server:
+        first = Client(server)
+        server.publish(numbered(1)[0])
+        wait_until(lambda: sequences(first.got) == [0])
+        first.socket.shutdown(socket.SHUT_RDWR)
+        first.socket.close()
+        second = Client(server)
+        number = 1
+        while server.clients > 1:
+            server.publish({"type": "frame", "sequence": number})
+            number += 1
+            time.sleep(0.01)
+            assert number < 500
+    assert sequences(second.all()) == list(range(1, number))
+
+
+def shout(into: socket.socket) -> None:
+    for _ in range(5000):
+        into.sendall(b"A" * 4096)
+        time.sleep(0.001)
+
+
+def test_hostile_clients_do_no_harm() -> None:
+    said: list[str] = []
+    limits = Limits(clients=6, received_bytes=10000)
+    with Server(HELLO, port=0, limits=limits, report=said.append) as server:
+        address = (server.host, server.port)
+        good = Client(server)
+        # Numbers that are none, and an endless line.
+        shouting = Client(server)
+        shouting.socket.sendall(b'{"type":"frame","x":NaN,"y":1e999}\n\xff\x00')
+        with pytest.raises(OSError, match=r"pipe|reset"):
+            shout(shouting.socket)
+        shouting.socket.close()
+        # Reset at once.
+        for _ in range(30):
+            rude = socket.create_connection(address)
+            rude.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            rude.close()
+        wait_until(lambda: server.clients == 1)
+        # Its own half closed: it goes on listening.
+        half = Client(server)
+        half.socket.shutdown(socket.SHUT_WR)
+        many = [Client(server) for _ in range(4)]
+        refused = socket.create_connection(address, timeout=PATIENCE_S)
+        with refused.makefile("rb") as lines:
+            (line,) = lines.readlines()
+        assert b"6 clients listen already" in line
+        refused.close()
+        for message in numbered(50):
+            server.publish(message)
+            time.sleep(0.0005)
+    for client in (good, half, *many):
+        assert sequences(client.all()) == list(range(50))
+    assert any("has nothing to say here" in text for text in said)
+    # A flood of clients is no flood of reports.
+    assert len(said) < 40
+
+
+def test_a_port_in_use_is_one_clear_error() -> None:
+    with Server(HELLO, port=0) as server:
+        client = Client(server)
+        words = rf"cannot listen at 127.0.0.1, port {server.port} \(Address already in use\); give"
+        with pytest.raises(OutputError, match=words):
+            Server(HELLO, port=server.port)
+    client.all()
+    # And free again at once, though its last connections are not forgotten yet.
+    Server(HELLO, port=server.port).close()
+    with pytest.raises(OutputError, match=r"cannot listen at '?no.such.host"):
+        Server(HELLO, host="no.such.host.invalid", port=0)
+
+
+def test_it_stops_cleanly_though_someone_stalls() -> None:
+    threads = threading.active_count()
+    server = Server(HELLO, port=0, limits=Limits(queue=5))
+    stalled = Client(server, read=False)
+    for message in numbered(100, BULK):
+        server.publish(message)
+        time.sleep(0.001)
+    begun = time.monotonic()
+    server.close()
+    server.close()
+    assert time.monotonic() - begun < 3.5
+    assert threading.active_count() == threads
+    stalled.socket.close()
+
+
+def test_what_is_published_last_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However the server's thread is interrupted between its steps."""
+    server = Server(HELLO, port=0)
+    client = Client(server)
+    hand_out, closed = server._hand_out, threading.Event()
+
+    def interrupted() -> None:
+        hand_out()
+        if threading.current_thread() is server._thread and not closed.is_set():
+            closed.set()
+            # The sensor's side of close, while the server is here.
+            server.publish({"type": "end", "reason": "late"})
+            server._stopping.set()
+
+    monkeypatch.setattr(server, "_hand_out", interrupted)
+    server.publish(numbered(1)[0])
+    assert client.all()[-1]["reason"] == "late"
+    server.close()
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (InputError("camera 3 has given no frame"), "camera 3 has given no frame"),
+        (KeyboardInterrupt(), "stopped"),
+    ],
+)
+def test_clients_are_told_why_it_ends(error: BaseException, reason: str) -> None:
+    server = Server(HELLO, port=0)
+    client = Client(server)
+    with pytest.raises(type(error)), server:
+        raise error
+    assert client.all()[-1] == {"type": "end", "reason": reason, "dropped": 0}
+
+
+def test_no_number_goes_out_that_is_none() -> None:
+    with Server(HELLO, port=0) as server, pytest.raises(InputError, match="not finite"):
+        server.publish({"type": "frame", "total_N": float("nan")})
+
+
+def test_a_serial_port_gets_fresh_json_lines() -> None:
+    master, slave = os.openpty()
+    port = SerialPort(Path(os.ttyname(slave)), baud=115200)
+    os.set_blocking(master, False)
+    hello = {"type": "hello", "name": "short"}
+    with Server(HELLO, port=0, serial=port, serial_hello=hello) as server:
+        splitter, got = Splitter("lines"), []
+
+        def read() -> None:
+            try:
+                got.extend(splitter.feed(os.read(master, 4096)))
+            except BlockingIOError:
+                time.sleep(0.001)
+
+        wait_until(lambda: bool(read() or got))
+        assert got == [hello | {"dropped": 0}]
+        # Nobody reads: the port's buffer fills, and what waits is the newest.
+        for message in numbered(300, "x" * 1000):
+            server.publish(message)
+            time.sleep(0.0005)
+        os.write(master, b"anything at all\n")
+        assert server.clients == 0
+        wait_until(lambda: bool(read() or sequences(got)[-1:] == [299]))
+        numbers = sequences(got)
+        assert numbers == sorted(set(numbers))
+        assert len(numbers) < 100
+        assert got[-1]["dropped"] == 300 - len(numbers)
+    os.close(slave)
+    os.close(master)
+
+
+def test_what_is_no_serial_port_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="file is no serial port"):
+        SerialPort(tmp_path / "file")
+    with pytest.raises(InputError, match=r"none cannot be opened \(No such file"):
+        SerialPort(tmp_path / "none")
+    with pytest.raises(InputError, match=r"no rate of 115201 bits a second; nearest: .*115200"):
+        SerialPort(tmp_path / "file", baud=115201)

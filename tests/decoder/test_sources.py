@@ -1,0 +1,315 @@
+"""Frames of images, folders, videos and cameras: order, times, pace, torn files, pairs."""
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from decoder import live
+from decoder.frame import Frame, Source
+from decoder.sources import Recording, open_source
+from decoder.tracks import Folder
+from shapes.arrays import ImageArray
+from shapes.errors import InputError
+
+
+def shade(value: int) -> ImageArray:
+    return np.full((24, 32, 3), value, dtype=np.uint8)
+
+
+def folder_of(where: Path, count: int, name: str = "frame_{}.png") -> Path:
+    where.mkdir(parents=True)
+    for number in range(count):
+        cv2.imwrite(str(where / name.format(number)), shade(number))
+    return where
+
+
+def values(frames: list[Frame]) -> list[int]:
+    return [int(np.median(frame.images[0])) for frame in frames]
+
+
+def tear(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-20])
+
+
+class Time:
+    """A clock that only sleeping and decoding move."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def clock(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        assert seconds > 0.0
+        self.now += seconds
+
+
+def test_a_folder_is_sorted_by_the_numbers_in_its_names(tmp_path: Path) -> None:
+    (folder_of(tmp_path / "f", 12) / "notes.txt").write_text("no picture")
+    frames = list(open_source([str(tmp_path / "f")], fps=1e6, every=True))
+    assert values(frames) == list(range(12))
+    assert [frame.number for frame in frames] == list(range(12))
+    assert [frame.timestamp_s for frame in frames] == [k / 1e6 for k in range(12)]
+
+
+def test_an_image_is_a_recording_of_one_frame(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), shade(7))
+    (frame,) = open_source([str(tmp_path / "a.png")])
+    assert values([frame]) == [7]
+    assert frame.timestamp_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("names", "times"),
+    [
+        (["10.250", "9.500", "9.750"], [9.5, 9.75, 10.25]),
+        (["1700000000500000000", "1700000000250000000"], [1700000000.25, 1700000000.5]),
+    ],
+)
+def test_names_that_are_times_order_and_stamp(
+    tmp_path: Path, names: list[str], times: list[float]
+) -> None:
+    for number, name in enumerate(names):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), shade(number))
+    source = open_source([str(tmp_path)])
+    frames = list(source)
+    assert [frame.timestamp_s for frame in frames] == times
+    assert values(frames) == np.argsort([float(name) for name in names]).tolist()
+    assert "own" in source.clock
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_torn_frames_are_told_and_skipped(tmp_path: Path, suffix: str) -> None:
+    folder = folder_of(tmp_path / "f", 5, f"frame_{{}}.{suffix}")
+    tear(folder / f"frame_0.{suffix}")
+    tear(folder / f"frame_2.{suffix}")
+    (folder / f"frame_3.{suffix}").write_bytes(b"")
+    said: list[str] = []
+    source = open_source([str(folder)], fps=1e6, every=True, report=said.append)
+    frames = list(source)
+    assert [frame.number for frame in frames] == [1, 4]
+    assert source.skipped == 3
+    assert [text.split(":")[0] for text in said] == [f"frame {n} skipped" for n in (0, 2, 3)]
+    assert all("cut off" in text for text in said)
+
+
+def test_a_padded_file_is_whole(tmp_path: Path) -> None:
+    path = folder_of(tmp_path / "f", 1, "a{}.jpg") / "a0.jpg"
+    path.write_bytes(path.read_bytes() + b"\0" * 100)
+    assert len(list(open_source([str(path)]))) == 1
+
+
+@pytest.mark.parametrize("loop", [False, True])
+def test_nothing_but_torn_frames_is_an_error(tmp_path: Path, loop: bool) -> None:
+    folder = folder_of(tmp_path / "f", 3)
+    for path in folder.iterdir():
+        tear(path)
+    with pytest.raises(InputError, match="not one frame of"):
+        list(open_source([str(folder)], loop=loop, report=lambda _: None))
+
+
+def test_a_pace_is_kept(tmp_path: Path) -> None:
+    clock = Time()
+    source = Recording(
+        [Folder(folder_of(tmp_path / "f", 6))], fps=4.0, clock=clock.clock, sleep=clock.sleep
+    )
+    taken = []
+    for frame in source:
+        taken.append(clock.now)
+        assert frame.ready_s == clock.now
+        clock.now += 0.2
+    np.testing.assert_allclose(np.diff(taken), 0.25)
+    assert source.missed == 0
+
+
+@pytest.mark.parametrize("every", [False, True])
+def test_a_slow_decoder_misses_frames_as_with_a_camera(tmp_path: Path, every: bool) -> None:
+    clock = Time()
+    source = Recording(
+        [Folder(folder_of(tmp_path / "f", 12))],
+        fps=10.0,
+        every=every,
+        clock=clock.clock,
+        sleep=clock.sleep,
+    )
+    numbers = []
+    for frame in source:
+        numbers.append(frame.number)
+        assert frame.timestamp_s == frame.number / 10.0
+        clock.now += 0.25
+    assert numbers == (list(range(12)) if every else [0, 2, 5, 7, 10])
+    assert source.missed == (0 if every else 7)
+
+
+def test_a_loop_goes_on_in_time(tmp_path: Path) -> None:
+    for number, name in enumerate(("1.0", "1.5", "2.0")):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), shade(number))
+    source = iter(open_source([str(tmp_path)], loop=True))
+    frames = [next(source) for _ in range(8)]
+    assert [frame.timestamp_s for frame in frames] == [1.0 + 0.5 * k for k in range(8)]
+    assert [frame.number for frame in frames] == list(range(8))
+    assert values(frames) == [0, 1, 2] * 2 + [0, 1]
+
+
+def test_two_folders_go_in_step_and_lose_a_pair_together(tmp_path: Path) -> None:
+    near, far = folder_of(tmp_path / "near", 4), folder_of(tmp_path / "far", 4, "z{}.png")
+    tear(far / "z1.png")
+    said: list[str] = []
+    frames = list(open_source([str(near), str(far)], fps=1e6, every=True, report=said.append))
+    assert [len(frame.images) for frame in frames] == [2, 2, 2]
+    assert [[int(image[0, 0, 0]) for image in frame.images] for frame in frames] == [
+        [0, 0],
+        [2, 2],
+        [3, 3],
+    ]
+    assert len(said) == 1
+    (far / "z3.png").unlink()
+    with pytest.raises(InputError, match=r"4 in .*near and 3 in .*far.*give as many of each"):
+        open_source([str(near), str(far)])
+
+
+def video_of(where: Path, count: int, fps: float = 25.0) -> Path:
+    writer = cv2.VideoWriter(str(where), cv2.VideoWriter.fourcc(*"MJPG"), fps, (32, 24))
+    assert writer.isOpened()
+    for number in range(count):
+        writer.write(shade(10 * number))
+    writer.release()
+    return where
+
+
+def test_a_video_tells_its_own_times(tmp_path: Path) -> None:
+    video = video_of(tmp_path / "v.avi", 6)
+    frames = list(open_source([str(video)]))
+    np.testing.assert_allclose([frame.timestamp_s for frame in frames], np.arange(6) / 25.0)
+    np.testing.assert_allclose(values(frames), 10 * np.arange(6), atol=3)
+    again = iter(open_source([str(video)], loop=True))
+    stamps = [next(again).timestamp_s for _ in range(13)]
+    np.testing.assert_allclose(stamps, np.arange(13) / 25.0)
+
+
+def test_a_shorter_video_ends_both(tmp_path: Path) -> None:
+    pair = [str(video_of(tmp_path / f"{n}.avi", n)) for n in (4, 6)]
+    said: list[str] = []
+    assert len(list(open_source(pair, report=said.append))) == 4
+    (told,) = said
+    assert told.endswith("4.avi ends after 4 frames, before the other camera's")
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda _: None, "no frames at .*thing.*No such file"),
+        (lambda path: path.mkdir(), "thing holds no image .*give the folder of the frames"),
+        (lambda path: path.write_text("hello"), "thing is not a video or image"),
+    ],
+)
+def test_what_is_no_source_is_refused(
+    tmp_path: Path, make: Callable[[Path], None], words: str
+) -> None:
+    path = tmp_path / "thing"
+    make(path)
+    with pytest.raises(InputError, match=words):
+        list(open_source([str(path)]))
+
+
+def test_sources_that_do_not_go_together_are_refused(tmp_path: Path) -> None:
+    folder = str(folder_of(tmp_path / "f", 1))
+    with pytest.raises(InputError, match="a camera and a recording do not go together"):
+        open_source([folder, "0"])
+    with pytest.raises(InputError, match="got 3 sources"):
+        open_source([folder] * 3)
+    for rate in (0.0, -3.0, float("nan"), float("inf")):
+        with pytest.raises(InputError, match="a rate lies above 0"):
+            open_source([folder], fps=rate)
+    with pytest.raises(InputError, match="a camera neither begins again nor waits"):
+        open_source(["0"], loop=True)
+
+
+class FakeCamera:
+    """What OpenCV gives, at 200 frames a second; every fifth is torn; it ends with the 40th."""
+
+    made: list["FakeCamera"] = []  # noqa: RUF012 - of one test at a time
+
+    def __init__(self, device: int | str) -> None:
+        self.device, self.number, self.released = device, -1, False
+        self.asked: dict[int, float] = {}
+        self.made.append(self)
+
+    def isOpened(self) -> bool:
+        return self.device != 9
+
+    def set(self, key: int, value: float) -> bool:
+        self.asked[key] = value
+        return True
+
+    def get(self, key: int) -> float:
+        return 30.0 if key == cv2.CAP_PROP_FPS else self.asked.get(key, 0.0)
+
+    def grab(self) -> bool:
+        time.sleep(0.005)
+        self.number += 1
+        return self.number < 40
+
+    def retrieve(self) -> tuple[bool, ImageArray | None]:
+        good = self.number % 5 != 4
+        return good, shade(self.number) if good else None
+
+    def release(self) -> None:
+        self.released = True
+
+
+@pytest.fixture
+def cameras(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[FakeCamera]]:
+    FakeCamera.made = []
+    monkeypatch.setattr(live.cv2, "VideoCapture", FakeCamera)
+    monkeypatch.setattr(live, "SILENT_S", 0.3)
+    yield FakeCamera.made
+    assert all(camera.released for camera in FakeCamera.made)
+
+
+def take(source: Source, camera: FakeCamera, frames: list[Frame]) -> None:
+    before = 0
+    for frame in source:
+        frames.append(frame)
+        # None that waited: one may be torn, one on its way.
+        assert frame.number >= before - 2
+        time.sleep(0.021)
+        before = min(camera.number, 39)
+
+
+def test_a_slow_decoder_gets_a_cameras_newest_frame(cameras: list[FakeCamera]) -> None:
+    said: list[str] = []
+    source = open_source(["3"], fps=60.0, size_px=(32, 24), report=said.append)
+    (camera,) = cameras
+    assert camera.asked[cv2.CAP_PROP_FRAME_WIDTH] == 32
+    assert said[0] == "camera 3 was asked for 60 fps and says 30"
+    frames: list[Frame] = []
+    with pytest.raises(InputError, match=r"camera 3 has given no frame for 0.3 s"):
+        take(source, camera, frames)
+    numbers = [frame.number for frame in frames]
+    assert numbers == values(frames)
+    assert numbers == sorted(set(numbers))
+    assert all(number % 5 != 4 for number in numbers)
+    assert len(frames) + source.missed == 32
+    assert source.missed > 10
+    assert source.skipped >= 8
+    source.close()
+
+
+def test_two_cameras_are_read_together(cameras: list[FakeCamera]) -> None:
+    source = open_source(["0", "1"], report=lambda _: None)
+    frames = iter(source)
+    for _ in range(5):
+        first, second = next(frames).images
+        assert first[0, 0, 0] == second[0, 0, 0]
+    source.close()
+
+
+def test_a_camera_that_is_not_there_is_refused(cameras: list[FakeCamera]) -> None:
+    with pytest.raises(InputError, match="camera 9 cannot be opened; is it plugged in"):
+        open_source(["0", "9"])

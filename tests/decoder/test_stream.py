@@ -1,0 +1,134 @@
+"""The sensor's loop: frames to messages, frames that tell nothing, progress."""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from decoder.frame import Frame, Source
+from decoder.imu import Imu
+from decoder.sources import open_source
+from decoder.stream import Progress, Stream, frame_decoder
+from decoder.wire import Message, Messages, Reading
+from shapes.arrays import ImageArray
+from shapes.errors import InputError
+from tests.decoder.test_eyes import lattice
+from tests.decoder.test_two_eyes import pair
+from tests.decoder.toy_sensor import toy_bundle, toy_frame, toy_recording
+
+
+class Frames(Source):
+    """Given frames."""
+
+    said, clock = "a test", "its own"
+
+    def __init__(self, images: list[ImageArray]) -> None:
+        self.images = images
+
+    def __iter__(self) -> Iterator[Frame]:
+        for number, image in enumerate(self.images):
+            yield Frame(
+                number=number,
+                timestamp_s=0.1 * number,
+                images=(image,),
+                ready_s=time.monotonic(),
+            )
+
+    def close(self) -> None:
+        pass
+
+
+def run(images: list[ImageArray], **more: Any) -> tuple[list[Message], Stream]:
+    bundle, sent = toy_bundle(), []
+    settings: dict[str, Any] = {
+        "source": Frames(images),
+        "decode": frame_decoder(bundle),
+        "messages": Messages(bundle=bundle, estimator="koi_inverse"),
+        "publish": sent.append,
+        "report": lambda _: None,
+    }
+    stream = Stream(**(settings | more))
+    stream.run()
+    return sent, stream
+
+
+def test_frames_become_forces(tmp_path: Path) -> None:
+    path = tmp_path / "imu"
+    path.write_text('{"t": 0.1, "gyro": [1, 2, 3]}\n')
+    imu = Imu(path, clock=lambda: 0.0, report=print)
+    idle, pressed, two = (toy_frame(f) for f in ({}, {14: 3.0}, {14: 3.0, 15: 1.5, 29: 2.0}))
+    sent, stream = run([idle, pressed, two], imu=imu)
+    imu.close()
+    assert [message["koi"] for message in sent] == [[], [14], [14, 15, 29]]
+    # A centroid of a drawn disc is good to a tenth of a pixel, a newton is a pixel.
+    np.testing.assert_allclose(sent[1]["forces_N"], [3.0], atol=0.15)
+    np.testing.assert_allclose(sent[2]["forces_N"], [3.0, 1.5, 2.0], atol=0.15)
+    assert [contact["markers"] for contact in sent[2]["contacts"]] == [[14, 15], [29]]
+    assert [message.get("imu", {}).get("t") for message in sent] == [None, 0.1, 0.1]
+    assert all(message["latency_ms"] > 0.0 for message in sent)
+    assert stream.progress.frames == 3
+    assert stream.progress.unread == 0
+
+
+def test_frames_that_cannot_be_decoded_are_told_not_fatal() -> None:
+    black = np.zeros((120, 160, 3), dtype=np.uint8)
+    small = np.zeros((3, 3, 3), dtype=np.uint8)
+    said: list[str] = []
+    sent, stream = run([toy_frame({7: 2.0}), black, small, toy_frame({7: 2.0})], report=said.append)
+    assert [message["valid"] for message in sent] == [True, False, False, True]
+    assert "the frame cannot be decoded: found 0 of 30 markers" in sent[1]["warnings"][0]
+    assert sent[1]["contacts"] == []
+    assert sent[3]["koi"] == [7]
+    assert stream.progress.unread == 2
+    assert len(said) == 1
+
+
+def test_two_cameras_are_decoded_together() -> None:
+    rest, _, _ = lattice()
+    bundle, (near, far) = pair(np.full_like(rest, np.nan))
+    decode = frame_decoder(bundle)
+
+    def frame(*images: ImageArray) -> Frame:
+        return Frame(number=0, timestamp_s=0.0, images=images, ready_s=0.0)
+
+    moved = np.roll(far, (0, 2), axis=(0, 1))
+    assert decode(frame(near, far)).warnings == []
+    (warning,) = decode(frame(near, moved)).warnings
+    assert "the whole image of the far camera has shifted" in warning
+    with pytest.raises(InputError, match=r"has 2 cameras \(got 1 frame\)"):
+        decode(frame(near))
+
+
+def test_another_decoder_can_be_plugged_in() -> None:
+    def follower(frame: Frame) -> Reading:
+        forces = np.zeros(30)
+        forces[3] = float(frame.images[0][0, 0, 0])
+        return Reading(koi=np.array([3]), forces_N=forces, warnings=["made up"])
+
+    sent, _ = run([np.full((2, 2, 3), 9, dtype=np.uint8)], decode=follower)
+    assert sent[0]["total_N"] == 9.0
+    assert sent[0]["warnings"] == ["made up"]
+    with pytest.raises(InputError, match="no estimator 'best'; known: fem"):
+        frame_decoder(toy_bundle(), estimator="best")
+
+
+def test_progress_tells_each_second(tmp_path: Path) -> None:
+    _, frames = toy_recording(tmp_path, [{}])
+    told: list[str] = []
+
+    def each_second(now: Progress) -> None:
+        told.append(now.text(clients=1, dropped=4))
+        if len(told) == 2:
+            raise KeyboardInterrupt
+
+    source = open_source([str(frames)], fps=100.0, loop=True)
+    with pytest.raises(KeyboardInterrupt):
+        run([], source=source, each_second=each_second)
+    assert "fps  latency p50 " in told[1]
+    assert "1 client, 4 dropped" in told[1]
+    seconds, _, fps, *_ = told[0].split()
+    assert 1.0 <= float(seconds) < 4.0
+    assert float(fps) > 20.0

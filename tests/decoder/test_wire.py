@@ -1,0 +1,250 @@
+"""Messages of a stream: what they say, exact on the wire, and no number that is none."""
+
+import json
+import os
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from decoder.imu import Imu
+from decoder.record import COLUMNS, Recorder
+from decoder.wire import (
+    FRAMINGS,
+    MESSAGE_MAX_BYTES,
+    Messages,
+    Reading,
+    Splitter,
+    contact_groups,
+    encode,
+    json_bytes,
+    with_dropped,
+)
+from shapes.arrays import FloatArray
+from shapes.errors import InputError, OutputError
+from tests.decoder.toy_sensor import toy_bundle
+
+COUNT = 30
+
+
+def messages(normals: FloatArray | None = None) -> Messages:
+    return Messages(bundle=toy_bundle(), estimator="koi_inverse", normals=normals)
+
+
+def reading(forces_N: dict[int, float], *warnings: str) -> Reading:
+    out = np.zeros(COUNT)
+    out[list(forces_N)] = list(forces_N.values())
+    return Reading(koi=np.array(sorted(forces_N), dtype=np.int64), forces_N=out, warnings=warnings)
+
+
+def test_hello_tells_what_the_numbers_mean() -> None:
+    hello = messages().hello()
+    assert (hello["type"], hello["format"], hello["version"]) == ("hello", "phytac-stream", "1.0")
+    assert hello["design"] == "toy"
+    assert hello["markers"] == len(hello["positions_mm"]) == COUNT
+    assert hello["positions_mm"][7] == [10.0, 10.0, 0.0]
+    assert hello["units"]["force"] == "N"
+    assert "positions_mm" not in messages().hello(positions=False)
+
+
+def test_contacts_are_connected_key_nodes_with_their_force_weighted_place() -> None:
+    # 7 and 14 touch at a corner; 29 is alone.
+    message = messages().frame(reading({7: 3.0, 14: 1.0, 29: 0.5}), sequence=5, timestamp_s=0.25)
+    assert message["contacts"] == [
+        {"markers": [7, 14], "force_N": 4.0, "position_mm": [12.5, 12.5, 0.0]},
+        {"markers": [29], "force_N": 0.5, "position_mm": [50.0, 40.0, 0.0]},
+    ]
+    assert (message["sequence"], message["timestamp_s"], message["valid"]) == (5, 0.25, True)
+    assert (message["koi"], message["forces_N"]) == ([7, 14, 29], [3.0, 1.0, 0.5])
+    assert message["total_N"] == 4.5
+    assert "net_force_N" not in message
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_groups_are_the_classes_of_being_linked(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    near = np.where(rng.uniform(size=(COUNT, 8)) < 0.15, rng.integers(0, COUNT, (COUNT, 8)), -1)
+    koi = np.flatnonzero(rng.uniform(size=COUNT) < rng.uniform())
+    groups = [koi[rows].tolist() for rows in contact_groups(koi, near)]
+    assert sorted(marker for group in groups for marker in group) == koi.tolist()
+    # Warshall's closure, by itself.
+    linked = np.eye(COUNT, dtype=bool)
+    for marker in koi:
+        for other in near[marker]:
+            if other in koi:
+                linked[marker, other] = linked[other, marker] = True
+    for middle in koi:
+        linked |= linked[:, [middle]] & linked[[middle], :]
+    for group in groups:
+        assert np.flatnonzero(linked[group[0]]).tolist() == group
+
+
+def test_net_force_acts_against_the_outward_normals() -> None:
+    normals = np.tile([0.0, 0.6, 0.8], (COUNT, 1))
+    normals[3] = [1.0, 0.0, 0.0]
+    message = messages(normals).frame(reading({3: 2.0, 8: 5.0}), sequence=0, timestamp_s=0.0)
+    assert message["net_force_N"] == [-2.0, -3.0, -4.0]
+
+
+def test_a_pull_does_not_push_a_contacts_place_off_it() -> None:
+    both = messages().frame(reading({7: 2.0, 8: -1.5}), sequence=0, timestamp_s=0.0)
+    assert both["contacts"][0]["position_mm"] == [10.0, 10.0, 0.0]
+    assert both["contacts"][0]["force_N"] == 0.5
+    none = messages().frame(reading({7: 0.0, 8: 0.0}), sequence=0, timestamp_s=0.0)
+    assert none["contacts"][0]["position_mm"] == [15.0, 10.0, 0.0]
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
+def test_what_is_no_number_never_goes_out(bad: float) -> None:
+    normals = np.tile([0.0, 0.0, 1.0], (COUNT, 1))
+    message = messages(normals).frame(
+        reading({2: 1.0, 7: bad, 8: 2.0}, "it is dark"), sequence=0, timestamp_s=0.0
+    )
+    text = json_bytes(message)
+    assert b"NaN" not in text
+    assert b"nfinity" not in text
+    assert message["koi"] == [2, 8]
+    assert message["total_N"] == 3.0
+    assert message["net_force_N"] == [0.0, 0.0, -3.0]
+    assert message["valid"] is False
+    assert message["warnings"][0] == "it is dark"
+    assert "the forces on 1 markers (7) came out as no numbers" in message["warnings"][1]
+    with pytest.raises(InputError, match="a number that is not finite"):
+        json_bytes({"type": "frame", "x": bad if abs(bad) == np.inf else np.nan})
+
+
+def test_a_frame_that_cannot_be_read_says_why() -> None:
+    message = messages().frame(Reading.none("it is black"), sequence=3, timestamp_s=0.1)
+    assert message["valid"] is False
+    assert message["warnings"] == ["it is black"]
+    assert message["koi"] == message["contacts"] == message["forces_N"] == []
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6), framing=st.sampled_from(FRAMINGS))
+def test_messages_come_back_exactly_however_they_are_cut(seed: int, framing: str) -> None:
+    rng = np.random.default_rng(seed)
+    sent = [messages().hello()]
+    for number in range(8):
+        koi = np.flatnonzero(rng.uniform(size=COUNT) < 0.3)
+        forces = dict(zip(koi.tolist(), rng.normal(0, 10.0 ** rng.integers(-5, 5), len(koi))))  # noqa: B905
+        sent.append(
+            messages().frame(
+                reading(forces, "60 % — größer\n\u2028"), sequence=number, timestamp_s=rng.normal()
+            )
+        )
+    data = b"".join(encode(message, framing) for message in sent)
+    if framing == "lines":
+        assert data.count(b"\n") == len(sent)
+    splitter, got = Splitter(framing), []
+    at = 0
+    while at < len(data):
+        step = int(rng.integers(1, 900))
+        got += splitter.feed(data[at : at + step])
+        at += step
+    assert got == sent
+
+
+def test_the_framing_is_four_bytes_big_endian() -> None:
+    message = {"type": "end", "reason": "é"}
+    data = encode(message, "length")
+    assert struct.unpack(">I", data[:4]) == (len(data) - 4,)
+    assert json.loads(data[4:].decode("utf-8")) == message
+    assert json.loads(with_dropped(json_bytes(message), 12)) == message | {"dropped": 12}
+    with pytest.raises(InputError, match="no format 'xml' for a stream; known: lines, length"):
+        encode(message, "xml")
+
+
+@pytest.mark.parametrize(
+    ("framing", "data"),
+    [
+        ("lines", b"GET / HTTP/1.1\r\n"),
+        ("lines", b"\xff\xfe\x00\n"),
+        ("lines", b'{"type":"frame","total_N":NaN}\n'),
+        ("lines", b"[1,2]\n"),
+        ("lines", b'{"kind":"frame"}\n'),
+        ("lines", b"[" * 200000 + b"\n"),
+        ("lines", b"x" * (MESSAGE_MAX_BYTES + 1)),
+        ("length", b"GET / HTTP/1.1\r\n"),
+        ("length", b"\x00\x00\x00\x03abc"),
+        ("length", b"\x00\x00\x00\x00"),
+    ],
+)
+def test_what_is_no_stream_is_refused(framing: str, data: bytes) -> None:
+    with pytest.raises(InputError, match=r"message"):
+        Splitter(framing).feed(data)
+
+
+def test_motion_samples_go_with_the_frame_they_are_not_newer_than(tmp_path: Path) -> None:
+    path = tmp_path / "imu.jsonl"
+    lines = [
+        '{"t": 0.1, "gyro": [1, 2, 3], "accel": [0, 0, 9.81]}',
+        "garbage",
+        '{"t": NaN, "gyro": [1, 2, 3]}',
+        '{"t": 0.15, "gyro": [1, 2, Infinity]}',
+        '{"t": 0.16, "gyro": [1, 2]}',
+        '{"t": 1e999, "gyro": [1, 2, 3]}',
+        '{"t": 0.2, "gyro": [4, 5, 6]}',
+        '{"t": 0.05, "gyro": [9, 9, 9]}',
+        '{"t": 0.4, "accel": [7, 8, 9]}',
+    ]
+    path.write_text("\n".join(lines))
+    said: list[str] = []
+    imu = Imu(path, clock=lambda: 0.0, report=said.append)
+    assert imu.latest(0.05) is None
+    assert imu.latest(0.1) == {"t": 0.1, "gyro": [1, 2, 3], "accel": [0, 0, 9.81]}
+    assert imu.latest(0.3) == {"t": 0.2, "gyro": [4, 5, 6]}
+    assert imu.latest(9.0) == {"t": 0.4, "accel": [7, 8, 9]}
+    assert imu.bad_lines == 6
+    assert len(said) == 1
+    assert "b'garbage" in said[0]
+    imu.close()
+    assert imu.latest(10.0) == {"t": 0.4, "accel": [7, 8, 9]}
+    with pytest.raises(InputError, match="no motion samples at"):
+        Imu(tmp_path / "none", clock=lambda: 0.0, report=said.append)
+
+
+def test_a_port_of_motion_samples_is_never_waited_for(tmp_path: Path) -> None:
+    path, now = tmp_path / "port", 5.0
+    os.mkfifo(path)
+    imu = Imu(path, clock=lambda: now, report=lambda _: None)
+    assert imu.latest(9.0) is None
+    writer = os.open(path, os.O_WRONLY)
+    os.write(writer, b'{"t": 1.0, "gyro": [1, 1, 1]}\n{"gyro": [2, ')
+    assert imu.latest(9.0) == {"t": 1.0, "gyro": [1, 1, 1]}
+    os.write(writer, b"2, 2]}\n")
+    assert imu.latest(4.9) == {"t": 1.0, "gyro": [1, 1, 1]}
+    assert imu.latest(5.0) == {"t": 5.0, "gyro": [2, 2, 2]}
+    os.close(writer)
+    assert imu.latest(6.0) == {"t": 5.0, "gyro": [2, 2, 2]}
+    imu.close()
+
+
+def test_a_recording_has_a_row_for_each_contact_and_loses_none(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    recorder = Recorder(path)
+    recorder.add(messages().frame(reading({7: 3.0, 14: 1.0, 29: 0.5}), sequence=4, timestamp_s=0.5))
+    recorder.add(messages().frame(reading({}), sequence=6, timestamp_s=0.75))
+    # Not closed: what a killed program leaves.
+    head, *rows = [line.split(",") for line in path.read_text().splitlines()]
+    assert tuple(head) == COLUMNS
+    assert rows == [
+        ["4", "0.5", "1", "2", "0", "4.0", "12.5", "12.5", "0.0", "7 14"],
+        ["4", "0.5", "1", "2", "1", "0.5", "50.0", "40.0", "0.0", "29"],
+        ["6", "0.75", "1", "0", "", "", "", "", "", ""],
+    ]
+    with pytest.raises(OutputError, match="is there already"):
+        Recorder(path)
+    recorder.__exit__(None, None, None)
+
+
+def test_a_rim_links_nothing() -> None:
+    """-1 stands for no neighbour, not for the last marker."""
+    bundle = toy_bundle()
+    alone = replace(bundle.model, neighbours=np.full((COUNT, 8), -1))
+    assert contact_groups(np.array([0, 29]), alone.neighbours) == [[0], [1]]

@@ -1,0 +1,134 @@
+"""``phytac serve`` as a person runs it: streams, records, stops, and errors of one line."""
+
+import csv
+import json
+import os
+import re
+import select
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from decoder.wire import Splitter
+from tests.decoder.toy_sensor import toy_recording
+from tests.test_cli import PHYTAC, phytac
+
+ROOT = Path(__file__).parents[1]
+PRESSES = [{}, {14: 3.0}, {14: 3.0, 15: 1.5, 29: 2.0}, {7: 2.0}]
+PATIENCE_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
+    decoder, frames = toy_recording(tmp_path_factory.mktemp("toy"), PRESSES)
+    return str(decoder), str(frames)
+
+
+@contextmanager
+def serving(*words: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """The running command, and the port it took."""
+    done = subprocess.Popen(
+        [*PHYTAC, "serve", *words, "--port", "0"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
+    with done:
+        try:
+            assert done.stderr is not None
+            port = 0
+            while not port:
+                assert select.select([done.stderr], [], [], PATIENCE_S)[0]
+                line = done.stderr.readline()
+                assert line, "it ended before it listened"
+                found = re.search(r"to 127\.0\.0\.1 port (\d+)", line)
+                port = int(found[1]) if found else 0
+            yield done, port
+        finally:
+            done.kill()
+
+
+def test_a_recording_goes_to_clients_and_to_csv(toy: tuple[str, str], tmp_path: Path) -> None:
+    out = tmp_path / "out.csv"
+    more = ("--fps", "100", "--every", "--wait", "--record", str(out))
+    with serving(*toy, *more) as (done, port):
+        client = [sys.executable, str(ROOT / "examples" / "stream" / "client.py")]
+        printed = subprocess.run(
+            [*client, "127.0.0.1", str(port)],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=PATIENCE_S,
+        ).stdout.splitlines()
+        said, errors = done.communicate(timeout=PATIENCE_S)
+    assert done.returncode == 0, errors
+    assert said.startswith("4 frames in ")
+    assert ", 0 unread, 0 skipped, 0 missed, 0 messages dropped, 5 rows in " in said
+    rows = list(csv.DictReader(out.read_text().splitlines()))
+    assert [row["markers"] for row in rows] == ["", "14", "14 15", "29", "7"]
+    assert [row["timestamp_s"] for row in rows] == ["0.0", "0.01", "0.02", "0.02", "0.03"]
+    assert float(rows[1]["force_N"]) == pytest.approx(3.0, abs=0.15)
+    assert printed[0] == "toy 30 markers, protocol 1.0"
+    assert printed[-1] == "end: the source has ended"
+    assert printed[1] == f"1 {rows[1]['force_N']} N at [20.0, 20.0, 0.0]"
+
+
+def test_motion_samples_and_lengths(toy: tuple[str, str], tmp_path: Path) -> None:
+    (tmp_path / "imu").write_text('{"t": 0.0, "gyro": [1, 2, 3]}\n{"t": 0.02, "accel": [0, 0, 1]}')
+    more = ("--fps", "100", "--every", "--wait", "--imu", str(tmp_path / "imu"))
+    with (
+        serving(*toy, *more, "--format", "length") as (_, port),
+        socket.create_connection(("127.0.0.1", port)) as link,
+        link.makefile("rb") as data,
+    ):
+        hello, *frames, end = Splitter("length").feed(data.read())
+    assert (hello["type"], end["type"]) == ("hello", "end")
+    assert [frame["imu"]["t"] for frame in frames] == [0.0, 0.0, 0.02, 0.02]
+    wrong = phytac("serve", *toy, "--loop", "--port", "0", "--imu", str(tmp_path / "imu"))
+    assert wrong.returncode == 4
+    assert "a file of motion samples does not begin again" in wrong.stderr
+
+
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+def test_it_stops_cleanly_when_asked(toy: tuple[str, str], tmp_path: Path, sign: int) -> None:
+    out = tmp_path / "out.csv"
+    with serving(*toy, "--fps", "50", "--every", "--loop", "--record", str(out)) as (done, port):
+        with socket.create_connection(("127.0.0.1", port)) as link, link.makefile("rb") as lines:
+            for _ in range(10):
+                message = json.loads(next(lines))
+            done.send_signal(sign)
+            last = [json.loads(line) for line in lines][-1]
+        said, errors = done.communicate(timeout=PATIENCE_S)
+    assert message["type"] == "frame"
+    assert last["type"] == "end"
+    assert last["reason"] == "stopped"
+    assert done.returncode == 130
+    assert "Traceback" not in errors
+    assert " frames in " in said
+    numbers = {int(row["sequence"]) for row in csv.DictReader(out.read_text().splitlines())}
+    assert set(range(message["sequence"])) <= numbers
+
+
+def test_errors_are_one_line(toy: tuple[str, str], tmp_path: Path) -> None:
+    decoder, frames = toy
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        out = phytac("serve", decoder, frames, "--port", port, "--record", "x.csv", cwd=tmp_path)
+    assert (out.returncode, len(out.stderr.splitlines())) == (3, 1)
+    assert out.stderr.startswith(f"error: cannot listen at 127.0.0.1, port {port} (Address")
+    for words, message in (
+        ((decoder, frames, frames), "the sensor 'toy' has one camera: one source (got 2)"),
+        ((decoder, str(tmp_path / "none")), "no frames at"),
+        ((decoder, frames, "--estimator", "best"), "no estimator 'best'; known: fem"),
+    ):
+        out = phytac("serve", *words, "--port", "0", "--record", "x.csv", cwd=tmp_path)
+        assert (out.returncode, len(out.stderr.splitlines())) == (4, 1), out.stderr
+        assert message in out.stderr
+    assert list(tmp_path.iterdir()) == []
