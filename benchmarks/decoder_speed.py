@@ -1,0 +1,350 @@
+"""Eyes at camera speed: frame to force map on one core, and what following finds.
+
+Frames are rendered (lens blur, fall-off, vignetting, the design's noise) of a hand of five fingers
+that closes, slides and lets go, at 480 fps motion. ``python -m benchmarks.decoder_speed [--quick]``
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import cv2
+import numpy as np
+
+from benchmarks.decoder import plain_opencv
+from benchmarks.harness import Table, arguments
+from benchmarks.twin_camera import Case
+from decoder.bundle import Bundle
+from decoder.estimators import ForceModel
+from decoder.follow import Follower
+from decoder.matching import nearest_same_colour_px
+from decoder.run import measure_frame
+from phytac_design.build import copy_of
+from phytac_design.design_file import load_design
+from phytac_design.mechanics.compliance import marker_compliance, point_motion
+from phytac_design.mechanics.meshing.mesh import marker_mesh
+from phytac_design.mechanics.receptors import sensor_model
+from phytac_design.optics.view import Readers, cameras_of
+from phytac_design.spec import CAMERA_PRESETS, Design
+from phytac_design.twin.condense import condense
+from phytac_design.twin.sight.eyes import Eyes
+from shapes.arrays import BoolArray, FloatArray, ImageArray
+
+DESIGNS = ("cylinder60", "cylinder60-dense")
+PRESETS = {"640x480": "paper_480fps", "2592x1944": "paper_30fps"}
+TARGETS_ms = {"640x480": 1.0, "2592x1944": 10.0}
+WHOLE = 300
+"""Frames of the whole grip, 0.6 s at 480 fps."""
+FINGERS, FORCE_N, SLIDE_mm, WIDTH_mm = 5, 25.0, 8.0, 4.0
+"""Fingers; each one's force, way and half width."""
+CLOSED = (0.3, 0.7)
+"""From when until when the hand is closed; between them it slides."""
+SKIP = 8
+"""Frames dropped between those on the way to the first."""
+FIRST, FEW = 64, 16
+"""Of the larger camera so many frames are rendered, from this on: the hand is closing."""
+STRESS = 4.0
+"""Motions are also taken so many times as large as linear theory has them at this force."""
+SEPARABLE = 0.06
+"""Share of the way to the next marker of the same colour."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensor:
+    """A design before a camera: its eyes, its decoder, its motion under unit forces."""
+
+    case: Case
+    eyes: Eyes
+    bundle: Bundle
+    unit_motion: FloatArray
+
+    @classmethod
+    def of(cls, design: Design) -> "Sensor":
+        """The sensor that is the design itself; the decoder's matrices at draft accuracy."""
+        case = Case.of(design)
+        eyes, markers = case.eyes(), case.markers
+        mesh = marker_mesh(case.surface, markers, thickness_mm=design.wall.thickness_mm, refine=3)
+        model = sensor_model(design, markers, mesh, receptors=True)
+        cell = float(np.sqrt(case.surface.area_mm2() / markers.count / np.pi))
+        found = marker_compliance(model, mesh, case.surface, markers, load_radius_mm=cell)
+        arm = markers.tip_mm - markers.mid_mm
+        nominal = eyes.nominal
+        seen = condense(
+            Readers(cameras=cameras_of(design, case.surface), read_by=nominal.read_by),
+            watched_mm=markers.tip_mm,
+            normal=markers.normal,
+            motion_mm=point_motion(found.motion, arm),
+        )
+        forces = ForceModel(
+            shift_to_mm=seen.shift_to_mm,
+            stiffness=seen.stiffness,
+            compliance_px=seen.compliance_px,
+            height_z_mm=markers.mid_mm[:, 2],
+            neighbours=markers.neighbours,
+            networks={},
+        )
+        return cls(
+            case=case,
+            eyes=eyes,
+            bundle=replace(nominal, model=forces),
+            unit_motion=found.motion,
+        )
+
+    def grip(self) -> Iterator[tuple[FloatArray, BoolArray]]:
+        """Motion (n, 6) and bits (n,) of the hand, frame by frame."""
+        place = self.bundle.position_mm
+        low, high = place[:, 2].min(), place[:, 2].max()
+        turn = 2.0 * np.pi * np.arange(FINGERS) / FINGERS
+        across = float(np.hypot(place[:, 0], place[:, 1]).mean())
+        start = np.column_stack(
+            [across * np.cos(turn), across * np.sin(turn), low + (high - low) * turn / 7.0 + 12.0]
+        )
+        for t in np.arange(1, WHOLE + 1) / WHOLE:
+            held = float(np.clip(min(t / CLOSED[0], (1.0 - t) / (1.0 - CLOSED[1])), 0.0, 1.0))
+            way = SLIDE_mm * np.clip((t - CLOSED[0]) / (CLOSED[1] - CLOSED[0]), 0.0, 1.0)
+            tips = start + np.array([0.0, 0.0, way])
+            gap = np.linalg.norm(place[:, None] - tips[None], axis=2)
+            weight = np.exp(-0.5 * (gap / WIDTH_mm) ** 2)
+            share = weight / weight.sum(axis=0)
+            force = FORCE_N * 0.5 * (1.0 - np.cos(np.pi * held)) * share.sum(axis=1)
+            yield self.unit_motion @ force, force > self.bundle.threshold_N
+
+
+@dataclass(frozen=True, kw_only=True)
+class Film:
+    """Frames of a sensor at rest (two), on the way to the grip, and gripped; and the truth.
+
+    Attributes
+    ----------
+    rest, before, frames : list of (h, w, 3) uint8
+        ``before`` are every ``SKIP``-th frame up to the first of ``frames``.
+    shift_px : (frames, n, 2) float
+        True shift of each marker's paint.
+    bits : (frames, n) bool
+        Switches that are on.
+    """
+
+    rest: list[ImageArray]
+    before: list[ImageArray]
+    frames: list[ImageArray]
+    shift_px: FloatArray
+    bits: BoolArray
+
+    def started(self, bundle: Bundle, stride: int) -> Follower:
+        """A follower that has come to the first frame."""
+        follower = Follower(bundle, self.rest[0], stride=stride)
+        for frame in self.before:
+            follower.follow(frame, elapsed=SKIP)
+        return follower
+
+
+def film_of(sensor: Sensor, chosen: range, times: float = 1.0) -> Film:
+    """Render frames ``chosen`` of the grip, its motions so many ``times`` as large."""
+    eyes, rng = sensor.eyes, np.random.default_rng(5)
+    still, off = np.zeros((eyes.count, 6)), np.zeros(eyes.count, dtype=np.bool_)
+    rest = [eyes.frame(still, off, 1.0, rng)[0] for _ in range(2)]
+    before, frames, shifts, states = [], [], [], []
+    for k, (motion, bits) in enumerate(sensor.grip()):
+        if k in chosen:
+            frames.append(eyes.frame(times * motion, bits, 1.0, rng)[0])
+            shifts.append(eyes.exact(times * motion, bits))
+            states.append(bits)
+        elif k < chosen.start and (chosen.start - k) % SKIP == 0:
+            before.append(eyes.frame(times * motion, bits, 1.0, rng)[0])
+    return Film(
+        rest=rest, before=before, frames=frames, shift_px=np.stack(shifts), bits=np.stack(states)
+    )
+
+
+def spent_ms(work: Callable[[], Any]) -> float:
+    """Processor milliseconds of one call."""
+    start = time.process_time()
+    work()
+    return 1e3 * (time.process_time() - start)
+
+
+def rms(values: FloatArray) -> float:
+    """Root mean square of what is known."""
+    return float(np.sqrt(np.nanmean(values**2)))
+
+
+def add_accuracy(table: Table, label: str, sensor: Sensor, film: Film) -> BoolArray:
+    """Centroids against the full search; gives the markers (n,) that it tells apart."""
+    bundle = sensor.bundle
+    full_rest = measure_frame(bundle, film.rest[1], rest_px=bundle.rest_px)
+    apart = nearest_same_colour_px(bundle.rest_px, bundle.colour)
+    seen_at_rest = Follower(bundle, film.rest[0]).follow(film.rest[1])
+    near = np.linalg.norm(full_rest.shift_px, axis=1) < SEPARABLE * apart
+    sure = full_rest.found & near & seen_at_rest.found
+    table.add(
+        f"{label}: markers that can be told apart at rest",
+        float(sure.mean()),
+        "share",
+        reference=1.0,
+        source="all of them",
+        note=f"found by both ways, and by the full search within {SEPARABLE} of the way to the "
+        "next of the same colour from where the renderer has them; the rows below are of these",
+    )
+    for stride in (1, 2):
+        follower = Follower(bundle, film.rest[0], stride=stride)
+        gap = follower.follow(film.rest[1]).position_px - bundle.rest_px - full_rest.shift_px
+        follower = film.started(bundle, stride)
+        pressed = []
+        every = max(len(film.frames) // 12, 1)
+        for k, frame in enumerate(film.frames):
+            seen = follower.follow(frame)
+            if k % every:
+                continue
+            full = measure_frame(bundle, frame, rest_px=bundle.rest_px)
+            on = np.isin(np.arange(len(sure)), full.koi)
+            own = full.shift_px + np.where(on[:, None], bundle.tip_bias_px, 0.0)
+            # Where the full search gives paint the wrong name there is nothing to compare with.
+            named = np.linalg.norm(own - film.shift_px[k], axis=1) < SEPARABLE * apart
+            pressed.append((seen.position_px - bundle.rest_px - own)[sure & named])
+        for name, error in (("at rest", gap[sure]), ("gripped", np.concatenate(pressed))):
+            table.add(
+                f"{label}: centroids against the full search, {name}, stride {stride}",
+                rms(error),
+                "px RMS",
+                reference=0.0,
+                source="measure_frame on the same noisy frames",
+                target="<= 0.02" if stride == 1 else None,
+                note=f"largest {float(np.nanmax(np.abs(error))):.3f} px; the full search drops "
+                "pieces of a marker smaller than 3 px, following does not",
+            )
+    return np.asarray(sure)
+
+
+def add_names(table: Table, label: str, sensor: Sensor, film: Film, sure: BoolArray) -> None:
+    """Whether markers keep their names, and switches theirs."""
+    bundle = sensor.bundle
+    follower = film.started(bundle, 1)
+    seen = [follower.follow(frame) for frame in film.frames]
+    # From the place at rest: what the lens does to the paint's centroid is in both.
+    moved = np.stack([one.position_px for one in seen]) - follower.rest_px
+    error = np.linalg.norm(moved - film.shift_px, axis=2)[:, sure]
+    swaps = sum(
+        swapped(follower.rest_px[own] + shift[own], one.position_px[own])
+        for paint in np.unique(bundle.colour)
+        for own in [np.flatnonzero(sure & (bundle.colour == paint))]
+        for one, shift in zip(seen, film.shift_px, strict=True)
+    )
+    largest = float(np.linalg.norm(film.shift_px, axis=2).max())
+    table.add(
+        f"{label}: markers nearer to another's true place than to their own",
+        swaps,
+        "markers",
+        reference=0,
+        source="rendered truth",
+        target="== 0",
+        note=f"{len(seen)} frames of a grip, motions up to {largest:.1f} px; error against the "
+        f"paint's true shift {rms(error):.3f} px RMS, largest {float(np.nanmax(error)):.2f} px "
+        f"(with what hides paint); lost {100.0 * float(np.isnan(error).mean()):.2g} %",
+    )
+    every = max(len(seen) // 12, 1)
+    full = [measure_frame(bundle, frame).koi for frame in film.frames[::every]]
+    readable = bundle.tips.readable & sure
+    alone = np.stack([np.isin(np.arange(len(sure)), koi) for koi in full])[:, readable]
+    bits = np.stack([np.isin(np.arange(len(sure)), one.koi) for one in seen])[:, readable]
+    true = film.bits[:, readable]
+    table.add(
+        f"{label}: switches read wrongly, over those that are on",
+        float((bits != true).sum() / max(true.sum(), 1)),
+        "relative",
+        reference=0.0,
+        source="readable switches, rendered truth",
+        note=f"{int((~bits & true).sum())} missed and {int((bits & ~true).sum())} false, of "
+        f"{int(true.sum())} on in {len(seen)} frames; the full search, of {len(alone)} of these: "
+        f"{int((~alone & true[::every]).sum())} missed and "
+        f"{int((alone & ~true[::every]).sum())} false",
+    )
+
+
+def swapped(true_px: FloatArray, found_px: FloatArray) -> int:
+    """How many of the markers found (n, 2) lie nearest to another one's true place (n, 2)."""
+    found = np.flatnonzero(np.isfinite(found_px[:, 0]))
+    gap = np.linalg.norm(found_px[found, None] - true_px[None], axis=2)
+    return int((np.argmin(gap, axis=1) != found).sum())
+
+
+def add_speed(
+    table: Table, label: str, target_ms: float, sensor: Sensor, film: Film, repeats: int
+) -> None:
+    """Milliseconds of one core, beside the plain route on the same frames."""
+    bundle, count = sensor.bundle, len(film.frames)
+    # To and fro: a film without a cut.
+    order = [*range(count), *range(count - 2, 0, -1)]
+    words = [frame.reshape(-1).view(np.uint64) for frame in film.frames]
+    read = float(np.median([spent_ms(word.max) for word in words * 3]))
+    plain = float(np.median([spent_ms(partial(plain_opencv, bundle, f)) for f in film.frames[:12]]))
+    for stride in (1, 2):
+        follower = film.started(bundle, stride)
+        spent: dict[str, list[float]] = {"eyes": [], "fem": [], "koi_inverse": []}
+        for j in range(repeats + len(order)):
+            frame = film.frames[order[j % len(order)]]
+            start = time.process_time()
+            seen = follower.follow(frame)
+            if j < len(order):
+                continue
+            spent["eyes"].append(1e3 * (time.process_time() - start))
+            for name in ("fem", "koi_inverse"):
+                spent[name].append(spent_ms(partial(seen.forces_N, bundle, name)))
+        eyes = np.array(spent["eyes"])
+        for name, part in (
+            ("eyes", eyes),
+            ("frame to force map by fem", eyes + spent["fem"]),
+            ("frame to force map by koi_inverse", eyes + spent["koi_inverse"]),
+        ):
+            table.add(
+                f"{label}: {name}, stride {stride}, p99",
+                float(np.percentile(part, 99)),
+                "ms of one core",
+                reference=read,
+                source="reading the frame once from memory, ms of one core, same run",
+                target=f"<= {target_ms:g}",
+                note=f"median {np.median(part):.3f} ms of {repeats} frames; "
+                f"{follower.pixels} of {frame.shape[0] * frame.shape[1]} pixels looked at; of the "
+                f"median the force solve takes {np.median(part - eyes):.3f} ms",
+            )
+        table.add(
+            f"{label}: eyes, stride {stride}, times faster than masks, labelling, assignment",
+            plain / float(np.median(eyes)),
+            "ratio",
+            reference=plain,
+            source="plain OpenCV route, ms of one core, same run; without switches",
+        )
+
+
+def add_rows(table: Table, *, quick: bool) -> None:
+    """All designs and cameras; ``quick``: few frames of the smaller camera."""
+    cv2.setNumThreads(1)
+    for name in DESIGNS[:1] if quick else DESIGNS:
+        design = load_design(name)
+        for size, target_ms in list(TARGETS_ms.items())[: 1 if quick else None]:
+            camera = CAMERA_PRESETS[PRESETS[size]]
+            pixel_um = design.camera.pixel_um * design.camera.width_px / camera["width_px"]
+            sensor = Sensor.of(copy_of(design, camera=camera | {"pixel_um": pixel_um}))
+            whole = size == "640x480" and not quick
+            film = film_of(sensor, range(WHOLE) if whole else range(FIRST, FIRST + FEW))
+            label = f"{name} {size}, {sensor.eyes.count} markers"
+            sure = add_accuracy(table, label, sensor, film)
+            add_names(table, label, sensor, film, sure)
+            add_speed(table, label, target_ms, sensor, film, 40 if quick else 400)
+            if whole:
+                film = film_of(sensor, range(WHOLE), STRESS)
+                add_names(table, f"{label}, motions times {STRESS:g}", sensor, film, sure)
+
+
+def main() -> None:
+    """Run the benchmark."""
+    table = Table("decoder_speed")
+    quick = arguments(__doc__ or "").quick
+    add_rows(table, quick=quick)
+    if not quick:
+        print(table.write())
+
+
+if __name__ == "__main__":
+    main()
