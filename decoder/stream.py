@@ -1,20 +1,21 @@
 """The sensor's loop: frames in, forces out, and how it goes, once a second."""
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
 from decoder.bundle import Bundle
 from decoder.estimators import ESTIMATORS
+from decoder.follow import Follower
 from decoder.frame import Frame, Source
 from decoder.imu import Imu
 from decoder.record import Recorder
-from decoder.run import measure_frame
+from decoder.run import Measured, measure_frame
 from decoder.wire import Message, Messages, Reading
-from shapes.arrays import FloatArray
+from shapes.arrays import FloatArray, ImageArray
 from shapes.errors import InputError, OutputError, PhytacError
 
 Decode = Callable[[Frame], Reading]
@@ -40,16 +41,60 @@ def frame_decoder(
     InputError
         If there is no such estimator.
     """
-    if estimator not in ESTIMATORS:
-        raise InputError(f"no estimator {estimator!r}; known: {', '.join(ESTIMATORS)}")
+    _known(estimator)
 
     def decode(frame: Frame) -> Reading:
         measured = measure_frame(bundle, frame.images, rest_px=rest_px)
-        forces = measured.forces_N(bundle, estimator)
-        warnings = measured.warnings(bundle, forces, estimator=estimator)
-        return Reading(koi=measured.koi, forces_N=forces, warnings=warnings)
+        return _reading(bundle, measured, estimator)
 
     return decode
+
+
+def follow_decoder(
+    bundle: Bundle, rest: Sequence[ImageArray], *, estimator: str = "koi_inverse", stride: int = 1
+) -> Decode:
+    """Decode frames in their order, markers followed from each to the next: much faster.
+
+    Frames may be missing; then the others' numbers tell for how long the markers have moved.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        The sensor's decoder.
+    rest : sequence of (h, w, 3) uint8
+        A frame of the unloaded sensor of each camera.
+    estimator : str
+        One of :data:`decoder.estimators.ESTIMATORS`.
+    stride : int
+        See :class:`decoder.follow.Follower`.
+
+    Raises
+    ------
+    InputError
+        If there is no such estimator, or the rest frame is none of this sensor.
+    """
+    _known(estimator)
+    follower, last = Follower(bundle, rest, stride=stride), -1
+
+    def decode(frame: Frame) -> Reading:
+        nonlocal last
+        elapsed, last = max(frame.number - last, 1), frame.number
+        seen = follower.follow(frame.images, elapsed=float(elapsed))
+        found = _reading(bundle, seen, estimator)
+        return replace(found, warnings=[*found.warnings, *seen.flags])
+
+    return decode
+
+
+def _known(estimator: str) -> None:
+    if estimator not in ESTIMATORS:
+        raise InputError(f"no estimator {estimator!r}; known: {', '.join(ESTIMATORS)}")
+
+
+def _reading(bundle: Bundle, measured: Measured, estimator: str) -> Reading:
+    forces = measured.forces_N(bundle, estimator)
+    warnings = measured.warnings(bundle, forces, estimator=estimator)
+    return Reading(koi=measured.koi, forces_N=forces, warnings=warnings)
 
 
 @dataclass(kw_only=True)

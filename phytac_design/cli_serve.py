@@ -2,12 +2,16 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from phytac_design.cli_options import say
 from shapes.errors import InputError
+
+if TYPE_CHECKING:
+    from decoder.bundle import Bundle
+    from decoder.stream import Decode
 
 
 class Framing(StrEnum):
@@ -44,6 +48,12 @@ def serve(
         list[Path] | None,
         typer.Option(help="Frame of the unloaded sensor; twice for two cameras, near end first."),
     ] = None,
+    follow: Annotated[
+        bool,
+        typer.Option(
+            "--follow", help="Follow markers from frame to frame, from --rest on: much faster."
+        ),
+    ] = False,
     serial: Annotated[
         Path | None, typer.Option(help="Serial port to send JSON lines to as well.")
     ] = None,
@@ -68,17 +78,15 @@ def serve(
     from decoder.bundle import load_bundle
     from decoder.imu import Imu
     from decoder.record import Recorder
-    from decoder.run import read_image, rest_positions
     from decoder.serial_port import SerialPort
     from decoder.serve import Server
     from decoder.sources import open_source
-    from decoder.stream import Progress, Stream, frame_decoder
+    from decoder.stream import Progress, Stream
     from decoder.wire import Messages
 
     loaded = load_bundle(bundle)
     check_sources(loaded.design, len(loaded.cameras), source)
-    rest_px = rest_positions(loaded, [read_image(path) for path in rest]) if rest else None
-    decode = frame_decoder(loaded, estimator=estimator, rest_px=rest_px)
+    decode = decoder_of(loaded, rest or [], estimator=estimator, follow=follow)
     camera = loaded.camera
     # Whoever runs it as a service stops it by SIGTERM.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -164,6 +172,26 @@ def check_sources(design: str, cameras: int, source: list[str]) -> None:
     if len(source) != cameras:
         each = "one camera: one source" if cameras == 1 else f"{cameras} cameras: one source each"
         raise InputError(f"the sensor {design!r} has {each} (got {len(source)})")
+
+
+def decoder_of(bundle: "Bundle", rest: list[Path], *, estimator: str, follow: bool) -> "Decode":
+    """Decoder of frames, one by one or followed from a rest frame on.
+
+    Raises
+    ------
+    InputError
+        If markers are to be followed from nowhere.
+    """
+    from decoder.run import read_image, rest_positions
+    from decoder.stream import follow_decoder, frame_decoder
+
+    unloaded = [read_image(path) for path in rest]
+    if not follow:
+        rest_px = rest_positions(bundle, unloaded) if unloaded else None
+        return frame_decoder(bundle, estimator=estimator, rest_px=rest_px)
+    if not unloaded:
+        raise InputError("--follow begins at a frame of the unloaded sensor; give it with --rest")
+    return follow_decoder(bundle, unloaded, estimator=estimator)
 
 
 def open_to_others(address: str) -> list[str]:

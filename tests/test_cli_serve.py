@@ -132,3 +132,17 @@ def test_errors_are_one_line(toy: tuple[str, str], tmp_path: Path) -> None:
         assert (out.returncode, len(out.stderr.splitlines())) == (4, 1), out.stderr
         assert message in out.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_following_needs_a_beginning_and_streams(toy: tuple[str, str], tmp_path: Path) -> None:
+    refused = phytac("serve", *toy, "--follow", "--port", "0")
+    assert refused.returncode == 4
+    assert "give it with --rest" in refused.stderr
+    out = tmp_path / "out.csv"
+    rest = str(Path(toy[1]) / "frame_0.png")
+    more = ("--fps", "50", "--every", "--rest", rest, "--follow", "--record", str(out))
+    done = phytac("serve", *toy, *more, "--port", "0")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("4 frames in ")
+    rows = list(csv.DictReader(out.read_text().splitlines()))
+    assert rows[0]["markers"] == ""

@@ -11,7 +11,7 @@ import pytest
 from decoder.frame import Frame, Source
 from decoder.imu import Imu
 from decoder.sources import open_source
-from decoder.stream import Progress, Stream, frame_decoder
+from decoder.stream import Progress, Stream, follow_decoder, frame_decoder
 from decoder.wire import Message, Messages, Reading
 from shapes.arrays import ImageArray
 from shapes.errors import InputError
@@ -132,3 +132,24 @@ def test_progress_tells_each_second(tmp_path: Path) -> None:
     seconds, _, fps, *_ = told[0].split()
     assert 1.0 <= float(seconds) < 4.0
     assert float(fps) > 20.0
+
+
+def test_following_gives_the_same_forces_in_the_order_of_frames() -> None:
+    bundle = toy_bundle()
+    # Frames 4 and 5 are missed, number 7 is black.
+    pressed = [{14: 0.4 * k, 15: 0.2 * k} if k else {} for k in range(10)]
+    images = {k: toy_frame(forces) for k, forces in enumerate(pressed) if k not in {4, 5}}
+    follow, alone = follow_decoder(bundle, [images[0]]), frame_decoder(bundle)
+    images[7] = np.zeros_like(images[0])
+    for number, image in images.items():
+        frame = Frame(number=number, timestamp_s=0.0, images=(image,), ready_s=0.0)
+        if number == 7:
+            with pytest.raises(InputError):
+                follow(frame)
+            continue
+        found, wanted = follow(frame), alone(frame)
+        assert found.koi.tolist() == wanted.koi.tolist()
+        np.testing.assert_allclose(found.forces_N, wanted.forces_N, atol=0.1)
+    assert wanted.forces_N[14] == pytest.approx(3.6, abs=0.2)
+    with pytest.raises(InputError, match="no estimator 'magic'"):
+        follow_decoder(bundle, [images[0]], estimator="magic")
