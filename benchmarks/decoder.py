@@ -1,21 +1,23 @@
-"""The decoder on held-out contacts and rendered frames, beside the paper; and its speed.
+"""The decoder on held-out contacts and rendered frames, beside the paper; its speed; its stream.
 
-Everything is in simulation (linear shell, finer mesh than the decoder's): the paper's figures are
-of a real sensor. ``python -m benchmarks.decoder [--quick]``
+Everything is in simulation; part ``linear``: linear shell, finer mesh than the decoder's. The
+paper's figures are of a real sensor. ``python -m benchmarks.decoder [--quick] [--parts a,b]``
 """
 
 import json
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
-from benchmarks.harness import Table, arguments
+from benchmarks import decoder_speed, decoder_stream
+from benchmarks.harness import Table, run_parts
+from benchmarks.plain_eyes import plain_opencv
 from decoder.bundle import Bundle, load_bundle
 from decoder.run import measure_frame, read_image, rest_positions
 from phytac_design.build import build
@@ -125,20 +127,6 @@ def add_rest(table: Table, bundle: Bundle, rest: ImageArray, paint_mm: FloatArra
         )
 
 
-def plain_opencv(bundle: Bundle, frame: ImageArray) -> None:
-    """What a user would write: three masks, labelling, optimal assignment."""
-    ycc = cv2.cvtColor(frame, cv2.COLOR_BGR2YCrCb)
-    for colour, chroma in enumerate(bundle.colours.chroma):
-        low = np.clip(chroma + 128.0 - 45.0, 0, 255)
-        high = np.clip(chroma + 128.0 + 45.0, 0, 255)
-        mask = cv2.inRange(ycc, np.array([0, *low]), np.array([255, *high]))
-        _, _, _, centroids = cv2.connectedComponentsWithStats(mask)
-        rest = bundle.rest_px[bundle.colour == colour]
-        if len(rest):
-            gap = np.linalg.norm(centroids[1:, None] - rest[None], axis=2)
-            linear_sum_assignment(gap)
-
-
 def percentiles(work: Callable[[], Any], repeats: int) -> tuple[float, float]:
     """Milliseconds p50 and p99 after a warm-up."""
     work()
@@ -221,10 +209,8 @@ def add_pictures(table: Table, design: Design, bundle: Bundle, count: int) -> No
     )
 
 
-def main() -> None:
-    """Run the benchmark."""
-    quick = arguments(__doc__ or "").quick
-    table = Table("decoder")
+def linear_rows(table: Table, *, quick: bool) -> None:
+    """Everything a build makes and judges by itself."""
     design = load_design("cylinder60")
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "cylinder60"
@@ -240,9 +226,16 @@ def main() -> None:
     add_rest(table, bundle, rest, seen.paint_point_mm)
     add_speed(table, bundle, frame, 5 if quick else 100)
     add_pictures(table, design, bundle, 2 if quick else 10)
-    if not quick:
-        print(table.write())
+
+
+def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
+    """Parts of this benchmark."""
+    return {
+        "linear": partial(linear_rows, quick=quick),
+        "speed": partial(decoder_speed.add_rows, quick=quick),
+        "stream": partial(decoder_stream.add_rows, quick=quick),
+    }
 
 
 if __name__ == "__main__":
-    main()
+    run_parts("decoder", parts, __doc__ or "")

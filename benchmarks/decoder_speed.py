@@ -13,8 +13,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.decoder import plain_opencv
 from benchmarks.harness import Table, arguments
+from benchmarks.plain_eyes import plain_opencv
 from benchmarks.twin_camera import Case
 from decoder.bundle import Bundle
 from decoder.estimators import ForceModel
@@ -338,12 +338,8 @@ def add_rows(table: Table, *, quick: bool) -> None:
 
 
 def main() -> None:
-    """Run the benchmark."""
-    table = Table("decoder_speed")
-    quick = arguments(__doc__ or "").quick
-    add_rows(table, quick=quick)
-    if not quick:
-        print(table.write())
+    """Print the rows; ``decoder`` writes them."""
+    add_rows(Table("decoder_speed"), quick=arguments(__doc__ or "").quick)
 
 
 if __name__ == "__main__":
