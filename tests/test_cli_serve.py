@@ -34,7 +34,8 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
 def serving(*words: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
     """The running command, and the port it took."""
     done = subprocess.Popen(
-        [*PHYTAC, "serve", *words, "--port", "0"],
+        # What runs in the background of a script has Ctrl-C ignored, and hands that down.
+        ["env", "--default-signal=INT", *PHYTAC, "serve", *words, "--port", "0"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -100,7 +101,8 @@ def test_motion_samples_and_lengths(toy: tuple[str, str], tmp_path: Path) -> Non
 def test_it_stops_cleanly_when_asked(toy: tuple[str, str], tmp_path: Path, sign: int) -> None:
     out = tmp_path / "out.csv"
     with serving(*toy, "--fps", "50", "--every", "--loop", "--record", str(out)) as (done, port):
-        with socket.create_connection(("127.0.0.1", port)) as link, link.makefile("rb") as lines:
+        where = ("127.0.0.1", port)
+        with socket.create_connection(where, PATIENCE_S) as link, link.makefile("rb") as lines:
             for _ in range(10):
                 message = json.loads(next(lines))
             done.send_signal(sign)
