@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from benchmarks import twin
 from benchmarks.referee import check
@@ -192,15 +191,13 @@ def test_checks_give_their_rows() -> None:
     assert found == pytest.approx(5.0 / np.sqrt(3.0))
 
 
-def test_tips_of_the_shell_turn_with_the_wall(grip: Sensor) -> None:
-    count = grip.markers.count
-    arm = grip.markers.tip_mm - grip.markers.mid_mm
-    vector, shift = np.array([0.3, -0.2, 0.1]), np.array([1.0, 2.0, 3.0])
-    at = np.tile(np.concatenate([shift, vector]), (count, 1))
-    turned = Rotation.from_rotvec(vector).apply(arm) - arm + shift
-    np.testing.assert_allclose(twin.tips_of(grip, at, large=True), turned, atol=1e-12)
-    small = twin.tips_of(grip, at, large=False)
-    np.testing.assert_allclose(small, shift + np.cross(vector, arm), atol=1e-12)
+def test_tips_beside_rims_are_known(grip: Sensor) -> None:
+    row, rows = grip.markers.row, grip.design.layout.rows
+    np.testing.assert_array_equal(twin.at_rim(grip), (row == 0) | (row == rows - 1))
+    item = made_up(grip)
+    off = item.motion_mm.copy()
+    off[7] += [0.0, 0.3, 0.4]
+    assert twin.worst_tip(twin.Judged(item=item, large_mm=off, linear_mm=item.motion_mm)) == 7
 
 
 def test_gap_and_scale_are_of_the_peak(grip: Sensor) -> None:
