@@ -49,7 +49,6 @@ class Feet:
     """
 
     def __init__(self, mesh: ShellMesh, surface: Surface, uv: FloatArray, radius_mm: float) -> None:
-        self.count = len(uv)
         self._normals = mesh.normals
         first, second = _edges(mesh)
         self._first, self._second = first, second

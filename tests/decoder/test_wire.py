@@ -132,7 +132,8 @@ def test_messages_come_back_exactly_however_they_are_cut(seed: int, framing: str
     sent = [messages().hello()]
     for number in range(8):
         koi = np.flatnonzero(rng.uniform(size=COUNT) < 0.3)
-        forces = dict(zip(koi.tolist(), rng.normal(0, 10.0 ** rng.integers(-5, 5), len(koi))))  # noqa: B905
+        sizes = rng.normal(0, 10.0 ** rng.integers(-5, 5), len(koi))
+        forces = dict(zip(koi.tolist(), sizes, strict=True))
         sent.append(
             messages().frame(
                 reading(forces, "60 % — größer\n\u2028"), sequence=number, timestamp_s=rng.normal()
