@@ -2,12 +2,14 @@
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from decoder.follow import Follower
 from decoder.frame import Frame, Source
 from decoder.imu import Imu
 from decoder.sources import open_source
@@ -153,3 +155,24 @@ def test_following_gives_the_same_forces_in_the_order_of_frames() -> None:
     assert wanted.forces_N[14] == pytest.approx(3.6, abs=0.2)
     with pytest.raises(InputError, match="no estimator 'magic'"):
         follow_decoder(bundle, [images[0]], estimator="magic")
+
+
+def test_following_knows_how_long_frames_were_missed_and_the_estimator(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bundle = toy_bundle()
+    stiff = replace(bundle, model=replace(bundle.model, stiffness=2.0 * np.eye(len(bundle.colour))))
+    elapsed: list[float] = []
+    whole = Follower.follow
+
+    def noted(self: Follower, frames: Any, **how: float) -> Any:
+        elapsed.append(how["elapsed"])
+        return whole(self, frames, **how)
+
+    monkeypatch.setattr(Follower, "follow", noted)
+    follow = follow_decoder(stiff, [toy_frame()], estimator="fem")
+    for number in (0, 1, 4, 5, 0, 1):  # a recording that begins again
+        image = toy_frame({14: 0.5})
+        found = follow(Frame(number=number, timestamp_s=0.0, images=(image,), ready_s=0.0))
+    assert elapsed == [1.0, 1.0, 3.0, 1.0, 1.0, 1.0]
+    assert found.forces_N[14] == pytest.approx(1.0, abs=0.2)
