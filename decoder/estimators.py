@@ -40,6 +40,12 @@ class ForceModel:
     neighbours: IntArray
     networks: dict[str, CascadeNetwork]
 
+    @property
+    def estimators(self) -> tuple[str, ...]:
+        """Names of the estimators that this model has all it needs for, in the order of tables."""
+        plain = ("fem", "koi_inverse")
+        return tuple(name for name in ESTIMATORS if name in plain or name in self.networks)
+
     def apparent_mm(self, shift_px: FloatArray) -> FloatArray:
         """Apparent u (n,) mm, positive inward, of pixel shifts (n, 2)."""
         return np.asarray(np.einsum("ni,ni->n", self.shift_to_mm, shift_px))
@@ -99,7 +105,10 @@ class ForceModel:
 
 
 def nonnegative_least_squares(gram: FloatArray, right: FloatArray) -> FloatArray:
-    """Minimise ½ fᵀ G f − rᵀ f over f >= 0 (Lawson and Hanson 1974, on the normal equations).
+    """Minimise ½ fᵀ G f − rᵀ f over f >= 0.
+
+    Block principal pivoting (Júdice and Pires 1994): whole sets change sides at once, and single
+    ones where that does not end. A few solves, where going one by one takes one for each force.
 
     Parameters
     ----------
@@ -109,26 +118,31 @@ def nonnegative_least_squares(gram: FloatArray, right: FloatArray) -> FloatArray
         Aᵀb.
     """
     size = len(right)
-    f = np.zeros(size)
-    passive = np.zeros(size, dtype=np.bool_)
     tolerance = 1e-12 * max(float(np.abs(right).max(initial=0.0)), 1e-300)
+    passive = np.ones(size, dtype=np.bool_)
+    least, patience = size + 1, 3
+    f = np.zeros(size)
     for _ in range(10 * size + 10):
-        gradient = right - gram @ f
-        gradient[passive] = -np.inf
-        best = int(np.argmax(gradient))
-        if passive.all() or gradient[best] <= tolerance:
+        index = np.flatnonzero(passive)
+        f = np.zeros(size)
+        f[index] = _solved(gram[np.ix_(index, index)], right[index])
+        wrong = np.where(passive, f < 0.0, right - gram @ f > tolerance)
+        count = int(wrong.sum())
+        if count == 0:
             break
-        passive[best] = True
-        while True:
-            trial = np.zeros(size)
-            index = np.flatnonzero(passive)
-            trial[index] = np.linalg.lstsq(gram[np.ix_(index, index)], right[index], rcond=None)[0]
-            if (trial[index] > 0.0).all():
-                f = trial
-                break
-            falling = passive & (trial <= 0.0)
-            step = np.min(f[falling] / np.maximum(f[falling] - trial[falling], 1e-300))
-            f = f + step * (trial - f)
-            passive &= f > tolerance
-            f[~passive] = 0.0
-    return f
+        if count < least:
+            least, patience = count, 3
+        elif patience > 0:
+            patience -= 1
+        else:
+            # Murty's rule: the last one alone, which cannot cycle.
+            wrong[: np.flatnonzero(wrong)[-1]] = False
+        passive ^= wrong
+    return np.maximum(f, 0.0)
+
+
+def _solved(gram: FloatArray, right: FloatArray) -> FloatArray:
+    try:
+        return np.asarray(np.linalg.solve(gram, right))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(gram, right, rcond=None)[0])
