@@ -16,15 +16,17 @@ from safetensors.numpy import load_file, save_file
 
 from decoder.bundle_camera import camera_from, camera_table
 from decoder.bundle_check import check_arrays, check_indices, check_shown
+from decoder.bundle_locator import locator_arrays, locator_from, locator_table
 from decoder.camera import Camera
 from decoder.estimators import ForceModel
+from decoder.locate import Locator
 from decoder.network import ACTIVATIONS, CascadeNetwork
 from decoder.segmentation import ColourModel
 from decoder.switches import RED_LEAST_PX, TipModel
 from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import InputError
 
-SCHEMA = (1, 3)
+SCHEMA = (1, 4)
 FORMAT = "phytac-decoder-bundle"
 NOISE_SHARE_MAX = 0.2
 """K·u is of use at a marker where its noise stays below this share of the largest force."""
@@ -163,7 +165,7 @@ class Bundle:
                 f"the estimators fem, fem_nn and fem_nn_identity cannot be used at {len(weak)} of "
                 f"{len(self.colour)} markers ({named(weak)}): noise of their K·u exceeds "
                 f"{NOISE_SHARE_MAX * self.force_max_N:g} N (median {np.median(noise):.3g} N); use "
-                "koi_inverse"
+                "koi_inverse or auto"
             )
         return out
 
@@ -206,6 +208,8 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
         "force_max_N": float(bundle.force_max_N),
         "notes": bundle.notes,
     }
+    if model.locator is not None:
+        meta["auto"] = locator_table(model.locator)
     arrays = {
         "colour": bundle.colour,
         "position_mm": bundle.position_mm,
@@ -222,6 +226,8 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
         "read_by": bundle.read_by,
         "threshold_N": bundle.threshold_N,
     } | {f"network.{name}": net.parameters for name, net in model.networks.items()}
+    if model.locator is not None:
+        arrays |= locator_arrays(model.locator)
     if bundle.shown:
         arrays |= {
             "shown_rest_px": np.stack([item.rest_px for item in bundle.shown]),
@@ -262,7 +268,18 @@ def load_bundle(folder: Path) -> Bundle:
         check_arrays(arrays, count, sorted(meta["networks"]), folder)
         check_indices(arrays, count, len(meta["colours"]["names"]), len(tables), folder)
         check_shown(arrays, count, len(tables), folder)
-        return _assemble(meta, arrays, tuple(camera_from(table, folder) for table in tables))
+        locator = None
+        # Up to schema 1.3 there was none.
+        if "auto" in meta:
+            locator = locator_from(
+                meta["auto"],
+                arrays,
+                position_mm=arrays["position_mm"],
+                neighbours=arrays["neighbours"],
+                folder=folder,
+            )
+        cameras = tuple(camera_from(table, folder) for table in tables)
+        return _assemble(meta, arrays, cameras, locator)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{folder}/bundle.json is not a decoder bundle: {type(error).__name__} {error}"
@@ -294,7 +311,12 @@ def _read_meta(folder: Path) -> dict[str, Any]:
     return meta
 
 
-def _assemble(meta: dict[str, Any], arrays: dict[str, Any], cameras: tuple[Camera, ...]) -> Bundle:
+def _assemble(
+    meta: dict[str, Any],
+    arrays: dict[str, Any],
+    cameras: tuple[Camera, ...],
+    locator: Locator | None,
+) -> Bundle:
     for name, item in meta["networks"].items():
         if item["activation"] not in ACTIVATIONS:
             raise ValueError(f"network {name!r} has an unknown activation {item['activation']!r}")
@@ -334,6 +356,7 @@ def _assemble(meta: dict[str, Any], arrays: dict[str, Any], cameras: tuple[Camer
             height_z_mm=arrays["height_z_mm"],
             neighbours=arrays["neighbours"],
             networks=networks,
+            locator=locator,
         ),
         threshold_N=arrays["threshold_N"],
         # Up to schema 1.1 these were not stored.

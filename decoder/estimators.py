@@ -1,14 +1,17 @@
 """Forces from marker displacements: the paper's two estimators and the compliance inverse."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from decoder.locate import Found, Locator
 from decoder.network import CascadeNetwork, network_features
+from decoder.nonnegative import nonnegative_least_squares
 from shapes.arrays import FloatArray, IntArray
+from shapes.errors import InputError
 
-ESTIMATORS = ("fem", "fem_nn", "fem_nn_identity", "koi_inverse")
+ESTIMATORS = ("fem", "fem_nn", "fem_nn_identity", "koi_inverse", "auto")
 """Names, in the order of every table."""
 
 
@@ -31,6 +34,8 @@ class ForceModel:
         Neighbour ids, -1 beyond a rim.
     networks : dict
         Trained networks by estimator name.
+    locator : Locator, optional
+        Finds contacts, for the estimator ``auto``.
     """
 
     shift_to_mm: FloatArray
@@ -39,12 +44,40 @@ class ForceModel:
     height_z_mm: FloatArray
     neighbours: IntArray
     networks: dict[str, CascadeNetwork]
+    locator: Locator | None = None
 
     @property
     def estimators(self) -> tuple[str, ...]:
         """Names of the estimators that this model has all it needs for, in the order of tables."""
-        plain = ("fem", "koi_inverse")
-        return tuple(name for name in ESTIMATORS if name in plain or name in self.networks)
+        ready = {"fem", "koi_inverse", *self.networks}
+        if self.locator is not None:
+            ready.add("auto")
+        return tuple(name for name in ESTIMATORS if name in ready)
+
+    @property
+    def linear(self) -> "ForceModel":
+        """The same for data of a shell that is linear: ``auto`` by its linear tables."""
+        return self if self.locator is None else replace(self, locator=self.locator.linear)
+
+    @property
+    def best(self) -> str:
+        """The estimator to use where none is asked for."""
+        return "koi_inverse" if self.locator is None else "auto"
+
+    def contacts(self, shift_px: FloatArray, koi: IntArray) -> Found:
+        """Contacts behind shifts (n, 2) px: place, size, force and its standard deviation.
+
+        Raises
+        ------
+        InputError
+            If the bundle has no tables for it.
+        """
+        if self.locator is None:
+            raise InputError(
+                "this bundle has no tables to find contacts with (estimator auto); build the "
+                "design again"
+            )
+        return self.locator.find(shift_px, koi)
 
     def apparent_mm(self, shift_px: FloatArray) -> FloatArray:
         """Apparent u (n,) mm, positive inward, of pixel shifts (n, 2)."""
@@ -88,6 +121,9 @@ class ForceModel:
         if estimator == "koi_inverse":
             out[koi] = self._inverse(shift_px, koi)
             return out
+        if estimator == "auto":
+            found = self.contacts(shift_px, koi)
+            return found.receptor_forces_N(len(shift_px))
         u = self.apparent_mm(np.nan_to_num(shift_px))
         force = self.stiffness[koi] @ u
         if estimator != "fem":
@@ -102,47 +138,3 @@ class ForceModel:
         seen = np.isfinite(d)
         c = self.compliance_px[np.ix_(seen, koi)]
         return nonnegative_least_squares(c.T @ c, c.T @ d[seen])
-
-
-def nonnegative_least_squares(gram: FloatArray, right: FloatArray) -> FloatArray:
-    """Minimise ½ fᵀ G f − rᵀ f over f >= 0.
-
-    Block principal pivoting (Júdice and Pires 1994): whole sets change sides at once, and single
-    ones where that does not end. A few solves, where going one by one takes one for each force.
-
-    Parameters
-    ----------
-    gram : (m, m) float
-        AᵀA, positive definite on every subset.
-    right : (m,) float
-        Aᵀb.
-    """
-    size = len(right)
-    tolerance = 1e-12 * max(float(np.abs(right).max(initial=0.0)), 1e-300)
-    passive = np.ones(size, dtype=np.bool_)
-    least, patience = size + 1, 3
-    f = np.zeros(size)
-    for _ in range(10 * size + 10):
-        index = np.flatnonzero(passive)
-        f = np.zeros(size)
-        f[index] = _solved(gram[np.ix_(index, index)], right[index])
-        wrong = np.where(passive, f < 0.0, right - gram @ f > tolerance)
-        count = int(wrong.sum())
-        if count == 0:
-            break
-        if count < least:
-            least, patience = count, 3
-        elif patience > 0:
-            patience -= 1
-        else:
-            # Murty's rule: the last one alone, which cannot cycle.
-            wrong[: np.flatnonzero(wrong)[-1]] = False
-        passive ^= wrong
-    return np.maximum(f, 0.0)
-
-
-def _solved(gram: FloatArray, right: FloatArray) -> FloatArray:
-    try:
-        return np.asarray(np.linalg.solve(gram, right))
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.lstsq(gram, right, rcond=None)[0])

@@ -24,6 +24,10 @@ class Accuracy:
         Fraction of the design's training and test samples that is simulated.
     frames : int
         Rendered frames that are decoded for the report.
+    place_share : float
+        Spacing of the places of the estimator ``auto``, over the patches' mean radius.
+    place_orders : int
+        Powers of the force in its tables: 1 is linear theory, 3 large displacements.
     press_places : int
         Places at which the sensor is pressed to see what hides or fuses under load.
     press_tolerance : float
@@ -38,6 +42,8 @@ class Accuracy:
     truth_refine: int
     sample_share: float
     frames: int
+    place_share: float
+    place_orders: int
     press_places: int
     press_tolerance: float
     print_tools: bool
@@ -55,6 +61,8 @@ PRESETS: dict[str, Accuracy] = {
         truth_refine=5,
         sample_share=0.3,
         frames=5,
+        place_share=0.8,
+        place_orders=1,
         press_places=8,
         press_tolerance=1.0,
         print_tools=False,
@@ -66,6 +74,8 @@ PRESETS: dict[str, Accuracy] = {
         truth_refine=9,
         sample_share=1.0,
         frames=50,
+        place_share=0.55,
+        place_orders=3,
         press_places=40,
         press_tolerance=0.05,
         print_tools=True,
@@ -77,6 +87,8 @@ PRESETS: dict[str, Accuracy] = {
         truth_refine=13,
         sample_share=1.0,
         frames=100,
+        place_share=0.4,
+        place_orders=3,
         press_places=120,
         press_tolerance=0.02,
         print_tools=True,

@@ -10,6 +10,7 @@ import numpy as np
 
 from shapes import Surface
 from shapes.arrays import FloatArray, IntArray
+from shapes.discs import disc_overlap_share, segment
 
 TINY = 1e-300
 """Keeps divisions finite."""
@@ -48,28 +49,6 @@ def near_pairs(
     return i[order], j[order], gap[order]
 
 
-def disc_overlap_share(
-    distance: FloatArray, r_contact: FloatArray | float, r_foot: FloatArray | float
-) -> FloatArray:
-    """Share of a contact disc's area that lies inside a footprint disc, 0 … 1.
-
-    The lens of two circles in closed form (derived here: two circular segments). Arguments
-    broadcast; all in mm, radii > 0.
-    """
-    d, a, b = np.broadcast_arrays(distance, r_contact, r_foot)
-    d = np.maximum(np.asarray(d, dtype=np.float64), 1e-300)
-    # Cosines clipped at ±1 make the formula hold for discs apart and discs inside each other.
-    half_a = np.arccos(np.clip((d * d + a * a - b * b) / (2.0 * d * a), -1.0, 1.0))
-    half_b = np.arccos(np.clip((d * d + b * b - a * a) / (2.0 * d * b), -1.0, 1.0))
-    lens = a * a * _segment(half_a) + b * b * _segment(half_b)
-    return np.asarray(np.clip(lens / (np.pi * a * a), 0.0, 1.0))
-
-
-def _segment(half: FloatArray) -> FloatArray:
-    """Area of a unit circle's segment with half-angle ``half``; exact for small angles too."""
-    return np.asarray(half - np.sin(half) * np.cos(half))
-
-
 def on_shell_share(surface: Surface, uv: FloatArray, radius_mm: FloatArray | float) -> FloatArray:
     """Share of each disc's area between the open edges of the surface, (m,).
 
@@ -89,7 +68,7 @@ def on_shell_share(surface: Surface, uv: FloatArray, radius_mm: FloatArray | flo
         beyond[axis].append(np.minimum(gap / np.maximum(radius, TINY), 1.0))
     share = np.ones(len(uv))
     for distance in (*beyond[0], *beyond[1]):
-        share -= _segment(np.arccos(distance)) / np.pi
+        share -= segment(np.arccos(distance)) / np.pi
     for a in beyond[0]:
         for b in beyond[1]:
             share += _corner(a, b) / np.pi

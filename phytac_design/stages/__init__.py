@@ -8,6 +8,7 @@ from phytac_design.stages.hardware import HARDWARE
 from phytac_design.stages.kit import KIT
 from phytac_design.stages.mesh import MESH
 from phytac_design.stages.mold import MOLD
+from phytac_design.stages.places import PLACES
 from phytac_design.stages.printing import PRINTING
 from phytac_design.stages.report import REPORT
 from phytac_design.stages.resolution import RESOLUTION
@@ -32,6 +33,7 @@ STAGES: tuple[Stage, ...] = (
     BENCH,
     MESH,
     RESPONSE,
+    PLACES,
     TWIN,
     DECODER,
     FRAMES,

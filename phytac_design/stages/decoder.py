@@ -10,6 +10,7 @@ from decoder.estimators import ESTIMATORS, ForceModel
 from decoder.network import Activation
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.stage import EXPORT, Context, Stage, write_facts
+from phytac_design.stages.places import locator_of
 from phytac_design.stages.twin import readers_of
 from phytac_design.twin.dataset import Dataset, decode_points, key_node_data
 from shapes.arrays import FloatArray
@@ -31,16 +32,20 @@ def along_mm(context: Context, uv: FloatArray) -> FloatArray:
     return np.asarray(flat - context.surface.unwrap(start)[:, 1])
 
 
+def length_mm(context: Context) -> float:
+    """Length of the sensor from rim to rim, along v0, mm."""
+    (_, u1), (v0, _) = context.surface.domain
+    return float(along_mm(context, np.array([[u1, v0]]))[0])
+
+
 def middle_mm(context: Context) -> tuple[float, float]:
     """Heights that count as the middle of this sensor."""
-    (u0, u1), (v0, _) = context.surface.domain
-    length = float(along_mm(context, np.array([[u1, v0]]))[0])
-    del u0
+    length = length_mm(context)
     return MIDDLE[0] * length, MIDDLE[1] * length
 
 
 def plain_model(context: Context) -> ForceModel:
-    """Force model of the stage ``response``, without networks."""
+    """Force model of the stages ``response`` and (if it ran) ``places``, without networks."""
     response = context.arrays("response")
     return ForceModel(
         shift_to_mm=response["shift_to_mm"],
@@ -49,20 +54,71 @@ def plain_model(context: Context) -> ForceModel:
         height_z_mm=context.markers.mid_mm[:, 2].copy(),
         neighbours=context.markers.neighbours,
         networks={},
+        locator=locator_of(context) if "places" in context.folders else None,
+    )
+
+
+def assemble(context: Context, model: ForceModel, notes: dict[str, Any]) -> "Bundle":
+    """Bundle of a design from its stages ``views`` and ``response`` and a force model.
+
+    Parameters
+    ----------
+    context : Context
+        With the folders of both stages.
+    model : ForceModel
+        As of :func:`plain_model`, and what was trained on top of it.
+    notes : dict
+        Where it comes from, plain JSON.
+    """
+    from decoder.bundle import Bundle, Shown
+    from decoder.switches import TipModel
+    from phytac_design.design_file import design_hash
+    from phytac_design.twin.expected import colour_model
+
+    design, views = context.design, context.arrays("views")
+    colours, classes = colour_model(design)
+    readers = readers_of(context)
+    shown = [
+        Shown(rest_px=rest, tips=TipModel(on_px=on, red_rest_px=red_rest, red_on_px=red_on))
+        for rest, on, red_rest, red_on in zip(
+            views["shown_rest_px"],
+            views["shown_tip_on_px"],
+            views["shown_tip_red_rest_px"],
+            views["shown_tip_red_on_px"],
+            strict=True,
+        )
+    ]
+    return Bundle(
+        design=design.name,
+        design_hash=design_hash(design),
+        cameras=readers.cameras,
+        read_by=readers.read_by,
+        colours=colours,
+        colour=classes[context.markers.colour],
+        position_mm=context.surface.point(context.markers.uv),
+        rest_px=views["rest_px"],
+        tip_bias_px=views["tip_bias_px"],
+        tips=TipModel(
+            on_px=views["tip_on_px"],
+            red_rest_px=views["tip_red_rest_px"],
+            red_on_px=views["tip_red_on_px"],
+        ),
+        model=model,
+        threshold_N=thresholds_N(design, context.markers),
+        noise_centroid_px=design.camera.noise_centroid_px,
+        force_max_N=design.training.force_max_N,
+        shown=tuple(shown) if len(shown) > 1 else (),
+        notes=notes,
     )
 
 
 def run(context: Context, folder: Path) -> None:
     """Write ``decoder/bundle.{json,safetensors}`` and the table of estimators."""
-    from decoder.bundle import Bundle, Shown, save_bundle
-    from decoder.switches import TipModel
+    from decoder.bundle import save_bundle
     from decoder.train import split_samples, train_network
-    from phytac_design.design_file import design_hash
-    from phytac_design.twin.expected import colour_model
     from phytac_design.twin.judge import judge
 
-    design, surface, markers = context.design, context.surface, context.markers
-    views, twin = context.arrays("views"), context.arrays("twin")
+    twin = context.arrays("twin")
     model = plain_model(context)
     data = Dataset.from_arrays(twin, "train")
     rows = key_node_data(model, data)
@@ -88,7 +144,7 @@ def run(context: Context, folder: Path) -> None:
         scores[name] = {}
         for estimator in ESTIMATORS:
             start = time.perf_counter()
-            forces = decode_points(model, held_out, estimator)
+            forces = decode_points(model.linear, held_out, estimator)
             seconds = time.perf_counter() - start
             scores[name][estimator] = judge(
                 forces,
@@ -97,39 +153,10 @@ def run(context: Context, folder: Path) -> None:
                 height_mm=height,
                 middle_mm=middle_mm(context),
             ) | {"milliseconds_per_frame": 1e3 * seconds / held_out.contacts.samples}
-    colours, classes = colour_model(design)
-    readers = readers_of(context)
-    shown = [
-        Shown(rest_px=rest, tips=TipModel(on_px=on, red_rest_px=red_rest, red_on_px=red_on))
-        for rest, on, red_rest, red_on in zip(
-            views["shown_rest_px"],
-            views["shown_tip_on_px"],
-            views["shown_tip_red_rest_px"],
-            views["shown_tip_red_on_px"],
-            strict=True,
-        )
-    ]
-    bundle = Bundle(
-        design=design.name,
-        design_hash=design_hash(design),
-        cameras=readers.cameras,
-        read_by=readers.read_by,
-        colours=colours,
-        colour=classes[markers.colour],
-        position_mm=surface.point(markers.uv),
-        rest_px=views["rest_px"],
-        tip_bias_px=views["tip_bias_px"],
-        tips=TipModel(
-            on_px=views["tip_on_px"],
-            red_rest_px=views["tip_red_rest_px"],
-            red_on_px=views["tip_red_on_px"],
-        ),
-        model=model,
-        threshold_N=thresholds_N(design, context.markers),
-        noise_centroid_px=design.camera.noise_centroid_px,
-        force_max_N=design.training.force_max_N,
-        shown=tuple(shown) if len(shown) > 1 else (),
-        notes={
+    bundle = assemble(
+        context,
+        model,
+        {
             "data": context.facts("twin")["model"],
             "training_samples": data.contacts.samples,
             "seed": context.seed,
@@ -173,7 +200,7 @@ def _rmse(network: Any, rows: Any) -> float:
 DECODER = Stage(
     name="decoder",
     tables=("name", "shape", "wall", "layout", "camera", "receptor", "switch", "material"),
-    needs=("views", "response", "twin"),
+    needs=("views", "response", "places", "twin"),
     seeded=True,
     run=run,
 )

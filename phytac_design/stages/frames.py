@@ -1,7 +1,7 @@
 """The whole way through images: press, render, find, decode; and example frames for the user."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +89,8 @@ def decode_all(context: Context, folder: Path, pressed: Pressed) -> Tally:
     from decoder.run import measure_frame, rest_positions
 
     bundle = load_bundle(context.folders["decoder"] / EXPORT / "decoder")
+    # The frames are of a linear shell.
+    bundle = replace(bundle, model=bundle.model.linear)
     bits = pressed.switching.bits
     tally = Tally(forces_N={name: np.zeros(bits.shape) for name in ESTIMATORS})
     rest_frames = shoot(context, pressed, None)

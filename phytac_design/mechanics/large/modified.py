@@ -126,6 +126,26 @@ class Modified:
         with np.errstate(over="raise"):
             return np.asarray(self.model.solve(load).motion[:, :, 0].ravel())
 
+    def series(self, load: FloatArray, first: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Second and third term (6N,) of Koiter's expansion: f·x₁ + f²·x₂ + f³·x₃ under f loads.
+
+        Parameters
+        ----------
+        load : (6N,) float
+            Nodal forces (N) and moments (N mm).
+        first : (6N,) float
+            x₁, of :meth:`linear`.
+
+        Raises
+        ------
+        NumericalError, ArithmeticError
+            If they cannot be found.
+        """
+        force = np.where(self._shell.held, 0.0, load)
+        with np.errstate(over="raise", invalid="raise", divide="raise"):
+            expansion = self._expanded(first, force)
+        return expansion.second, expansion.third
+
     def solve(
         self, load: Any, *, tolerance: float | None = None, linear: FloatArray | None = None
     ) -> Found:

@@ -1,0 +1,160 @@
+"""The estimator ``auto`` in a bundle: its tables, what it presumes, and what it has learnt."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from decoder.contact_fit import Noise, Prior
+from decoder.correct import Correction
+from decoder.locate import Locator
+from decoder.places import Places
+from shapes.arrays import FloatArray, IntArray
+from shapes.errors import InputError
+
+PREFIX = "places."
+LEAST_PLACES = 4
+
+
+def locator_table(locator: Locator) -> dict[str, Any]:
+    """What stands in ``bundle.json``."""
+    prior, noise, learnt = locator.prior, locator.noise, locator.correction
+    table: dict[str, Any] = {
+        "radius_mm": locator.places.radius_mm,
+        "footprint_mm": locator.footprint_mm,
+        "prior": {
+            "place_mm": prior.place_mm,
+            "moments_mm2": list(prior.moments_mm2),
+            "moments_sd_mm2": list(prior.moments_sd_mm2),
+        },
+        "noise": {
+            "centroid_px": noise.centroid_px,
+            "share": noise.share,
+            "switched_px": noise.switched_px,
+        },
+    }
+    if learnt is not None:
+        table["learnt"] = {
+            "low_mm": learnt.low_mm.tolist(),
+            "size_mm": learnt.size_mm,
+            "force_max_N": learnt.force_max_N,
+            "spread": learnt.spread,
+            "spread_share": learnt.spread_share,
+        }
+    return table
+
+
+def locator_arrays(locator: Locator) -> dict[str, Any]:
+    """What stands in ``bundle.safetensors``."""
+    places, learnt = locator.places, locator.correction
+    arrays = {
+        "point_mm": places.point_mm,
+        "along": places.along,
+        "around": places.around,
+        "shift_px": places.shift_px,
+    }
+    if learnt is not None:
+        arrays |= {"centre": learnt.centre, "weight": learnt.weight}
+    return {PREFIX + name: value for name, value in arrays.items()}
+
+
+def locator_from(
+    table: Mapping[str, Any],
+    arrays: Mapping[str, Any],
+    *,
+    position_mm: FloatArray,
+    neighbours: IntArray,
+    folder: Path,
+) -> Locator:
+    """Undo both.
+
+    Raises
+    ------
+    InputError
+        If an array is missing, of another shape or type, or not finite.
+    KeyError, TypeError, ValueError
+        If the table is not one of :func:`locator_table`.
+    """
+    own = {
+        name.removeprefix(PREFIX): value
+        for name, value in arrays.items()
+        if name.startswith(PREFIX)
+    }
+    _check(own, 2 * len(position_mm), learnt="learnt" in table, folder=folder)
+    correction = None
+    if "learnt" in table:
+        said = table["learnt"]
+        correction = Correction(
+            centre=own["centre"],
+            weight=own["weight"],
+            low_mm=_numbers(said["low_mm"], 3),
+            size_mm=_positive(said["size_mm"]),
+            force_max_N=_positive(said["force_max_N"]),
+            spread=_positive(said["spread"]),
+            spread_share=float(_numbers([said["spread_share"]], 1)[0]),
+        )
+    prior, noise = table["prior"], table["noise"]
+    mean, sd = _numbers(prior["moments_mm2"], 3), _numbers(prior["moments_sd_mm2"], 3)
+    return Locator(
+        places=Places(
+            point_mm=own["point_mm"],
+            along=own["along"],
+            around=own["around"],
+            shift_px=own["shift_px"],
+            radius_mm=_positive(table["radius_mm"]),
+        ),
+        position_mm=position_mm,
+        neighbours=neighbours,
+        footprint_mm=_positive(table["footprint_mm"]),
+        prior=Prior(
+            place_mm=_positive(prior["place_mm"]),
+            moments_mm2=(float(mean[0]), float(mean[1]), float(mean[2])),
+            moments_sd_mm2=(_positive(sd[0]), _positive(sd[1]), _positive(sd[2])),
+        ),
+        noise=Noise(
+            centroid_px=_positive(noise["centroid_px"]),
+            share=float(_numbers([noise["share"]], 1)[0]),
+            switched_px=float(_numbers([noise["switched_px"]], 1)[0]),
+        ),
+        correction=correction,
+    )
+
+
+def _check(own: Mapping[str, Any], columns: int, *, learnt: bool, folder: Path) -> None:
+    wanted = ["point_mm", "along", "around", "shift_px", *(["centre", "weight"] if learnt else [])]
+    where = f"{folder}/bundle.safetensors"
+    for name in wanted:
+        if name not in own:
+            raise InputError(f"{where} lacks '{PREFIX}{name}'; rebuild the decoder")
+    count = len(own["point_mm"])
+    orders = own["shift_px"].shape[1] if own["shift_px"].ndim == 3 else 0
+    shapes = dict.fromkeys(("point_mm", "along", "around"), (count, 3))
+    expected: dict[str, tuple[int, ...]] = shapes | {"shift_px": (count, max(orders, 1), columns)}
+    if learnt:
+        expected |= {"weight": (len(own["weight"]),), "centre": (len(own["weight"]), 4)}
+    for name, shape in expected.items():
+        value, kind = own[name], np.float32 if name == "shift_px" else np.float64
+        if value.shape != shape or value.dtype != kind:
+            raise InputError(
+                f"{where}: {PREFIX}{name} is {value.dtype} {value.shape}, expected "
+                f"{np.dtype(kind)} {shape}; the two files are of different builds"
+            )
+        if not np.isfinite(value).all():
+            raise InputError(f"{where}: {PREFIX}{name} holds numbers that are not finite")
+    if count < LEAST_PLACES:
+        raise InputError(f"{where}: {PREFIX}point_mm has {count} places; rebuild the decoder")
+
+
+def _numbers(values: Any, count: int) -> FloatArray:
+    out = np.asarray(values, dtype=np.float64)
+    if out.shape != (count,) or not np.isfinite(out).all():
+        raise ValueError(f"expected {count} finite numbers (got {values!r})")
+    return out
+
+
+def _positive(value: Any) -> float:
+    number = float(_numbers([value], 1)[0])
+    if number <= 0.0:
+        raise ValueError(f"expected a number above zero (got {value!r})")
+    return number

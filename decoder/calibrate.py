@@ -1,0 +1,238 @@
+"""What one sensor's own samples tell its locator: stiffness, priors, noise, correction, spread."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from decoder.contact_fit import Noise, Prior
+from decoder.correct import Correction, learn_correction
+from decoder.locate import Found, Locator
+from decoder.samples import FAILED, Samples
+from shapes.arrays import FloatArray, IntArray
+from shapes.errors import InputError
+
+SCALE_SAMPLES = 200
+"""Samples that stiffness and noise are found with; more change them by less than their spread."""
+SCALE_ROUNDS = 2
+PLACE_LEAST_MM = 0.3
+"""No place is known better beforehand."""
+NOISE_CHANGE = (0.25, 4.0)
+CORRECTION_LEAST = 10
+"""Fewer contacts tell a stiffness, and no more."""
+FLAT, SPHERE, CYLINDER = range(3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Matches:
+    """Contacts found, beside those that were pressed; arrays run over c contacts.
+
+    Attributes
+    ----------
+    touch : (c,) int
+        Row of the contact in the samples' touches.
+    point_mm : (c, 3) float
+        Where it was found.
+    force_N, sd_N : (c,) float
+        As found, before correction.
+    truth_N : (c,) float
+        As pressed.
+    misfit : (s,) float
+        Of each sample.
+    """
+
+    touch: IntArray
+    point_mm: FloatArray
+    force_N: FloatArray
+    sd_N: FloatArray
+    truth_N: FloatArray
+    misfit: FloatArray
+
+
+def match(locator: Locator, samples: Samples, chosen: IntArray) -> Matches:
+    """Find contacts in samples (k,), and match them to what was pressed by the switches tripped.
+
+    A contact that was found as two, or two that were found as one, are no match.
+    """
+    touches, truth, shift, bits = (
+        samples.touches,
+        samples.truth,
+        samples.shift_px,
+        samples.bits_read,
+    )
+    if touches is None or truth is None or shift is None or bits is None:
+        raise InputError(
+            "the samples hold no shifts, switches, contacts or truth; make them with --keep points"
+        )
+    start = np.searchsorted(truth.sample, np.arange(samples.count + 1))
+    rows: list[tuple[int, FloatArray, float, float]] = []
+    misfit = []
+    for sample in chosen:
+        koi = np.flatnonzero(bits[sample])
+        if samples.status[sample] == FAILED or len(koi) == 0:
+            continue
+        found = locator.find(shift[sample], koi)
+        misfit.append(found.misfit)
+        own = slice(start[sample], start[sample + 1])
+        rows += _matched(found, truth.marker[own], truth.touch[own])
+    if not rows:
+        raise InputError(
+            "no contact of the samples tripped a switch that was found again; give samples with "
+            "stronger contacts"
+        )
+    touch, point, force, sd = zip(*rows, strict=True)
+    index = np.array(touch, dtype=np.int64)
+    return Matches(
+        touch=index,
+        point_mm=np.stack(point),
+        force_N=np.array(force),
+        sd_N=np.array(sd),
+        truth_N=touches.force_N[index],
+        misfit=np.array(misfit),
+    )
+
+
+def _matched(
+    found: Found, marker: IntArray, touch: IntArray
+) -> list[tuple[int, FloatArray, float, float]]:
+    out = []
+    for contact in found.contacts:
+        pressed = np.unique(touch[np.isin(marker, contact.markers)])
+        if len(pressed) != 1 or pressed[0] < 0:
+            continue
+        others = [c for c in found.contacts if c is not contact]
+        mine = marker[touch == pressed[0]]
+        if any(np.isin(c.markers, mine).any() for c in others):
+            continue
+        out.append((int(pressed[0]), contact.point_mm, contact.raw_N, contact.raw_sd_N))
+    return out
+
+
+def calibrated(
+    locator: Locator, samples: Samples, chosen: IntArray, *, force_max_N: float, seed: int = 0
+) -> tuple[Locator, dict[str, Any]]:
+    """A locator that knows its sensor, and what it learnt, as figures.
+
+    Parameters
+    ----------
+    locator : Locator
+        By design alone.
+    samples : Samples
+        Of the sensor.
+    chosen : (k,) int
+        Samples to learn from; those with contacts alone count.
+    force_max_N : float
+        Greatest force it is meant for.
+    seed : int
+        Of the draw of those that stiffness and noise are found with.
+
+    Raises
+    ------
+    InputError
+        If the samples hold no contacts that are found again.
+    """
+    few = chosen
+    if len(chosen) > SCALE_SAMPLES:
+        few = np.random.default_rng(seed).permutation(chosen)[:SCALE_SAMPLES]
+    plain = replace(locator, correction=None, prior=learnt_prior(locator, samples, chosen))
+    stiffness, noise = 1.0, plain.noise
+    matches = match(plain, samples, few)
+    for _ in range(SCALE_ROUNDS):
+        factor = weighted_median(matches.truth_N / matches.force_N, matches.force_N / matches.sd_N)
+        stiffness *= factor
+        change = float(np.clip(np.sqrt(np.median(matches.misfit)), *NOISE_CHANGE))
+        noise = Noise(
+            centroid_px=noise.centroid_px * change, share=noise.share, switched_px=noise.switched_px
+        )
+        plain = replace(plain, places=plain.places.scaled(factor), noise=noise)
+        matches = match(plain, samples, few)
+    if len(few) < len(chosen):
+        matches = match(plain, samples, chosen)
+    box = plain.position_mm
+    empty = Correction(
+        centre=np.zeros((0, 4)),
+        weight=np.zeros(0),
+        low_mm=box.min(axis=0),
+        size_mm=max(float(np.ptp(box, axis=0).max()), 1e-9),
+        force_max_N=force_max_N,
+    )
+    correction = empty
+    if len(matches.force_N) >= CORRECTION_LEAST:
+        correction = learn_correction(
+            empty,
+            point_mm=matches.point_mm,
+            force_N=matches.force_N,
+            sd_N=matches.sd_N,
+            truth_N=matches.truth_N,
+        )
+    facts = {
+        "contacts": len(matches.force_N),
+        "stiffness": stiffness,
+        "noise_px": noise.centroid_px,
+        "place_mm": plain.prior.place_mm,
+        "spread": correction.spread,
+        "spread_share": correction.spread_share,
+    }
+    return replace(plain, correction=correction), facts
+
+
+def weighted_median(values: FloatArray, weights: FloatArray) -> float:
+    """Median of values (m,) that count by weights (m,)."""
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2.0)])
+
+
+def learnt_prior(locator: Locator, samples: Samples, chosen: IntArray) -> Prior:
+    """How contacts of samples lie about the switches they tripped, and how large they are."""
+    touches, truth = samples.touches, samples.truth
+    if touches is None or truth is None:
+        return locator.prior
+    mine = np.isin(truth.sample, chosen) & (truth.touch >= 0)
+    number = np.bincount(truth.touch[mine], minlength=len(touches.force_N))
+    # One switch, one place: several are weighted by forces that are not known here.
+    alone = mine & (number[np.maximum(truth.touch, 0)] == 1)
+    prior = locator.prior
+    if int(alone.sum()) >= CORRECTION_LEAST:
+        gap = touches.point_mm[truth.touch[alone]] - locator.position_mm[truth.marker[alone]]
+        each = float(np.sqrt(np.sum(gap**2, axis=1).mean() / 2.0))
+        prior = replace(prior, place_mm=max(each, PLACE_LEAST_MM))
+    sized = np.flatnonzero(np.isin(touches.sample, chosen) & (touches.radius_mm > 0.0))
+    if len(sized) >= CORRECTION_LEAST:
+        moments = second_moments(
+            {
+                "indenter": touches.indenter[sized],
+                "radius_mm": touches.radius_mm[sized],
+                "length_mm": touches.length_mm[sized],
+                "turn_rad": touches.turn_rad[sized],
+            }
+        )
+        moments[:, [0, 2]] -= locator.places.radius_mm**2 / 4.0
+        mean, sd = moments.mean(axis=0), np.maximum(moments.std(axis=0), 0.5)
+        prior = replace(
+            prior,
+            moments_mm2=(float(mean[0]), float(mean[1]), float(mean[2])),
+            moments_sd_mm2=(float(sd[0]), float(sd[1]), float(sd[2])),
+        )
+    return prior
+
+
+def second_moments(touches: Mapping[str, Any]) -> FloatArray:
+    """Second moments xx, xy, yy (c, 3) mm² of indenters' pressures about their centres.
+
+    An even disc of radius a has a²/4 along each axis, Hertz's ball a²/5, and a strip of half-width
+    b and length l b²/4 across (Hertz) and l²/12 along.
+    """
+    kind, radius = touches["indenter"], touches["radius_mm"]
+    share = np.where(kind == SPHERE, 0.2, 0.25)
+    along = np.where(kind == CYLINDER, touches["length_mm"] ** 2 / 12.0, share * radius**2)
+    across = share * radius**2
+    c, s = np.cos(touches["turn_rad"]), np.sin(touches["turn_rad"])
+    return np.column_stack(
+        [
+            c * c * along + s * s * across,
+            c * s * (along - across),
+            s * s * along + c * c * across,
+        ]
+    )

@@ -1,0 +1,249 @@
+"""The most likely contacts behind marker shifts, given their number: Gauss-Newton on tables."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decoder.places import Places
+from shapes.arrays import BoolArray, FloatArray, IntArray
+
+ROUNDS = 8
+STILL = 2e-3
+"""Relative change of every force below which a fit ends."""
+STEP_MM, STEP_MM2 = 2.0, 4.0
+"""Longest steps of centre and moments in a round: what the cubic between places stands for."""
+FORCE_LEAST_N = 0.02
+FORCE_SD_N = 1e3
+"""Of a force nothing is known beforehand."""
+UNKNOWNS = 6
+"""Of a contact: force (N), centre along and around (mm), second moments xx, xy, yy (mm²)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prior:
+    """What is known of a contact before shifts are looked at.
+
+    Attributes
+    ----------
+    place_mm : float
+        Standard deviation, along and around, of its centre about the switches that it tripped.
+    moments_mm2 : (3,) float
+        Means of its second moments xx, xy, yy, less those of the tables' disc.
+    moments_sd_mm2 : (3,) float
+        Their standard deviations.
+    """
+
+    place_mm: float
+    moments_mm2: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    moments_sd_mm2: tuple[float, float, float] = (3.0, 2.0, 3.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """How far measured shifts are from those of the tables; standard deviations.
+
+    Attributes
+    ----------
+    centroid_px : float
+        Of each coordinate.
+    share : float
+        Of the explained shift besides: the tables are not exact.
+    switched_px : float
+        Of receptors whose red tip is out besides: how much paint it covers changes with the load.
+    """
+
+    centroid_px: float
+    share: float = 0.01
+    switched_px: float = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """Shifts of one frame.
+
+    Attributes
+    ----------
+    shift_px : (2n,) float
+        As (x0, y0, x1, y1, …); 0 where a marker was not found.
+    found : (2n,) bool
+        Where it was.
+    koi : (m,) int
+        Markers whose switch is on.
+    """
+
+    shift_px: FloatArray
+    found: BoolArray
+    koi: IntArray
+
+
+@dataclass(kw_only=True)
+class State:
+    """A contact being fitted.
+
+    Attributes
+    ----------
+    place : int
+        Place of the tables nearest to it.
+    x : (6,) float
+        Its unknowns; the centre in the tangent plane about that place.
+    start_mm : (3,) float
+        Where its switches say that it is.
+    place_sd_mm : float
+        How well they do.
+    tables : (10, k, 2n) float32
+        Derivatives of the tables at the place.
+    markers : (m,) int
+        Switches that it was started from.
+    """
+
+    place: int
+    x: FloatArray
+    start_mm: FloatArray
+    place_sd_mm: float
+    tables: NDArray[np.float32]
+    markers: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    def copy(self) -> "State":
+        """One that can be fitted on its own."""
+        return replace(self, x=self.x.copy())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """Fitted contacts.
+
+    Attributes
+    ----------
+    states : list of State
+        The contacts.
+    explained : (2n,) float
+        Their shifts, px.
+    inverse : (2n,) float
+        Weights: the inverse of each shift's variance, 0 where it was not found.
+    covariance : (6c, 6c) float
+        Of all unknowns.
+    cost : float
+        Weighted sum of squares of what is left, and of how far all is from what was presumed.
+    misfit : float
+        The first part per number: 1 where noise is as expected.
+    """
+
+    states: list[State]
+    explained: FloatArray
+    inverse: FloatArray
+    covariance: FloatArray
+    cost: float
+    misfit: float
+
+
+def point_of(places: Places, state: State) -> FloatArray:
+    """Centre (3,) mm of a contact."""
+    x, y = state.x[1:3]
+    along, around = places.along[state.place], places.around[state.place]
+    return np.asarray(places.point_mm[state.place] + x * along + y * around)
+
+
+def start(
+    places: Places,
+    prior: Prior,
+    point_mm: FloatArray,
+    force_N: float,
+    *,
+    markers: IntArray | None = None,
+    place_sd_mm: float | None = None,
+) -> State:
+    """A contact to begin with."""
+    place = int(places.nearest(point_mm[None])[0])
+    xy = places.flat(place, point_mm[None])[0]
+    return State(
+        place=place,
+        x=np.array([force_N, *xy, *prior.moments_mm2]),
+        start_mm=point_mm,
+        place_sd_mm=place_sd_mm or prior.place_mm,
+        tables=places.cubic(place),
+        markers=np.zeros(0, dtype=np.int64) if markers is None else markers,
+    )
+
+
+def fit(places: Places, states: list[State], seen: Seen, *, prior: Prior, noise: Noise) -> Fit:
+    """Move contacts to where they are most likely; changes ``states``."""
+    weight = np.concatenate(
+        [
+            np.array([FORCE_SD_N, s.place_sd_mm, s.place_sd_mm, *prior.moments_sd_mm2]) ** -2.0
+            for s in states
+        ]
+    )
+    switched = np.concatenate([2 * seen.koi, 2 * seen.koi + 1])
+    for number in range(ROUNDS):
+        parts = [explain(state, places.orders) for state in states]
+        total = np.sum([part[0] for part in parts], axis=0)
+        slope = np.concatenate([part[1] for part in parts])
+        spread = noise.centroid_px**2 + (noise.share * total) ** 2
+        spread[switched] += noise.switched_px**2
+        inverse = np.where(seen.found, 1.0 / spread, 0.0)
+        left = seen.shift_px - total
+        off = np.concatenate([_off(places, state, prior) for state in states])
+        square = float(left @ (inverse * left))
+        hessian = (slope * inverse) @ slope.T + np.diag(weight)
+        step = np.linalg.solve(hessian, slope @ (inverse * left) - weight * off)
+        if number == ROUNDS - 1 or _moved(places, states, step) < STILL:
+            break
+    return Fit(
+        states=states,
+        explained=total,
+        inverse=inverse,
+        covariance=np.linalg.inv(hessian),
+        cost=square + float(off @ (weight * off)),
+        misfit=square / max(int(seen.found.sum()) - len(weight), 1),
+    )
+
+
+def explain(state: State, orders: int) -> tuple[FloatArray, FloatArray]:
+    """Shifts (2n,) px of one contact, and their slopes (6, 2n) by its unknowns."""
+    f, x, y, m_xx, m_xy, m_yy = state.x
+    xx, xy, yy = x * x / 2.0, x * y, y * y / 2.0
+    # Rows: value, d/dx, d/dy, then what the moments go with.
+    t = np.zeros((UNKNOWNS, 10))
+    t[0] = (1.0, x, y, xx, xy, yy, x * xx / 3.0, xx * y, x * yy, y * yy / 3.0)
+    t[1, [1, 3, 4, 6, 7, 8]] = t[2, [2, 4, 5, 7, 8, 9]] = (1.0, x, y, xx, xy, yy)
+    t[3, [3, 6, 7]] = (0.5, x / 2.0, y / 2.0)
+    t[4, [4, 7, 8]] = (1.0, x, y)
+    t[5, [5, 8, 9]] = (0.5, x / 2.0, y / 2.0)
+    t[0] += m_xx * t[3] + m_xy * t[4] + m_yy * t[5]
+    t[1, [6, 7, 8]] += (m_xx / 2.0, m_xy, m_yy / 2.0)
+    t[2, [7, 8, 9]] += (m_xx / 2.0, m_xy, m_yy / 2.0)
+    rows = t.astype(np.float32) @ state.tables.reshape(10, -1)
+    rows = rows.reshape(UNKNOWNS, orders, -1)
+    order = np.arange(orders)
+    power = (f ** (order + 1.0)).astype(np.float32)
+    slope = np.einsum("a,tar->tr", power, rows).astype(np.float64)
+    total = slope[0].copy()
+    slope[0] = ((order + 1.0) * f**order).astype(np.float32) @ rows[0]
+    return total, slope
+
+
+def _off(places: Places, state: State, prior: Prior) -> FloatArray:
+    """How far a contact is from what is known beforehand, (6,)."""
+    begun = places.flat(state.place, state.start_mm[None])[0]
+    moments = state.x[3:] - np.array(prior.moments_mm2)
+    return np.array([0.0, *(state.x[1:3] - begun), *moments])
+
+
+def _moved(places: Places, states: Sequence[State], step: FloatArray) -> float:
+    """Take a step, bounded; the largest relative change of a force."""
+    most = 0.0
+    bound = np.array([np.inf, STEP_MM, STEP_MM, STEP_MM2, STEP_MM2, STEP_MM2])
+    for state, own in zip(states, step.reshape(-1, UNKNOWNS), strict=True):
+        new = state.x + np.clip(own, -bound, bound)
+        force = float(state.x[0])
+        new[0] = min(max(float(new[0]), 0.3 * force, FORCE_LEAST_N), 3.0 * force + 1.0)
+        most = max(most, abs(float(new[0]) - force) / max(force, 0.5))
+        state.x = new
+        point = point_of(places, state)
+        place = int(places.nearest(point[None])[0])
+        if place != state.place:
+            state.place, state.tables = place, places.cubic(place)
+            state.x[1:3] = places.flat(place, point[None])[0]
+    return most

@@ -1,0 +1,128 @@
+"""What a sensor's own data say about forces: a smooth correction, and an honest spread.
+
+Physics leaves errors that vary slowly with place and force (a wall that is thicker here than
+there, tables that end at the third power). Their logarithm is learnt by kernel ridge regression,
+which is the mean of a Gaussian process (Rasmussen and Williams 2006, eq. 2.25): far from all data
+it is 0, and few data say little.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shapes.arrays import FloatArray
+
+AMPLITUDE = 0.05
+"""Standard deviation of the logarithm before data are seen."""
+LENGTH = 0.33
+"""Length scale of place (over the sensor's size) and of force (over the greatest)."""
+QUANTILE_90 = 1.6449
+"""Half-width of a normal distribution's central 90 %, in standard deviations."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Correction:
+    """Factor on forces by place and force; arrays run over m contacts that it was learnt from.
+
+    Attributes
+    ----------
+    centre : (m, 4) float
+        Features, see :meth:`features`.
+    weight : (m,) float
+        Of each.
+    low_mm, size_mm : (3,) float, float
+        Corner of the sensor's box, and its largest side.
+    force_max_N : float
+        Greatest force.
+    spread : float
+        Factor on standard deviations.
+    spread_share : float
+        Standard deviation besides, as a share of the force.
+    """
+
+    centre: FloatArray
+    weight: FloatArray
+    low_mm: FloatArray
+    size_mm: float
+    force_max_N: float
+    spread: float = 1.0
+    spread_share: float = 0.0
+
+    def features(self, point_mm: FloatArray, force_N: FloatArray) -> FloatArray:
+        """Features (c, 4) of contacts at points (c, 3): place over size, force over the most."""
+        place = (point_mm - self.low_mm) / self.size_mm
+        return np.column_stack([place, force_N / self.force_max_N])
+
+    def factor(self, point_mm: FloatArray, force_N: FloatArray) -> FloatArray:
+        """Factor (c,) on forces."""
+        if len(self.weight) == 0:
+            return np.ones(len(force_N))
+        own = self.features(point_mm, force_N)
+        return np.asarray(np.exp(kernel(own, self.centre) @ self.weight))
+
+    def spread_N(self, force_N: FloatArray, sd_N: FloatArray) -> FloatArray:
+        """Standard deviations (c,) of corrected forces."""
+        return np.asarray(np.hypot(self.spread * sd_N, self.spread_share * force_N))
+
+
+def kernel(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Squared-exponential covariance (p, q) of features (p, 4), (q, 4)."""
+    gap = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * (a @ b.T)
+    return np.asarray(AMPLITUDE**2 * np.exp(-0.5 * np.maximum(gap, 0.0) / LENGTH**2))
+
+
+def learn_correction(
+    plain: Correction,
+    *,
+    point_mm: FloatArray,
+    force_N: FloatArray,
+    sd_N: FloatArray,
+    truth_N: FloatArray,
+) -> Correction:
+    """Learn from c contacts: fitted places, forces and their spread, and the truth.
+
+    The spread is set so that 90 % of the truths lie within the central 90 %, by residuals that
+    leave each contact out (ibid., eq. 5.12): of the two ways, more noise and a share of the force,
+    the share is taken where it does.
+
+    Parameters
+    ----------
+    plain : Correction
+        Without data: box and greatest force.
+    """
+    own = plain.features(point_mm, force_N)
+    log = np.clip(np.log(truth_N / force_N), -1.0, 1.0)
+    noise = (sd_N / force_N) ** 2 + 0.01**2
+    covariance = kernel(own, own) + np.diag(noise)
+    inverse = np.linalg.inv(covariance)
+    weight = inverse @ log
+    # Leave-one-out: what the others say of each.
+    left = weight / np.diagonal(inverse)
+    error = np.abs(truth_N - force_N * np.exp(log - left))
+    spread, share = calibrated_spread(error, sd_N, force_N)
+    return Correction(
+        centre=own,
+        weight=weight,
+        low_mm=plain.low_mm,
+        size_mm=plain.size_mm,
+        force_max_N=plain.force_max_N,
+        spread=spread,
+        spread_share=share,
+    )
+
+
+def calibrated_spread(
+    error_N: FloatArray, sd_N: FloatArray, force_N: FloatArray
+) -> tuple[float, float]:
+    """Factor on standard deviations, and share of the force, for 90 % of errors within 90 %."""
+
+    def quantile(share: float) -> float:
+        return float(np.quantile(error_N / np.hypot(sd_N, share * force_N), 0.9))
+
+    if quantile(0.0) <= QUANTILE_90:
+        return quantile(0.0) / QUANTILE_90, 0.0
+    low, high = 0.0, 1.0
+    for _ in range(40):
+        middle = (low + high) / 2.0
+        low, high = (middle, high) if quantile(middle) > QUANTILE_90 else (low, middle)
+    return 1.0, high

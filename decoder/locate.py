@@ -1,0 +1,274 @@
+"""Contacts from marker shifts: how many there are, and the force, place and extent of each.
+
+Each group of neighbouring switches that are on starts a contact; the unknowns of a contact are its
+force, its centre and its second moments (:mod:`places`), and what is known of them beforehand
+stands in a prior. What is left is searched for contacts that tripped no switch: the place whose
+row explains most of it joins, as long as that is more than noise would.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decoder.contact_fit import UNKNOWNS, Fit, Noise, Prior, Seen, State, fit, point_of, start
+from decoder.contacts import contact_groups
+from decoder.correct import Correction
+from decoder.nonnegative import nonnegative_least_squares
+from decoder.places import Places
+from shapes.arrays import FloatArray, IntArray
+from shapes.discs import disc_overlap_share
+
+SILENT_MAX = 4
+"""Contacts without a switch that are looked for at most."""
+SILENT_GAIN = 25.0
+"""Fall of the weighted sum of squares from which on one is believed: five standard deviations."""
+SILENT_MISFIT = 1.15
+"""Weighted sum of squares per number from which on it is worth a look."""
+START_N = 0.3
+"""Least force that a contact with a switch starts from."""
+SPREAD_LEAST = 0.2
+"""Least second moment of a contact over that of the tables' disc."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Located:
+    """One contact.
+
+    Attributes
+    ----------
+    markers : (m,) int
+        Key nodes of interest that it tripped; none for one found by motion alone.
+    share : (m,) float
+        Share of the force that each of them carries.
+    force_N, sd_N : float
+        Normal force, and its standard deviation.
+    raw_N, raw_sd_N : float
+        The same before what was learnt from the sensor's own data.
+    point_mm : (3,) float
+        Centre, on the tangent plane of the outer face.
+    radius_mm : float
+        Of the even disc with the same second moment.
+    sd_mm : (2,) float
+        Standard deviations of the centre, along and around.
+    moments_mm2 : (3,) float
+        Second moments xx, xy, yy less those of the tables' disc.
+    place : int
+        Nearest place of the tables.
+    """
+
+    markers: IntArray
+    share: FloatArray
+    force_N: float
+    sd_N: float
+    raw_N: float
+    raw_sd_N: float
+    point_mm: FloatArray
+    radius_mm: float
+    sd_mm: FloatArray
+    moments_mm2: FloatArray
+    place: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """What one frame tells.
+
+    Attributes
+    ----------
+    contacts : list of Located
+        Those with switches first.
+    misfit : float
+        Weighted sum of squares of what is left, per number: 1 where noise is as expected.
+    shift_px : (2n,) float
+        What the contacts explain.
+    """
+
+    contacts: list[Located]
+    misfit: float
+    shift_px: FloatArray
+
+    def receptor_forces_N(self, count: int) -> FloatArray:
+        """Force (n,) N on each marker: contacts' forces shared among their switches."""
+        out = np.zeros(count)
+        for contact in self.contacts:
+            out[contact.markers] += contact.force_N * contact.share
+        return out
+
+
+@dataclass(frozen=True, kw_only=True)
+class Locator:
+    """Finds contacts of one sensor.
+
+    Attributes
+    ----------
+    places : Places
+        Tables; scaled to the sensor's stiffness.
+    position_mm : (n, 3) float
+        Markers on the outer face.
+    neighbours : (n, 8) int
+        Neighbour ids, -1 beyond a rim.
+    footprint_mm : float
+        Radius of a switch's footprint.
+    prior, noise : Prior, Noise
+        What is known beforehand.
+    correction : Correction, optional
+        What was learnt from the sensor's own data.
+    """
+
+    places: Places
+    position_mm: FloatArray
+    neighbours: IntArray
+    footprint_mm: float
+    prior: Prior
+    noise: Noise
+    correction: Correction | None = None
+
+    @property
+    def linear(self) -> "Locator":
+        """The same with its tables' first power alone, for a shell that is linear."""
+        first = np.ascontiguousarray(self.places.shift_px[:, :1])
+        return replace(self, places=replace(self.places, shift_px=first))
+
+    @cached_property
+    def _columns(self) -> FloatArray:
+        """Linear shifts (2n, n) by a newton on each marker."""
+        rows = self.places.shift_px[self.places.nearest(self.position_mm), 0]
+        return np.asarray(rows.T, dtype=np.float64)
+
+    @cached_property
+    def _gram(self) -> FloatArray:
+        return np.asarray(self._columns.T @ self._columns)
+
+    @cached_property
+    def _first(self) -> NDArray[np.float32]:
+        """Linear shifts (p, 2n) by a newton at each place."""
+        return np.ascontiguousarray(self.places.shift_px[:, 0])
+
+    @cached_property
+    def _squares(self) -> NDArray[np.float32]:
+        return np.asarray(self._first**2)
+
+    def find(self, shift_px: FloatArray, koi: IntArray) -> Found:
+        """Contacts behind shifts (n, 2) px, NaN where a marker was not found.
+
+        Without a switch that is on there is no contact: nothing is solved.
+        """
+        d = np.asarray(shift_px, dtype=np.float64).reshape(-1)
+        found = np.isfinite(d)
+        seen = Seen(shift_px=np.where(found, d, 0.0), found=found, koi=koi)
+        if len(koi) == 0:
+            return _nothing(seen, self.noise)
+        best = self._fit(self._starts(seen), seen)
+        for _ in range(SILENT_MAX):
+            if best.misfit < SILENT_MISFIT:
+                break
+            another = self._silent(best, seen)
+            if another is None:
+                break
+            more = self._fit([*(state.copy() for state in best.states), another], seen)
+            if best.cost - more.cost < SILENT_GAIN:
+                break
+            best = more
+        return self._told(best, koi)
+
+    def _fit(self, states: list[State], seen: Seen) -> Fit:
+        return fit(self.places, states, seen, prior=self.prior, noise=self.noise)
+
+    def _starts(self, seen: Seen) -> list[State]:
+        """A contact for each group of neighbouring switches, by the compliance inverse."""
+        koi = seen.koi
+        gram = self._gram[np.ix_(koi, koi)]
+        if not seen.found.all():
+            lost = self._columns[np.ix_(~seen.found, koi)]
+            gram = gram - lost.T @ lost
+        force = nonnegative_least_squares(gram, seen.shift_px @ self._columns[:, koi])
+        states = []
+        for rows in contact_groups(koi, self.neighbours):
+            weight = np.maximum(force[rows], 1e-3)
+            point = weight @ self.position_mm[koi[rows]] / weight.sum()
+            most = max(float(force[rows].sum()), START_N)
+            states.append(start(self.places, self.prior, point, most, markers=koi[rows]))
+        return states
+
+    def _silent(self, best: Fit, seen: Seen) -> State | None:
+        """The contact that would explain most of what is left; None if none would."""
+        left = best.inverse * (seen.shift_px - best.explained)
+        pull = self._first @ left.astype(np.float32)
+        size = np.maximum(self._squares @ best.inverse.astype(np.float32), 1e-12)
+        gain = np.where(pull > 0.0, pull, 0.0) ** 2 / size
+        place = int(np.argmax(gain))
+        if gain[place] < SILENT_GAIN:
+            return None
+        return start(
+            self.places,
+            self.prior,
+            self.places.point_mm[place],
+            float(pull[place] / size[place]),
+            place_sd_mm=2.0 * self.places.spacing_mm,
+        )
+
+    def _told(self, best: Fit, koi: IntArray) -> Found:
+        """Contacts in words of the user's: corrected, with their switches."""
+        sd = np.sqrt(np.diagonal(best.covariance)).reshape(-1, UNKNOWNS)
+        points = np.stack([point_of(self.places, state) for state in best.states])
+        disc = self.places.radius_mm**2 / 2.0
+        spread = np.array([disc + state.x[3] + state.x[5] for state in best.states])
+        radius = np.sqrt(2.0 * np.maximum(spread, SPREAD_LEAST * disc))
+        raw = np.array([state.x[0] for state in best.states])
+        owner = self._owners(points, radius, raw, best.states, koi)
+        force, spread_N = raw, sd[:, 0]
+        if self.correction is not None:
+            force = raw * self.correction.factor(points, raw)
+            spread_N = self.correction.spread_N(force, sd[:, 0])
+        contacts = [
+            Located(
+                markers=koi[owner == k],
+                share=self._shares(points[k], float(radius[k]), koi[owner == k]),
+                force_N=float(force[k]),
+                sd_N=float(spread_N[k]),
+                raw_N=float(raw[k]),
+                raw_sd_N=float(sd[k, 0]),
+                point_mm=points[k],
+                radius_mm=float(radius[k]),
+                sd_mm=sd[k, 1:3],
+                moments_mm2=state.x[3:].copy(),
+                place=state.place,
+            )
+            for k, state in enumerate(best.states)
+        ]
+        contacts.sort(key=lambda contact: len(contact.markers) == 0)
+        return Found(contacts=contacts, misfit=best.misfit, shift_px=best.explained)
+
+    def _shares(self, point_mm: FloatArray, radius_mm: float, markers: IntArray) -> FloatArray:
+        """Share (m,) of a contact's force on each of its switches: that of its disc."""
+        gap = np.linalg.norm(point_mm - self.position_mm[markers], axis=1)
+        share = disc_overlap_share(gap, radius_mm, self.footprint_mm) + 1e-6
+        return np.asarray(share / share.sum())
+
+    def _owners(
+        self,
+        points: FloatArray,
+        radius: FloatArray,
+        force: FloatArray,
+        states: Sequence[State],
+        koi: IntArray,
+    ) -> IntArray:
+        """Contact that presses most on each switch that is on, (m,)."""
+        gap = np.linalg.norm(points[:, None] - self.position_mm[koi][None], axis=2)
+        pressed = force[:, None] * disc_overlap_share(gap, radius[:, None], self.footprint_mm)
+        # Where no disc reaches a switch, it belongs to the contact that it started.
+        started = np.array([np.isin(koi, state.markers) for state in states])
+        return np.asarray(np.argmax(pressed + 1e-6 * started - 1e-9 * gap, axis=0))
+
+
+def _nothing(seen: Seen, noise: Noise) -> Found:
+    """No contact."""
+    square = float(np.sum(seen.shift_px**2)) / noise.centroid_px**2
+    return Found(
+        contacts=[],
+        misfit=square / max(int(seen.found.sum()), 1),
+        shift_px=np.zeros(len(seen.shift_px)),
+    )

@@ -1,0 +1,139 @@
+"""What a contact at any place does to the markers' images: tables over places, and between them.
+
+A patch of force f about a place shifts the images by::
+
+    d(f) = f·S₁ + f²·S₂ + f³·S₃
+
+with one row of each S per place, tabulated for an even disc. Between places the rows are a cubic
+in the tangent plane, fitted to the places around (moving least squares). What another patch of
+the same force does differs by its moments, to second order: a shift (x, y) of its centre, and
+second moments about it that are not the disc's, ::
+
+    d = S(x, y) + ½·(m_xx ∂²S/∂x² + 2·m_xy ∂²S/∂x∂y + m_yy ∂²S/∂y²)
+
+so that one table serves discs, balls and edges of any size and turn (derived here).
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shapes.arrays import FloatArray, IntArray
+
+NEAR = 20
+"""Places that a cubic is fitted to: twice its ten coefficients."""
+TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
+"""Powers of x and y of the cubic."""
+FACTORIALS = (1.0, 1.0, 2.0, 6.0)
+FADE = 4.0
+"""Weight of the farthest place that a cubic is fitted to, as exp(-FADE)."""
+CHUNK = 256
+"""Places handled together: bounds the memory."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Places:
+    """Tables over p places of a sensor with n markers.
+
+    Attributes
+    ----------
+    point_mm : (p, 3) float
+        Places on the outer face.
+    along, around : (p, 3) float
+        Unit tangents: away from the camera, and square to it.
+    shift_px : (p, k, 2n) float32
+        S₁ … S_k: px per N, N², …, as (x0, y0, x1, y1, …).
+    radius_mm : float
+        Of the disc.
+    """
+
+    point_mm: FloatArray
+    along: FloatArray
+    around: FloatArray
+    shift_px: NDArray[np.float32]
+    radius_mm: float
+
+    @property
+    def orders(self) -> int:
+        """Powers of the force in the tables."""
+        return int(self.shift_px.shape[1])
+
+    @cached_property
+    def spacing_mm(self) -> float:
+        """Median distance from a place to the nearest other."""
+        near, _ = self.fits
+        if near.shape[1] < 2:
+            return self.radius_mm
+        gap = self.point_mm - self.point_mm[near[:, 1]]
+        return float(np.median(np.linalg.norm(gap, axis=1)))
+
+    def scaled(self, stiffness: float) -> "Places":
+        """Tables of a sensor that is stiffer by a factor: d(f) becomes d(f / stiffness)."""
+        powers = stiffness ** -np.arange(1.0, self.orders + 1.0)
+        return replace(self, shift_px=self.shift_px * powers.astype(np.float32)[:, None])
+
+    def nearest(self, point_mm: FloatArray) -> IntArray:
+        """Number (m,) of the place nearest to each of points (m, 3)."""
+        # |q|² - 2 p·q: |p|² is the same for all places.
+        gap = self._squares - 2.0 * (point_mm @ self.point_mm.T)
+        return np.asarray(np.argmin(gap, axis=1))
+
+    @cached_property
+    def _squares(self) -> FloatArray:
+        return np.asarray(np.sum(self.point_mm**2, axis=1))
+
+    def flat(self, place: int, points_mm: FloatArray) -> FloatArray:
+        """Tangent-plane coordinates (m, 2) of points (m, 3) about a place; chords keep lengths."""
+        arm = points_mm - self.point_mm[place]
+        return _laid(arm, self.along[place], self.around[place])
+
+    @cached_property
+    def fits(self) -> tuple[IntArray, NDArray[np.float32]]:
+        """Places (p, q) that each cubic is fitted to, and what makes it of their rows, (p, 10, q).
+
+        Coefficients are derivatives at the place: value, x, y, xx, xy, yy, xxx, xxy, xyy, yyy.
+        """
+        count = len(self.point_mm)
+        parts = [self._fitted(np.arange(k, min(k + CHUNK, count))) for k in range(0, count, CHUNK)]
+        near, weights = zip(*parts, strict=True)
+        return np.concatenate(near), np.concatenate(weights).astype(np.float32)
+
+    def _fitted(self, own: IntArray) -> tuple[IntArray, FloatArray]:
+        normal = np.cross(self.along, self.around)
+        gap = self._squares - 2.0 * (self.point_mm[own] @ self.point_mm.T)
+        # On a thin sensor the far side is near: its normals tell.
+        gap[normal[own] @ normal.T <= 0.0] = np.inf
+        # The place itself first, whatever rounding says.
+        gap[np.arange(len(own)), own] = -np.inf
+        wanted = min(NEAR, len(self.point_mm))
+        near = np.argsort(gap, axis=1, kind="stable")[:, :wanted]
+        far = np.isinf(np.take_along_axis(gap, near, axis=1))
+        far[:, 0] = False
+        arm = self.point_mm[near] - self.point_mm[own][:, None]
+        xy = _laid(arm, self.along[own][:, None], self.around[own][:, None])
+        size = np.linalg.norm(np.where(far[:, :, None], 0.0, xy), axis=2).max(axis=1)
+        size = np.where(size > 0.0, size, 1.0)
+        xy = xy / size[:, None, None]
+        basis = np.stack([xy[..., 0] ** a * xy[..., 1] ** b for a, b in TERMS], axis=2)
+        weight = np.where(far, 0.0, np.exp(-FADE * np.sum(xy**2, axis=2)))
+        fit = np.linalg.pinv(weight[:, :, None] * basis, rcond=1e-8) * weight[:, None]
+        scale = np.array([FACTORIALS[a] * FACTORIALS[b] for a, b in TERMS])
+        powers = size[:, None] ** np.array([a + b for a, b in TERMS])
+        return near, fit * (scale / powers)[:, :, None]
+
+    def cubic(self, place: int) -> Any:
+        """Derivatives (10, k, 2n) float32 of the rows at a place; see :attr:`fits`."""
+        near, weights = self.fits
+        rows = self.shift_px[near[place]].reshape(near.shape[1], -1)
+        return (weights[place] @ rows).reshape(len(TERMS), *self.shift_px.shape[1:])
+
+
+def _laid(arm: FloatArray, along: FloatArray, around: FloatArray) -> FloatArray:
+    """Coordinates (…, 2) of arms (…, 3) in a tangent plane, as long as the arms."""
+    xy = np.stack([np.sum(arm * along, axis=-1), np.sum(arm * around, axis=-1)], axis=-1)
+    flat = np.linalg.norm(xy, axis=-1)
+    stretch = np.linalg.norm(arm, axis=-1) / np.where(flat > 0.0, flat, 1.0)
+    return np.asarray(xy * np.minimum(stretch, 2.0)[..., None])

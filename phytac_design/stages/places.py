@@ -1,0 +1,105 @@
+"""What a contact at any place does to the markers' images: tables for the estimator ``auto``."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from phytac_design.stage import Context, Stage, write_arrays, write_facts
+from phytac_design.stages.twin import MECHANICS, arms_mm, readers_of
+
+if TYPE_CHECKING:
+    from decoder.locate import Locator
+
+NOISE_FACTOR = 1.4
+"""Noise of measured shifts over that of a centroid: they are differences of two."""
+
+
+def run_places(context: Context, folder: Path) -> None:
+    """Tabulate linear and large-displacement shifts over the surface."""
+    from phytac_design.mechanics.meshing.mesh import marker_mesh
+    from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
+    from phytac_design.twin.places import make_places
+
+    design, surface, markers = context.design, context.surface, context.markers
+    training, accuracy = design.training, context.accuracy
+    mesh = marker_mesh(
+        surface, markers, thickness_mm=design.wall.thickness_mm, refine=accuracy.refine
+    )
+    receptors = accuracy.receptors and not unknown_receptors(design)
+    model = sensor_model(design, markers, mesh, receptors=receptors)
+    radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
+    done = make_places(
+        design,
+        surface,
+        markers,
+        mesh=mesh,
+        model=model,
+        readers=readers_of(context),
+        arm_mm=arms_mm(context),
+        spacing_mm=accuracy.place_share * radius,
+        orders=accuracy.place_orders,
+        progress=context.progress,
+    )
+    places = done.places
+    write_arrays(
+        folder,
+        {
+            "point_mm": places.point_mm,
+            "along": places.along,
+            "around": places.around,
+            "shift_px": places.shift_px,
+        },
+    )
+    write_facts(
+        folder,
+        {
+            "places": len(places.point_mm),
+            "solves": done.solves,
+            "unsure": done.unsure,
+            "orders": places.orders,
+            "radius_mm": places.radius_mm,
+            "spacing_mm": places.spacing_mm,
+        },
+    )
+
+
+def locator_of(context: Context) -> "Locator":
+    """The estimator ``auto`` by design alone: no sample of the sensor has been seen."""
+    from decoder.contact_fit import Noise, Prior
+    from decoder.locate import Locator
+    from decoder.places import Places
+    from phytac_design.twin.bound import cell_prior
+
+    design, surface, markers = context.design, context.surface, context.markers
+    training = design.training
+    arrays, facts = context.arrays("places"), context.facts("places")
+    prior = cell_prior(
+        surface.area_mm2(),
+        markers.count,
+        training.patch_radius_min_mm,
+        training.patch_radius_max_mm,
+    )
+    # A disc's second moment is a quarter of its squared radius.
+    spread = float(facts["radius_mm"]) / 2.0 * prior.radius_mm
+    return Locator(
+        places=Places(
+            point_mm=arrays["point_mm"],
+            along=arrays["along"],
+            around=arrays["around"],
+            shift_px=arrays["shift_px"],
+            radius_mm=float(facts["radius_mm"]),
+        ),
+        position_mm=surface.point(markers.uv),
+        neighbours=markers.neighbours,
+        footprint_mm=design.switch.footprint_diameter_mm / 2.0,
+        prior=Prior(place_mm=prior.place_mm, moments_sd_mm2=(spread, spread / 2.0, spread)),
+        noise=Noise(centroid_px=NOISE_FACTOR * design.camera.noise_centroid_px),
+    )
+
+
+PLACES = Stage(
+    name="places",
+    tables=(*MECHANICS, "training"),
+    knobs=("refine", "receptors", "place_share", "place_orders"),
+    needs=("views",),
+    run=run_places,
+)
