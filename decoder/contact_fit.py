@@ -11,7 +11,7 @@ from shapes.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDS = 8
 STILL = 2e-3
-"""Relative change of every force below which a fit ends."""
+"""Change of every force, relative, and of every centre, in cm, below which a fit ends."""
 STEP_MM, STEP_MM2 = 2.0, 4.0
 """Longest steps of centre and moments in a round: what the cubic between places stands for."""
 FORCE_LEAST_N = 0.02
@@ -176,7 +176,8 @@ def fit(places: Places, states: list[State], seen: Seen, *, prior: Prior, noise:
         ]
     )
     switched = np.concatenate([2 * seen.koi, 2 * seen.koi + 1])
-    for number in range(ROUNDS):
+    moved = np.inf
+    for number in range(ROUNDS + 1):
         parts = [explain(state, places.orders) for state in states]
         total = np.sum([part[0] for part in parts], axis=0)
         slope = np.concatenate([part[1] for part in parts])
@@ -187,9 +188,11 @@ def fit(places: Places, states: list[State], seen: Seen, *, prior: Prior, noise:
         off = np.concatenate([_off(places, state, prior) for state in states])
         square = float(left @ (inverse * left))
         hessian = (slope * inverse) @ slope.T + np.diag(weight)
-        step = np.linalg.solve(hessian, slope @ (inverse * left) - weight * off)
-        if number == ROUNDS - 1 or _moved(places, states, step) < STILL:
+        # Ends where all has been looked at that is told.
+        if moved < STILL or number == ROUNDS:
             break
+        step = np.linalg.solve(hessian, slope @ (inverse * left) - weight * off)
+        moved = _moved(places, states, step)
     return Fit(
         states=states,
         explained=total,
@@ -232,14 +235,15 @@ def _off(places: Places, state: State, prior: Prior) -> FloatArray:
 
 
 def _moved(places: Places, states: Sequence[State], step: FloatArray) -> float:
-    """Take a step, bounded; the largest relative change of a force."""
+    """Take a step, bounded; its size, see :data:`STILL`."""
     most = 0.0
     bound = np.array([np.inf, STEP_MM, STEP_MM, STEP_MM2, STEP_MM2, STEP_MM2])
     for state, own in zip(states, step.reshape(-1, UNKNOWNS), strict=True):
         new = state.x + np.clip(own, -bound, bound)
         force = float(state.x[0])
         new[0] = min(max(float(new[0]), 0.3 * force, FORCE_LEAST_N), 3.0 * force + 1.0)
-        most = max(most, abs(float(new[0]) - force) / max(force, 0.5))
+        aside = float(np.abs(new[1:3] - state.x[1:3]).max()) / 10.0
+        most = max(most, abs(float(new[0]) - force) / max(force, 0.5), aside)
         state.x = new
         point = point_of(places, state)
         place = int(places.nearest(point[None])[0])

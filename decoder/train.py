@@ -1,14 +1,11 @@
-"""Training of the FEM-NN with Levenberg-Marquardt. The only module here that imports torch."""
+"""Training of the FEM-NN with Levenberg-Marquardt."""
 
 import time
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
-import torch
-from torch.func import jacrev, vmap
 
-from decoder.network import HIDDEN, INPUTS, SHAPES, Activation, CascadeNetwork
+from decoder.network import HIDDEN, INPUTS, SHAPES, Activation, CascadeNetwork, parameter_count
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import InputError
 
@@ -64,21 +61,6 @@ class Trained:
     rmse_validation_N: float
 
 
-def _cascade(flat: torch.Tensor, x: torch.Tensor, *, rectified: bool) -> torch.Tensor:
-    """The network of ``decoder.network`` on one flat vector, so that its Jacobian is a matrix."""
-    w, start = {}, 0
-    for name, shape in SHAPES.items():
-        size = int(np.prod(shape))
-        w[name] = flat[start : start + size].reshape(shape)
-        start += size
-    first = w["w1"] @ x + w["b1"]
-    first = torch.relu(first) if rectified else first
-    both = torch.cat([x, first])
-    second = w["w2"] @ both + w["b2"]
-    second = torch.relu(second) if rectified else second
-    return (w["w3"] @ torch.cat([both, second]) + w["b3"])[0]
-
-
 def split_samples(count: int, *, seed: int) -> tuple[IntArray, IntArray, IntArray]:
     """Shuffle sample indices into 85 % training, 5 % validation and 10 % test (the paper's)."""
     order = np.random.default_rng(seed).permutation(count)
@@ -87,7 +69,12 @@ def split_samples(count: int, *, seed: int) -> tuple[IntArray, IntArray, IntArra
 
 
 def train_network(
-    training: KeyNodeData, validation: KeyNodeData, *, activation: Activation, seed: int
+    training: KeyNodeData,
+    validation: KeyNodeData,
+    *,
+    activation: Activation,
+    seed: int,
+    start: CascadeNetwork | None = None,
 ) -> Trained:
     """Fit k = g(nn) so that (K·U)_i + k_i·u_i matches the true force (paper, eq. 2 and 3).
 
@@ -96,10 +83,23 @@ def train_network(
     has hardly a say. Levenberg-Marquardt on all parameters; the parameters of the round with the
     least validation error are kept.
 
+    Parameters
+    ----------
+    training, validation : KeyNodeData
+        Rows to learn from, and rows that say when to stop.
+    activation : str
+        As in :class:`decoder.network.CascadeNetwork`.
+    seed : int
+        Of the random starts.
+    start : CascadeNetwork, optional
+        Another sensor's network to start from instead. Its 351 numbers are taken as they are,
+        its scales are not: inputs and output are scaled as those of the new data, so that what
+        it knows carries over in proportion to the new sensor's own motion and stiffness.
+
     Raises
     ------
     InputError
-        If there are too few key nodes to learn from.
+        If there are too few key nodes to learn from, or the start is a network of another kind.
     """
     if len(training.force_N) < INPUTS + 1 or len(validation.force_N) < 1:
         raise InputError(
@@ -107,15 +107,23 @@ def train_network(
             f"{len(validation.force_N)} in the validation data are too few; simulate more "
             "contacts (training.samples) or stronger ones"
         )
-    # Matrices are small: a second thread costs more than it gives, most of all on a busy machine.
-    torch.set_num_threads(1)
+    if start is not None and start.activation != activation:
+        raise InputError(
+            f"train_network: a network with activation {start.activation!r} cannot be the start "
+            f"of one with {activation!r}; give one of the same kind"
+        )
     begin = time.perf_counter()
     scale_in = np.full(INPUTS, max(float(np.abs(training.features[:, :9]).std()), 1e-9))
     scale_in[9] = max(float(np.abs(training.features[:, 9]).max()), 1e-9)
     u = np.abs(training.apparent_mm)
     scale_out = float(np.abs(training.force_N).mean() / max(float(u.mean()), 1e-9))
-    scaled = _Scaled(training, validation, scale_in, scale_out)
-    fits = [_fit(scaled, activation, seed + restart) for restart in range(RESTARTS)]
+    rows = [_Rows.of(data, scale_in, scale_out) for data in (training, validation)]
+    starts = (
+        [_initial(seed + restart) for restart in range(RESTARTS)]
+        if start is None
+        else [start.parameters]
+    )
+    fits = [_fit(rows[0], rows[1], first, rectified=activation == "rectified") for first in starts]
     best = min(fits, key=lambda fit: fit.rmse_validation)
     return Trained(
         network=CascadeNetwork(
@@ -131,21 +139,21 @@ def train_network(
     )
 
 
-class _Scaled:
-    """Training and validation rows as tensors: inputs, u times the output scale, goal in N."""
+@dataclass(frozen=True, kw_only=True)
+class _Rows:
+    """Scaled inputs (m, 10), u times the output scale (m,), and what k·u should be (m,) N."""
 
-    def __init__(
-        self, training: KeyNodeData, validation: KeyNodeData, scale: FloatArray, out: float
-    ) -> None:
-        def tensors(data: KeyNodeData) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-            return (
-                torch.from_numpy(data.features / scale),
-                torch.from_numpy(data.apparent_mm * out),
-                torch.from_numpy(data.force_N - data.stiffness_force_N),
-            )
+    x: FloatArray
+    u: FloatArray
+    goal_N: FloatArray
 
-        self.training = tensors(training)
-        self.validation = tensors(validation)
+    @classmethod
+    def of(cls, data: KeyNodeData, scale_in: FloatArray, scale_out: float) -> "_Rows":
+        return cls(
+            x=data.features / scale_in,
+            u=data.apparent_mm * scale_out,
+            goal_N=data.force_N - data.stiffness_force_N,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,49 +166,90 @@ class _Fit:
     parameters: FloatArray
 
 
-def _initial(seed: int) -> torch.Tensor:
+def _initial(seed: int) -> FloatArray:
     """He-scaled normal weights, zero biases, a small output layer."""
-    generator = torch.Generator().manual_seed(seed)
+    rng = np.random.default_rng(seed)
     parts = []
     for name, shape in SHAPES.items():
         if name.startswith("b"):
-            parts.append(torch.zeros(shape, dtype=torch.float64).flatten())
+            parts.append(np.zeros(shape))
             continue
         gain = (2.0 / shape[1]) ** 0.5 * (0.1 if shape[0] != HIDDEN else 1.0)
-        noise = torch.randn(shape, generator=generator, dtype=torch.float64)
-        parts.append((gain * noise).flatten())
-    return torch.cat(parts)
+        parts.append(gain * rng.standard_normal(shape).ravel())
+    return np.concatenate(parts)
 
 
-def _fit(data: _Scaled, activation: Activation, seed: int) -> _Fit:
+class _Cascade:
+    """The network of ``decoder.network`` at one vector of parameters, with its derivatives."""
+
+    def __init__(self, flat: FloatArray, x: FloatArray, *, rectified: bool) -> None:
+        w, start = {}, 0
+        for name, shape in SHAPES.items():
+            size = int(np.prod(shape))
+            w[name] = flat[start : start + size].reshape(shape)
+            start += size
+        self.w, self.x, self.rectified = w, x, rectified
+        self.first = self._activate(x @ w["w1"].T + w["b1"])
+        self.both = np.concatenate([x, self.first], axis=1)
+        self.second = self._activate(self.both @ w["w2"].T + w["b2"])
+        self.every = np.concatenate([self.both, self.second], axis=1)
+        self.value = self.every @ w["w3"][0] + w["b3"][0]
+
+    def _activate(self, values: FloatArray) -> FloatArray:
+        return np.maximum(values, 0.0) if self.rectified else values
+
+    def jacobian(self) -> FloatArray:
+        """Derivatives (m, 351) of the values by the parameters, by the chain rule."""
+        m, out = len(self.x), self.w["w3"][0]
+        second = np.broadcast_to(out[INPUTS + HIDDEN :], (m, HIDDEN))
+        second = np.where(self.second > 0.0, second, 0.0) if self.rectified else second
+        first = out[INPUTS : INPUTS + HIDDEN] + second @ self.w["w2"][:, INPUTS:]
+        first = np.where(self.first > 0.0, first, 0.0) if self.rectified else first
+        slopes = {
+            "w1": first[:, :, None] * self.x[:, None, :],
+            "b1": first,
+            "w2": second[:, :, None] * self.both[:, None, :],
+            "b2": second,
+            "w3": self.every,
+            "b3": np.ones((m, 1)),
+        }
+        return np.concatenate([slopes[name].reshape(m, -1) for name in SHAPES], axis=1)
+
+
+def _fit(training: _Rows, validation: _Rows, first: FloatArray, *, rectified: bool) -> _Fit:
     """One Levenberg-Marquardt run from one start."""
-    single = partial(_cascade, rectified=activation == "rectified")
-    values = vmap(single, in_dims=(None, 0))
-    slopes = vmap(jacrev(single), in_dims=(None, 0))
 
-    def rms(flat: torch.Tensor, rows: tuple[torch.Tensor, torch.Tensor, torch.Tensor]) -> float:
-        x, u, goal = rows
-        return float(((values(flat, x) * u - goal) ** 2).mean().sqrt())
+    def residual_N(net: _Cascade, rows: _Rows) -> FloatArray:
+        return np.asarray(net.value * rows.u - rows.goal_N)
 
-    x, u, goal = data.training
-    flat = _initial(seed)
-    damping, loss = 1e-2, rms(flat, data.training)
-    best = (rms(flat, data.validation), loss, 0, flat)
+    def rms(error: FloatArray) -> float:
+        return float(np.sqrt((error**2).mean()))
+
+    def at(flat: FloatArray, rows: _Rows) -> _Cascade:
+        return _Cascade(flat, rows.x, rectified=rectified)
+
+    flat = first
+    net = at(flat, training)
+    residual = residual_N(net, training)
+    damping, loss = 1e-2, rms(residual)
+    best = (rms(residual_N(at(flat, validation), validation)), loss, 0, flat)
+    unit = np.eye(parameter_count())
     for step in range(1, ROUNDS_MAX + 1):
-        residual = values(flat, x) * u - goal
-        jacobian = slopes(flat, x) * u[:, None]
+        jacobian = net.jacobian() * training.u[:, None]
         gram, gradient = jacobian.T @ jacobian, jacobian.T @ residual
-        ridge = (gram.diagonal().mean() + 1e-30) * torch.eye(len(flat), dtype=flat.dtype)
+        ridge = (np.trace(gram) / len(flat) + 1e-30) * unit
         improved = False
         for _ in range(8):
-            trial = flat - torch.linalg.solve(gram + damping * ridge, gradient)
-            trial_loss = rms(trial, data.training)
-            if trial_loss < loss:
-                flat, loss, improved = trial, trial_loss, True
+            trial = flat - np.linalg.solve(gram + damping * ridge, gradient)
+            tried = at(trial, training)
+            trial_residual = residual_N(tried, training)
+            if rms(trial_residual) < loss:
+                flat, net, residual, improved = trial, tried, trial_residual, True
+                loss = rms(residual)
                 damping = max(damping / 5.0, 1e-9)
                 break
             damping = min(damping * 4.0, 1e9)
-        error = rms(flat, data.validation)
+        error = rms(residual_N(at(flat, validation), validation))
         if error < best[0]:
             best = (error, loss, step, flat)
         if not improved or step - best[2] > PATIENCE:
@@ -209,5 +258,5 @@ def _fit(data: _Scaled, activation: Activation, seed: int) -> _Fit:
         rmse_validation=best[0],
         rmse_train=best[1],
         rounds=best[2],
-        parameters=best[3].numpy().copy(),
+        parameters=best[3].copy(),
     )

@@ -13,7 +13,14 @@ import typer
 # times slower on two.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from phytac_design import cli_import, cli_mechanics, cli_serve, cli_switch, cli_twin
+from phytac_design import (
+    cli_import,
+    cli_mechanics,
+    cli_serve,
+    cli_switch,
+    cli_train,
+    cli_twin,
+)
 from phytac_design.cli_options import DesignArgument, JsonOption, Preset, SeedOption, say
 from shapes.errors import DesignError, PhytacError
 
@@ -234,6 +241,8 @@ for command in (
     cli_mechanics.calibrate,
     cli_serve.serve,
     cli_switch.switch,
+    cli_train.train,
+    cli_train.evaluate,
     cli_twin.simulate,
     cli_twin.scenarios,
 ):

@@ -33,7 +33,8 @@ LOG_RANGE = 30.0
 """Bars whose heights differ by more than this are drawn on a logarithmic axis."""
 
 
-def _png(figure: Any) -> bytes:
+def png(figure: Any) -> bytes:
+    """PNG of a figure, the same bytes for the same figure; the figure is closed."""
     import matplotlib.pyplot as plt
 
     buffer = BytesIO()
@@ -41,6 +42,13 @@ def _png(figure: Any) -> bytes:
     figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
     plt.close(figure)
     return buffer.getvalue()
+
+
+def new_figure(size: tuple[float, float]) -> Any:
+    """Figure without axes, of a size in inches, drawn off screen; its parts don't overlap."""
+    figure = _figure(size)
+    figure.set_layout_engine("constrained")
+    return figure
 
 
 def _figure(size: tuple[float, float]) -> Any:
@@ -141,7 +149,7 @@ def value_map(
     if cross is not None:
         axes.plot(*cross, marker="x", color="#d00000", markersize=11, markeredgewidth=2, zorder=5)
     figure.colorbar(dots, cax=bar, label=label)
-    return _png(figure)
+    return png(figure)
 
 
 def _break_labels(axes: Any, wide: float, tall: float) -> None:
@@ -156,8 +164,7 @@ def error_bars(table: Mapping[str, Mapping[str, Any]], marks: Mapping[str, str])
 
     ``marks`` holds a footnote sign for estimators that the limits speak of.
     """
-    figure = _figure((6.4, 3.2))
-    figure.set_layout_engine("constrained")
+    figure = new_figure((6.4, 3.2))
     axes = figure.add_subplot()
     names = list(table)
     place = np.arange(len(names))
@@ -175,7 +182,7 @@ def error_bars(table: Mapping[str, Mapping[str, Any]], marks: Mapping[str, str])
     axes.set_ylabel("mean relative error (%)")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
     axes.grid(axis="y", alpha=0.3)
-    return _png(figure)
+    return png(figure)
 
 
 def _number(group: Mapping[str, Any]) -> float:

@@ -13,8 +13,9 @@ from scipy.optimize import nnls
 
 from decoder.bundle import Bundle, load_bundle, save_bundle
 from decoder.camera import Camera
-from decoder.estimators import ForceModel, nonnegative_least_squares
+from decoder.estimators import ForceModel
 from decoder.network import CascadeNetwork, network_features, parameter_count
+from decoder.nonnegative import nonnegative_least_squares
 from decoder.segmentation import ColourModel
 from decoder.switches import TipModel
 from decoder.train import KeyNodeData, split_samples, train_network

@@ -1,0 +1,1 @@
+"""How far a decoder's forces are from the truth."""

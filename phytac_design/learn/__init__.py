@@ -1,0 +1,1 @@
+"""Decoders learnt from data sets."""

@@ -1,0 +1,155 @@
+"""The estimator ``auto`` in a bundle: kept whole, and refused where it is damaged."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file, save_file
+
+from decoder.bundle import Bundle, load_bundle, save_bundle
+from decoder.contact_fit import Noise, Prior
+from decoder.correct import Correction
+from decoder.locate import Locator
+from decoder.places import Places
+from shapes.errors import InputError
+from tests.decoder.toy_sensor import toy_bundle
+
+
+def bundle() -> Bundle:
+    plain = toy_bundle()
+    count = len(plain.colour)
+    rng = np.random.default_rng(0)
+    points = plain.position_mm
+    ones = np.ones((len(points), 1))
+    locator = Locator(
+        places=Places(
+            point_mm=points,
+            along=ones * [1.0, 0.0, 0.0],
+            around=ones * [0.0, 1.0, 0.0],
+            shift_px=rng.normal(size=(len(points), 3, 2 * count)).astype(np.float32),
+            radius_mm=4.0,
+        ),
+        position_mm=points,
+        neighbours=plain.model.neighbours,
+        footprint_mm=2.0,
+        prior=Prior(place_mm=1.0, moments_mm2=(0.1, 0.2, 0.3), moments_sd_mm2=(1.0, 2.0, 3.0)),
+        noise=Noise(centroid_px=0.05, share=0.01, switched_px=0.4),
+        correction=Correction(
+            centre=rng.normal(size=(7, 4)),
+            weight=rng.normal(size=7),
+            low_mm=points.min(axis=0),
+            size_mm=50.0,
+            force_max_N=25.0,
+            spread=1.5,
+            spread_share=0.02,
+        ),
+    )
+    return replace(plain, model=replace(plain.model, locator=locator))
+
+
+def test_bundle_keeps_it_whole(tmp_path: Path) -> None:
+    saved = bundle()
+    save_bundle(saved, tmp_path)
+    loaded = load_bundle(tmp_path).model
+    assert loaded.estimators[-1] == "auto"
+    assert loaded.best == "auto"
+    assert loaded.locator is not None
+    assert saved.model.locator is not None
+    one, two = saved.model.locator, loaded.locator
+    assert (one.prior, one.noise, one.footprint_mm) == (two.prior, two.noise, two.footprint_mm)
+    assert one.correction is not None
+    assert two.correction is not None
+    for name in ("centre", "weight", "low_mm", "size_mm", "force_max_N", "spread", "spread_share"):
+        np.testing.assert_array_equal(getattr(one.correction, name), getattr(two.correction, name))
+    for name in ("point_mm", "along", "around", "shift_px", "radius_mm"):
+        np.testing.assert_array_equal(getattr(one.places, name), getattr(two.places, name))
+    shift = np.random.default_rng(1).normal(size=(30, 2))
+    koi = np.array([7, 8, 20])
+    np.testing.assert_array_equal(
+        saved.model.forces("auto", shift, koi), loaded.forces("auto", shift, koi)
+    )
+
+
+def test_bundle_without_it_says_so(tmp_path: Path) -> None:
+    save_bundle(toy_bundle(), tmp_path)
+    model = load_bundle(tmp_path).model
+    assert "auto" not in model.estimators
+    assert model.best == "koi_inverse"
+    with pytest.raises(InputError, match="no tables"):
+        model.forces("auto", np.zeros((30, 2)), np.array([3]))
+
+
+def _nan(arrays: dict[str, Any]) -> None:
+    arrays["places.shift_px"][3, 1, 4] = np.nan
+
+
+def _cut(arrays: dict[str, Any]) -> None:
+    arrays["places.shift_px"] = np.ascontiguousarray(arrays["places.shift_px"][:, :, :-2])
+
+
+def _double(arrays: dict[str, Any]) -> None:
+    arrays["places.shift_px"] = arrays["places.shift_px"].astype(np.float64)
+
+
+def _gone(arrays: dict[str, Any]) -> None:
+    del arrays["places.along"]
+
+
+def _unlearnt(arrays: dict[str, Any]) -> None:
+    del arrays["places.weight"]
+
+
+def _few(arrays: dict[str, Any]) -> None:
+    for name in ("point_mm", "along", "around", "shift_px"):
+        arrays[f"places.{name}"] = np.ascontiguousarray(arrays[f"places.{name}"][:2])
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (_nan, "not finite"),
+        (_cut, "different builds"),
+        (_double, "float64"),
+        (_gone, "lacks 'places.along'"),
+        (_unlearnt, "lacks 'places.weight'"),
+        (_few, "2 places"),
+    ],
+)
+def test_damaged_tables_are_refused(
+    damage: Callable[[dict[str, Any]], None], says: str, tmp_path: Path
+) -> None:
+    save_bundle(bundle(), tmp_path)
+    path = tmp_path / "bundle.safetensors"
+    arrays = {name: value.copy() for name, value in load_file(path).items()}
+    damage(arrays)
+    save_file(arrays, path)
+    with pytest.raises(InputError, match=says):
+        load_bundle(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("keys", "value"),
+    [
+        (("prior", "place_mm"), 0.0),
+        (("prior", "moments_sd_mm2"), [1.0, 2.0]),
+        (("noise", "centroid_px"), -1.0),
+        (("learnt", "spread"), float("nan")),
+        (("radius_mm",), "wide"),
+        (("prior",), None),
+    ],
+)
+def test_damaged_settings_are_refused(keys: tuple[str, ...], value: object, tmp_path: Path) -> None:
+    save_bundle(bundle(), tmp_path)
+    path = tmp_path / "bundle.json"
+    meta = json.loads(path.read_text())
+    table = meta["auto"]
+    for key in keys[:-1]:
+        table = table[key]
+    table[keys[-1]] = value
+    path.write_text(json.dumps(meta))
+    with pytest.raises(InputError, match="not a decoder bundle"):
+        load_bundle(tmp_path)

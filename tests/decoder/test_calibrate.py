@@ -1,0 +1,193 @@
+"""What a sensor's own samples teach the estimator ``auto``, on a sensor in closed form."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from decoder.calibrate import calibrated, match, second_moments, weighted_median
+from decoder.correct import Correction, calibrated_spread, learn_correction
+from decoder.samples import Samples, TouchRows, truth_rows
+from shapes.arrays import FloatArray
+from shapes.errors import InputError
+from tests.decoder.flat_sensor import MARKERS, flat_locator, shifts
+
+STIFFNESS = 1.15
+NOISE_PX = 0.03
+PLACE_MM = 0.8
+
+
+def pressed(count: int, *, seed: int, slope: float = 0.0) -> Samples:
+    """One or two contacts a sample on a sensor that is stiffer, and the more so along x."""
+    rng = np.random.default_rng(seed)
+    n = len(MARKERS)
+    bits = np.zeros((count, n), dtype=np.bool_)
+    owner = np.full((count, n), -1)
+    carried = np.zeros((count, n))
+    shift = rng.normal(0.0, NOISE_PX, (count, 2 * n))
+    rows: list[tuple[int, FloatArray, float, float]] = []
+    for sample in range(count):
+        far_apart = [int(rng.integers(0, 40)), int(rng.integers(60, 100))]
+        for marker in far_apart[: 1 + sample % 2]:
+            at = MARKERS[marker] + np.append(rng.normal(0.0, PLACE_MM, 2), 0.0)
+            radius, force = rng.uniform(4.0, 6.0), rng.uniform(0.5, 25.0)
+            moments = np.array([radius**2 / 4.0, 0.0, radius**2 / 4.0])
+            stiff = STIFFNESS * (1.0 + slope * (at[0] - 30.0) / 30.0)
+            shift[sample] += shifts(at, force / stiff, moments)
+            bits[sample, marker], owner[sample, marker] = True, len(rows)
+            carried[sample, marker] = force
+            rows.append((sample, at, radius, force))
+    of, at_mm, radii, forces = (np.array(column) for column in zip(*rows, strict=True))
+    zeros = np.zeros(len(rows))
+    return Samples(
+        markers=n,
+        time_s=np.arange(count, dtype=np.float64),
+        sequence=np.arange(count),
+        light=np.ones(count),
+        status=np.zeros(count, dtype=np.int64),
+        theory=np.zeros(count, dtype=np.int64),
+        total_N=carried.sum(axis=1),
+        contacts=np.bincount(of, minlength=count),
+        bits=bits,
+        bits_read=bits,
+        shift_px=shift.reshape(count, n, 2),
+        touches=TouchRows(
+            sample=of,
+            uv=at_mm[:, :2],
+            point_mm=at_mm,
+            radius_mm=radii,
+            force_N=forces,
+            indenter=np.zeros(len(rows), dtype=np.int64),
+            length_mm=zeros,
+            turn_rad=zeros,
+            friction=np.zeros((len(rows), 2)),
+        ),
+        truth=truth_rows(bits, owner, carried),
+    )
+
+
+LOCATOR = flat_locator(place_mm=3.0, noise_px=0.1)
+TRAINING = pressed(120, seed=1, slope=0.06)
+LEARNT, FACTS = calibrated(LOCATOR, TRAINING, np.arange(120), force_max_N=25.0)
+
+
+def test_stiffness_noise_and_prior_are_found() -> None:
+    assert FACTS["stiffness"] == pytest.approx(STIFFNESS, rel=0.03)
+    assert FACTS["noise_px"] == pytest.approx(NOISE_PX, rel=0.15)
+    assert FACTS["place_mm"] == pytest.approx(PLACE_MM, rel=0.2)
+    assert LEARNT.prior.moments_sd_mm2[0] == pytest.approx(1.4, rel=0.3)
+    assert LEARNT.noise.centroid_px == FACTS["noise_px"]
+
+
+def test_new_contacts_are_read_better_by_far() -> None:
+    fresh = pressed(60, seed=2, slope=0.06)
+    before = match(LOCATOR, fresh, np.arange(60))
+    after = match(replace(LEARNT, correction=None), fresh, np.arange(60))
+    assert LEARNT.correction is not None
+    factor = LEARNT.correction.factor(after.point_mm, after.force_N)
+    error = [
+        float(np.mean(np.abs(force / truth - 1.0)))
+        for force, truth in (
+            (before.force_N, before.truth_N),
+            (after.force_N, after.truth_N),
+            (after.force_N * factor, after.truth_N),
+        )
+    ]
+    assert error[0] > 0.1
+    assert error[1] < 0.045
+    assert error[2] < 0.6 * error[1]
+
+
+def test_ninety_percent_lie_within_ninety_percent() -> None:
+    fresh = pressed(200, seed=3, slope=0.06)
+    matches = match(replace(LEARNT, correction=None), fresh, np.arange(200))
+    learnt = LEARNT.correction
+    assert learnt is not None
+    force = matches.force_N * learnt.factor(matches.point_mm, matches.force_N)
+    inside = np.abs(force - matches.truth_N) < 1.6449 * learnt.spread_N(force, matches.sd_N)
+    assert 0.82 < inside.mean() < 0.97
+
+
+def test_few_samples_tell_the_stiffness_alone() -> None:
+    learnt, facts = calibrated(LOCATOR, TRAINING, np.arange(4), force_max_N=25.0)
+    assert facts["contacts"] == 6
+    assert facts["stiffness"] == pytest.approx(STIFFNESS, rel=0.06)
+    assert learnt.correction is not None
+    at = np.array([[30.0, 30.0, 0.0]])
+    assert learnt.correction.factor(at, np.array([5.0])) == pytest.approx(1.0)
+
+
+def test_same_samples_same_locator() -> None:
+    again, facts = calibrated(LOCATOR, TRAINING, np.arange(120), force_max_N=25.0)
+    assert facts == FACTS
+    assert again.correction is not None
+    assert LEARNT.correction is not None
+    assert (again.correction.weight == LEARNT.correction.weight).all()
+
+
+def test_samples_without_contacts_or_switches_are_refused() -> None:
+    with pytest.raises(InputError, match="no shifts, switches, contacts or truth"):
+        match(LOCATOR, replace(TRAINING, touches=None), np.arange(3))
+    dark = replace(TRAINING, bits_read=np.zeros_like(TRAINING.bits))
+    with pytest.raises(InputError, match="no contact of the samples tripped a switch"):
+        calibrated(LOCATOR, dark, np.arange(120), force_max_N=25.0)
+
+
+def test_a_correction_fades_away_from_its_data() -> None:
+    plain = Correction(
+        centre=np.zeros((0, 4)),
+        weight=np.zeros(0),
+        low_mm=np.zeros(3),
+        size_mm=100.0,
+        force_max_N=20.0,
+    )
+    assert plain.factor(np.zeros((2, 3)), np.ones(2)).tolist() == [1.0, 1.0]
+    rng = np.random.default_rng(0)
+    point, force = rng.uniform(0.0, 20.0, (200, 3)), rng.uniform(1.0, 20.0, 200)
+    learnt = learn_correction(
+        plain, point_mm=point, force_N=force, sd_N=0.01 * force, truth_N=1.04 * force
+    )
+    near, far = learnt.factor(np.array([[10.0] * 3, [100.0] * 3]), np.array([10.0, 10.0]))
+    assert near == pytest.approx(1.04, abs=0.003)
+    assert abs(far - 1.0) < 0.002
+
+
+@pytest.mark.parametrize("true_share", [0.0, 0.05])
+def test_spread_is_widened_by_a_share_where_noise_does_not_do(true_share: float) -> None:
+    rng = np.random.default_rng(4)
+    force, sd = rng.uniform(1.0, 25.0, 4000), np.full(4000, 0.1)
+    error = np.abs(rng.normal(0.0, np.hypot(sd, true_share * force)))
+    factor, share = calibrated_spread(error, sd, force)
+    assert factor == pytest.approx(1.0, abs=0.03)
+    assert share == pytest.approx(true_share, abs=0.004)
+
+
+def test_moments_of_indenters_against_their_pressures() -> None:
+    line = (np.arange(400) + 0.5) / 200.0 - 1.0
+    x, y = np.meshgrid(line, line, indexing="ij")
+    r2 = x**2 + y**2
+    disc = np.where(r2 <= 1.0, 1.0, 0.0)
+    ball = np.sqrt(np.maximum(1.0 - r2, 0.0))
+    strip = np.sqrt(np.maximum(1.0 - y**2, 0.0))
+    turn = 0.4
+    got = second_moments(
+        {
+            "indenter": np.array([0, 1, 2]),
+            "radius_mm": np.array([3.0, 3.0, 3.0]),
+            "length_mm": np.array([0.0, 0.0, 8.0]),
+            "turn_rad": np.array([0.0, 0.0, turn]),
+        }
+    )
+    for row, pressure in zip(got[:2], (disc, ball), strict=True):
+        wanted = 9.0 * np.sum(pressure * x**2) / np.sum(pressure)
+        assert row == pytest.approx([wanted, 0.0, wanted], rel=2e-3, abs=1e-9)
+    own = np.diag([16.0 * np.sum(strip * x**2), 9.0 * np.sum(strip * y**2)]) / np.sum(strip)
+    c, s = np.cos(turn), np.sin(turn)
+    turned = np.array([[c, -s], [s, c]]) @ own @ np.array([[c, s], [-s, c]])
+    assert got[2] == pytest.approx([turned[0, 0], turned[0, 1], turned[1, 1]], rel=2e-3)
+
+
+def test_weighted_median() -> None:
+    values = np.array([3.0, 1.0, 2.0])
+    assert weighted_median(values, np.array([1.0, 1.0, 1.0])) == 2.0
+    assert weighted_median(values, np.array([5.0, 1.0, 1.0])) == 3.0

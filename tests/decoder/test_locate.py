@@ -1,0 +1,199 @@
+"""Contacts found from marker shifts, on a sensor in closed form."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from decoder.locate import Located
+from decoder.places import Places
+from shapes.arrays import FloatArray
+from tests.decoder.flat_sensor import (
+    DISC,
+    MARKERS,
+    RADIUS_MM,
+    flat_locator,
+    flat_places,
+    nearest,
+    per_newton,
+    shifts,
+)
+
+COUNT = len(MARKERS)
+LOCATOR = flat_locator()
+
+
+def find(shift: FloatArray, koi: list[int]) -> list[Located]:
+    return LOCATOR.find(shift.reshape(-1, 2), np.array(koi, dtype=np.int64)).contacts
+
+
+def point(x: float, y: float) -> FloatArray:
+    return np.array([x, y, 0.0])
+
+
+def test_cubic_between_places_is_exact_for_cubics() -> None:
+    points = flat_places().point_mm
+    x, y = points[:, 0] / 10.0, points[:, 1] / 10.0
+    rows = np.stack([x**3 - x * y**2 + y, x**2 * y + 2.0 * y**2], axis=1)
+    places = Places(
+        point_mm=points,
+        along=flat_places().along,
+        around=flat_places().around,
+        shift_px=rows[:, None].astype(np.float32),
+        radius_mm=RADIUS_MM,
+    )
+    k = nearest_place(places, point(30.0, 20.0))
+    got = places.cubic(k)[:, 0] * 10.0 ** np.array([0, 1, 1, 2, 2, 2, 3, 3, 3, 3])[:, None]
+    a, b = 3.0, 2.0
+    want = [
+        (a**3 - a * b**2 + b, a**2 * b + 2 * b**2),
+        (3 * a**2 - b**2, 2 * a * b),
+        (-2 * a * b + 1, a**2 + 4 * b),
+        (6 * a, 2 * b),
+        (-2 * b, 2 * a),
+        (-2 * a, 4),
+        (6, 0),
+        (0, 2),
+        (-2, 0),
+        (0, 0),
+    ]
+    np.testing.assert_allclose(got, want, atol=0.02)
+
+
+def nearest_place(places: Places, at: FloatArray) -> int:
+    return int(places.nearest(at[None])[0])
+
+
+def test_far_side_of_a_thin_sensor_takes_no_part() -> None:
+    plate = flat_places(5.0)
+    below = plate.point_mm - [0.0, 0.0, 1.0]
+    both = Places(
+        point_mm=np.concatenate([plate.point_mm, below]),
+        along=np.concatenate([plate.along, plate.along]),
+        around=np.concatenate([plate.around, -plate.around]),
+        shift_px=np.concatenate([plate.shift_px, 0.0 * plate.shift_px]),
+        radius_mm=RADIUS_MM,
+    )
+    k = nearest_place(plate, point(30.0, 30.0))
+    np.testing.assert_allclose(both.cubic(k), plate.cubic(k), rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("force", [0.6, 5.0, 25.0])
+def test_one_contact_between_places(force: float) -> None:
+    at = point(31.3, 28.4)
+    (contact,) = find(shifts(at, force), [nearest(at)])
+    assert contact.force_N == pytest.approx(force, rel=3e-3)
+    assert np.linalg.norm(contact.point_mm - at) < 0.05
+    assert contact.radius_mm == pytest.approx(RADIUS_MM, rel=0.05)
+    assert contact.markers.tolist() == [nearest(at)]
+
+
+def test_another_extent_is_told_from_another_force() -> None:
+    at, moments = point(33.0, 27.0), DISC + np.array([4.0, 1.5, -2.0])
+    (contact,) = find(shifts(at, 10.0, moments), [nearest(at)])
+    assert contact.force_N == pytest.approx(10.0, rel=5e-3)
+    np.testing.assert_allclose(contact.moments_mm2, moments - DISC, atol=0.5)
+    # A disc of the tables' own size, at its very place, is further off.
+    plain = per_newton(at)
+    naive = float(shifts(at, 10.0, moments, soft=0.0) @ plain / (plain @ plain))
+    assert abs(naive - 10.0) > 0.1
+
+
+def test_markers_that_were_not_found_are_left_out() -> None:
+    at = point(27.0, 33.0)
+    seen = shifts(at, 8.0).reshape(-1, 2)
+    seen[np.linalg.norm(MARKERS - at, axis=1) < 5.0] = np.nan
+    (contact,) = find(seen, [nearest(at)])
+    assert contact.force_N == pytest.approx(8.0, rel=5e-3)
+
+
+def test_two_contacts_whose_switches_are_neighbours() -> None:
+    one, two = point(21.0, 21.0), point(33.0, 33.0)
+    koi = sorted({nearest(one), nearest(two), nearest(point(27.0, 27.0))})
+    found = find(shifts(one, 6.0) + shifts(two, 12.0), koi)
+    forces = sorted(contact.force_N for contact in found)
+    assert forces == pytest.approx([6.0, 12.0], rel=0.02)
+    assert sorted(m for contact in found for m in contact.markers) == koi
+
+
+def test_a_contact_without_a_switch_is_found_and_carries_no_receptor() -> None:
+    loud, silent = point(15.0, 15.0), point(45.0, 42.0)
+    both = shifts(loud, 10.0) + shifts(silent, 2.0)
+    found = LOCATOR.find(both.reshape(-1, 2), np.array([nearest(loud)]))
+    first, second = found.contacts
+    assert first.force_N == pytest.approx(10.0, rel=5e-3)
+    assert second.force_N == pytest.approx(2.0, rel=0.02)
+    assert np.linalg.norm(second.point_mm - silent) < 0.3
+    assert len(second.markers) == 0
+    forces = found.receptor_forces_N(COUNT)
+    assert forces.sum() == pytest.approx(first.force_N)
+    assert np.flatnonzero(forces).tolist() == [nearest(loud)]
+
+
+def test_noise_alone_makes_no_silent_contact() -> None:
+    at = point(30.0, 30.0)
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        noisy = shifts(at, 10.0) + rng.normal(0.0, 0.02, 2 * COUNT)
+        assert len(find(noisy, [nearest(at)])) == 1
+
+
+def test_without_switches_nothing_is_solved() -> None:
+    found = LOCATOR.find(shifts(point(30.0, 30.0), 5.0).reshape(-1, 2), np.zeros(0, dtype=int))
+    assert found.contacts == []
+    assert found.misfit > 10.0
+    assert not found.receptor_forces_N(COUNT).any()
+
+
+def test_spread_is_that_of_many_noisy_frames() -> None:
+    locator = replace(LOCATOR, noise=replace(LOCATOR.noise, share=0.0))
+    rng = np.random.default_rng(1)
+    error, said = [], []
+    for _ in range(300):
+        offset = np.append(rng.normal(0.0, 1.5, 2), 0.0)
+        at = MARKERS[44] + offset
+        moments = DISC + rng.normal(0.0, [3.0, 2.0, 3.0]) * 0.5
+        noisy = shifts(at, 10.0, moments) + rng.normal(0.0, 0.02, 2 * COUNT)
+        (contact,) = locator.find(noisy.reshape(-1, 2), np.array([44])).contacts
+        error.append(contact.force_N - 10.0)
+        said.append(contact.sd_N)
+    assert np.std(error) == pytest.approx(np.mean(said), rel=0.15)
+    assert abs(np.mean(error)) < 0.3 * np.std(error)
+
+
+def test_forces_are_shared_by_overlap_and_sum_up() -> None:
+    at = point(24.0, 27.0)
+    koi = sorted(np.argsort(np.linalg.norm(MARKERS - at, axis=1))[:2].tolist())
+    (contact,) = find(shifts(at, 9.0), koi)
+    assert contact.markers.tolist() == koi
+    assert contact.share.sum() == pytest.approx(1.0)
+    assert contact.share == pytest.approx([0.5, 0.5], abs=0.02)
+
+
+def test_a_stiffer_sensor_reads_the_same_force_from_less() -> None:
+    stiffer = replace(LOCATOR, places=LOCATOR.places.scaled(1.2))
+    at = point(30.0, 30.0)
+    (contact,) = stiffer.find(
+        shifts(at, 10.0 / 1.2).reshape(-1, 2), np.array([nearest(at)])
+    ).contacts
+    assert contact.force_N == pytest.approx(10.0, rel=5e-3)
+    with pytest.raises(AssertionError):
+        assert find(shifts(at, 10.0 / 1.2), [nearest(at)])[0].force_N == pytest.approx(
+            10.0, rel=0.1
+        )
+
+
+def test_the_linear_part_knows_no_softening() -> None:
+    at = point(30.0, 30.0)
+    koi = np.array([nearest(at)])
+    shift = shifts(at, 20.0, soft=0.0).reshape(-1, 2)
+    (contact,) = LOCATOR.linear.find(shift, koi).contacts
+    assert contact.force_N == pytest.approx(20.0, rel=3e-3)
+    assert LOCATOR.find(shift, koi).contacts[0].force_N < 18.0
+
+
+def test_same_shifts_same_contacts() -> None:
+    shift = shifts(point(30.0, 31.0), 7.0).reshape(-1, 2)
+    first, second = (LOCATOR.find(shift, np.array([44])).contacts[0] for _ in range(2))
+    assert first.force_N == second.force_N
+    assert (first.point_mm == second.point_mm).all()

@@ -1,0 +1,346 @@
+"""Training from data sets: shared out, learnt, written, refused."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from decoder.bundle import load_bundle, save_bundle
+from decoder.network import ACTIVATIONS, CascadeNetwork, parameter_count
+from decoder.samples import Samples, inputs_alone, key_nodes
+from decoder.samples_write import write_samples
+from decoder.train import KeyNodeData, _Cascade, train_network
+from phytac_design.build import run_stages, select_stages
+from phytac_design.cli import app
+from phytac_design.design_file import design_hash, to_toml
+from phytac_design.learn.data import SHARES, DataSet, read_sets, share_out
+from phytac_design.learn.fit import MECHANICS, TABLE, train
+from phytac_design.learn.join import join, pick
+from phytac_design.stage import Context
+from phytac_design.stages import views
+from phytac_design.stages.decoder import assemble, plain_model
+from shapes.errors import DesignError, InputError, OutputError
+from tests.decoder.drawn_samples import assert_same, drawn
+from tests.designs import small
+from tests.drawn_presses import meta_of, presses
+
+DESIGN = small(
+    name="tiny",
+    shape={"length_mm": 40.0},
+    layout={"rows": 5, "columns": 10, "height_far_mm": 4.0},
+    camera={"width_px": 432, "height_px": 324, "focal_px": 161.0},
+)
+HASH = design_hash(DESIGN)
+SOFTER = 1.25
+"""The data's sensor against the decoder's mechanics: what there is to learn."""
+BUNDLE = ("bundle.json", "bundle.safetensors")
+
+
+@pytest.fixture(scope="module")
+def context() -> Context:
+    """Views and response of the design; its pictures are not looked at here."""
+    blank = np.zeros((324, 432, 3), dtype=np.uint8)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(views, "picture_or_frame", lambda *_: (blank, "none"))
+        stages = select_stages(MECHANICS)
+        options = {"accuracy": "draft", "seed": 0, "force": True, "progress": lambda _: None}
+        return run_stages(DESIGN, stages, **options)[0]
+
+
+def pressed(context: Context, count: int, seed: int, **options: float) -> Samples:
+    """Presses on a sensor that is softer than the decoder's mechanics says."""
+    settings = {"softer": SOFTER, "noise_px": 0.01} | options
+    return presses(plain_model(context), context.markers.uv, count=count, seed=seed, **settings)
+
+
+@pytest.fixture(scope="module")
+def data(context: Context, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of 200 presses."""
+    out = tmp_path_factory.mktemp("data") / "points"
+    write_samples(out, pressed(context, 200, 0), meta_of("tiny", HASH))
+    return out
+
+
+@pytest.fixture
+def learn(context: Context, data: Path, tmp_path: Path) -> Callable[..., Path]:
+    """Train quietly; the decoder's folder."""
+
+    def run(*sets: Path, name: str = "decoder", **options: object) -> Path:
+        settings = {"accuracy": "draft", "progress": lambda _: None} | options
+        return train(DESIGN, sets or [data], tmp_path / name, **settings).out
+
+    return run
+
+
+def test_a_decoder_is_trained_and_better_than_the_mechanics_alone(
+    learn: Callable[..., Path], context: Context
+) -> None:
+    out = learn()
+    bundle, facts = load_bundle(out), json.loads((out / TABLE).read_text())
+    plain = assemble(context, plain_model(context), {})
+    assert set(bundle.model.networks) == {"fem_nn", "fem_nn_identity"}
+    np.testing.assert_array_equal(bundle.rest_px, plain.rest_px)
+    np.testing.assert_array_equal(bundle.model.stiffness, plain.model.stiffness)
+    assert facts["samples"] == {"training": 170, "validation": 10, "test": 20}
+    test = facts["test"]
+    assert test["koi_inverse"]["bias_N"] > 0.2 * 12.0
+    assert test["fem_nn"]["relative_error"] < 0.5 * test["fem"]["relative_error"]
+    error = facts["trainers"]["fem_nn"]["rmse_test_N"]
+    assert error == pytest.approx(test["fem_nn"]["rmse_N"], rel=1e-6)
+    assert bundle.notes["training_samples"] == 170
+    relative = bundle.notes["test_relative_error"]["fem_nn"]
+    assert relative == test["fem_nn"]["relative_error"]
+
+
+def test_the_same_inputs_give_the_same_bundle(learn: Callable[..., Path]) -> None:
+    first, again, other = learn(), learn(name="again"), learn(name="other", seed=1)
+    for name in BUNDLE:
+        assert (first / name).read_bytes() == (again / name).read_bytes()
+        assert (first / name).read_bytes() != (other / name).read_bytes()
+        assert (first / name).stat().st_mode & 0o044 == (first / TABLE).stat().st_mode & 0o044
+    assert sorted(path.name for path in first.iterdir()) == [*BUNDLE, TABLE]
+    # What is not learnt differs by the split alone.
+    plain = [json.loads((out / TABLE).read_text())["test"]["fem"] for out in (first, again, other)]
+    assert plain[0] == plain[1] != plain[2]
+
+
+def test_fewer_samples_can_be_learnt_from(learn: Callable[..., Path]) -> None:
+    facts = json.loads((learn(samples=60) / TABLE).read_text())
+    assert sum(facts["samples"].values()) == 60
+    with pytest.raises(InputError, match="201 samples were asked for, the data hold 200"):
+        learn(samples=201)
+
+
+def test_inputs_alone_teach_the_networks_the_same(
+    learn: Callable[..., Path], context: Context, tmp_path: Path
+) -> None:
+    samples = pressed(context, 200, 0)
+    rows = key_nodes(plain_model(context), samples, noise_px=1e-4)
+    write_samples(tmp_path / "inputs", inputs_alone(samples, rows), meta_of("tiny", HASH))
+    points, inputs = learn(), learn(tmp_path / "inputs", name="inputs-decoder")
+    facts = [json.loads((out / TABLE).read_text()) for out in (points, inputs)]
+    assert facts[1]["test"] is None
+    a, b = (item["trainers"]["fem_nn"]["rmse_test_N"] for item in facts)
+    # Stored in 16 bits, which moves every input by a little.
+    assert b == pytest.approx(a, rel=0.5)
+    made_finer = meta_of("tiny", HASH, notes={"accuracy": "fine"})
+    write_samples(tmp_path / "finer", inputs_alone(samples, rows), made_finer)
+    with pytest.raises(InputError, match="add --accuracy fine"):
+        learn(tmp_path / "finer", name="finer-decoder")
+    low = replace(rows, height_z_mm=rows.height_z_mm + 1.0)
+    write_samples(tmp_path / "low", inputs_alone(samples, low), meta_of("tiny", HASH))
+    with pytest.raises(InputError, match="heights are not this design's"):
+        learn(tmp_path / "low", name="low-decoder")
+
+
+def test_several_sets_are_learnt_from_together(
+    learn: Callable[..., Path], context: Context, data: Path, tmp_path: Path
+) -> None:
+    write_samples(tmp_path / "more", pressed(context, 40, 1), meta_of("tiny", HASH))
+    facts = json.loads((learn(data, tmp_path / "more") / TABLE).read_text())
+    assert sum(facts["samples"].values()) == 240
+    with pytest.raises(InputError, match="are the same data set"):
+        learn(data, tmp_path / "more", data)
+
+
+def test_another_decoder_is_a_start(learn: Callable[..., Path], tmp_path: Path) -> None:
+    first = learn()
+    out = learn(name="second", start=first, samples=40)
+    bundle = load_bundle(out)
+    assert bundle.notes["start"]["design"] == "tiny"
+    assert json.loads((out / TABLE).read_text())["start"] == bundle.notes["start"]
+    plain = learn(name="plain", samples=40)
+    assert (out / BUNDLE[1]).read_bytes() != (plain / BUNDLE[1]).read_bytes()
+    known = load_bundle(first)
+    bare = replace(known, model=replace(known.model, networks={}))
+    save_bundle(bare, tmp_path / "bare")
+    with pytest.raises(InputError, match=r"of tiny, has no network fem_nn .its networks: none"):
+        learn(name="third", start=tmp_path / "bare")
+
+
+def rows(count: int, seed: int, size: float = 1.0) -> KeyNodeData:
+    """Nodes whose stiffness depends on the sign of a neighbour's motion; in units of ``size``."""
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=(count, 10))
+    k = 2.0 + 5.0 * np.maximum(x[:, 3], 0.0)
+    return KeyNodeData(
+        features=size * x,
+        apparent_mm=size * x[:, 0],
+        stiffness_force_N=x[:, 0],
+        force_N=x[:, 0] * (1.0 + k),
+        sample=np.arange(count),
+    )
+
+
+def test_a_start_is_used_instead_of_random_weights_and_takes_the_new_scales() -> None:
+    first = train_network(rows(400, 0), rows(40, 1), activation="rectified", seed=0).network
+    few, judge = rows(60, 2, size=0.1), rows(20, 3, size=0.1)
+    started = [
+        train_network(few, judge, activation="rectified", seed=seed, start=first) for seed in (0, 1)
+    ]
+    np.testing.assert_array_equal(started[0].network.parameters, started[1].network.parameters)
+    fresh = train_network(few, judge, activation="rectified", seed=0)
+    assert started[0].network.scale_in[0] == fresh.network.scale_in[0]
+    # All in units a tenth as large: the same network, once it is scaled, is the answer already.
+    assert started[0].rmse_validation_N < 0.2 * fresh.rmse_validation_N
+    with pytest.raises(InputError, match="'rectified' cannot be the start"):
+        train_network(few, judge, activation="identity", seed=0, start=first)
+
+
+@pytest.mark.parametrize("activation", ACTIVATIONS)
+def test_derivatives_are_those_of_the_network(activation: str) -> None:
+    rng = np.random.default_rng(5)
+    flat, x = rng.normal(size=parameter_count()), rng.normal(size=(6, 10))
+    rectified = activation == "rectified"
+    net = CascadeNetwork(
+        parameters=flat, activation=activation, scale_in=np.ones(10), scale_out=1.0
+    )
+    np.testing.assert_allclose(_Cascade(flat, x, rectified=rectified).value, net(x), atol=1e-12)
+    step = 1e-6
+    slopes = np.stack(
+        [
+            (net_at(flat + step * e, x, activation) - net_at(flat - step * e, x, activation))
+            / (2.0 * step)
+            for e in np.eye(len(flat))
+        ],
+        axis=1,
+    )
+    exact = _Cascade(flat, x, rectified=rectified).jacobian()
+    np.testing.assert_allclose(exact, slopes, rtol=0.0, atol=1e-6 * np.abs(slopes).max())
+
+
+def net_at(flat: np.ndarray, x: np.ndarray, activation: str) -> np.ndarray:
+    """The run-time network at some parameters."""
+    return CascadeNetwork(
+        parameters=flat, activation=activation, scale_in=np.ones(10), scale_out=1.0
+    )(x)
+
+
+def test_picked_samples_joined_again_are_the_same() -> None:
+    whole = drawn(4, count=9)
+    whole = replace(whole, sequence=np.sort(whole.sequence))
+    again = join([pick(whole, np.arange(4)), pick(whole, np.arange(4, 9))])
+    # Sequences are told apart between sets, and reasons come sorted.
+    numbered = np.unique(whole.sequence[:4], return_inverse=True)[1]
+    later = np.unique(whole.sequence[4:], return_inverse=True)[1] + numbered.max() + 1
+    expected = replace(whole, sequence=np.concatenate([numbered, later]))
+    assert [again.why(k) for k in range(9)] == [whole.why(k) for k in range(9)]
+    fields = ("reasons", "reason_index", "reason_sample")
+    assert_same(again, replace(expected, **{name: getattr(again, name) for name in fields}))
+
+
+def test_a_pick_leaves_out_what_belongs_to_others() -> None:
+    whole = drawn(5, count=9)
+    part = pick(whole, np.array([2, 7]))
+    assert part.touches is not None
+    assert whole.touches is not None
+    assert part.truth is not None
+    np.testing.assert_array_equal(
+        part.touches.force_N, whole.touches.force_N[np.isin(whole.touches.sample, [2, 7])]
+    )
+    owned = part.truth.touch >= 0
+    assert owned.any()
+    np.testing.assert_array_equal(
+        part.touches.sample[part.truth.touch[owned]], part.truth.sample[owned]
+    )
+    with pytest.raises(InputError, match="8, 9 markers cannot be joined"):
+        join([whole, drawn(5, markers=8)])
+
+
+def test_parts_share_no_sequence_and_hold_no_failed_sample(context: Context) -> None:
+    model = plain_model(context)
+    samples = pressed(context, 90, 2)
+    status = np.where(np.arange(90) < 10, 2, 0)
+    samples = replace(
+        samples,
+        sequence=np.arange(90) // 3,
+        status=status,
+        reasons=("broken",),
+        reason_sample=np.arange(10),
+        reason_index=np.zeros(10, dtype=np.int64),
+    )
+    item = DataSet(folder=Path("x"), samples=samples, meta=meta_of("tiny", HASH), sha256="0")
+    parts = share_out([item], model, noise_px=0.04, seed=0)
+    assert sum(part.count for part in parts) == 80
+    assert abs(parts[0].count - SHARES[0] * 80) <= 3
+    seen = [
+        set(np.round(part.samples.time_s).astype(int).tolist())
+        for part in parts
+        if part.samples is not None
+    ]
+    assert sorted(k for times in seen for k in times) == list(range(10, 90))
+    groups = [{k // 3 for k in times} for times in seen]
+    assert sum(len(group) for group in groups) == len(set.union(*groups))
+    few = share_out([item], model, noise_px=0.04, seed=0, limit=30)
+    times = [part.samples.time_s for part in few if part.samples is not None]
+    assert sorted(np.concatenate(times)) == list(range(10, 40))
+
+
+def test_data_that_cannot_be_used_are_refused(
+    learn: Callable[..., Path], context: Context, data: Path, tmp_path: Path
+) -> None:
+    samples = pressed(context, 20, 3)
+    none = replace(samples, bits=None, bits_read=None, shift_px=None, touches=None, truth=None)
+    write_samples(tmp_path / "bare", none, meta_of("tiny", HASH))
+    with pytest.raises(InputError, match="neither points nor the networks' inputs"):
+        learn(tmp_path / "bare")
+    assert not (tmp_path / "decoder").exists()
+    write_samples(tmp_path / "other", samples, meta_of("other", "f" * 64))
+    with pytest.raises(InputError, match="a data set of the design 'other'"):
+        learn(tmp_path / "other")
+    unread = replace(samples, bits_read=np.zeros_like(samples.bits))
+    write_samples(tmp_path / "unread", unread, meta_of("tiny", HASH))
+    with pytest.raises(InputError, match="none of 20 samples has a switch"):
+        learn(tmp_path / "unread")
+    (data.parent / "broken").mkdir(exist_ok=True)
+    for path in data.iterdir():
+        (data.parent / "broken" / path.name).write_bytes(path.read_bytes()[:-50])
+    with pytest.raises(InputError, match="is not JSON"):
+        learn(data.parent / "broken")
+    with pytest.raises(InputError, match="no data set was given"):
+        train(DESIGN, [], tmp_path / "decoder", progress=lambda _: None)
+    with pytest.raises(InputError, match="2 samples that did not fail cannot be shared out"):
+        learn(samples=2)
+
+
+def test_a_folder_of_something_else_is_kept(learn: Callable[..., Path], tmp_path: Path) -> None:
+    folder = tmp_path / "decoder"
+    folder.mkdir()
+    (folder / "mine.txt").write_text("mine")
+    with pytest.raises(OutputError, match=r"holds no training\.json"):
+        learn()
+    (folder / TABLE).write_text('{"design": "another"}')
+    with pytest.raises(OutputError, match="belongs to the design 'another', not 'tiny'"):
+        learn()
+    learn(force=True)
+    learn()
+    assert (folder / "mine.txt").read_text() == "mine"
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot write"):
+        learn(name="file/decoder")
+
+
+def test_the_command(context: Context, data: Path, tmp_path: Path) -> None:
+    (tmp_path / "tiny.toml").write_text(to_toml(DESIGN))
+    words = ["train", str(tmp_path / "tiny.toml"), str(data), "--accuracy", "draft"]
+    words += ["--samples", "50", "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert "koi_inverse" in done.output
+    told = CliRunner().invoke(app, [*words, "--json"])
+    facts = json.loads(told.stdout)
+    assert facts["out"] == str(tmp_path / "out")
+    assert facts["trainers"]["fem_nn"]["seconds"] > 0.0
+    refused = CliRunner().invoke(app, ["train", "nowhere", str(data)])
+    assert isinstance(refused.exception, DesignError)
+
+
+def test_sets_are_known_by_their_bytes(data: Path) -> None:
+    (item,) = read_sets([data], design_hash=HASH)
+    assert item.has_points
+    assert item.facts()["samples"] == 200
+    assert len(item.sha256) == 64

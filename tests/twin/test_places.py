@@ -1,0 +1,146 @@
+"""Tables of the estimator ``auto`` against the simulated sensor's own, finer shell."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from decoder.places import Places
+from phytac_design.layout import make_markers
+from phytac_design.mechanics.meshing.mesh import marker_mesh
+from phytac_design.mechanics.receptors import sensor_model
+from phytac_design.optics.view import Readers, cameras_of
+from phytac_design.spec import Design
+from phytac_design.twin.contacts import Contacts
+from phytac_design.twin.places import Tabulated, make_places, rings
+from phytac_design.twin.response import turned_points
+from phytac_design.twin.scenario.scatter import draw_unit
+from phytac_design.twin.scenario.tables import UnitSection
+from phytac_design.twin.solver import Solver
+from phytac_design.twin.touch import flat_touches
+from shapes.arrays import FloatArray
+from tests.designs import drawn, small
+
+DESIGN = small()
+SURFACE = DESIGN.surface()
+MARKERS = make_markers(DESIGN, SURFACE)
+READERS = Readers(
+    cameras=cameras_of(DESIGN, SURFACE), read_by=np.zeros(MARKERS.count, dtype=np.int64)
+)
+ARM = MARKERS.tip_mm - MARKERS.mid_mm
+
+
+@cache
+def tabulated(orders: int = 3, spacing_mm: float = 3.0, refine: int = 4) -> Tabulated:
+    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=refine)
+    return make_places(
+        DESIGN,
+        SURFACE,
+        MARKERS,
+        mesh=mesh,
+        model=sensor_model(DESIGN, MARKERS, mesh, receptors=True),
+        readers=READERS,
+        arm_mm=ARM,
+        spacing_mm=spacing_mm,
+        orders=orders,
+    )
+
+
+def truth(place: int, places: Places, force_N: float) -> FloatArray:
+    """Shifts (2n,) px of a disc there, by the simulated sensor."""
+    unit = draw_unit(DESIGN, SURFACE, MARKERS, UnitSection(), 0)
+    solver = Solver(DESIGN, SURFACE, unit, refine=9, displacement="large")
+    touch = flat_touches(
+        Contacts(
+            sample=np.zeros(1, dtype=np.int64),
+            uv=SURFACE.chart(places.point_mm[[place]]),
+            radius_mm=np.array([places.radius_mm]),
+            force_N=np.array([force_N]),
+            samples=1,
+        )
+    )
+    motion = solver.solve(touch, np.array([force_N])).motion
+    assert motion is not None
+    watched = MARKERS.mid_mm + ARM
+    moved = READERS.project(watched + turned_points(motion, ARM))
+    return np.asarray(moved - READERS.project(watched)).ravel()
+
+
+def told(places: Places, place: int, force_N: float) -> FloatArray:
+    powers = force_N ** np.arange(1.0, places.orders + 1.0)
+    return np.asarray(powers @ places.shift_px[place])
+
+
+def off(one: FloatArray, two: FloatArray) -> float:
+    return float(np.linalg.norm(one - two) / np.linalg.norm(two))
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0])
+def test_powers_of_the_force_are_those_of_large_displacements(share: float) -> None:
+    places = tabulated().places
+    middle = SURFACE.point(np.array([SURFACE.domain.mean(axis=1)]))
+    place = int(places.nearest(middle)[0])
+    force = share * DESIGN.training.force_max_N
+    wanted = truth(place, places, force)
+    large = off(told(places, place, force), wanted)
+    linear = off(force * places.shift_px[place, 0], wanted)
+    assert large < 0.08
+    assert linear > 1.5 * large
+    # The third power has its say at the greatest force, though linear theory is far off there.
+    second = force * places.shift_px[place, 0] + force**2 * places.shift_px[place, 1]
+    assert share < 1.0 or off(second, wanted) > large
+
+
+def test_turned_copies_are_what_would_be_solved() -> None:
+    done = tabulated()
+    assert done.solves < 0.3 * len(done.places.point_mm)
+    assert done.unsure == 0
+    columns = MARKERS.lattice.columns if MARKERS.lattice else 1
+    ring = rings(SURFACE, 3.0, columns)
+    place = int(np.argmax(ring.turns == 3))
+    base = int(ring.base[place])
+    # The camera stands on the axis: what is turned in space is turned in the image.
+    angle = 3 * 2.0 * np.pi / columns
+    c, s = np.cos(angle), np.sin(angle)
+    own = done.places.shift_px[base, 0].reshape(-1, columns, 2) @ np.array([[c, s], [-s, c]])
+    wanted = np.roll(own, 3, axis=1).ravel()
+    assert off(done.places.shift_px[place, 0], wanted) < 1e-4
+
+
+def test_linear_theory_alone_is_the_first_power() -> None:
+    one, three = tabulated(orders=1).places, tabulated().places
+    assert one.orders == 1
+    np.testing.assert_allclose(one.shift_px[:, 0], three.shift_px[:, 0], rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "kind", ["cylinder", "cone", "cuboid", "grip", "hemisphere", "plane", "patch"]
+)
+def test_no_place_is_far_from_the_tables(kind: str) -> None:
+    design: Design = drawn(kind, 3)
+    surface = design.surface()
+    spacing = 0.08 * float(np.ptp(surface.bounds_mm(), axis=0).max())
+    ring = rings(surface, spacing, 1)
+    (u0, u1), (v0, v1) = surface.domain
+    rng = np.random.default_rng(0)
+    uv = np.column_stack([rng.uniform(u0, u1, 300), rng.uniform(v0, v1, 300)])
+    gap = np.linalg.norm(surface.point(uv)[:, None] - surface.point(ring.uv)[None], axis=2)
+    assert gap.min(axis=1).max() < spacing
+    assert len(np.unique(np.round(surface.point(ring.uv), 6), axis=0)) == len(ring.uv)
+
+
+def test_tables_that_would_fill_the_memory_are_coarser(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("phytac_design.twin.places.BYTES_MAX", 2e5)
+    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=3)
+    done = make_places(
+        DESIGN,
+        SURFACE,
+        MARKERS,
+        mesh=mesh,
+        model=sensor_model(DESIGN, MARKERS, mesh, receptors=True),
+        readers=READERS,
+        arm_mm=ARM,
+        spacing_mm=1.0,
+        orders=1,
+    )
+    assert done.places.shift_px.nbytes < 4e5
