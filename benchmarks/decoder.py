@@ -15,7 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks import decoder_speed, decoder_stream
+from benchmarks import decoder_faults, decoder_speed, decoder_stream
 from benchmarks.harness import Table, run_parts
 from benchmarks.plain_eyes import plain_opencv
 from decoder.bundle import Bundle, load_bundle
@@ -234,6 +234,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "linear": partial(linear_rows, quick=quick),
         "speed": partial(decoder_speed.add_rows, quick=quick),
         "stream": partial(decoder_stream.add_rows, quick=quick),
+        "faults": partial(decoder_faults.add_rows, quick=quick),
     }
 
 

@@ -1,14 +1,15 @@
 """One frame of each camera in, a force on every marker out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from decoder.bundle import Bundle, named
-from decoder.matching import Matched, match_markers
+from decoder.doubts import Explained
+from decoder.matching import Matched, carried, match_markers
 from decoder.segmentation import check_image, segment
 from decoder.switches import read_switches
 from shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
@@ -20,10 +21,6 @@ FOUND_WELL = 0.95
 """Below this fraction of markers found, forces are returned with a warning."""
 BLOBS_MAX = 8.0
 """A frame with more coloured blobs than this per marker is not a frame of the sensor."""
-UNSEEN_SHARE = 0.3
-"""Share of a marker's explained shift that model error may leave unexplained."""
-UNSEEN_TIMES = 4.0
-"""A marker that moves as under this many times the switch threshold, unexplained, is pressed."""
 MOVED_PX = 0.75
 """A median shift of a camera's markers beyond this says that it has moved, not the shell."""
 
@@ -43,11 +40,14 @@ class Measured:
         Shift of each marker against the rest frame; NaN where not found.
     found : (n,) bool
         Markers that were seen.
+    merged : (k,) int
+        Markers that were left out because their paint is one with another's.
     """
 
     koi: IntArray
     shift_px: FloatArray
     found: BoolArray
+    merged: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def forces_N(self, bundle: Bundle, estimator: str) -> FloatArray:
         """Inward force (n,) N on each marker; zero off the key nodes of interest."""
@@ -76,23 +76,20 @@ class Measured:
                 f"only {int(self.found.sum())} of {len(self.found)} markers were found; check "
                 "light, focus and what stands before the camera"
             )
+        still = True
         for number in range(len(bundle.cameras)):
             own = (bundle.read_by == number) & self.found
             if not own.any():
                 continue
             moved = np.nanmedian(self.shift_px[own], axis=0)
             if float(np.linalg.norm(moved)) > MOVED_PX:
+                still = False
                 out.append(
                     f"the whole image{bundle.of_camera(number)} has shifted by ({moved[0]:.1f}, "
                     f"{moved[1]:.1f}) px: the camera has moved; take a new rest frame"
                 )
-        threshold = bundle.threshold_N
-        weak = self.koi[forces_N[self.koi] < 0.5 * threshold[self.koi]]
-        if len(weak):
-            out.append(
-                f"{len(weak)} switched receptors ({named(weak)}) decode to less than half the "
-                f"threshold of their switch ({threshold[weak].min():g} N or more)"
-            )
+        if still:
+            out += self._doubts(bundle, forces_N)
         useless = self.koi[~bundle.stiffness_usable[self.koi]]
         if len(useless) and estimator != "koi_inverse":
             out.append(
@@ -100,32 +97,39 @@ class Measured:
                 f"receptors ({named(useless)}): noise of their K·u drowns any force there; use "
                 "koi_inverse"
             )
-        unseen = self.pressed_unseen(bundle)
-        if len(unseen):
-            out.append(
-                f"{len(unseen)} markers ({named(unseen)}) moved as if pressed, and their switches "
-                "do not read as on: forces there are missing"
-            )
         if len(self.koi) > 0.3 * len(self.found):
             out.append(f"{len(self.koi)} of {len(self.found)} switches read as on")
         return out
 
-    def pressed_unseen(self, bundle: Bundle) -> IntArray:
-        """Markers with unreadable switches whose shift no switch that is on explains, (m,)."""
-        blind = ~bundle.tips.readable & self.found
-        blind[self.koi] = False
-        if not blind.any():
-            return np.flatnonzero(blind)
-        model = bundle.model
-        forces = model.forces("koi_inverse", self.shift_px, self.koi)
-        explained = (model.compliance_px @ forces).reshape(-1, 2)
-        own = np.arange(len(blind))
-        unit = np.linalg.norm(model.compliance_px.reshape(len(blind), 2, -1)[own, :, own], axis=1)
-        left = np.linalg.norm(self.shift_px - explained, axis=1)
-        limit = UNSEEN_TIMES * (
-            bundle.threshold_N * unit + bundle.noise_centroid_px
-        ) + UNSEEN_SHARE * np.linalg.norm(explained, axis=1)
-        return np.flatnonzero(blind & (np.nan_to_num(left) > limit))
+    def _doubts(self, bundle: Bundle, forces_N: FloatArray) -> list[str]:
+        """What the markers' motion speaks against."""
+        out = []
+        if len(self.merged):
+            out.append(
+                f"the paint of {len(self.merged)} markers ({named(self.merged)}) is one with "
+                "another's: they are left out; clean or repaint them"
+            )
+        motion = Explained(bundle, self.shift_px, self.koi)
+        weak = motion.powerless(forces_N)
+        if len(weak):
+            least = bundle.threshold_N[weak].min()
+            out.append(
+                f"{len(weak)} switched receptors ({named(weak)}) show no force, and {least:g} N or "
+                "more switch them on: stuck switches, or something red"
+            )
+        pressed, astray = motion.unexplained()
+        if len(pressed):
+            out.append(
+                f"{len(pressed)} markers ({named(pressed)}) moved as if pressed, and their "
+                "switches do not read as on: forces there are missing"
+            )
+        elif len(astray):
+            out.append(
+                f"{len(astray)} markers ({named(astray)}) are where no force on the switches that "
+                "are on puts them: something hides their paint, or has moved it; forces near them "
+                "are doubtful"
+            )
+        return out
 
 
 def read_image(path: Path) -> ImageArray:
@@ -180,7 +184,9 @@ def locate_markers(bundle: Bundle, frames: Frames) -> tuple[Matched, BoolArray]:
     markers = np.arange(len(bundle.colour))
     position = np.stack([matched.position_px for matched, _ in each])[bundle.read_by, markers]
     bits = np.stack([on for _, on in each])[bundle.read_by, markers]
-    return Matched(position_px=position, found=np.isfinite(position[:, 0])), bits
+    merged = np.stack([matched.merged for matched, _ in each])[bundle.read_by, markers]
+    found = np.isfinite(position[:, 0])
+    return Matched(position_px=position, found=found, merged=merged), bits
 
 
 def locate_in(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Matched, BoolArray]:
@@ -211,11 +217,12 @@ def locate_in(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Match
             f"found {int(found.sum())} of {len(found)} markers{bundle.of_camera(number)}; is this "
             f"a frame of the sensor {bundle.design!r}, lit and in focus{order}?"
         )
+    own = np.where(matched.merged[:, None], np.nan, matched.position_px)
     bits = read_switches(
         blobs,
         shown.tips,
         red_index=bundle.colours.names.index("red"),
-        shift_px=matched.position_px - shown.rest_px,
+        shift_px=carried(own - shown.rest_px, bundle.model.neighbours),
     )
     return matched, bits
 
@@ -250,10 +257,15 @@ def measure_frame(
     """
     matched, bits = locate_markers(bundle, image_bgr)
     rest = bundle.rest_px if rest_px is None else rest_px
-    moved = matched.position_px - rest
+    moved = np.where(matched.merged[:, None], np.nan, matched.position_px) - rest
     bits = confirmed(bundle, bits, moved - np.where(bits[:, None], bundle.tip_bias_px, 0.0))
     bias = np.where(bits[:, None], bundle.tip_bias_px, 0.0)
-    return Measured(koi=np.flatnonzero(bits), shift_px=moved - bias, found=matched.found)
+    return Measured(
+        koi=np.flatnonzero(bits),
+        shift_px=moved - bias,
+        found=matched.found & ~matched.merged,
+        merged=np.flatnonzero(matched.merged),
+    )
 
 
 def confirmed(bundle: Bundle, bits: BoolArray, shift_px: FloatArray) -> BoolArray:

@@ -88,6 +88,8 @@ class Blobs:
         Pixels.
     weight : (m,) float
         Sum of coverage: the blob's area with partial pixels counted in part.
+    box_px : (m, 4) int
+        Left, top, right and bottom pixel of each.
     labels : (h, w) int32 or None
         1 + blob index of each pixel, 0 outside blobs; only where asked for.
     """
@@ -96,6 +98,7 @@ class Blobs:
     centroid_px: FloatArray
     area_px: IntArray
     weight: FloatArray
+    box_px: IntArray
     labels: NDArray[np.int32] | None = None
 
 
@@ -125,11 +128,11 @@ def segment(
     """Find every painted blob of at least ``area_min_px`` pixels (8-connected, per colour)."""
     classes, flat = model.classify(image_bgr)
     labels = np.zeros(classes.shape, dtype=np.int32) if with_labels else None
-    parts: list[tuple[IntArray, FloatArray, IntArray, FloatArray]] = []
+    parts: list[tuple[IntArray, FloatArray, IntArray, FloatArray, IntArray]] = []
     found = 0
     for colour in range(len(model.names)):
         mask = cv2.compare(classes, colour + 1, cv2.CMP_EQ)
-        own, renumber = _components(mask, area_min_px)
+        own, renumber, boxes = _components(mask, area_min_px)
         points = cv2.findNonZero(mask)
         place = np.zeros((0, 2), dtype=np.int32) if points is None else points[:, 0]
         blob = renumber[own[place[:, 1], place[:, 0]]]
@@ -148,20 +151,24 @@ def segment(
                 np.column_stack(sums) / total[:, None],
                 np.bincount(blob, minlength=size)[1:].astype(np.int64),
                 np.asarray(total, dtype=np.float64),
+                boxes,
             )
         )
-    colours, centroids, areas, weights = (list(column) for column in zip(*parts, strict=True))
+    colours, centroids, areas, weights, corners = (
+        list(column) for column in zip(*parts, strict=True)
+    )
     return Blobs(
         colour=np.concatenate(colours),
         centroid_px=np.concatenate(centroids),
         area_px=np.concatenate(areas),
         weight=np.concatenate(weights),
+        box_px=np.concatenate(corners),
         labels=labels,
     )
 
 
-def _components(mask: ImageArray, area_min_px: int) -> tuple[NDArray[Any], IntArray]:
-    """Label image of a mask, and the blob number (0: too small) of each of its labels."""
+def _components(mask: ImageArray, area_min_px: int) -> tuple[NDArray[Any], IntArray, IntArray]:
+    """Label image of a mask, the blob number (0: too small) of each label, and blobs' boxes."""
     # 16-bit labels are three times faster; a label starts at the beginning of a run of pixels, so
     # an image with fewer runs than 16-bit numbers cannot overflow them.
     runs = cv2.countNonZero(cv2.compare(mask[:, 1:], mask[:, :-1], cv2.CMP_GT)) + len(mask)
@@ -171,4 +178,6 @@ def _components(mask: ImageArray, area_min_px: int) -> tuple[NDArray[Any], IntAr
     keep[0] = False
     renumber = np.zeros(count, dtype=np.int64)
     renumber[keep] = np.arange(1, int(keep.sum()) + 1)
-    return own, renumber
+    left, top, width, height = stats[keep, :4].astype(np.int64).T
+    boxes = np.column_stack([left, top, left + width - 1, top + height - 1])
+    return own, renumber, boxes

@@ -58,7 +58,7 @@ def read_switches(
     red_index : int
         Class of the red paint.
     shift_px : (n, 2) float
-        Shift of each marker in this frame (NaN where unknown): the tip moves with it.
+        Shift of each marker in this frame: the tip moves with it; NaN counts as none.
     """
     count = len(tips.on_px)
     pick = np.flatnonzero(blobs.colour == red_index)

@@ -9,12 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phytac_design.mechanics.contact import (
-    TINY,
-    disc_overlap_share,
-    near_pairs,
-    on_shell_share,
-)
+from phytac_design.mechanics.contact import TINY, near_pairs, on_shell_share
 from phytac_design.mechanics.loads import dot
 from phytac_design.mechanics.pressure import (
     CYLINDER,
@@ -26,6 +21,7 @@ from phytac_design.mechanics.pressure import (
 )
 from shapes import Surface
 from shapes.arrays import FloatArray, IntArray
+from shapes.discs import disc_overlap_share
 
 if TYPE_CHECKING:  # the twin's contacts are made with this room
     from phytac_design.twin.touch import Touches

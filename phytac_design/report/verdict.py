@@ -136,15 +136,15 @@ def lead(report: Mapping[str, Any]) -> str:
     """Verdict at the top of the page, as HTML."""
     found = findings(report)
     markers = report["markers"]
-    frames = report["decoder_frames"]["koi_inverse"]
-    points = report["decoder"]["koi_inverse"]
+    best = "auto" if "auto" in report["decoder"] else "koi_inverse"
+    frames, points = report["decoder_frames"][best], report["decoder"][best]
     lines = "".join(
         f'<li class="{item.level}">{escape(sentence(item.text))}</li>' for item in found
     )
     decoded = (
         f"Simulated contacts decode to {percent(points)} and {points['mae_N']:.2f} N (mean "
         f"errors of {points['samples']} held-out ones), through rendered frames to "
-        f"{percent(frames)} ({frames['samples']}), by the KOI-restricted inverse"
+        f"{percent(frames)} ({frames['samples']}), by the estimator {best}"
         if points["samples"]
         else "No simulated contact tripped a switch, so none could be decoded"
     )

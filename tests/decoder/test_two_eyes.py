@@ -54,7 +54,7 @@ def test_a_bundle_of_two_cameras_comes_back_as_it_was(tmp_path: Path) -> None:
     for name in ("bundle.json", "bundle.safetensors"):
         assert (tmp_path / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
     meta = json.loads((tmp_path / "bundle.json").read_text())
-    assert meta["schema_version"] == "1.3"
+    assert meta["schema_version"] == "1.4"
     assert meta["camera"] == meta["cameras"][0]
 
 
@@ -79,8 +79,8 @@ def test_older_bundles_have_one_camera(tmp_path: Path, version: str) -> None:
     assert len(back.cameras) == 1
     assert back.read_by.tolist() == [0] * N
     assert back.threshold_N.tolist() == [meta["threshold_N"]] * N
-    path.write_text(json.dumps(meta | {"schema_version": "1.4"}))
-    with pytest.raises(InputError, match=r"has schema 1.4, this decoder reads 1.0 to 1.3"):
+    path.write_text(json.dumps(meta | {"schema_version": "1.5"}))
+    with pytest.raises(InputError, match=r"has schema 1.5, this decoder reads 1.0 to 1.4"):
         load_bundle(tmp_path)
 
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from phytac_design.mechanics.contact import (
-    disc_overlap_share,
     footprint_force_share,
     on_shell_share,
 )
@@ -12,6 +11,7 @@ from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from shapes.arrays import FloatArray
 from shapes.cylinder import Cylinder
+from shapes.discs import disc_overlap_share
 from shapes.errors import NumericalError
 from tests.mechanics.conftest import Prototype
 

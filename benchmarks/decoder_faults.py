@@ -1,0 +1,243 @@
+"""Frames in another light than the design's, and with faults: what the decoder makes of them.
+
+Frames are rendered (lens blur, fall-off, vignetting, noise) of contacts that a shell of large
+displacement solves. ``python -m benchmarks.decoder_faults [--quick]``
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.decoder_bench import REFINE, SEEN, Bench, scenario_of
+from benchmarks.decoder_damage import FAULTS, Sample
+from benchmarks.decoder_lights import add_lights
+from benchmarks.harness import Table, arguments
+from decoder.bundle import Bundle
+from decoder.calibrate_colours import calibrate_rest
+from decoder.follow import Follower
+from decoder.run import Measured, measure_frame
+from phytac_design.build import copy_of
+from phytac_design.design_file import load_design
+from shapes.arrays import ImageArray
+from shapes.errors import InputError
+
+DESIGN = "cylinder60"
+ESTIMATORS = ("koi_inverse", "auto")
+WRONG_SHARE, WRONG_N = 0.1, 0.3
+"""A force is wrong that a fault changes by more than both."""
+TRIES = 4
+"""Frames after which a follower has found a press that came at once."""
+
+
+@dataclass
+class Tally:
+    """What became of one fault's frames."""
+
+    frames: int = 0
+    refused: int = 0
+    flagged: int = 0
+    followed: int = 0
+    wrong: int = 0
+    silent: int = 0
+    said: str = ""
+    total: list[float] = field(default_factory=list)
+    contact: list[float] = field(default_factory=list)
+
+
+def judged(
+    bench: Bench, index: int, sound: Measured, seen: Measured, estimator: str
+) -> tuple[float, float, bool, list[str]]:
+    """Relative error of the total, largest of a contact (N), whether wrong, and warnings."""
+    bundle, true = bench.bundle, bench.true_N(index)
+    forces = seen.forces_N(bundle, estimator)
+    before = bench.forces_of(index, sound.forces_N(bundle, estimator))
+    after = bench.forces_of(index, forces)
+    limit = np.maximum(WRONG_SHARE * np.append(true, 0.0), WRONG_N)
+    wrong = bool(abs(after[0] - before[0]) > max(WRONG_SHARE * true.sum(), WRONG_N))
+    wrong |= bool((np.abs(after[1] - before[1]) > limit).any())
+    error = after[1] - np.append(true, 0.0)
+    told = seen.warnings(bundle, forces, estimator=estimator)
+    return abs(after[0] / true.sum() - 1.0), float(np.abs(error).max()), wrong, told
+
+
+def add_faults(table: Table, bench: Bench, count: int) -> None:
+    """Each fault in ``count`` pressed frames; errors, and whether it was flagged."""
+    rest = bench.shot(bench.chip(*bench.at_rest), seed=100)
+    bundle = calibrate_rest(bench.bundle, rest)
+    bench = replace(bench, bundle=bundle)
+    chosen = np.flatnonzero(bench.tripped)[: count + 1].tolist()
+    chips = {index: bench.chip(*bench.pose(index)) for index in chosen}
+    sound = {index: measure_frame(bundle, bench.shot(chips[index], seed=index)) for index in chosen}
+    names = [name for name in ESTIMATORS if name in bundle.model.estimators]
+    for fault, damage in {"none": _again, **FAULTS}.items():
+        tallies = {name: Tally() for name in names}
+        for index, sample in _samples(bench, chosen, chips):
+            frame = damage(sample)
+            follows = _followed(bundle, rest, sample, frame)
+            try:
+                seen = measure_frame(bundle, frame)
+            except InputError as error:
+                for tally in tallies.values():
+                    tally.frames, tally.refused = tally.frames + 1, tally.refused + 1
+                    tally.followed += follows
+                    tally.said = str(error)
+                continue
+            for name, tally in tallies.items():
+                total, contact, wrong, told = judged(bench, index, sound[index], seen, name)
+                tally.frames += 1
+                tally.followed += follows
+                tally.flagged += bool(told)
+                tally.wrong += wrong
+                tally.silent += wrong and not told
+                tally.said = told[0] if told else tally.said
+                tally.total.append(total)
+                tally.contact.append(contact)
+        for name, tally in tallies.items():
+            _add_fault(table, fault, name, tally)
+
+
+def _again(sample: Sample) -> ImageArray:
+    return sample.shoot()
+
+
+def _samples(
+    bench: Bench,
+    chosen: list[int],
+    chips: dict[int, NDArray[np.float32]],
+) -> Iterator[tuple[int, Sample]]:
+    """Samples to be damaged; the last of ``chosen`` is only there to be torn into another."""
+    for number, index in enumerate(chosen[:-1]):
+        motion, bits = bench.pose(index)
+
+        shoot = partial(bench.shot, chips[index], 1000 + index)
+
+        yield (
+            index,
+            Sample(
+                bundle=bench.bundle,
+                frame=shoot(),
+                other=bench.shot(chips[chosen[number + 1]], seed=2000 + index),
+                shoot=shoot,
+                place_px=bench.bundle.rest_px + bench.eyes.exact(motion, bits),
+                bits=bits,
+                rng=np.random.default_rng([SEEN, index]),
+            ),
+        )
+
+
+def _followed(bundle: Bundle, rest: ImageArray, sample: Sample, frame: ImageArray) -> bool:
+    """Whether a follower that has found the press says something about the frame after it."""
+    follower = Follower(bundle, rest)
+    for attempt in range(TRIES):
+        try:
+            follower.follow(sample.frame)
+        except InputError:
+            if attempt + 1 == TRIES:
+                return False
+            continue
+        break
+    try:
+        seen = follower.follow(frame)
+    except InputError:
+        return True
+    forces = seen.forces_N(bundle, "koi_inverse")
+    return bool(seen.flags or seen.warnings(bundle, forces, estimator="koi_inverse"))
+
+
+def _add_fault(table: Table, fault: str, estimator: str, tally: Tally) -> None:
+    total, contact = tally.total, tally.contact
+    where = f"fault {fault}, {estimator}"
+    if fault == "none":
+        table.add(
+            f"sound frames with a warning, {estimator}",
+            tally.flagged,
+            "frames",
+            reference=tally.frames,
+            source="frames, another draw of the noise",
+            target="== 0",
+            note=f"by a follower {tally.followed}; said: {tally.said or 'nothing'}",
+        )
+    else:
+        table.add(
+            f"{where}: frames with a force wrong by it, and nothing said",
+            tally.silent,
+            "frames",
+            reference=tally.wrong,
+            source=f"frames with a force changed by more than {100 * WRONG_SHARE:g} % and "
+            f"{WRONG_N:g} N",
+            target="== 0",
+            note=f"{tally.frames} frames: {tally.refused} refused, {tally.flagged} flagged; by a "
+            f"follower {tally.followed}; last said: {tally.said or 'nothing'}",
+        )
+    if not total:
+        return
+    table.add(
+        f"{where}: error of the total, median",
+        float(np.median(total)),
+        "relative",
+        reference="-",
+        source="true forces of the contacts; frames that were not refused",
+        note=f"worst {np.max(total):.3g}; largest error of one contact, median "
+        f"{np.median(contact):.3g} N, worst {np.max(contact):.3g} N; {tally.flagged} of "
+        f"{tally.frames} frames flagged",
+    )
+
+
+def add_alarms(table: Table, benches: dict[str, Bench]) -> None:
+    """Warnings about sound frames, by the points route."""
+    for label, bench in benches.items():
+        alarms, missing, told = 0, 0, ""
+        for index, motion in enumerate(bench.motion):
+            bits = bench.job.plan.switching.bits[index]
+            seen = bench.eyes.points(motion, bits, 1.0, np.random.default_rng([SEEN, index]))
+            read = Measured(koi=np.flatnonzero(bits), shift_px=seen.shift_px, found=seen.found)
+            forces = read.forces_N(bench.bundle, "koi_inverse")
+            said = read.warnings(bench.bundle, forces, estimator="koi_inverse")
+            sound = bool(bench.tripped[index])
+            alarms += sound and bool(said)
+            missing += not sound and bool(said)
+            told = said[0] if sound and said else told
+        table.add(
+            f"sound samples with a warning, {label}",
+            alarms,
+            "samples",
+            reference=int(bench.tripped.sum()),
+            source="samples by points, all of whose contacts tripped a switch, up to "
+            f"{bench.job.design.training.force_max_N:g} N each",
+            target="== 0",
+            note=f"of {int((~bench.tripped).sum())} with a contact that trips no switch {missing} "
+            f"are told of missing forces; said: {told or 'nothing'}",
+        )
+
+
+def add_rows(table: Table, *, quick: bool) -> None:
+    """Lights, faults and false alarms; ``quick``: a smaller camera and few samples."""
+    cv2.setNumThreads(1)
+    design = load_design(DESIGN)
+    if quick:
+        half = {"width_px": 1296, "height_px": 972, "focal_px": design.camera.focal_px / 2.0,
+                "pixel_um": 2.0 * design.camera.pixel_um}  # fmt: skip
+        design = copy_of(design, camera=half)
+    bench = Bench.of(design, scenario_of(3 if quick else 30, "receptor"), seed=1, quick=quick)
+    add_lights(table, bench, quick=quick)
+    add_faults(table, bench, 1 if quick else 20)
+    benches = {}
+    for label, count in (("receptor", 4 if quick else 120), ("anywhere", 4 if quick else 60)):
+        job = replace(bench.job, scenario=scenario_of(count, label), seed=2)
+        benches[f"pressed at {label}"] = Bench.pressed(
+            job, bench.eyes, bench.bundle, refine=5 if quick else REFINE
+        )
+    add_alarms(table, benches)
+
+
+def main() -> None:
+    """Print the rows; ``decoder`` writes them."""
+    add_rows(Table("decoder_faults"), quick=arguments(__doc__ or "").quick)
+
+
+if __name__ == "__main__":
+    main()

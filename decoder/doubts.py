@@ -1,0 +1,159 @@
+"""What speaks against a frame's forces: motion that no switch explains, switches without motion.
+
+Motion is held against the compliance of the key nodes and, with any sign, of their neighbours:
+where in its cell a contact presses, how wide it is, and large displacement are then not mistaken
+for a fault.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+
+from decoder.bundle import Bundle
+from shapes.arrays import BoolArray, FloatArray, IntArray
+
+RIDGE = 1e-3
+"""Weight of a neighbour's own force against the motion it explains: neighbours are much alike."""
+PRESSED_TIMES, PRESSED_SHARE = 5.0, 0.06
+"""Unexplained motion is a press's that is as under so many times a switch's threshold, and this
+share of all force."""
+BESIDE_SHARE = 0.25
+"""Beside switches that are on, this share of their force as well."""
+NOISE_TIMES = 4.0
+"""And under the force of as many standard deviations of centroid noise."""
+STRAY_NOISES, STRAY_SHARE = 15.0, 0.2
+"""A marker is astray that is off by so many standard deviations of noise, and this share of the
+explained shift around it."""
+BLIND_TIMES, BLIND_SHARE = 4.0, 0.3
+"""A marker whose switch cannot be read is pressed that is off by what so many times the threshold
+makes, and this share of its explained shift."""
+RELEASED = 0.7
+"""A switch that is on carries this share of its threshold: below it lets go."""
+STRONG = 10.0
+"""A group of switches with so many times its threshold is not doubted."""
+
+
+class Explained:
+    """Motion of one frame, held against its switches.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        The sensor's decoder.
+    shift_px : (n, 2) float
+        Shift of each marker; NaN where not found.
+    koi : (m,) int
+        Switches that are on.
+    """
+
+    def __init__(self, bundle: Bundle, shift_px: FloatArray, koi: IntArray) -> None:
+        self.bundle, self.koi, model = bundle, koi, bundle.model
+        self._gram = _gram(_Same(model.compliance_px))
+        self.inverse_N = model.forces("koi_inverse", shift_px, koi)
+        self._plain = (model.compliance_px @ self.inverse_N).reshape(-1, 2)
+        # A marker that was not found does as it should.
+        self._shift = np.where(np.isfinite(shift_px), shift_px, self._plain)
+        self._right = model.compliance_px.T @ self._shift.reshape(-1)
+        neighbours = model.neighbours
+        self._near = np.where(neighbours >= 0, neighbours, np.arange(len(neighbours))[:, None])
+
+    def around(self, markers: IntArray) -> IntArray:
+        """Markers and their neighbours."""
+        return np.union1d(markers, self._near[markers].ravel())
+
+    def groups(self) -> list[IntArray]:
+        """Key nodes in groups of neighbours."""
+        left, out = set(self.koi.tolist()), []
+        while left:
+            group, edge = set(), {left.pop()}
+            while edge:
+                group |= edge
+                edge = set(self._near[list(edge)].ravel().tolist()) & left
+                left -= edge
+            out.append(np.array(sorted(group)))
+        return out
+
+    def forces_on(self, markers: IntArray) -> FloatArray:
+        """Forces (k,) N of any sign on ``markers`` (k,) that explain the motion best."""
+        gram = self._gram[np.ix_(markers, markers)]
+        own = gram.diagonal()
+        damped = gram + np.diag(RIDGE * own + 1e-12 * own.max(initial=0.0) + 1e-300)
+        return np.asarray(np.linalg.solve(damped, self._right[markers]))
+
+    def powerless(self, forces_N: FloatArray) -> IntArray:
+        """Switches (k,) that are on where no force presses, by any estimator's forces (n,) N."""
+        threshold, out = self.bundle.threshold_N, [self.koi[:0]]
+        for group in self.groups():
+            least = RELEASED * threshold[group].min()
+            force = float(forces_N[group].sum())
+            if force > STRONG * least:
+                continue
+            others = np.setdiff1d(self.koi, group)
+            rest = np.setdiff1d(self.around(others), self.around(group)) if len(others) else others
+            both = np.concatenate([group, np.union1d(rest, others)])
+            alone = float(self.forces_on(both)[: len(group)].sum())
+            if min(force, alone) < least:
+                out.append(group)
+        return np.concatenate(out)
+
+    def unexplained(self) -> tuple[IntArray, IntArray]:
+        """Markers that moved as if pressed, and others that are astray; (j,) and (k,)."""
+        bundle, model = self.bundle, self.bundle.model
+        allowed = self.around(self.koi) if len(self.koi) else self.koi
+        forces = self.forces_on(allowed)
+        motion = (model.compliance_px[:, allowed] @ forces).reshape(-1, 2)
+        size = np.linalg.norm(motion, axis=1)
+        off = np.linalg.norm(self._shift - motion, axis=1)
+        usual = STRAY_SHARE * size[self._near].max(axis=1, initial=0.0)
+        noise = bundle.noise_centroid_px
+        astray = off > STRAY_NOISES * noise + usual
+        own = np.maximum(self._gram.diagonal(), 1e-300)
+        as_force = (self._right - self._gram[:, allowed] @ forces) / own
+        limit = (
+            PRESSED_TIMES * bundle.threshold_N
+            + PRESSED_SHARE * self.inverse_N.sum()
+            + NOISE_TIMES * noise * model.inverse_noise_N_px
+        )
+        as_force[allowed] = forces
+        for group in self.groups():
+            beside = BESIDE_SHARE * float(self.inverse_N[group].sum())
+            limit[self.around(group)] += beside
+        pressed = (as_force > limit) & bundle.force_readable
+        pressed[self.koi] = False
+        return np.flatnonzero(pressed | self._unread()), np.flatnonzero(astray)
+
+    def _unread(self) -> BoolArray:
+        """Markers (n,) that moved as if pressed and whose switches cannot be read.
+
+        Theirs may be pressed beside one that is on, of which the rest is not suspected.
+        """
+        bundle, model = self.bundle, self.bundle.model
+        blind = ~bundle.tips.readable
+        blind[self.koi] = False
+        if not blind.any():
+            return blind
+        own = np.arange(len(blind))
+        unit = np.linalg.norm(model.compliance_px.reshape(len(blind), 2, -1)[own, :, own], axis=1)
+        off = np.linalg.norm(self._shift - self._plain, axis=1)
+        limit = BLIND_TIMES * (bundle.threshold_N * unit + bundle.noise_centroid_px)
+        limit += BLIND_SHARE * np.linalg.norm(self._plain, axis=1)
+        return np.asarray(blind & (off > limit))
+
+
+class _Same:
+    """An array as a key: the same object, not equal values."""
+
+    def __init__(self, array: FloatArray) -> None:
+        self.array = array
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and other.array is self.array
+
+    def __hash__(self) -> int:
+        return id(self.array)
+
+
+@lru_cache(maxsize=4)
+def _gram(compliance: _Same) -> FloatArray:
+    """CᵀC (n, n) of a compliance (2n, n)."""
+    return np.asarray(compliance.array.T @ compliance.array)

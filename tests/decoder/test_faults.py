@@ -1,0 +1,254 @@
+"""Frames with faults: degraded and told of; sound ones stay free of warnings."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from decoder.bundle import Bundle
+from decoder.doubts import Explained
+from decoder.matching import carried, match_markers
+from decoder.run import Measured, measure_frame
+from decoder.segmentation import Blobs
+from shapes.arrays import BoolArray, FloatArray, ImageArray
+from tests.decoder.test_follow import BGR, COLOUR, COUNT, OFF, PITCH, REST, TIP_OFF, disc, draw
+from tests.decoder.test_follow import make_bundle as drawn_bundle
+
+PX_N = 0.33
+NOISE_px = 0.04
+STILL = "moved as if pressed, and their switches do not read as on"
+
+
+def make_bundle() -> Bundle:
+    """Markers that move down under a force on them, and less the farther from it."""
+    base = drawn_bundle()
+    gap = np.linalg.norm(REST[:, None] - REST[None], axis=2) / PITCH
+    push = PX_N * np.exp(-(gap**2))
+    compliance = np.zeros((2 * COUNT, COUNT))
+    compliance[0::2], compliance[1::2] = 0.4 * push, push
+    return replace(
+        base,
+        model=replace(base.model, compliance_px=compliance),
+        tip_bias_px=np.zeros((COUNT, 2)),
+    )
+
+
+BUNDLE = make_bundle()
+
+
+def motion(forces: dict[int, float]) -> FloatArray:
+    each = np.zeros(COUNT)
+    each[list(forces)] = list(forces.values())
+    return np.asarray((BUNDLE.model.compliance_px @ each).reshape(-1, 2))
+
+
+def read(forces: dict[int, float], koi: tuple[int, ...], *, seed: int = 0) -> Measured:
+    shift = motion(forces) + np.random.default_rng(seed).normal(0.0, NOISE_px, (COUNT, 2))
+    return Measured(koi=np.array(koi, dtype=np.int64), shift_px=shift, found=~OFF)
+
+
+def told(measured: Measured) -> list[str]:
+    forces = measured.forces_N(BUNDLE, "koi_inverse")
+    return measured.warnings(BUNDLE, forces, estimator="koi_inverse")
+
+
+PRESSES = {
+    "none": ({}, ()),
+    "light": ({58: 0.8}, (58,)),
+    "strong": ({58: 25.0}, (58,)),
+    "several": ({30: 3.0, 84: 20.0, 87: 9.0}, (30, 84, 87)),
+    "side by side": ({58: 9.0, 59: 6.0, 71: 4.0}, (58, 59, 71)),
+    # A contact that lies between: the neighbour carries part of it, too little to switch.
+    "half beside": ({58: 20.0, 59: 5.0}, (58,)),
+}
+
+
+@pytest.mark.parametrize("press", PRESSES)
+def test_sound_frames_are_free_of_warnings(press: str) -> None:
+    forces, koi = PRESSES[press]
+    for seed in range(20):
+        assert told(read(forces, koi, seed=seed)) == []
+
+
+def test_softening_is_not_taken_for_a_fault() -> None:
+    """A dent that is a third deeper and narrower than linear theory has it."""
+    for marker in (16, 58, 100):
+        soft = motion({marker: 25.0})
+        soft *= 1.0 + 0.33 * np.linalg.norm(soft, axis=1, keepdims=True) / (PX_N * 27.0)
+        measured = replace(read({}, (marker,)), shift_px=soft)
+        assert told(measured) == []
+
+
+def test_a_dead_switch_is_told_of() -> None:
+    (text,) = told(read({30: 6.0, 84: 20.0}, (84,)))
+    assert STILL in text
+    assert "30" in text
+    (alone,) = told(read({58: 4.0}, ()))
+    assert STILL in alone
+    assert "58" in alone
+    # Beside one that is on, too, if it carries most of the force.
+    (beside,) = told(read({58: 5.0, 59: 15.0}, (58,)))
+    assert STILL in beside
+    assert "(59)" in beside
+
+
+def test_a_light_press_between_switches_is_no_alarm() -> None:
+    assert told(read({30: 1.0, 84: 20.0}, (84,))) == []
+
+
+def test_a_stuck_switch_is_told_of() -> None:
+    (text,) = told(read({84: 20.0}, (30, 84)))
+    assert "1 switched receptors (30) show no force" in text
+    (alone,) = told(read({}, (30,)))
+    assert "(30) show no force" in alone
+    # Red in the middle of a real contact does no harm: its force is the contact's.
+    assert told(read({58: 12.0}, (58, 59))) == []
+
+
+def test_a_stuck_switch_does_not_live_on_others_force() -> None:
+    """The inverse gives it force that is pressed beside another switch: that one's neighbours may
+    carry some."""
+    measured = read({84: 20.0, 83: 20.0}, (81, 84))
+    forces = measured.forces_N(BUNDLE, "koi_inverse")
+    assert forces[81] > BUNDLE.threshold_N[81]
+    found = Explained(BUNDLE, measured.shift_px, measured.koi)
+    assert found.powerless(forces).tolist() == [81]
+
+
+def test_forces_of_any_estimator_are_doubted() -> None:
+    measured = read({84: 4.0}, (84,))
+    found = Explained(BUNDLE, measured.shift_px, measured.koi)
+    assert found.powerless(measured.forces_N(BUNDLE, "koi_inverse")).tolist() == []
+    assert found.powerless(np.zeros(COUNT)).tolist() == [84]
+
+
+def test_a_marker_astray_is_told_of() -> None:
+    measured = read({84: 10.0}, (84,))
+    shift = measured.shift_px.copy()
+    shift[20] += (-1.5, 0.0)
+    (text,) = told(replace(measured, shift_px=shift))
+    assert "1 markers (20) are where no force" in text
+    # Missing ones are no reason, wherever they are.
+    shift[[20, 84, 85]] = np.nan
+    assert told(replace(measured, shift_px=shift)) == []
+
+
+def test_a_camera_that_has_moved_is_the_only_reason() -> None:
+    measured = read({84: 10.0}, (84,))
+    (text,) = told(replace(measured, shift_px=measured.shift_px + np.array([2.0, 0.0])))
+    assert "the camera has moved" in text
+
+
+def test_unreadable_switches_are_doubted_as_well_beside_others() -> None:
+    red = BUNDLE.tips.red_rest_px.copy()
+    red[59] = BUNDLE.tips.red_on_px[59]
+    bundle = replace(BUNDLE, tips=replace(BUNDLE.tips, red_rest_px=red))
+    measured = read({58: 10.0, 59: 6.0}, (58,))
+    assert told(measured) == []
+    forces = measured.forces_N(bundle, "koi_inverse")
+    (text,) = measured.warnings(bundle, forces, estimator="koi_inverse")
+    assert "(59) moved as if pressed" in text
+
+
+FORCES = {45: 9.0, 70: 6.0}
+BITS = np.isin(np.arange(COUNT), list(FORCES))
+
+
+def shot(bits: BoolArray = BITS, *, hidden: tuple[int, ...] = ()) -> ImageArray:
+    return draw(REST + motion(FORCES), bits, seed=4, hidden=hidden)
+
+
+def bridged(frame: ImageArray) -> ImageArray:
+    """A thin bridge that leaves the tip below it free."""
+    out = frame.copy()
+    ends = np.rint((REST + motion(FORCES))[[45, 46]]).astype(int).tolist()
+    cv2.line(out, ends[0], ends[1], BGR[COLOUR[45]].tolist(), 2)
+    return out
+
+
+def with_red(frame: ImageArray) -> ImageArray:
+    out = frame.astype(np.float64)
+    disc(out, REST[100] + motion(FORCES)[100] + TIP_OFF, 3.0, BGR[2])
+    return np.rint(out).astype(np.uint8)
+
+
+FAULTS: dict[str, tuple[Callable[[], ImageArray], str]] = {
+    "hidden": (lambda: shot(hidden=tuple(range(0, COUNT, 5))), "of 117 markers were found"),
+    "fused": (lambda: bridged(shot()), "the paint of 2 markers (45, 46) is one"),
+    "dead": (lambda: shot(np.arange(COUNT) == 70), STILL),
+    "stuck": (lambda: with_red(shot()), "(100) show no force"),
+    "bumped": (lambda: np.roll(shot(), 3, axis=1), "the camera has moved"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_in_frames_are_told_of(fault: str) -> None:
+    make, words = FAULTS[fault]
+    assert told(measure_frame(BUNDLE, shot())) == []
+    assert words in " ".join(told(measure_frame(BUNDLE, make())))
+
+
+def test_markers_run_into_one_do_not_pull_forces() -> None:
+    """The bridge would move the one marker by half a pitch: it is left out instead."""
+    seen = measure_frame(BUNDLE, bridged(shot()))
+    assert seen.merged.tolist() == [45, 46]
+    assert np.flatnonzero(~seen.found).tolist() == [45, 46]
+    assert np.isnan(seen.shift_px[[45, 46]]).all()
+    forces = seen.forces_N(BUNDLE, "koi_inverse")
+    assert abs(forces[45] - FORCES[45]) < 1.0
+    # What the place of the blob would have made of it.
+    kept = replace(seen, shift_px=np.where(seen.found[:, None], seen.shift_px, [PITCH / 2.0, 0.0]))
+    assert abs(kept.forces_N(BUNDLE, "koi_inverse")[45] - FORCES[45]) > 3.0
+
+
+def test_motion_of_what_is_not_seen_is_its_neighbours() -> None:
+    near = np.array([[1, 2, -1], [0, 2, -1], [0, 1, 3], [-1, -1, -1]])
+    moved = np.array([[1.0, 4.0], [np.nan, np.nan], [3.0, 8.0], [np.nan, np.nan]])
+    expected = [[1.0, 4.0], [2.0, 6.0], [3.0, 8.0], [0.0, 0.0]]
+    assert carried(moved, near).tolist() == expected
+
+
+def test_a_lost_marker_within_the_box_of_another_colour_is_only_lost() -> None:
+    rest = np.array([[20.0, 20.0], [26.0, 26.0], [60.0, 20.0]])
+    blobs = Blobs(
+        colour=np.array([0, 1]),
+        centroid_px=rest[[0, 2]],
+        area_px=np.array([80, 80]),
+        weight=np.array([80.0, 80.0]),
+        box_px=np.array([[10, 10, 30, 30], [50, 10, 70, 30]]),
+    )
+    nobody = np.full((3, 8), -1)
+    for colour, merged in ((1, []), (0, [0, 1])):
+        seen = match_markers(
+            blobs, rest_px=rest, colour=np.array([0, colour, 1]), neighbours=nobody
+        )
+        assert seen.found.tolist() == [True, False, True]
+        assert np.flatnonzero(seen.merged).tolist() == merged
+
+
+def test_hidden_markers_are_not_run_into_others() -> None:
+    seen = measure_frame(BUNDLE, shot(hidden=(20, 64)))
+    assert np.flatnonzero(~seen.found).tolist() == [20, 64]
+    assert seen.merged.tolist() == []
+
+
+def test_tips_of_hidden_markers_are_looked_for_where_their_neighbours_went() -> None:
+    place = REST + np.array([0.0, 11.0])
+    frame = draw(place, BITS, seed=5, hidden=(45, 70))
+    image = frame.astype(np.float64)
+    for marker in (45, 70):
+        disc(image, place[marker] + TIP_OFF, 3.0, BGR[2])
+    seen = measure_frame(BUNDLE, np.rint(image).astype(np.uint8))
+    assert np.flatnonzero(~seen.found).tolist() == [45, 70]
+    assert seen.koi.tolist() == [45, 70]
+
+
+def test_markers_that_are_not_seen_are_no_reason_for_doubt() -> None:
+    measured = read({58: 20.0}, (58,))
+    shift = measured.shift_px.copy()
+    shift[[44, 45, 46, 57, 59, 70, 71, 72]] = np.nan
+    assert told(replace(measured, shift_px=shift)) == []
+    as_if_still = Explained(BUNDLE, np.nan_to_num(shift), measured.koi)
+    assert any(len(markers) for markers in as_if_still.unexplained())
