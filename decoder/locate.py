@@ -27,6 +27,8 @@ SILENT_GAIN = 25.0
 """Fall of the weighted sum of squares from which on one is believed: five standard deviations."""
 SILENT_MISFIT = 1.15
 """Weighted sum of squares per number from which on it is worth a look."""
+REACH = 1.5
+"""Of a contact beyond its centre, in radii of the tables' disc: patches are not all of a size."""
 START_N = 0.3
 """Least force that a contact with a switch starts from."""
 SPREAD_LEAST = 0.2
@@ -161,7 +163,14 @@ class Locator:
         seen = Seen(shift_px=np.where(found, d, 0.0), found=found, koi=koi)
         if len(koi) == 0:
             return _nothing(seen, self.noise)
-        best = self._fit(self._starts(seen), seen)
+        force = self._switch_forces(seen)
+        best = self._fit(self._starts(seen.koi, force), seen)
+        if best.misfit >= SILENT_MISFIT:
+            parted = self._starts(seen.koi, force, reach_mm=self._reach_mm)
+            if len(parted) > len(best.states):
+                more = self._fit(parted, seen)
+                if best.cost - more.cost >= SILENT_GAIN * (len(parted) - len(best.states)):
+                    best = more
         for _ in range(SILENT_MAX):
             if best.misfit < SILENT_MISFIT:
                 break
@@ -177,21 +186,44 @@ class Locator:
     def _fit(self, states: list[State], seen: Seen) -> Fit:
         return fit(self.places, states, seen, prior=self.prior, noise=self.noise)
 
-    def _starts(self, seen: Seen) -> list[State]:
-        """A contact for each group of neighbouring switches, by the compliance inverse."""
-        koi = seen.koi
-        gram = self._gram[np.ix_(koi, koi)]
+    @property
+    def _reach_mm(self) -> float:
+        """Switches farther from a contact's hardest pressed one may be another's."""
+        return REACH * self.places.radius_mm + self.footprint_mm
+
+    def _switch_forces(self, seen: Seen) -> FloatArray:
+        """Force (m,) N on each switch that is on, by the compliance inverse."""
+        gram = self._gram[np.ix_(seen.koi, seen.koi)]
         if not seen.found.all():
-            lost = self._columns[np.ix_(~seen.found, koi)]
+            lost = self._columns[np.ix_(~seen.found, seen.koi)]
             gram = gram - lost.T @ lost
-        force = nonnegative_least_squares(gram, seen.shift_px @ self._columns[:, koi])
+        return nonnegative_least_squares(gram, seen.shift_px @ self._columns[:, seen.koi])
+
+    def _starts(
+        self, koi: IntArray, force_N: FloatArray, *, reach_mm: float = np.inf
+    ) -> list[State]:
+        """A contact for each group of neighbouring switches, and each part that is within reach."""
         states = []
-        for rows in contact_groups(koi, self.neighbours):
-            weight = np.maximum(force[rows], 1e-3)
-            point = weight @ self.position_mm[koi[rows]] / weight.sum()
-            most = max(float(force[rows].sum()), START_N)
-            states.append(start(self.places, self.prior, point, most, markers=koi[rows]))
+        for group in contact_groups(koi, self.neighbours):
+            for rows in self._parts(koi, force_N, np.array(group), reach_mm):
+                weight = np.maximum(force_N[rows], 1e-3)
+                point = weight @ self.position_mm[koi[rows]] / weight.sum()
+                most = max(float(force_N[rows].sum()), START_N)
+                states.append(start(self.places, self.prior, point, most, markers=koi[rows]))
         return states
+
+    def _parts(
+        self, koi: IntArray, force_N: FloatArray, rows: IntArray, reach_mm: float
+    ) -> list[IntArray]:
+        """Rows of ``koi`` around the hardest pressed one, then around that of the rest, …."""
+        parts = []
+        while len(rows):
+            top = rows[np.argmax(force_N[rows])]
+            gap = self.position_mm[koi[rows]] - self.position_mm[koi[top]]
+            mine = np.linalg.norm(gap, axis=1) <= reach_mm
+            parts.append(rows[mine])
+            rows = rows[~mine]
+        return parts
 
     def _silent(self, best: Fit, seen: Seen) -> State | None:
         """The contact that would explain most of what is left; None if none would."""

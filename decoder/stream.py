@@ -12,7 +12,7 @@ from decoder.estimators import ESTIMATORS
 from decoder.follow import Follower
 from decoder.frame import Frame, Source
 from decoder.imu import Imu
-from decoder.record import Recorder
+from decoder.record import Recorder, RegionRecorder
 from decoder.run import Measured, measure_frame
 from decoder.wire import Message, Messages, Reading
 from shapes.arrays import FloatArray, ImageArray
@@ -125,6 +125,13 @@ class Progress:
     skipped: int = 0
     latency_ms: list[float] = field(default_factory=list)
 
+    def total(self) -> str:
+        """How it went, in one line for people."""
+        return (
+            f"{self.frames} frames in {self.seconds:.1f} s, {self.unread} unread, {self.skipped} "
+            f"skipped, {self.missed} missed"
+        )
+
     def text(self, *, clients: int, dropped: int) -> str:
         """One line for people."""
         p50, p99 = np.percentile(self.latency_ms, (50, 99)) if self.latency_ms else (0.0, 0.0)
@@ -161,8 +168,8 @@ class Stream:
         ``time.monotonic()`` at which ``decoded_s`` is 0.
     imu : Imu, optional
         Motion samples to merge in.
-    recorder : Recorder, optional
-        Where contacts are kept.
+    recorders : list of Recorder or RegionRecorder
+        Where contacts, and forces of regions, are kept.
     report : callable
         Told about frames that cannot be decoded and a disk that is full.
     each_second : callable
@@ -177,7 +184,7 @@ class Stream:
     publish: Callable[[Message], None]
     started_s: float = field(default_factory=time.monotonic)
     imu: Imu | None = None
-    recorder: Recorder | None = None
+    recorders: list[Recorder | RegionRecorder] = field(default_factory=list)
     report: Callable[[str], None] = print
     each_second: Callable[[Progress], None] = lambda _: None
     progress: Progress = field(default_factory=Progress)
@@ -231,11 +238,10 @@ class Stream:
         )
 
     def _record(self, message: Message) -> None:
-        if self.recorder is None:
-            return
-        try:
-            self.recorder.add(message)
-        except OutputError as error:
-            # A full disk is no reason to leave the robot without forces.
-            self.report(f"recording stops: {error}")
-            self.recorder = None
+        for recorder in list(self.recorders):
+            try:
+                recorder.add(message)
+            except OutputError as error:
+                # A full disk is no reason to leave the robot without forces.
+                self.report(f"recording stops: {error}")
+                self.recorders.remove(recorder)

@@ -7,16 +7,20 @@ import json
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from decoder.bundle import Bundle, named
+from decoder.contact_tracks import ContactTracker
+from decoder.contacts import Contact, ContactFinder
+from decoder.regions import Region, RegionForces
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import InputError
 
 FORMAT = "phytac-stream"
-VERSION = "1.0"
+VERSION = "1.1"
 FRAMINGS = ("lines", "length")
 """JSON lines, or each message after its length in bytes (4 bytes, big-endian)."""
 MESSAGE_MAX_BYTES = 1 << 24
@@ -25,6 +29,7 @@ FORCE_LIMIT_N = 1e6
 """What is beyond this is no force but a computation gone wrong."""
 FORCE_DIGITS = 4
 POSITION_DIGITS = 3
+SIZE_DIGITS = 2
 TIME_DIGITS = 6
 UNITS = {"force": "N", "length": "mm", "time": "s", "latency": "ms", "frame": "sensor"}
 
@@ -59,38 +64,9 @@ class Reading:
         return cls(koi=nothing.astype(np.int64), forces_N=nothing, warnings=(reason,), valid=False)
 
 
-def contact_groups(koi: IntArray, neighbours: IntArray) -> list[list[int]]:
-    """Key nodes in groups that hang together, as rows of ``koi``, in growing order.
-
-    Parameters
-    ----------
-    koi : (m,) int
-        Markers.
-    neighbours : (n, 8) int
-        Neighbour ids, -1 beyond a rim; one that is named by one side alone counts too.
-    """
-    of = {marker: row for row, marker in enumerate(koi.tolist())}
-    label = list(range(len(of)))
-
-    def root(row: int) -> int:
-        while label[row] != row:
-            label[row] = label[label[row]]
-            row = label[row]
-        return row
-
-    for row, near in enumerate(neighbours[koi].tolist()):
-        for marker in near:
-            if marker in of:
-                label[root(row)] = root(of[marker])
-    groups: dict[int, list[int]] = {}
-    for row in range(len(label)):
-        groups.setdefault(root(row), []).append(row)
-    return list(groups.values())
-
-
 @dataclass(frozen=True, kw_only=True)
 class Messages:
-    """Makes the messages of one sensor.
+    """Makes the messages of one sensor's stream, frame after frame: contacts keep their ids.
 
     Attributes
     ----------
@@ -106,6 +82,8 @@ class Messages:
         Unix time at which ``decoded_s`` is 0.
     normals : (n, 3) float, optional
         Outward unit normals of the surface at the markers; without them there is no net vector.
+    regions : sequence of Region
+        Whose forces are told, see :func:`decoder.regions.load_regions`.
     """
 
     bundle: Bundle
@@ -114,6 +92,23 @@ class Messages:
     clock: str = ""
     started_unix_s: float = 0.0
     normals: FloatArray | None = None
+    regions: Sequence[Region] = ()
+
+    @cached_property
+    def finder(self) -> ContactFinder:
+        """Finds contacts among key nodes."""
+        bundle = self.bundle
+        return ContactFinder(position_mm=bundle.position_mm, neighbours=bundle.model.neighbours)
+
+    @cached_property
+    def tracker(self) -> ContactTracker:
+        """Knows the contacts so far."""
+        return ContactTracker(spacing_mm=self.finder.spacing_mm)
+
+    @cached_property
+    def region_forces(self) -> RegionForces:
+        """Sums forces over regions."""
+        return RegionForces(regions=self.regions, markers=len(self.bundle.position_mm))
 
     def hello(self, *, positions: bool = True) -> Message:
         """The first message; serial ports get it without the markers' ``positions``."""
@@ -134,6 +129,10 @@ class Messages:
             "units": UNITS,
             "limits": bundle.limits(),
         }
+        if self.regions:
+            out["regions"] = [
+                {"name": region.name, "markers": list(region.markers)} for region in self.regions
+            ]
         if positions:
             out["positions_mm"] = np.round(bundle.position_mm, POSITION_DIGITS).tolist()
         return out
@@ -184,7 +183,7 @@ class Messages:
             "latency_ms": _rounded(latency_ms, 3),
             "valid": reading.valid and not len(broken),
             "total_N": _rounded(forces[koi].sum(), FORCE_DIGITS),
-            "contacts": self._contacts(forces, koi),
+            "contacts": self._contacts(reading, koi, timestamp_s),
             "koi": koi.tolist(),
             "forces_N": np.round(forces[koi], FORCE_DIGITS).tolist(),
             "warnings": warnings,
@@ -194,34 +193,36 @@ class Messages:
             # Pressing acts along the inward normal.
             net = -(forces[koi] @ self.normals[koi])
             out["net_force_N"] = [_rounded(part, FORCE_DIGITS) for part in net]
+        if self.regions:
+            sums = self.region_forces.of(koi, forces[koi])
+            out["regions"] = [
+                {"name": region.name, "force_N": _rounded(force, FORCE_DIGITS)}
+                for region, force in zip(self.regions, sums, strict=True)
+            ]
         if imu is not None:
             out["imu"] = imu
         return out
 
-    def _contacts(self, forces_N: FloatArray, koi: IntArray) -> list[Message]:
-        """Groups of key nodes, the strongest first."""
-        # Plain lists: there are a dozen key nodes, and arrays of that size cost more to make.
-        markers, forces = koi.tolist(), forces_N[koi].tolist()
-        places = self.bundle.position_mm[koi].tolist()
-        out = []
-        for group in contact_groups(koi, self.bundle.model.neighbours):
-            # K·u may come out negative; a pull must not push the mean off the contact.
-            weight = [max(forces[row], 0.0) for row in group]
-            if sum(weight) <= 0.0:
-                weight = [1.0] * len(group)
-            middle = [
-                sum(w * places[row][axis] for w, row in zip(weight, group, strict=True))
-                / sum(weight)
-                for axis in range(3)
-            ]
-            out.append(
-                {
-                    "markers": [markers[row] for row in group],
-                    "force_N": _rounded(sum(forces[row] for row in group), FORCE_DIGITS),
-                    "position_mm": [_rounded(part, POSITION_DIGITS) for part in middle],
-                }
-            )
-        return sorted(out, key=lambda contact: -contact["force_N"])
+    def _contacts(self, reading: Reading, koi: IntArray, time_s: float) -> list[Message]:
+        """Contacts with their ids, the strongest first."""
+        if not reading.valid:
+            return []
+        found = self.tracker.update(self.finder.find(reading.forces_N, koi), time_s)
+        return [self._contact(contact, reading.forces_N) for contact in found]
+
+    def _contact(self, contact: Contact, forces_N: FloatArray) -> Message:
+        out: Message = {
+            "markers": list(contact.markers),
+            "force_N": _rounded(contact.force_N, FORCE_DIGITS),
+            "position_mm": [_rounded(part, POSITION_DIGITS) for part in contact.position_mm],
+            "id": contact.id,
+            "size_mm": _rounded(contact.size_mm, SIZE_DIGITS),
+            "since_s": _rounded(contact.since_s, TIME_DIGITS),
+        }
+        if self.regions:
+            forces = forces_N[list(contact.markers)].tolist()
+            out["region"] = self.region_forces.home(contact.markers, forces)
+        return out
 
 
 def end_message(reason: str) -> Message:

@@ -15,8 +15,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from phytac_design import (
     cli_import,
+    cli_live,
     cli_mechanics,
-    cli_onnx,
     cli_serve,
     cli_switch,
     cli_train,
@@ -266,8 +266,9 @@ for command in (
     cli_mechanics.press,
     cli_mechanics.mesh,
     cli_mechanics.calibrate,
-    cli_onnx.export_onnx,
+    cli_live.live,
     cli_serve.serve,
+    cli_serve.convert,
     cli_switch.switch,
     cli_train.train,
     cli_train.evaluate,

@@ -1,5 +1,6 @@
 """The command that streams forces."""
 
+import contextlib
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +12,18 @@ from shapes.errors import InputError
 
 if TYPE_CHECKING:
     from decoder.bundle import Bundle
+    from decoder.record import Recorder, RegionRecorder
     from decoder.stream import Decode
+
+
+RegionsOption = Annotated[
+    Path | None,
+    typer.Option(help="TOML or JSON of named regions, such as fingers; see docs/streaming.md."),
+]
+DesignOption = Annotated[
+    str | None,
+    typer.Option(help="The design, for regions by rows or shares; the build's if not given."),
+]
 
 
 class Framing(StrEnum):
@@ -43,7 +55,9 @@ def serve(
     framing: Annotated[
         Framing, typer.Option("--format", help="JSON lines, or each message after its length.")
     ] = Framing.lines,
-    estimator: Annotated[str, typer.Option(help="Force estimator.")] = "koi_inverse",
+    estimator: Annotated[
+        str | None, typer.Option(help="Force estimator; the bundle's best if not given.")
+    ] = None,
     rest: Annotated[
         list[Path] | None,
         typer.Option(help="Frame of the unloaded sensor; twice for two cameras, near end first."),
@@ -62,6 +76,11 @@ def serve(
         Path | None, typer.Option(help="File or port of motion samples; see docs/streaming.md.")
     ] = None,
     record: Annotated[Path | None, typer.Option(help="CSV of contacts to write.")] = None,
+    regions: RegionsOption = None,
+    design: DesignOption = None,
+    record_regions: Annotated[
+        Path | None, typer.Option(help="CSV of the regions' forces to write, a row a frame.")
+    ] = None,
     every: Annotated[
         bool, typer.Option("--every", help="Leave out no frame of a recording that is late.")
     ] = False,
@@ -71,22 +90,23 @@ def serve(
     ] = False,
 ) -> None:
     """Stream forces to robots, Unity or ROS over TCP, until the source ends or Ctrl-C."""
-    import contextlib
     import signal
     import time
 
     from decoder.bundle import load_bundle
     from decoder.imu import Imu
-    from decoder.record import Recorder
     from decoder.serial_port import SerialPort
     from decoder.serve import Server
     from decoder.sources import open_source
     from decoder.stream import Progress, Stream
     from decoder.wire import Messages
+    from phytac_design.region_chart import bundle_regions
 
     loaded = load_bundle(bundle)
+    named = bundle_regions(regions, loaded, bundle, design)
     check_sources(loaded.design, len(loaded.cameras), source)
-    decode = decoder_of(loaded, rest or [], estimator=estimator, follow=follow)
+    chosen = estimator or loaded.model.best
+    decode = decoder_of(loaded, rest or [], estimator=chosen, follow=follow)
     camera = loaded.camera
     # Whoever runs it as a service stops it by SIGTERM.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -103,10 +123,11 @@ def serve(
         started_s = time.monotonic()
         messages = Messages(
             bundle=loaded,
-            estimator=estimator,
+            estimator=chosen,
             source=frames.said,
             clock=frames.clock,
             started_unix_s=time.time(),
+            regions=named,
         )
         motion = None
         if imu is not None:
@@ -124,7 +145,7 @@ def serve(
                 report=say,
             )
         )
-        recorder = stack.enter_context(Recorder(record)) if record else None
+        kept = open_recorders(stack, record, record_regions, [region.name for region in named])
         for warning in (*loaded.limits(), *open_to_others(server.host)):
             say(f"warning: {warning}")
         say(f"{loaded.design}: {frames.said} to {server.host} port {server.port}; Ctrl-C stops")
@@ -139,7 +160,7 @@ def serve(
             publish=server.publish,
             started_s=started_s,
             imu=motion,
-            recorder=recorder,
+            recorders=list(kept.values()),
             report=say,
             each_second=each_second,
         )
@@ -151,14 +172,22 @@ def serve(
         except KeyboardInterrupt:
             server.close("stopped")
             stopped = True
-    went = stream.progress
-    kept = f", {recorder.rows} rows in {record}" if recorder else ""
-    typer.echo(
-        f"{went.frames} frames in {went.seconds:.1f} s, {went.unread} unread, {went.skipped} "
-        f"skipped, {went.missed} missed, {server.dropped} messages dropped{kept}"
-    )
+    wrote = "".join(f", {recorder.rows} rows in {path}" for path, recorder in kept.items())
+    typer.echo(f"{stream.progress.total()}, {server.dropped} messages dropped{wrote}")
     if stopped:
         raise typer.Exit(130)
+
+
+def convert(
+    recording: Annotated[Path, typer.Argument(help="CSV of `phytac serve --record`, or any.")],
+    target: Annotated[Path, typer.Argument(help="Parquet file to make.")],
+    force: Annotated[bool, typer.Option(help="Overwrite the file.")] = False,
+) -> None:
+    """Turn a recording into Parquet, its columns with their types."""
+    from phytac_design.recording import to_parquet
+
+    rows, columns = to_parquet(recording, target, force=force)
+    typer.echo(f"{target}: {rows} rows, {columns} columns")
 
 
 def check_sources(design: str, cameras: int, source: list[str]) -> None:
@@ -182,13 +211,15 @@ def decoder_of(bundle: "Bundle", rest: list[Path], *, estimator: str, follow: bo
     InputError
         If markers are to be followed from nowhere.
     """
-    from decoder.run import read_image, rest_positions
+    from decoder.calibrate_colours import calibrate_rest
+    from decoder.run import read_image
     from decoder.stream import follow_decoder, frame_decoder
 
     unloaded = [read_image(path) for path in rest]
+    if unloaded:
+        bundle = calibrate_rest(bundle, unloaded)
     if not follow:
-        rest_px = rest_positions(bundle, unloaded) if unloaded else None
-        return frame_decoder(bundle, estimator=estimator, rest_px=rest_px)
+        return frame_decoder(bundle, estimator=estimator)
     if not unloaded:
         raise InputError("--follow begins at a frame of the unloaded sensor; give it with --rest")
     return follow_decoder(bundle, unloaded, estimator=estimator)
@@ -199,6 +230,30 @@ def open_to_others(address: str) -> list[str]:
     if address.startswith("127.") or address == "::1":
         return []
     return [f"whoever reaches {address} can listen; nothing is encrypted"]
+
+
+def open_recorders(
+    stack: contextlib.ExitStack, record: Path | None, record_regions: Path | None, names: list[str]
+) -> "dict[Path, Recorder | RegionRecorder]":
+    """Recorders of contacts and of regions' forces, by file; the stack closes them.
+
+    Raises
+    ------
+    InputError
+        If regions are to be kept and there are none.
+    OutputError
+        If a file cannot be made.
+    """
+    from decoder.record import Recorder, RegionRecorder
+
+    if record_regions and not names:
+        raise InputError("--record-regions keeps the forces of regions; name them with --regions")
+    kept: dict[Path, Recorder | RegionRecorder] = {}
+    if record:
+        kept[record] = stack.enter_context(Recorder(record))
+    if record_regions:
+        kept[record_regions] = stack.enter_context(RegionRecorder(record_regions, names))
+    return kept
 
 
 def check_motion(*, loop: bool, port: bool) -> None:

@@ -76,7 +76,7 @@ def test_a_recording_goes_to_clients_and_to_csv(toy: tuple[str, str], tmp_path: 
     assert [row["markers"] for row in rows] == ["", "14", "14 15", "29", "7"]
     assert [row["timestamp_s"] for row in rows] == ["0.0", "0.01", "0.02", "0.02", "0.03"]
     assert float(rows[1]["force_N"]) == pytest.approx(3.0, abs=0.15)
-    assert printed[0] == "toy 30 markers, protocol 1.0"
+    assert printed[0] == "toy 30 markers, protocol 1.1"
     assert printed[-1] == "end: the source has ended"
     assert printed[1] == f"1 {rows[1]['force_N']} N at [20.0, 20.0, 0.0]"
 
@@ -148,3 +148,49 @@ def test_following_needs_a_beginning_and_streams(toy: tuple[str, str], tmp_path:
     assert done.stdout.startswith("4 frames in ")
     rows = list(csv.DictReader(out.read_text().splitlines()))
     assert rows[0]["markers"] == ""
+
+
+REGIONS = '[[regions]]\nname = "thumb"\nmarkers = [14, 15]\n'
+
+
+def test_regions_go_to_clients_and_to_csv(toy: tuple[str, str], tmp_path: Path) -> None:
+    (tmp_path / "regions.toml").write_text(REGIONS)
+    out, sums = tmp_path / "out.csv", tmp_path / "sums.csv"
+    more = ("--fps", "100", "--every", "--wait", "--regions", str(tmp_path / "regions.toml"))
+    files = ("--record", str(out), "--record-regions", str(sums))
+    with (
+        serving(*toy, *more, *files) as (done, port),
+        socket.create_connection(("127.0.0.1", port)) as link,
+        link.makefile("rb") as data,
+    ):
+        hello, *frames, end = [json.loads(line) for line in data]
+        said, errors = done.communicate(timeout=PATIENCE_S)
+    assert done.returncode == 0, errors
+    assert end["type"] == "end"
+    assert hello["regions"] == [{"name": "thumb", "markers": [14, 15]}]
+    told = [frame["regions"][0]["force_N"] for frame in frames]
+    assert told == pytest.approx([0.0, 3.0, 4.5, 0.0], abs=0.3)
+    rows = list(csv.DictReader(sums.read_text().splitlines()))
+    assert [float(row["region_thumb_N"]) for row in rows] == told
+    assert [row["region"] for row in csv.DictReader(out.read_text().splitlines())] == [
+        "",
+        "thumb",
+        "thumb",
+        "",
+        "",
+    ]
+    assert f"5 rows in {out}, 4 rows in {sums}" in said
+
+
+def test_regions_that_cannot_be_are_refused(toy: tuple[str, str], tmp_path: Path) -> None:
+    (tmp_path / "regions.toml").write_text(REGIONS.replace("markers = [14, 15]", "rows = [0, 1]"))
+    for words, message in (
+        (("--regions", "regions.toml"), "are known from the design alone; give the design"),
+        (("--regions", "none.toml"), "no regions at none.toml"),
+        (("--record-regions", "x.csv", "--record", "y.csv"), "name them with --regions"),
+        (("--regions", "regions.toml", "--design", "cylinder40"), "cylinder40 is another design"),
+    ):
+        out = phytac("serve", *toy, "--port", "0", *words, cwd=tmp_path)
+        assert (out.returncode, len(out.stderr.splitlines())) == (4, 1), out.stderr
+        assert message in out.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["regions.toml"]

@@ -39,6 +39,8 @@ def test_commands_of_the_docs_exist() -> None:
         "exports/README.md",
         "examples/rig/README.md",
         "docs/streaming.md",
+        "docs/decoder.md",
+        "examples/uses/README.md",
         "examples/stream/README.md",
     ],
 )

@@ -158,8 +158,8 @@ def test_spread_is_widened_by_a_share_where_noise_does_not_do(true_share: float)
     force, sd = rng.uniform(1.0, 25.0, 4000), np.full(4000, 0.1)
     error = np.abs(rng.normal(0.0, np.hypot(sd, true_share * force)))
     factor, share = calibrated_spread(error, sd, force)
-    assert factor == pytest.approx(1.0, abs=0.03)
-    assert share == pytest.approx(true_share, abs=0.004)
+    assert factor == pytest.approx(1.0, abs=0.1)
+    assert share == pytest.approx(true_share, abs=0.006)
 
 
 def test_moments_of_indenters_against_their_pressures() -> None:

@@ -116,6 +116,16 @@ def test_two_contacts_whose_switches_are_neighbours() -> None:
     assert sorted(m for contact in found for m in contact.markers) == koi
 
 
+def test_fingers_side_by_side_are_parted() -> None:
+    places = [point(x, 30.0) for x in (12.0, 27.0, 42.0)]
+    koi = sorted({nearest(at + point(dx, 0.0)) for at in places for dx in (-3.0, 3.0)})
+    forces = (9.0, 3.0, 6.0)
+    seen = np.sum([shifts(at, f) for at, f in zip(places, forces, strict=True)], axis=0)
+    found = sorted(find(seen, koi), key=lambda contact: contact.point_mm[0])
+    assert [contact.force_N for contact in found] == pytest.approx(forces, rel=0.03)
+    assert sorted(m for contact in found for m in contact.markers) == koi
+
+
 def test_a_contact_without_a_switch_is_found_and_carries_no_receptor() -> None:
     loud, silent = point(15.0, 15.0), point(45.0, 42.0)
     both = shifts(loud, 10.0) + shifts(silent, 2.0)

@@ -3,7 +3,6 @@
 import json
 import os
 import struct
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from decoder.imu import Imu
-from decoder.record import COLUMNS, Recorder
+from decoder.record import COLUMNS, Recorder, RegionRecorder
+from decoder.regions import Region
 from decoder.wire import (
     FRAMINGS,
     MESSAGE_MAX_BYTES,
     Messages,
     Reading,
     Splitter,
-    contact_groups,
     encode,
     json_bytes,
     with_dropped,
@@ -43,7 +42,7 @@ def reading(forces_N: dict[int, float], *warnings: str) -> Reading:
 
 def test_hello_tells_what_the_numbers_mean() -> None:
     hello = messages().hello()
-    assert (hello["type"], hello["format"], hello["version"]) == ("hello", "phytac-stream", "1.0")
+    assert (hello["type"], hello["format"], hello["version"]) == ("hello", "phytac-stream", "1.1")
     assert hello["design"] == "toy"
     assert hello["markers"] == len(hello["positions_mm"]) == COUNT
     assert hello["positions_mm"][7] == [10.0, 10.0, 0.0]
@@ -54,34 +53,46 @@ def test_hello_tells_what_the_numbers_mean() -> None:
 def test_contacts_are_connected_key_nodes_with_their_force_weighted_place() -> None:
     # 7 and 14 touch at a corner; 29 is alone.
     message = messages().frame(reading({7: 3.0, 14: 1.0, 29: 0.5}), sequence=5, timestamp_s=0.25)
-    assert message["contacts"] == [
-        {"markers": [7, 14], "force_N": 4.0, "position_mm": [12.5, 12.5, 0.0]},
-        {"markers": [29], "force_N": 0.5, "position_mm": [50.0, 40.0, 0.0]},
-    ]
+    first, second = message["contacts"]
+    assert (first["markers"], first["force_N"]) == ([7, 14], 4.0)
+    assert first["position_mm"] == [12.5, 12.5, 0.0]
+    # Second moment 3/4·12.5 + 1/4·112.5 of the places and 100/6 of the cells, mm².
+    assert first["size_mm"] == round(2.0 * np.sqrt(2.0 * (37.5 + 100.0 / 6.0)), 2)
+    assert (second["markers"], second["position_mm"]) == ([29], [50.0, 40.0, 0.0])
+    assert [(each["id"], each["since_s"]) for each in (first, second)] == [(0, 0.25), (1, 0.25)]
+    assert "region" not in first
+    assert "regions" not in message
     assert (message["sequence"], message["timestamp_s"], message["valid"]) == (5, 0.25, True)
     assert (message["koi"], message["forces_N"]) == ([7, 14, 29], [3.0, 1.0, 0.5])
     assert message["total_N"] == 4.5
     assert "net_force_N" not in message
 
 
-@settings(max_examples=60, deadline=None)
-@given(seed=st.integers(0, 10**6))
-def test_groups_are_the_classes_of_being_linked(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    near = np.where(rng.uniform(size=(COUNT, 8)) < 0.15, rng.integers(0, COUNT, (COUNT, 8)), -1)
-    koi = np.flatnonzero(rng.uniform(size=COUNT) < rng.uniform())
-    groups = [koi[rows].tolist() for rows in contact_groups(koi, near)]
-    assert sorted(marker for group in groups for marker in group) == koi.tolist()
-    # Warshall's closure, by itself.
-    linked = np.eye(COUNT, dtype=bool)
-    for marker in koi:
-        for other in near[marker]:
-            if other in koi:
-                linked[marker, other] = linked[other, marker] = True
-    for middle in koi:
-        linked |= linked[:, [middle]] & linked[[middle], :]
-    for group in groups:
-        assert np.flatnonzero(linked[group[0]]).tolist() == group
+def test_ids_go_on_over_frames_that_cannot_be_read() -> None:
+    make = messages()
+    frames = [reading({7: 3.0}), Reading.none("it is black"), reading({8: 2.0}), reading({29: 1.0})]
+    sent = [make.frame(each, sequence=k, timestamp_s=0.1 * k) for k, each in enumerate(frames)]
+    assert [[c["id"] for c in message["contacts"]] for message in sent] == [[0], [], [0], [1]]
+    assert sent[2]["contacts"][0]["since_s"] == 0.0
+
+
+def test_regions_have_their_forces_and_contacts_their_region() -> None:
+    regions = (
+        Region(name="thumb", markers=(7, 8)),
+        Region(name="palm", markers=(14, 15, 20)),
+        Region(name="hand", markers=(7, 8, 14, 15, 20)),
+    )
+    make = Messages(bundle=toy_bundle(), estimator="fem", regions=regions)
+    assert make.hello()["regions"][0] == {"name": "thumb", "markers": [7, 8]}
+    message = make.frame(reading({7: 1.0, 14: 2.5, 29: 0.5}), sequence=0, timestamp_s=0.0)
+    assert [(each["name"], each["force_N"]) for each in message["regions"]] == [
+        ("thumb", 1.0),
+        ("palm", 2.5),
+        ("hand", 3.5),
+    ]
+    assert [contact["region"] for contact in message["contacts"]] == ["hand", ""]
+    idle = make.frame(reading({}), sequence=1, timestamp_s=0.1)
+    assert [each["force_N"] for each in idle["regions"]] == [0.0, 0.0, 0.0]
 
 
 def test_net_force_acts_against_the_outward_normals() -> None:
@@ -229,23 +240,33 @@ def test_a_port_of_motion_samples_is_never_waited_for(tmp_path: Path) -> None:
 def test_a_recording_has_a_row_for_each_contact_and_loses_none(tmp_path: Path) -> None:
     path = tmp_path / "out.csv"
     recorder = Recorder(path)
-    recorder.add(messages().frame(reading({7: 3.0, 14: 1.0, 29: 0.5}), sequence=4, timestamp_s=0.5))
+    recorder.add(messages().frame(reading({7: 3.0, 14: 1.0, 28: 0.5}), sequence=4, timestamp_s=0.5))
     recorder.add(messages().frame(reading({}), sequence=6, timestamp_s=0.75))
     # Not closed: what a killed program leaves.
     head, *rows = [line.split(",") for line in path.read_text().splitlines()]
     assert tuple(head) == COLUMNS
     assert rows == [
-        ["4", "0.5", "1", "2", "0", "4.0", "12.5", "12.5", "0.0", "7 14"],
-        ["4", "0.5", "1", "2", "1", "0.5", "50.0", "40.0", "0.0", "29"],
-        ["6", "0.75", "1", "0", "", "", "", "", "", ""],
+        ["4", "0.5", "1", "2", "0", "4.0", "12.5", "12.5", "0.0", "7 14", "0", "20.82", "0.5", ""],
+        ["4", "0.5", "1", "2", "1", "0.5", "40.0", "40.0", "0.0", "28", "1", "11.55", "0.5", ""],
+        ["6", "0.75", "1", "0", *[""] * 10],
     ]
-    with pytest.raises(OutputError, match="is there already"):
+    with pytest.raises(OutputError, match="is there already; give --record another name"):
         Recorder(path)
     recorder.__exit__(None, None, None)
 
 
-def test_a_rim_links_nothing() -> None:
-    """-1 stands for no neighbour, not for the last marker."""
-    bundle = toy_bundle()
-    alone = replace(bundle.model, neighbours=np.full((COUNT, 8), -1))
-    assert contact_groups(np.array([0, 29]), alone.neighbours) == [[0], [1]]
+def test_a_recording_of_regions_has_a_row_for_each_frame(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    regions = (Region(name="thumb", markers=(7, 8)), Region(name="index tip", markers=(29,)))
+    make = Messages(bundle=toy_bundle(), estimator="fem", regions=regions)
+    with RegionRecorder(path, [region.name for region in regions]) as recorder:
+        recorder.add(make.frame(reading({7: 3.0, 29: 0.5}), sequence=4, timestamp_s=0.5))
+        recorder.add(make.frame(Reading.none("it is black"), sequence=5, timestamp_s=0.6))
+    assert [line.split(",") for line in path.read_text().splitlines()] == [
+        ["sequence", "timestamp_s", "valid", "total_N", "region_thumb_N", "region_index tip_N"],
+        ["4", "0.5", "1", "3.5", "3.0", "0.5"],
+        ["5", "0.6", "0", "0.0", "0.0", "0.0"],
+    ]
+    assert recorder.rows == 2
+    with pytest.raises(OutputError, match="give --record-regions another name"):
+        RegionRecorder(path, [])

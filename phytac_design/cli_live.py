@@ -1,0 +1,111 @@
+"""The command that shows forces in a browser."""
+
+import contextlib
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from phytac_design.cli_options import say
+from phytac_design.cli_serve import (
+    DesignOption,
+    RegionsOption,
+    check_sources,
+    decoder_of,
+    open_recorders,
+)
+
+
+def live(
+    bundle: Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")],
+    source: Annotated[
+        list[str],
+        typer.Argument(
+            help="Image, folder of images, video, or a camera's number; two of two cameras, near "
+            "end first."
+        ),
+    ],
+    fps: Annotated[
+        float | None,
+        typer.Option(help="Play a recording at this rate, as a camera would; ask a camera for it."),
+    ] = None,
+    port: Annotated[
+        int, typer.Option(help="Port of this machine; 0 takes a free one.", min=0, max=65535)
+    ] = 8057,
+    estimator: Annotated[
+        str | None, typer.Option(help="Force estimator; the bundle's best if not given.")
+    ] = None,
+    rest: Annotated[
+        list[Path] | None,
+        typer.Option(help="Frame of the unloaded sensor; twice for two cameras, near end first."),
+    ] = None,
+    follow: Annotated[
+        bool,
+        typer.Option(
+            "--follow", help="Follow markers from frame to frame, from --rest on: much faster."
+        ),
+    ] = False,
+    regions: RegionsOption = None,
+    design: DesignOption = None,
+    record: Annotated[Path | None, typer.Option(help="CSV of contacts to write.")] = None,
+    every: Annotated[
+        bool, typer.Option("--every", help="Leave out no frame of a recording that is late.")
+    ] = False,
+    loop: Annotated[bool, typer.Option("--loop", help="Play a recording over and over.")] = False,
+) -> None:
+    """Show forces in a browser of this machine, until the source ends or Ctrl-C."""
+    import signal
+    import time
+
+    from decoder.bundle import load_bundle
+    from decoder.live_view import LiveView
+    from decoder.sources import open_source
+    from decoder.stream import Stream
+    from decoder.wire import Messages
+    from phytac_design.region_chart import bundle_regions
+
+    loaded = load_bundle(bundle)
+    named = bundle_regions(regions, loaded, bundle, design)
+    check_sources(loaded.design, len(loaded.cameras), source)
+    chosen = estimator or loaded.model.best
+    decode = decoder_of(loaded, rest or [], estimator=chosen, follow=follow)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    stopped = False
+    with contextlib.ExitStack() as stack:
+        frames = open_source(
+            source,
+            fps=fps,
+            every=every,
+            loop=loop,
+            size_px=(loaded.camera.width_px, loaded.camera.height_px),
+            report=say,
+        )
+        stack.callback(frames.close)
+        messages = Messages(
+            bundle=loaded,
+            estimator=chosen,
+            source=frames.said,
+            clock=frames.clock,
+            started_unix_s=time.time(),
+            regions=named,
+        )
+        view = stack.enter_context(LiveView(messages.hello(), port=port))
+        kept = open_recorders(stack, record, None, [])
+        say(f"{loaded.design}: {frames.said}; look at {view.url}; Ctrl-C stops")
+        stream = Stream(
+            source=frames,
+            decode=decode,
+            messages=messages,
+            publish=view.publish,
+            recorders=list(kept.values()),
+            report=say,
+        )
+        try:
+            stream.run()
+        except KeyboardInterrupt:
+            view.close("stopped")
+            stopped = True
+    wrote = "".join(f", {recorder.rows} rows in {path}" for path, recorder in kept.items())
+    typer.echo(f"{stream.progress.total()}{wrote}")
+    if stopped:
+        raise typer.Exit(130)

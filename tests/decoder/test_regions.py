@@ -1,0 +1,127 @@
+"""Named regions: files that say where they are, and what they say of a mistake."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from decoder.regions import NAME_MAX, REGIONS_MAX, Chart, Region, RegionForces, load_regions
+from shapes.errors import InputError
+
+ROW, COLUMN = np.divmod(np.arange(24), 6)
+PLACES = np.column_stack([10.0 * COLUMN, 10.0 * ROW, np.zeros(24)])
+CHART = Chart(row=ROW, column=COLUMN, along=(ROW + 0.5) / 4.0, around=COLUMN / 6.0, closed=True)
+
+
+def load(folder: Path, text: str, chart: Chart | None = CHART) -> tuple[Region, ...]:
+    path = folder / "regions.toml"
+    path.write_text(text)
+    return load_regions(path, PLACES, chart)
+
+
+def markers(folder: Path, place: str) -> list[int]:
+    (region,) = load(folder, f'[[regions]]\nname = "thumb"\n{place}\n')
+    return list(region.markers)
+
+
+def test_every_way_to_say_where(tmp_path: Path) -> None:
+    assert markers(tmp_path, "markers = [3, 1, 3]") == [1, 3]
+    assert markers(tmp_path, "rows = [1, 1]") == list(range(6, 12))
+    assert markers(tmp_path, "columns = [0, 1]") == [0, 1, 6, 7, 12, 13, 18, 19]
+    assert markers(tmp_path, "along = [0.0, 0.2]") == list(range(6))
+    assert markers(tmp_path, "along = [0.3, 0.7]\naround = [0.3, 0.55]") == [8, 9, 14, 15]
+    # Over the seam.
+    assert markers(tmp_path, "rows = [0, 0]\naround = [0.8, 0.2]") == [0, 1, 5]
+    assert markers(tmp_path, "point_mm = [20, 10.0, 3]\nradius_mm = 10.5") == [2, 7, 8, 9, 14]
+    # All that is said must hold.
+    assert markers(tmp_path, "point_mm = [20, 10, 3]\nradius_mm = 10.5\nrows = [1, 1]") == [7, 8, 9]
+
+
+def test_tables_of_one_name_are_one_region(tmp_path: Path) -> None:
+    text = "".join(f'[[regions]]\nname = "{n}"\nmarkers = [{m}]\n' for n, m in ("a4", "b2", "a1"))
+    assert load(tmp_path, text) == (
+        Region(name="a", markers=(1, 4)),
+        Region(name="b", markers=(2,)),
+    )
+
+
+def test_json_says_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "regions.json"
+    path.write_text(json.dumps({"regions": [{"name": "палец 1", "rows": [0, 0]}]}))
+    assert load_regions(path, PLACES, CHART) == (Region(name="палец 1", markers=tuple(range(6))),)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no list of regions; write one or more"),
+        ("regions = []", "no list of regions"),
+        ("regions = 3", "no list of regions"),
+        ("regions = [3]", r"regions\[0\]: a region is a table \(got 3\)"),
+        ("colour = 3", "unknown key 'colour'"),
+        ("[[regions", "is no TOML"),
+        ("[[regions]]\nrows = [0, 1]", "name must be 1 to 40 printable letters"),
+        ('[[regions]]\nname = ""\nrows = [0, 1]', "name must be"),
+        (f'[[regions]]\nname = "{"x" * (NAME_MAX + 1)}"\nrows = [0, 1]', "name must be"),
+        ('[[regions]]\nname = "a\\nb"\nrows = [0, 1]', "name must be"),
+        ('[[regions]]\nname = " a"\nrows = [0, 1]', "begins or ends with a space"),
+        ('[[regions]]\nname = "a"', "says no place"),
+        ('[[regions]]\nname = "a"\nrow = [0, 1]', "unknown key 'row'; known: name, markers, rows"),
+        ('[[regions]]\nname = "a"\nrows = 3', r"2 numbers in a list \(got 3\)"),
+        ('[[regions]]\nname = "a"\nrows = [0, true]', "2 numbers in a list"),
+        ('[[regions]]\nname = "a"\nrows = [2, 1]', "first and last, counted from 0"),
+        ('[[regions]]\nname = "a"\nrows = [0.5, 1]', "first and last"),
+        ('[[regions]]\nname = "a"\nrows = [7, 9]', r"\('a'\): no marker lies there; widen it"),
+        ('[[regions]]\nname = "a"\nalong = [0.5, 0.1]', "shares from and to, 0 to 1"),
+        ('[[regions]]\nname = "a"\nalong = [0, nan]', "2 numbers in a list"),
+        ('[[regions]]\nname = "a"\naround = [0, 1.5]', "over the seam, where the surface closes"),
+        ('[[regions]]\nname = "a"\nmarkers = []', "a list of markers, 0 to 23"),
+        ('[[regions]]\nname = "a"\nmarkers = [24]', r"a list of markers, 0 to 23 \(got \[24\]\)"),
+        ('[[regions]]\nname = "a"\nmarkers = [-1]', "a list of markers"),
+        ('[[regions]]\nname = "a"\nmarkers = [true]', "a list of markers"),
+        ('[[regions]]\nname = "a"\npoint_mm = [0, 0, 0]', "point_mm and radius_mm go together"),
+        ('[[regions]]\nname = "a"\nradius_mm = 3', "says no place"),
+        ('[[regions]]\nname = "a"\npoint_mm = [0, 0]\nradius_mm = 3', "3 numbers in a list"),
+        ('[[regions]]\nname = "a"\npoint_mm = [0, 0, 0]\nradius_mm = -3', "must be above 0"),
+        ('[[regions]]\nname = "a"\npoint_mm = [0, 0, 0]\nradius_mm = inf', "radius_mm: a number"),
+    ],
+)
+def test_mistakes_are_named(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        load(tmp_path, text)
+
+
+def test_rows_and_shares_need_the_design(tmp_path: Path) -> None:
+    text = '[[regions]]\nname = "a"\nmarkers = [3]\n[[regions]]\nname = "b"\nalong = [0, 1]\n'
+    with pytest.raises(InputError, match=r"regions\[1\].along: rows, columns and shares are known"):
+        load(tmp_path, text, chart=None)
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no regions at .*none\.toml"):
+        load_regions(tmp_path / "none.toml", PLACES)
+    for name, data, message in (
+        ("a.json", b"[1]", "no table of regions"),
+        ("b.json", b"[" * 100000, "is no JSON"),
+        ("c.json", b'{"regions": [{"name": "a", "rows": [0, 1' + b"0" * 400 + b"]}]}", "2 numbers"),
+        ("d.toml", b"\xff\xfe\x00", "no regions at"),
+    ):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(InputError, match=message):
+            load_regions(tmp_path / name, PLACES, CHART)
+    many = [{"name": f"r{k}", "markers": [0]} for k in range(REGIONS_MAX + 1)]
+    (tmp_path / "many.json").write_text(json.dumps({"regions": many}))
+    with pytest.raises(InputError, match="65 regions; 64 at most"):
+        load_regions(tmp_path / "many.json", PLACES)
+
+
+def test_forces_add_up_and_a_contact_is_where_most_of_it_is() -> None:
+    regions = (Region(name="a", markers=(1, 2)), Region(name="b", markers=(2, 3)))
+    sums = RegionForces(regions=regions, markers=24)
+    assert sums.of(np.array([1, 2, 9]), np.array([1.0, 2.0, 4.0])) == [3.0, 2.0]
+    assert sums.of(np.zeros(0, dtype=np.int64), np.zeros(0)) == [0.0, 0.0]
+    assert sums.home((1, 3), [1.0, 2.0]) == "b"
+    assert sums.home((2,), [1.0]) == "a"
+    assert sums.home((1, 3), [-1.0, 0.0]) == "a"
+    assert sums.home((9,), [1.0]) == ""

@@ -1,0 +1,77 @@
+"""Recordings as Parquet: the same numbers, with types."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from decoder.record import COLUMNS, Recorder, RegionRecorder
+from decoder.regions import Region
+from decoder.wire import Messages, Reading
+from phytac_design.recording import to_parquet
+from shapes.errors import InputError, OutputError
+from tests.decoder.toy_sensor import toy_bundle
+from tests.test_cli import phytac
+
+parquet = pytest.importorskip("pyarrow.parquet")
+
+
+def recorded(folder: Path) -> tuple[Path, Path]:
+    """Recordings of three frames: two contacts, a black one, none."""
+    contacts, sums = folder / "out.csv", folder / "regions.csv"
+    regions = (Region(name="thumb", markers=(7, 8)),)
+    make = Messages(bundle=toy_bundle(), estimator="fem", regions=regions)
+    forces = np.zeros(30)
+    forces[[7, 14, 28]] = (3.0, 1.0, 0.5)
+    readings = (
+        Reading(koi=np.array([7, 14, 28]), forces_N=forces),
+        Reading.none("it is black"),
+        Reading(koi=np.zeros(0, dtype=np.int64), forces_N=forces),
+    )
+    with Recorder(contacts) as rows, RegionRecorder(sums, ["thumb"]) as each:
+        for number, reading in enumerate(readings):
+            message = make.frame(reading, sequence=number, timestamp_s=0.25 * number)
+            rows.add(message)
+            each.add(message)
+    return contacts, sums
+
+
+def test_contacts_and_regions_come_back_with_their_types(tmp_path: Path) -> None:
+    contacts, sums = recorded(tmp_path)
+    assert to_parquet(contacts, tmp_path / "out.parquet") == (4, len(COLUMNS))
+    table = parquet.read_table(tmp_path / "out.parquet")
+    assert tuple(table.column_names) == COLUMNS
+    first, second, black, none = table.to_pylist()
+    assert (first["markers"], first["force_N"], first["id"]) == ([7, 14], 4.0, 0)
+    assert (first["valid"], first["region"], first["sequence"]) == (True, "thumb", 0)
+    assert (second["markers"], second["region"]) == ([28], None)
+    assert (black["valid"], black["contacts"], black["markers"]) == (False, 0, None)
+    assert (none["valid"], none["timestamp_s"], none["force_N"]) == (True, 0.5, None)
+    to_parquet(sums, tmp_path / "regions.parquet")
+    rows = parquet.read_table(tmp_path / "regions.parquet").to_pylist()
+    assert [row["region_thumb_N"] for row in rows] == [3.0, 0.0, 0.0]
+
+
+def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
+    for text, message in (
+        ("", "is no recording"),
+        ("a,b\n1,2\n", "no columns sequence, timestamp_s and valid"),
+        ("sequence,timestamp_s,valid\nx,0.1,1\n", "is no recording"),
+        ("sequence,timestamp_s,valid,markers\n1,0.1,1,7 x\n", "is no recording: markers"),
+    ):
+        (tmp_path / "bad.csv").write_text(text)
+        with pytest.raises(InputError, match=message):
+            to_parquet(tmp_path / "bad.csv", tmp_path / "out.parquet")
+    with pytest.raises(InputError, match="no recording at"):
+        to_parquet(tmp_path / "none.csv", tmp_path / "out.parquet")
+    assert not list(tmp_path.glob("out.parquet*"))
+
+
+def test_the_command_says_what_it_wrote_and_overwrites_nothing(tmp_path: Path) -> None:
+    contacts, _ = recorded(tmp_path)
+    target = tmp_path / "out.parquet"
+    made = phytac("convert", str(contacts), str(target))
+    assert (made.returncode, made.stdout) == (0, f"{target}: 4 rows, {len(COLUMNS)} columns\n")
+    with pytest.raises(OutputError, match="is there already; add --force"):
+        to_parquet(contacts, target)
+    assert to_parquet(contacts, target, force=True)[0] == 4
