@@ -1,0 +1,248 @@
+"""How right the decoder is on held-out contacts of virtual prints, and how few samples it needs.
+
+Parts ``accuracy``, ``few`` and ``other_unit`` (prints that it has never seen) of ``decoder``. The
+truth is the twin's: large displacements, receptors, print scatter; what is learnt is learnt as
+``phytac train`` does. ``python -m benchmarks.decoder --parts accuracy,few,other_unit [--quick]``
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from benchmarks.decoder_data import Case, few_of, origin, units
+from benchmarks.decoder_judge import LEARNT, Verdict, by_design, mechanics, taught, verdict
+from benchmarks.decoder_rows import (
+    ALL,
+    FULL,
+    MAE,
+    MIDDLE,
+    PAPER,
+    RELATIVE,
+    SHORT,
+    TARGETS,
+    TWIN,
+    WORDS,
+    Group,
+    add_bounds,
+    add_claims,
+    add_scores,
+    add_switches,
+    add_tenths,
+    allowed,
+)
+from benchmarks.harness import Table
+from decoder.bundle import Bundle
+from phytac_design.learn.data import DataSet
+from phytac_design.stage import Context
+
+COUNTS = (25, 50, 100, 150, 300, 598)
+"""Samples of the learning curve."""
+ENOUGH = 150
+PAPER_PERCENT = 2.3
+DRAWS = 3
+"""Draws of so many samples that a point of the curve is the mean of."""
+CURVE = ("fem_nn", "auto")
+CALIBRATION = 20
+CONTACTS = 1000
+TRAIN_S = 5.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """One unit: the decoder by design, what is learnt from, and what is held out.
+
+    Attributes
+    ----------
+    case : Case
+        Where the data are from.
+    context : Context
+        Of the decoder's mechanics.
+    plain : Bundle
+        Decoder that has seen no data.
+    train, test : DataSet
+        To learn from, and held out.
+    """
+
+    case: Case
+    context: Context
+    plain: Bundle
+    train: DataSet
+    test: DataSet
+
+    @property
+    def head(self) -> str:
+        """What rows of it begin with."""
+        scenario = self.case.job.scenario
+        name = self.case.job.design.name
+        return f"{name} unit {scenario.unit.number}, {scenario.solve.route}"
+
+    @property
+    def note(self) -> str:
+        """Where its data are from."""
+        return f"{self.case.name}: {origin(self.case.name, self.test.meta)}"
+
+    def judged(self, bundle: Bundle, *, names: Sequence[str] | None = None) -> Verdict:
+        """A decoder on the held-out samples."""
+        return verdict(self.context, bundle.model, self.test, estimators=names)
+
+
+def bench(case: Case) -> Bench:
+    """Make the decoder, and read or simulate the data."""
+    context = mechanics(case.job.design, case.job.accuracy)
+    train, test = case.parts()
+    return Bench(case=case, context=context, plain=by_design(context), train=train, test=test)
+
+
+def add_rows_accuracy(table: Table, *, quick: bool) -> None:
+    """Every estimator on held-out contacts of the unit that it was trained on; three units."""
+    each = []
+    for number, case in enumerate(units(quick=quick)):
+        here = bench(case)
+        bundle, facts = taught(here.plain, here.train)
+        judged = here.judged(bundle)
+        full = number == 0 and not quick
+        _count_row(table, here, judged, target=full)
+        add_scores(table, here.head, judged, FULL, targets=TARGETS)
+        add_tenths(table, here.head, judged)
+        add_bounds(table, here.head, judged, target="<= 1.5")
+        add_claims(table, here.head, judged.claims, target=True)
+        if here.test.meta.route == "frames":
+            add_switches(table, here.head, judged)
+        _time_rows(table, here, facts, target=full)
+        each.append(judged)
+    _spread_rows(table, each)
+
+
+def _count_row(table: Table, here: Bench, judged: Verdict, *, target: bool) -> None:
+    """How many contacts are judged, and where the data are from."""
+    judged_ones, count = int(judged.decoded.tripped.sum()), len(judged.decoded.touch)
+    table.add(
+        f"{here.head}: held-out contacts, trained on {here.train.samples.count} samples",
+        count,
+        "contacts",
+        reference=CONTACTS,
+        source="project target",
+        target=f">= {CONTACTS}" if target else None,
+        note=f"{here.note}; {count - judged_ones} of them tripped no switch and are apart; the "
+        f"{'first samples train' if not here.case.mixed else 'parts are drawn at random'}",
+    )
+
+
+def _time_rows(
+    table: Table, here: Bench, facts: Mapping[str, Mapping[str, Any]], *, target: bool
+) -> None:
+    for name, found in facts.items():
+        table.add(
+            f"{here.head}: training {name} on {here.train.samples.count} samples",
+            found["seconds"],
+            "s",
+            reference=60.0,
+            source="paper: within 1 min",
+            target=f"<= {TRAIN_S:g}" if target else None,
+            note=f"{found['cpu_seconds']:.2f} s of CPU time",
+        )
+
+
+def _spread_rows(table: Table, each: Sequence[Verdict]) -> None:
+    """Mean over the units, and their spread."""
+    name = each[0].data.meta.design
+    for estimator in each[0].decoded.decoded_N:
+        for group in (ALL, MIDDLE):
+            for key, factor, unit in ((RELATIVE, 100.0, "%"), (MAE, 1.0, "N")):
+                values = [
+                    factor * one.score(estimator, one.group(*group))[key]["value"] for one in each
+                ]
+                words = "mean relative error" if key == RELATIVE else "mean absolute error"
+                table.add(
+                    f"{name}, {len(each)} units: {estimator}, {WORDS[group]}: {words}, mean",
+                    float(np.mean(values)),
+                    unit,
+                    reference="none",
+                    source=TWIN,
+                    target=TARGETS.get((group, key), {}).get(estimator),
+                    note=f"each {', '.join(f'{v:.3g}' for v in values)} {unit}; standard "
+                    f"deviation over units {float(np.std(values, ddof=1)):.2g} {unit}",
+                )
+
+
+def add_rows_few(table: Table, *, quick: bool) -> None:
+    """Learning curve of the paper's network and of ``auto``, from none on."""
+    here = bench(units(quick=quick)[0])
+    most = here.train.samples.count
+    counts = [n for n in COUNTS if n < most] + [most]
+    errors: dict[tuple[str, Group], dict[int, float]] = {
+        (name, group): {} for name in CURVE for group in (ALL, MIDDLE)
+    }
+    _curve_rows(table, here, "auto", 0, [here.judged(here.plain, names=["auto"])], errors)
+    for count in counts[:1] if quick else counts:
+        draws: list[Verdict] = []
+        for draw in range(1 if quick or count == most else DRAWS):
+            data = few_of(here.train, count, seed=draw)
+            bundle, _ = taught(here.plain, data, names=CURVE, seed=draw)
+            draws.append(here.judged(bundle, names=CURVE))
+        for name in CURVE:
+            _curve_rows(table, here, name, count, draws, errors)
+    for (name, group), curve in errors.items():
+        good = [n for n, error in curve.items() if error <= PAPER_PERCENT]
+        if good:
+            table.add(
+                f"{here.head}: {name}, {WORDS[group]}: samples from which on it is at the paper's "
+                "2.3 %",
+                good[0],
+                "samples",
+                reference=598,
+                source="paper: trained on 598",
+                target=f"<= {ENOUGH}",
+                note=f"of {', '.join(map(str, curve))}",
+            )
+
+
+def _curve_rows(
+    table: Table,
+    here: Bench,
+    name: str,
+    count: int,
+    draws: Sequence[Verdict],
+    errors: dict[tuple[str, Group], dict[int, float]],
+) -> None:
+    """Mean error of an estimator from so many samples; kept in ``errors``, %."""
+    judge = count == ENOUGH or (name == "auto" and count == 0)
+    for group in (ALL, MIDDLE):
+        mask = draws[0].group(*group)
+        values = [100.0 * one.score(name, mask)[RELATIVE]["value"] for one in draws]
+        mean = errors[name, group][count] = float(np.mean(values))
+        note = [f"{len(values)} draws: {', '.join(f'{v:.3g}' for v in values)} %"]
+        if judge and mean > PAPER_PERCENT:
+            note.append(allowed(draws[0], mask))
+        table.add(
+            f"{here.head}: {name} from {count} samples, {WORDS[group]}: mean relative error",
+            mean,
+            "%",
+            reference=PAPER_PERCENT,
+            source=f"{PAPER}, all heights, 598 samples",
+            target=f"<= {PAPER_PERCENT}" if judge else None,
+            note="; ".join(note),
+        )
+
+
+def add_rows_other_unit(table: Table, *, quick: bool) -> None:
+    """Decoders on prints that they have never seen, and with a few samples of these."""
+    first, *others = units(quick=quick)
+    home = bench(first)
+    bundle, _ = taught(home.plain, home.train)
+    for case in others:
+        here = bench(case)
+        few = few_of(here.train, CALIBRATION, seed=0)
+        again, _ = taught(here.plain, few, start=bundle)
+        ways: tuple[tuple[str, Bundle, Sequence[str]], ...] = (
+            ("by design alone", here.plain, ("fem", "koi_inverse", "auto")),
+            (f"trained on unit {first.job.scenario.unit.number}", bundle, LEARNT),
+            (f"the same and {CALIBRATION} samples of its own", again, LEARNT),
+        )
+        for words, decoder, names in ways:
+            judged = here.judged(decoder, names=names)
+            head = f"{here.head}, {words}"
+            add_scores(table, head, judged, SHORT)
+            add_claims(table, head, judged.claims, target=False)

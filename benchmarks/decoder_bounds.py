@@ -1,0 +1,155 @@
+"""What the best decoder could know: the Cramér-Rao bound of held-out contacts, and their noise."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from decoder.calibrate import second_moments
+from decoder.locate import Found
+from decoder.samples import Samples
+from phytac_design.mechanics.meshing.mesh import marker_mesh
+from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
+from phytac_design.stage import Context
+from phytac_design.stages.twin import arms_mm, readers_of
+from phytac_design.twin.bound import Prior, Signals, cell_prior, contact_signals
+from phytac_design.twin.response import motion_responses, point_motions
+from shapes.arrays import BoolArray, FloatArray
+
+QUIET_px = 0.05
+"""Markers that contacts move by less tell the noise: what mechanics leave out is far below it."""
+QUIET_LEAST = 10
+"""Readings of a coordinate from which on it has a noise of its own."""
+MEAN_SIZE = float(np.sqrt(2.0 / np.pi))
+"""Mean of |error| over the standard deviation of a normal error."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    """Least standard deviations of the force; arrays run over c contacts.
+
+    Attributes
+    ----------
+    force_N : (c,) float
+        Place, size and forces of all of a sample's contacts unknown but for the prior; NaN for
+        contacts that tripped no switch.
+    alone_N : (c,) float
+        The same if all about the sample's other contacts were known.
+    """
+
+    force_N: FloatArray
+    alone_N: FloatArray
+
+
+def noise_of(found: list[Found | None], samples: Samples) -> FloatArray:
+    """Noise (n, 2) px of shifts: robust scatter of markers that a sample's contacts leave alone.
+
+    Parameters
+    ----------
+    found : list of Found or None
+        Of each sample, None where nothing was looked for.
+    samples : Samples
+        With shifts.
+    """
+    assert samples.shift_px is not None
+    left = np.full(samples.shift_px.shape, np.nan)
+    for sample, one in enumerate(found):
+        if one is None:
+            continue
+        explained = one.shift_px.reshape(-1, 2)
+        quiet = np.linalg.norm(explained, axis=1) < QUIET_px
+        left[sample, quiet] = (samples.shift_px[sample] - explained)[quiet]
+    known = np.isfinite(left).sum(axis=0) >= QUIET_LEAST
+    noise = np.full(known.shape, np.nan)
+    # Median of |x| of a normal distribution is 0.6745 standard deviations.
+    noise[known] = np.nanmedian(np.abs(left[:, known]), axis=0) / 0.6745
+    each = np.abs(left[np.isfinite(left)])
+    overall = float(np.median(each)) / 0.6745 if len(each) else np.nan
+    return np.where(known, noise, overall)
+
+
+def bounds(context: Context, samples: Samples, noise_px: FloatArray) -> Bounds:
+    """Bounds of all contacts of samples, by the decoder's own shell, linear.
+
+    Parameters
+    ----------
+    context : Context
+        Of the decoder's mechanics.
+    samples : Samples
+        With contacts and truth.
+    noise_px : (n, 2) float
+        Standard deviation of each coordinate of a shift.
+    """
+    touches, truth = samples.touches, samples.truth
+    assert touches is not None
+    assert truth is not None
+    assert samples.shift_px is not None
+    design = context.design
+    tripped = np.isin(np.arange(len(touches.sample)), truth.touch) & (touches.force_N > 0.0)
+    prior = cell_prior(
+        context.surface.area_mm2(),
+        context.markers.count,
+        design.training.patch_radius_min_mm,
+        design.training.patch_radius_max_mm,
+    )
+    rows = np.flatnonzero(tripped)
+    signals = _signals(context, samples, tripped)
+    force, alone = np.full((2, len(tripped)), np.nan)
+    weight = 1.0 / noise_px.reshape(-1)
+    start = np.searchsorted(touches.sample[rows], np.arange(samples.count + 1))
+    for sample in range(samples.count):
+        own = slice(start[sample], start[sample + 1])
+        if own.start == own.stop:
+            continue
+        seen = np.isfinite(samples.shift_px[sample]).reshape(-1)
+        force[rows[own]], alone[rows[own]] = _sample(
+            Signals(shift=signals.shift[own], slopes=signals.slopes[own]),
+            touches.force_N[rows[own]],
+            weight * seen,
+            prior,
+        )
+    return Bounds(force_N=force, alone_N=alone)
+
+
+def _sample(
+    signals: Signals, force_N: FloatArray, weight: FloatArray, prior: Prior
+) -> tuple[FloatArray, FloatArray]:
+    """Bounds (m,) of m contacts at once, and of each alone."""
+    count = len(force_N)
+    slopes = force_N[:, None, None] * signals.slopes
+    G = np.concatenate([signals.shift[:, :, None], slopes], axis=2) * weight[:, None]
+    known = np.array([0.0, prior.place_mm**-2, prior.place_mm**-2, prior.radius_mm**-2])
+    each = np.swapaxes(G, 1, 2) @ G + np.diag(known)
+    alone = np.sqrt(np.linalg.inv(each)[:, 0, 0])
+    flat = np.moveaxis(G, 1, 0).reshape(len(weight), 4 * count)
+    information = flat.T @ flat + np.diag(np.tile(known, count))
+    return np.sqrt(np.diagonal(np.linalg.inv(information))[::4]), alone
+
+
+def _signals(context: Context, samples: Samples, chosen: BoolArray) -> Signals:
+    """Shifts per newton of the chosen contacts, as even discs of their second moments."""
+    touches = samples.touches
+    assert touches is not None
+    design, surface, markers = context.design, context.surface, context.markers
+    mesh = marker_mesh(
+        surface, markers, thickness_mm=design.wall.thickness_mm, refine=context.accuracy.refine
+    )
+    receptors = context.accuracy.receptors and not unknown_receptors(design)
+    model = sensor_model(design, markers, mesh, receptors=receptors)
+    arm = arms_mm(context)
+    slope = readers_of(context).jacobian(markers.mid_mm + arm)
+
+    def shifts(uv: FloatArray, radius_mm: FloatArray) -> FloatArray:
+        motion = motion_responses(model, mesh, surface, markers, uv=uv, radius_mm=radius_mm)
+        return np.asarray(np.einsum("nij,cnj->cni", slope, point_motions(motion, arm)))
+
+    moments = second_moments(
+        {
+            "indenter": touches.indenter[chosen],
+            "radius_mm": touches.radius_mm[chosen],
+            "length_mm": touches.length_mm[chosen],
+            "turn_rad": touches.turn_rad[chosen],
+        }
+    )
+    # An even disc of radius a has a²/4 along each axis.
+    radius = np.sqrt(2.0 * (moments[:, 0] + moments[:, 2]))
+    return contact_signals(surface, shifts, uv=touches.uv[chosen], radius_mm=radius)

@@ -1,0 +1,124 @@
+"""The decoder on contacts that CalculiX solved on the solid sensor; part ``referee``.
+
+Tips moved as the referee says are seen through the design's own lens, with noise; switches follow
+the activation law. No estimator has ever seen such data: ``auto`` knows the design alone, the
+networks learnt from the twin's samples of the sensor as designed.
+"""
+
+import numpy as np
+
+from benchmarks.decoder_data import nominal, set_of
+from benchmarks.decoder_judge import LEARNT, by_design, mechanics, taught, verdict
+from benchmarks.decoder_rows import FULL, TARGETS, add_bounds, add_claims, add_scores
+from benchmarks.harness import Table
+from benchmarks.referee.contacts import COUNTS
+from benchmarks.referee.read import Solved, data_file, read_solved
+from decoder.samples import STATUSES, THEORIES, Meta, Samples, TouchRows, truth_rows
+from phytac_design.accuracy import Preset
+from phytac_design.design_file import design_hash, load_design
+from phytac_design.learn.data import DataSet
+from phytac_design.mechanics.large import rotations as rot
+from phytac_design.stage import Context
+from phytac_design.stages.twin import readers_of
+from phytac_design.twin.contacts import Contacts, switch_states
+from shapes.arrays import FloatArray
+
+SOURCE = "CalculiX NLGEOM, quadratic tetrahedra of the CAD (benchmarks/referee)"
+NOISE_FACTOR = float(np.sqrt(2.0))
+"""A shift is the difference of two positions."""
+SEED = 5
+
+
+def shifts_px(context: Context, item: Solved) -> FloatArray:
+    """Shifts (n, 2) of all markers in the image that each is read in.
+
+    The paint turns with its receptor where the referee models it with its tube; elsewhere it
+    moves as the tip, which it is beside.
+    """
+    paint = context.arrays("views")["paint_point_mm"]
+    arm = (paint - context.markers.tip_mm)[item.kept]
+    moved = paint + item.motion_mm
+    moved[item.kept] += (rot.deviation(rot.exponential(item.turn_rad)) @ arm[..., None])[..., 0]
+    readers = readers_of(context)
+    return np.asarray(readers.project(moved) - readers.project(paint))
+
+
+def samples_of(context: Context, solved: list[Solved]) -> Samples:
+    """Solved contacts as samples of the sensor."""
+    design, surface, markers = context.design, context.surface, context.markers
+    rng = np.random.default_rng(SEED)
+    sizes = [len(item.contact.uv) for item in solved]
+    contacts = Contacts(
+        sample=np.repeat(np.arange(len(solved)), sizes),
+        uv=np.concatenate([item.contact.centres for item in solved]),
+        radius_mm=np.concatenate([item.contact.radius_mm for item in solved]),
+        force_N=np.concatenate([item.contact.force_N for item in solved]),
+        samples=len(solved),
+    )
+    state = switch_states(design, surface, markers, contacts)
+    shift = np.stack([shifts_px(context, item) for item in solved])
+    shift += rng.normal(0.0, NOISE_FACTOR * design.camera.noise_centroid_px, shift.shape)
+    count, number = len(solved), len(contacts.sample)
+    total = np.zeros(count)
+    np.add.at(total, contacts.sample, contacts.force_N)
+    return Samples(
+        markers=markers.count,
+        time_s=np.arange(count, dtype=np.float64),
+        sequence=np.arange(count),
+        light=np.ones(count),
+        status=np.full(count, STATUSES.index("ok")),
+        theory=np.full(count, THEORIES.index("large")),
+        total_N=total,
+        contacts=contacts.counts,
+        bits=state.bits,
+        bits_read=state.bits,
+        shift_px=shift,
+        touches=TouchRows(
+            sample=contacts.sample,
+            uv=contacts.uv,
+            point_mm=surface.point(contacts.uv),
+            radius_mm=contacts.radius_mm,
+            force_N=contacts.force_N,
+            indenter=np.zeros(number, dtype=np.int64),
+            length_mm=np.zeros(number),
+            turn_rad=np.zeros(number),
+            friction=np.zeros((number, 2)),
+        ),
+        truth=truth_rows(state.bits, state.owner, state.receptor_force_N),
+    )
+
+
+def data_of(context: Context, solved: list[Solved]) -> DataSet:
+    """The same as a data set."""
+    design = context.design
+    meta = Meta(
+        simulated=True,
+        what=f"{len(solved)} contacts of {design.name} solved by CalculiX",
+        design=design.name,
+        design_hash=design_hash(design),
+        route="points",
+    )
+    return set_of("referee", samples_of(context, solved), meta)
+
+
+def add_rows_referee(table: Table, *, quick: bool) -> None:
+    """All estimators on the referee's contacts of both designs."""
+    accuracy: Preset = "draft" if quick else "standard"
+    for name in ("grip",) if quick else COUNTS:
+        design = load_design(name)
+        context = mechanics(design, accuracy)
+        solved = read_solved(data_file(name), design, context.markers)
+        data = data_of(context, solved[:8] if quick else solved)
+        plain = by_design(context)
+        head = f"{name}, {data.samples.count} loads of the referee"
+        judged = verdict(context, plain.model, data)
+        add_scores(table, f"{head}, by design alone", judged, FULL, targets=TARGETS, source=SOURCE)
+        add_bounds(table, head, judged, target=None)
+        add_claims(table, f"{head}, by design alone", judged.claims, target=False)
+        if quick:
+            continue
+        case = nominal(design)
+        bundle, _ = taught(plain, case.parts()[0])
+        again = verdict(context, bundle.model, data, estimators=LEARNT)
+        add_scores(table, f"{head}, trained on the twin's {case.name}", again, FULL, source=SOURCE)
+        add_claims(table, f"{head}, trained on the twin's {case.name}", again.claims, target=False)
