@@ -15,7 +15,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks import decoder_faults, decoder_speed, decoder_stream
+from benchmarks import (
+    decoder_accuracy,
+    decoder_cnn,
+    decoder_faults,
+    decoder_referee,
+    decoder_shapes,
+    decoder_speed,
+    decoder_stream,
+    decoder_tables,
+)
 from benchmarks.harness import Table, run_parts
 from benchmarks.plain_eyes import plain_opencv
 from decoder.bundle import Bundle, load_bundle
@@ -230,12 +239,21 @@ def linear_rows(table: Table, *, quick: bool) -> None:
 
 def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     """Parts of this benchmark."""
-    return {
-        "linear": partial(linear_rows, quick=quick),
-        "speed": partial(decoder_speed.add_rows, quick=quick),
-        "stream": partial(decoder_stream.add_rows, quick=quick),
-        "faults": partial(decoder_faults.add_rows, quick=quick),
+    rows: dict[str, Callable[..., None]] = {
+        "linear": linear_rows,
+        "speed": decoder_speed.add_rows,
+        "stream": decoder_stream.add_rows,
+        "faults": decoder_faults.add_rows,
+        "accuracy": decoder_accuracy.add_rows_accuracy,
+        "few": decoder_accuracy.add_rows_few,
+        "other_unit": decoder_accuracy.add_rows_other_unit,
+        "referee": decoder_referee.add_rows_referee,
+        "shapes": decoder_shapes.add_rows_shapes,
+        "cycles": decoder_shapes.add_rows_cycles,
+        "tables": decoder_tables.add_rows,
+        "cnn": decoder_cnn.add_rows,
     }
+    return {name: partial(add, quick=quick) for name, add in rows.items()}
 
 
 if __name__ == "__main__":

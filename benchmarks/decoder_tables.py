@@ -63,7 +63,7 @@ def judged(locator: Locator, samples: Samples, context: Context) -> dict[str, fl
     learnt = locator.correction
     force = matches.force_N
     if learnt is not None:
-        force = force * learnt.factor(matches.point_mm, force)
+        force = force * learnt.factor(matches.point_mm, force, matches.signal_px)
     height = along_mm(context, samples.touches.uv[matches.touch])
     low, high = middle_mm(context)
     middle = (height >= low) & (height <= high)

@@ -276,6 +276,7 @@ def load_bundle(folder: Path) -> Bundle:
                 arrays,
                 position_mm=arrays["position_mm"],
                 neighbours=arrays["neighbours"],
+                threshold_N=arrays["threshold_N"],
                 folder=folder,
             )
         cameras = tuple(camera_from(table, folder) for table in tables)

@@ -65,6 +65,7 @@ def locator_from(
     *,
     position_mm: FloatArray,
     neighbours: IntArray,
+    threshold_N: FloatArray,
     folder: Path,
 ) -> Locator:
     """Undo both.
@@ -107,6 +108,7 @@ def locator_from(
         position_mm=position_mm,
         neighbours=neighbours,
         footprint_mm=_positive(table["footprint_mm"]),
+        threshold_N=threshold_N,
         prior=Prior(
             place_mm=_positive(prior["place_mm"]),
             moments_mm2=(float(mean[0]), float(mean[1]), float(mean[2])),
@@ -132,7 +134,7 @@ def _check(own: Mapping[str, Any], columns: int, *, learnt: bool, folder: Path) 
     shapes = dict.fromkeys(("point_mm", "along", "around"), (count, 3))
     expected: dict[str, tuple[int, ...]] = shapes | {"shift_px": (count, max(orders, 1), columns)}
     if learnt:
-        expected |= {"weight": (len(own["weight"]),), "centre": (len(own["weight"]), 4)}
+        expected |= {"weight": (len(own["weight"]),), "centre": (len(own["weight"]), 5)}
     for name, shape in expected.items():
         value, kind = own[name], np.float32 if name == "shift_px" else np.float64
         if value.shape != shape or value.dtype != kind:

@@ -8,7 +8,7 @@ import numpy as np
 
 from decoder.contact_fit import Noise, Prior
 from decoder.correct import Correction, learn_correction
-from decoder.locate import Found, Locator
+from decoder.locate import Found, Located, Locator
 from decoder.samples import FAILED, Samples
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import InputError
@@ -36,6 +36,8 @@ class Matches:
         Where it was found.
     force_N, sd_N : (c,) float
         As found, before correction.
+    signal_px : (c,) float
+        Shift of all markers together, px per newton.
     truth_N : (c,) float
         As pressed.
     misfit : (s,) float
@@ -46,6 +48,7 @@ class Matches:
     point_mm: FloatArray
     force_N: FloatArray
     sd_N: FloatArray
+    signal_px: FloatArray
     truth_N: FloatArray
     misfit: FloatArray
 
@@ -66,7 +69,7 @@ def match(locator: Locator, samples: Samples, chosen: IntArray) -> Matches:
             "the samples hold no shifts, switches, contacts or truth; make them with --keep points"
         )
     start = np.searchsorted(truth.sample, np.arange(samples.count + 1))
-    rows: list[tuple[int, FloatArray, float, float]] = []
+    rows: list[tuple[int, Located]] = []
     misfit = []
     for sample in chosen:
         koi = np.flatnonzero(bits[sample])
@@ -81,21 +84,20 @@ def match(locator: Locator, samples: Samples, chosen: IntArray) -> Matches:
             "no contact of the samples tripped a switch that was found again; give samples with "
             "stronger contacts"
         )
-    touch, point, force, sd = zip(*rows, strict=True)
-    index = np.array(touch, dtype=np.int64)
+    index = np.array([touch for touch, _ in rows], dtype=np.int64)
+    contacts = [contact for _, contact in rows]
     return Matches(
         touch=index,
-        point_mm=np.stack(point),
-        force_N=np.array(force),
-        sd_N=np.array(sd),
+        point_mm=np.stack([contact.point_mm for contact in contacts]),
+        force_N=np.array([contact.raw_N for contact in contacts]),
+        sd_N=np.array([contact.raw_sd_N for contact in contacts]),
+        signal_px=np.array([contact.signal_px for contact in contacts]),
         truth_N=touches.force_N[index],
         misfit=np.array(misfit),
     )
 
 
-def _matched(
-    found: Found, marker: IntArray, touch: IntArray
-) -> list[tuple[int, FloatArray, float, float]]:
+def _matched(found: Found, marker: IntArray, touch: IntArray) -> list[tuple[int, Located]]:
     out = []
     for contact in found.contacts:
         pressed = np.unique(touch[np.isin(marker, contact.markers)])
@@ -105,7 +107,7 @@ def _matched(
         mine = marker[touch == pressed[0]]
         if any(np.isin(c.markers, mine).any() for c in others):
             continue
-        out.append((int(pressed[0]), contact.point_mm, contact.raw_N, contact.raw_sd_N))
+        out.append((int(pressed[0]), contact))
     return out
 
 
@@ -151,7 +153,7 @@ def calibrated(
         matches = match(plain, samples, chosen)
     box = plain.position_mm
     empty = Correction(
-        centre=np.zeros((0, 4)),
+        centre=np.zeros((0, 5)),
         weight=np.zeros(0),
         low_mm=box.min(axis=0),
         size_mm=max(float(np.ptp(box, axis=0).max()), 1e-9),
@@ -163,6 +165,7 @@ def calibrated(
             empty,
             point_mm=matches.point_mm,
             force_N=matches.force_N,
+            signal_px=matches.signal_px,
             sd_N=matches.sd_N,
             truth_N=matches.truth_N,
         )

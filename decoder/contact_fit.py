@@ -14,6 +14,8 @@ STILL = 2e-3
 """Change of every force, relative, and of every centre, in cm, below which a fit ends."""
 STEP_MM, STEP_MM2 = 2.0, 4.0
 """Longest steps of centre and moments in a round: what the cubic between places stands for."""
+OFF_SPACINGS = 0.85
+"""A contact is within this many spacings of a place; half a diagonal of a square grid is 0.71."""
 FORCE_LEAST_N = 0.02
 FORCE_SD_N = 1e3
 """Of a force nothing is known beforehand."""
@@ -145,6 +147,14 @@ def point_of(places: Places, state: State) -> FloatArray:
     return np.asarray(places.point_mm[state.place] + x * along + y * around)
 
 
+def signal_of(state: State) -> float:
+    """Shift of all markers together by the first newton, px."""
+    t = np.zeros(10)
+    x, y = state.x[1:3]
+    t[:6] = (1.0, x, y, x * x / 2.0, x * y, y * y / 2.0)
+    return float(np.linalg.norm(t.astype(np.float32) @ state.tables[:, 0]))
+
+
 def start(
     places: Places,
     prior: Prior,
@@ -250,4 +260,8 @@ def _moved(places: Places, states: Sequence[State], step: FloatArray) -> float:
         if place != state.place:
             state.place, state.tables = place, places.cubic(place)
             state.x[1:3] = places.flat(place, point[None])[0]
+        # Every place of the surface is nearer to the tables: beyond a rim there is none.
+        far = float(np.hypot(*state.x[1:3])) / (OFF_SPACINGS * places.spacing_mm)
+        if far > 1.0:
+            state.x[1:3] /= far
     return most

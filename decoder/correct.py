@@ -16,6 +16,8 @@ AMPLITUDE = 0.05
 """Standard deviation of the logarithm before data are seen."""
 LENGTH = 0.33
 """Length scale of place (over the sensor's size) and of force (over the greatest)."""
+SIGNAL_SCALE, SIGNAL_LEAST = 0.4, 1e-6
+"""Factor on the logarithm of the signal, and its least, px/N."""
 SHARE = 0.01
 """Least error of physics, as a share of the force."""
 PASSES = 3
@@ -32,7 +34,7 @@ class Correction:
 
     Attributes
     ----------
-    centre : (m, 4) float
+    centre : (m, 5) float
         Features, see :meth:`features`.
     weight : (m,) float
         Of each.
@@ -54,16 +56,25 @@ class Correction:
     spread: float = 1.0
     spread_share: float = 0.0
 
-    def features(self, point_mm: FloatArray, force_N: FloatArray) -> FloatArray:
-        """Features (c, 4) of contacts at points (c, 3): place over size, force over the most."""
-        place = (point_mm - self.low_mm) / self.size_mm
-        return np.column_stack([place, force_N / self.force_max_N])
+    def features(
+        self, point_mm: FloatArray, force_N: FloatArray, signal_px: FloatArray
+    ) -> FloatArray:
+        """Features (c, 5) of contacts at points (c, 3): place over size, force over the most.
 
-    def factor(self, point_mm: FloatArray, force_N: FloatArray) -> FloatArray:
+        The fifth is the logarithm of the signal (c,), px per newton over all markers: it fades
+        towards the rims, where errors change within millimetres.
+        """
+        place = (point_mm - self.low_mm) / self.size_mm
+        faint = SIGNAL_SCALE * np.log(np.maximum(signal_px, SIGNAL_LEAST))
+        return np.column_stack([place, force_N / self.force_max_N, faint])
+
+    def factor(
+        self, point_mm: FloatArray, force_N: FloatArray, signal_px: FloatArray
+    ) -> FloatArray:
         """Factor (c,) on forces."""
         if len(self.weight) == 0:
             return np.ones(len(force_N))
-        own = self.features(point_mm, force_N)
+        own = self.features(point_mm, force_N, signal_px)
         return np.asarray(np.exp(kernel(own, self.centre) @ self.weight))
 
     def spread_N(self, force_N: FloatArray, sd_N: FloatArray) -> FloatArray:
@@ -72,7 +83,7 @@ class Correction:
 
 
 def kernel(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Squared-exponential covariance (p, q) of features (p, 4), (q, 4)."""
+    """Squared-exponential covariance (p, q) of features (p, 5), (q, 5)."""
     gap = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * (a @ b.T)
     return np.asarray(AMPLITUDE**2 * np.exp(-0.5 * np.maximum(gap, 0.0) / LENGTH**2))
 
@@ -82,10 +93,11 @@ def learn_correction(
     *,
     point_mm: FloatArray,
     force_N: FloatArray,
+    signal_px: FloatArray,
     sd_N: FloatArray,
     truth_N: FloatArray,
 ) -> Correction:
-    """Learn from c contacts: fitted places, forces and their spread, and the truth.
+    """Learn from c contacts: fitted places, forces, signals and spread, and the truth.
 
     The spread is set so that 90 % of the truths lie within the central 90 %, by residuals that
     leave each contact out (ibid., eq. 5.12), and contacts weigh by it.
@@ -95,7 +107,7 @@ def learn_correction(
     plain : Correction
         Without data: box and greatest force.
     """
-    own = plain.features(point_mm, force_N)
+    own = plain.features(point_mm, force_N, signal_px)
     log = np.clip(np.log(truth_N / force_N), -1.0, 1.0)
     covariance = kernel(own, own)
     spread, share = 1.0, SHARE

@@ -13,7 +13,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from decoder.contact_fit import UNKNOWNS, Fit, Noise, Prior, Seen, State, fit, point_of, start
+from decoder.contact_fit import (
+    UNKNOWNS,
+    Fit,
+    Noise,
+    Prior,
+    Seen,
+    State,
+    fit,
+    point_of,
+    signal_of,
+    start,
+)
 from decoder.contacts import contact_groups
 from decoder.correct import Correction
 from decoder.nonnegative import nonnegative_least_squares
@@ -27,6 +38,8 @@ SILENT_GAIN = 25.0
 """Fall of the weighted sum of squares from which on one is believed: five standard deviations."""
 SILENT_MISFIT = 1.15
 """Weighted sum of squares per number from which on it is worth a look."""
+SILENT_OVER = 2.0
+"""A switch off may carry this many times its threshold: prints scatter, and places are guessed."""
 REACH = 1.5
 """Of a contact beyond its centre, in radii of the tables' disc: patches are not all of a size."""
 START_N = 0.3
@@ -57,8 +70,8 @@ class Located:
         Standard deviations of the centre, along and around.
     moments_mm2 : (3,) float
         Second moments xx, xy, yy less those of the tables' disc.
-    place : int
-        Nearest place of the tables.
+    signal_px : float
+        Shift of all markers together, px per newton.
     """
 
     markers: IntArray
@@ -71,7 +84,7 @@ class Located:
     radius_mm: float
     sd_mm: FloatArray
     moments_mm2: FloatArray
-    place: int
+    signal_px: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +127,8 @@ class Locator:
         Neighbour ids, -1 beyond a rim.
     footprint_mm : float
         Radius of a switch's footprint.
+    threshold_N : (n,) float
+        Force on it that turns the switch on.
     prior, noise : Prior, Noise
         What is known beforehand.
     correction : Correction, optional
@@ -124,6 +139,7 @@ class Locator:
     position_mm: FloatArray
     neighbours: IntArray
     footprint_mm: float
+    threshold_N: FloatArray
     prior: Prior
     noise: Noise
     correction: Correction | None = None
@@ -178,7 +194,7 @@ class Locator:
             if another is None:
                 break
             more = self._fit([*(state.copy() for state in best.states), another], seen)
-            if best.cost - more.cost < SILENT_GAIN:
+            if best.cost - more.cost < SILENT_GAIN or not self._could_be_silent(more, koi):
                 break
             best = more
         return self._told(best, koi)
@@ -242,18 +258,32 @@ class Locator:
             place_sd_mm=2.0 * self.places.spacing_mm,
         )
 
+    def _could_be_silent(self, found: Fit, koi: IntArray) -> bool:
+        """Whether the last contact would leave off all switches that are off."""
+        state = found.states[-1]
+        radius = float(self._radii([state])[0])
+        gap = np.linalg.norm(point_of(self.places, state) - self.position_mm, axis=1)
+        carried = float(state.x[0]) * disc_overlap_share(gap, radius, self.footprint_mm)
+        carried[koi] = 0.0
+        return bool((carried <= SILENT_OVER * self.threshold_N).all())
+
+    def _radii(self, states: Sequence[State]) -> FloatArray:
+        """Radius (c,) mm of the even disc with each contact's mean second moment."""
+        disc = self.places.radius_mm**2 / 2.0
+        spread = np.array([disc + state.x[3] + state.x[5] for state in states])
+        return np.asarray(np.sqrt(2.0 * np.maximum(spread, SPREAD_LEAST * disc)))
+
     def _told(self, best: Fit, koi: IntArray) -> Found:
         """Contacts in words of the user's: corrected, with their switches."""
         sd = np.sqrt(np.diagonal(best.covariance)).reshape(-1, UNKNOWNS)
         points = np.stack([point_of(self.places, state) for state in best.states])
-        disc = self.places.radius_mm**2 / 2.0
-        spread = np.array([disc + state.x[3] + state.x[5] for state in best.states])
-        radius = np.sqrt(2.0 * np.maximum(spread, SPREAD_LEAST * disc))
+        radius = self._radii(best.states)
         raw = np.array([state.x[0] for state in best.states])
         owner = self._owners(points, radius, raw, best.states, koi)
+        signal = np.array([signal_of(state) for state in best.states])
         force, spread_N = raw, sd[:, 0]
         if self.correction is not None:
-            force = raw * self.correction.factor(points, raw)
+            force = raw * self.correction.factor(points, raw, signal)
             spread_N = self.correction.spread_N(force, sd[:, 0])
         contacts = [
             Located(
@@ -267,7 +297,7 @@ class Locator:
                 radius_mm=float(radius[k]),
                 sd_mm=sd[k, 1:3],
                 moments_mm2=state.x[3:].copy(),
-                place=state.place,
+                signal_px=float(signal[k]),
             )
             for k, state in enumerate(best.states)
         ]

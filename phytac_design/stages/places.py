@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.stages.twin import MECHANICS, arms_mm, readers_of
 
@@ -91,6 +92,7 @@ def locator_of(context: Context) -> "Locator":
         position_mm=surface.point(markers.uv),
         neighbours=markers.neighbours,
         footprint_mm=design.switch.footprint_diameter_mm / 2.0,
+        threshold_N=thresholds_N(design, markers),
         prior=Prior(place_mm=prior.place_mm, moments_sd_mm2=(spread, spread / 2.0, spread)),
         noise=Noise(centroid_px=NOISE_FACTOR * design.camera.noise_centroid_px),
     )

@@ -84,6 +84,7 @@ def flat_locator(*, place_mm: float = 1.5, noise_px: float = 0.02) -> Locator:
         position_mm=MARKERS,
         neighbours=neighbours(),
         footprint_mm=2.3,
+        threshold_N=np.full(len(MARKERS), 0.5),
         prior=Prior(place_mm=place_mm),
         noise=Noise(centroid_px=noise_px, share=0.005, switched_px=0.0),
     )

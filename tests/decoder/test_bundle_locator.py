@@ -36,10 +36,11 @@ def bundle() -> Bundle:
         position_mm=points,
         neighbours=plain.model.neighbours,
         footprint_mm=2.0,
+        threshold_N=plain.threshold_N,
         prior=Prior(place_mm=1.0, moments_mm2=(0.1, 0.2, 0.3), moments_sd_mm2=(1.0, 2.0, 3.0)),
         noise=Noise(centroid_px=0.05, share=0.01, switched_px=0.4),
         correction=Correction(
-            centre=rng.normal(size=(7, 4)),
+            centre=rng.normal(size=(7, 5)),
             weight=rng.normal(size=7),
             low_mm=points.min(axis=0),
             size_mm=50.0,

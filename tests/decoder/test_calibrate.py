@@ -84,7 +84,7 @@ def test_new_contacts_are_read_better_by_far() -> None:
     before = match(LOCATOR, fresh, np.arange(60))
     after = match(replace(LEARNT, correction=None), fresh, np.arange(60))
     assert LEARNT.correction is not None
-    factor = LEARNT.correction.factor(after.point_mm, after.force_N)
+    factor = LEARNT.correction.factor(after.point_mm, after.force_N, after.signal_px)
     error = [
         float(np.mean(np.abs(force / truth - 1.0)))
         for force, truth in (
@@ -103,7 +103,7 @@ def test_ninety_percent_lie_within_ninety_percent() -> None:
     matches = match(replace(LEARNT, correction=None), fresh, np.arange(200))
     learnt = LEARNT.correction
     assert learnt is not None
-    force = matches.force_N * learnt.factor(matches.point_mm, matches.force_N)
+    force = matches.force_N * learnt.factor(matches.point_mm, matches.force_N, matches.signal_px)
     inside = np.abs(force - matches.truth_N) < 1.6449 * learnt.spread_N(force, matches.sd_N)
     assert 0.82 < inside.mean() < 0.97
 
@@ -114,7 +114,7 @@ def test_few_samples_tell_the_stiffness_alone() -> None:
     assert facts["stiffness"] == pytest.approx(STIFFNESS, rel=0.06)
     assert learnt.correction is not None
     at = np.array([[30.0, 30.0, 0.0]])
-    assert learnt.correction.factor(at, np.array([5.0])) == pytest.approx(1.0)
+    assert learnt.correction.factor(at, np.array([5.0]), np.ones(1)) == pytest.approx(1.0)
 
 
 def test_same_samples_same_locator() -> None:
@@ -135,19 +135,26 @@ def test_samples_without_contacts_or_switches_are_refused() -> None:
 
 def test_a_correction_fades_away_from_its_data() -> None:
     plain = Correction(
-        centre=np.zeros((0, 4)),
+        centre=np.zeros((0, 5)),
         weight=np.zeros(0),
         low_mm=np.zeros(3),
         size_mm=100.0,
         force_max_N=20.0,
     )
-    assert plain.factor(np.zeros((2, 3)), np.ones(2)).tolist() == [1.0, 1.0]
+    assert plain.factor(np.zeros((2, 3)), np.ones(2), np.ones(2)).tolist() == [1.0, 1.0]
     rng = np.random.default_rng(0)
     point, force = rng.uniform(0.0, 20.0, (200, 3)), rng.uniform(1.0, 20.0, 200)
     learnt = learn_correction(
-        plain, point_mm=point, force_N=force, sd_N=0.01 * force, truth_N=1.04 * force
+        plain,
+        point_mm=point,
+        force_N=force,
+        signal_px=np.ones(200),
+        sd_N=0.01 * force,
+        truth_N=1.04 * force,
     )
-    near, far = learnt.factor(np.array([[10.0] * 3, [100.0] * 3]), np.array([10.0, 10.0]))
+    near, far = learnt.factor(
+        np.array([[10.0] * 3, [100.0] * 3]), np.array([10.0, 10.0]), np.ones(2)
+    )
     assert near == pytest.approx(1.04, abs=0.003)
     assert abs(far - 1.0) < 0.002
 
