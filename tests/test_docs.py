@@ -25,8 +25,9 @@ def test_the_example_runs() -> None:
 
 def test_commands_of_the_docs_exist() -> None:
     text = README + "".join(path.read_text() for path in (ROOT / "docs").glob("*.md"))
-    named = set(re.findall(r"phytac ([a-z]+)", text))
-    known = {command.name or command.callback.__name__ for command in app.registered_commands}
+    named = set(re.findall(r"phytac ([a-z]+(?:-[a-z]+)*)", text))
+    names = (command.name or command.callback.__name__ for command in app.registered_commands)
+    known = {name.strip("_").replace("_", "-") for name in names}
     assert named <= known
 
 
