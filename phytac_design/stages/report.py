@@ -35,6 +35,7 @@ NEEDS = (
     "bench",
     "mesh",
     "response",
+    "places",
     "twin",
     "decoder",
     "frames",
