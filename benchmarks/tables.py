@@ -41,9 +41,15 @@ SHORT: tuple[tuple[str, str], ...] = (
     ("mechanics", "speed: one load, error 1 % of the peak, both on even meshes"),
     ("mechanics", "speed: one load, error 1 % of the peak, both extrapolated from two graded"),
     ("mechanics", "speed: a hundred loads, error 1 %, ours extrapolated"),
-    ("decoder", "rendered frames: fem relative error ("),
-    ("decoder", "rendered frames: fem_nn relative error ("),
-    ("decoder", "rendered frames: koi_inverse relative error ("),
+    ("decoder", "cylinder60 unit 1, frames: held-out contacts"),
+    ("decoder", "cylinder60 unit 1, frames: fem, middle heights"),
+    ("decoder", "cylinder60 unit 1, frames: fem_nn, middle heights"),
+    ("decoder", "cylinder60 unit 1, frames: koi_inverse, middle heights"),
+    ("decoder", "cylinder60 unit 1, frames: auto, middle heights"),
+    ("decoder", "cylinder60 unit 1, frames: auto, all heights"),
+    ("decoder", "cylinder60 unit 1, frames: auto, share of truths"),
+    ("decoder", "cylinder60 unit 1, frames: auto, middle heights: samples from which on"),
+    ("decoder", "cnn on 598 samples"),
     ("decoder", "rest coordinates from one frame, RMSE, all"),
 )
 """Rows of the README: benchmark and how the case begins; the first that matches is shown."""

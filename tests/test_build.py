@@ -176,14 +176,14 @@ def test_a_spiral_whose_straight_rows_cannot_be_made_is_not_compared(tmp_path: P
         ({"description": "other words"}, {"bench", "report"}),
         (
             {"material": {"modulus_MPa": 1800.0}},
-            {"underload", "resolution", "mesh", "response", "twin", "decoder", "frames"},
+            {"underload", "resolution", "mesh", "response", "places", "twin", "decoder", "frames"},
         ),
         ({"print_rules": {"gap_min_mm": 0.31}}, {"shell", "step", *FABRICATION}),
         ({"mold": {"land_mm": 0.7}}, FABRICATION),
         ({"hardware": {"wall_mm": 3.5}}, {"hardware", "printing", "bench"}),
         (
             {"training": {"force_max_N": 24.0}},
-            {"underload", "resolution", "mesh", "twin", "decoder", "frames"}
+            {"underload", "resolution", "mesh", "places", "twin", "decoder", "frames"}
             | {"kit", "printing", "bench"},
         ),
         ({"demands": {"clear_force_N": 1.0}}, {"underload"}),

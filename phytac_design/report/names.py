@@ -137,6 +137,8 @@ NAMES: dict[str, str] = {
     "accuracy.truth_refine": "elements per marker pitch, simulated sensor's mesh",
     "accuracy.sample_share": "share of the samples simulated",
     "accuracy.frames": "frames rendered and decoded",
+    "accuracy.place_share": "spacing of auto's places over the patches' radius",
+    "accuracy.place_orders": "powers of the force in auto's tables",
     "accuracy.press_places": "places pressed",
     "accuracy.press_tolerance": "error of linear theory accepted under load",
     "seed": "seed",
