@@ -12,8 +12,8 @@ import numpy as np
 
 from shapes.arrays import FloatArray
 
-AMPLITUDE = 0.05
-"""Standard deviation of the logarithm before data are seen."""
+AMPLITUDE, AMPLITUDE_MAX = 0.05, 0.5
+"""Least and greatest standard deviation of the logarithm that is presumed: that of the data."""
 LENGTH = 0.33
 """Length scale of place (over the sensor's size) and of force (over the greatest)."""
 SIGNAL_SCALE, SIGNAL_LEAST = 0.4, 1e-6
@@ -83,9 +83,9 @@ class Correction:
 
 
 def kernel(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Squared-exponential covariance (p, q) of features (p, 5), (q, 5)."""
+    """Squared-exponential correlation (p, q) of features (p, 5), (q, 5)."""
     gap = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * (a @ b.T)
-    return np.asarray(AMPLITUDE**2 * np.exp(-0.5 * np.maximum(gap, 0.0) / LENGTH**2))
+    return np.asarray(np.exp(-0.5 * np.maximum(gap, 0.0) / LENGTH**2))
 
 
 def learn_correction(
@@ -109,7 +109,8 @@ def learn_correction(
     """
     own = plain.features(point_mm, force_N, signal_px)
     log = np.clip(np.log(truth_N / force_N), -1.0, 1.0)
-    covariance = kernel(own, own)
+    size = float(np.clip(np.quantile(np.abs(log), 0.68), AMPLITUDE, AMPLITUDE_MAX))
+    covariance = size**2 * kernel(own, own)
     spread, share = 1.0, SHARE
     weight = np.zeros(len(log))
     for _ in range(PASSES):
@@ -122,7 +123,7 @@ def learn_correction(
         spread, share = calibrated_spread(error, sd_N, force_N)
     return Correction(
         centre=own,
-        weight=weight,
+        weight=size**2 * weight,
         low_mm=plain.low_mm,
         size_mm=plain.size_mm,
         force_max_N=plain.force_max_N,
