@@ -246,7 +246,7 @@ def at(point_mm: FloatArray, markers: list[int], force_N: float, sd_N: float = 1
         radius_mm=5.0,
         sd_mm=np.ones(2),
         moments_mm2=np.zeros(3),
-        place=0,
+        signal_px=1.0,
     )
 
 
