@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from decoder.bundle import Bundle
+from decoder.contacts import contact_groups
 from shapes.arrays import BoolArray, FloatArray, IntArray
 
 RIDGE = 1e-3
@@ -63,15 +64,7 @@ class Explained:
 
     def groups(self) -> list[IntArray]:
         """Key nodes in groups of neighbours."""
-        left, out = set(self.koi.tolist()), []
-        while left:
-            group, edge = set(), {left.pop()}
-            while edge:
-                group |= edge
-                edge = set(self._near[list(edge)].ravel().tolist()) & left
-                left -= edge
-            out.append(np.array(sorted(group)))
-        return out
+        return [self.koi[rows] for rows in contact_groups(self.koi, self.bundle.model.neighbours)]
 
     def forces_on(self, markers: IntArray) -> FloatArray:
         """Forces (k,) N of any sign on ``markers`` (k,) that explain the motion best."""

@@ -24,6 +24,9 @@ BLOBS_MAX = 8.0
 MOVED_PX = 0.75
 """A median shift of a camera's markers beyond this says that it has moved, not the shell."""
 
+WITHOUT_STIFFNESS = ("koi_inverse", "auto")
+"""Estimators that do without K·u."""
+
 Frames = ImageArray | Sequence[ImageArray]
 """A frame of each camera, in the bundle's order; one camera's may stand alone."""
 
@@ -91,7 +94,7 @@ class Measured:
         if still:
             out += self._doubts(bundle, forces_N)
         useless = self.koi[~bundle.stiffness_usable[self.koi]]
-        if len(useless) and estimator != "koi_inverse":
+        if len(useless) and estimator not in WITHOUT_STIFFNESS:
             out.append(
                 f"fem, fem_nn and fem_nn_identity cannot be used on {len(useless)} switched "
                 f"receptors ({named(useless)}): noise of their K·u drowns any force there; use "

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 
 from decoder.bundle import Bundle
-from decoder.estimators import ESTIMATORS
 from decoder.follow import Follower
 from decoder.frame import Frame, Source
 from decoder.imu import Imu
@@ -41,7 +40,7 @@ def frame_decoder(
     InputError
         If there is no such estimator.
     """
-    _known(estimator)
+    _known(bundle, estimator)
 
     def decode(frame: Frame) -> Reading:
         measured = measure_frame(bundle, frame.images, rest_px=rest_px)
@@ -73,7 +72,7 @@ def follow_decoder(
     InputError
         If there is no such estimator, or the rest frame is none of this sensor.
     """
-    _known(estimator)
+    _known(bundle, estimator)
     follower, last = Follower(bundle, rest, stride=stride), -1
 
     def decode(frame: Frame) -> Reading:
@@ -86,9 +85,10 @@ def follow_decoder(
     return decode
 
 
-def _known(estimator: str) -> None:
-    if estimator not in ESTIMATORS:
-        raise InputError(f"no estimator {estimator!r}; known: {', '.join(ESTIMATORS)}")
+def _known(bundle: Bundle, estimator: str) -> None:
+    known = bundle.model.estimators
+    if estimator not in known:
+        raise InputError(f"the decoder has no estimator {estimator!r}; known: {', '.join(known)}")
 
 
 def _reading(bundle: Bundle, measured: Measured, estimator: str) -> Reading:

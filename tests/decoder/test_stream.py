@@ -115,6 +115,9 @@ def test_another_decoder_can_be_plugged_in() -> None:
     assert sent[0]["warnings"] == ["made up"]
     with pytest.raises(InputError, match="no estimator 'best'; known: fem"):
         frame_decoder(toy_bundle(), estimator="best")
+    # It is known, but this decoder has no tables for it: said before the first frame.
+    with pytest.raises(InputError, match="no estimator 'auto'; known: fem"):
+        frame_decoder(toy_bundle(), estimator="auto")
 
 
 def test_progress_tells_each_second(tmp_path: Path) -> None:

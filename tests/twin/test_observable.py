@@ -211,5 +211,6 @@ def test_frames_warn_of_estimators_that_cannot_be_used() -> None:
     measured = pressed(bundle, {3: 9.0}, [3])
     forces = measured.forces_N(bundle, "koi_inverse")
     assert any("cannot be used on 1 switched" in text for text in measured.warnings(bundle, forces))
-    quiet = measured.warnings(bundle, forces, estimator="koi_inverse")
-    assert not any("cannot be used" in text for text in quiet)
+    for estimator in ("koi_inverse", "auto"):
+        quiet = measured.warnings(bundle, forces, estimator=estimator)
+        assert not any("cannot be used" in text for text in quiet)
