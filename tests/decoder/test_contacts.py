@@ -271,11 +271,13 @@ def test_a_hand_at_480_fps_keeps_five_ids(seed: int) -> None:
     rng = np.random.default_rng(seed)
     place = np.array([[40, 40], [80, 40], [120, 40], [60, 100], [110, 100]], dtype=float)
     speed = rng.uniform(-40.0, 40.0, (5, 2)) / FPS
-    watch, names = tracker(), []
+    watch, names, apart = tracker(), [], 0
     for number in range(240):
         if rng.uniform() < 0.1:
             continue
         centre = place + speed * number + rng.normal(0.0, 0.3, (5, 2))
+        gap = np.linalg.norm(centre[:, None] - centre, axis=2) + 1e3 * np.eye(5)
+        apart += bool(gap.min() > 30.0)
         force = 6.0 + 3.0 * np.sin(number / 40.0 + np.arange(5))
         contacts = press(
             *[(x, y, 4.0, f) for (x, y), f in zip(centre.tolist(), force, strict=True)]
@@ -287,5 +289,6 @@ def test_a_hand_at_480_fps_keeps_five_ids(seed: int) -> None:
                 for contact in found
             ]
             names.append(tuple(found[near.index(finger)].id for finger in range(5)))
-    assert len(names) > 150
+    # Fingers that come near share key nodes and are one for a while; others never are.
+    assert len(names) >= apart > 50
     assert len(set(names)) == 1
