@@ -9,7 +9,15 @@ import typer
 from phytac_design.cli_options import say
 from phytac_design.cli_serve import (
     DesignOption,
+    EstimatorOption,
+    EveryOption,
+    FollowOption,
+    FpsOption,
+    LoopOption,
+    RecordOption,
     RegionsOption,
+    RestOption,
+    SourceArgument,
     check_sources,
     decoder_of,
     open_recorders,
@@ -18,40 +26,19 @@ from phytac_design.cli_serve import (
 
 def live(
     bundle: Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")],
-    source: Annotated[
-        list[str],
-        typer.Argument(
-            help="Image, folder of images, video, or a camera's number; two of two cameras, near "
-            "end first."
-        ),
-    ],
-    fps: Annotated[
-        float | None,
-        typer.Option(help="Play a recording at this rate, as a camera would; ask a camera for it."),
-    ] = None,
+    source: SourceArgument,
+    fps: FpsOption = None,
     port: Annotated[
         int, typer.Option(help="Port of this machine; 0 takes a free one.", min=0, max=65535)
     ] = 8057,
-    estimator: Annotated[
-        str | None, typer.Option(help="Force estimator; the bundle's best if not given.")
-    ] = None,
-    rest: Annotated[
-        list[Path] | None,
-        typer.Option(help="Frame of the unloaded sensor; twice for two cameras, near end first."),
-    ] = None,
-    follow: Annotated[
-        bool,
-        typer.Option(
-            "--follow", help="Follow markers from frame to frame, from --rest on: much faster."
-        ),
-    ] = False,
+    estimator: EstimatorOption = None,
+    rest: RestOption = None,
+    follow: FollowOption = False,
     regions: RegionsOption = None,
     design: DesignOption = None,
-    record: Annotated[Path | None, typer.Option(help="CSV of contacts to write.")] = None,
-    every: Annotated[
-        bool, typer.Option("--every", help="Leave out no frame of a recording that is late.")
-    ] = False,
-    loop: Annotated[bool, typer.Option("--loop", help="Play a recording over and over.")] = False,
+    record: RecordOption = None,
+    every: EveryOption = False,
+    loop: LoopOption = False,
 ) -> None:
     """Show forces in a browser of this machine, until the source ends or Ctrl-C."""
     import signal

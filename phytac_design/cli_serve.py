@@ -16,6 +16,35 @@ if TYPE_CHECKING:
     from decoder.stream import Decode
 
 
+SourceArgument = Annotated[
+    list[str],
+    typer.Argument(
+        help="Image, folder of images, video, or a camera's number; two of two cameras, near "
+        "end first."
+    ),
+]
+FpsOption = Annotated[
+    float | None,
+    typer.Option(help="Play a recording at this rate, as a camera would; ask a camera for it."),
+]
+EstimatorOption = Annotated[
+    str | None, typer.Option(help="Force estimator; the bundle's best if not given.")
+]
+RestOption = Annotated[
+    list[Path] | None,
+    typer.Option(help="Frame of the unloaded sensor; twice for two cameras, near end first."),
+]
+FollowOption = Annotated[
+    bool,
+    typer.Option(
+        "--follow", help="Follow markers from frame to frame, from --rest on: much faster."
+    ),
+]
+RecordOption = Annotated[Path | None, typer.Option(help="CSV of contacts to write.")]
+EveryOption = Annotated[
+    bool, typer.Option("--every", help="Leave out no frame of a recording that is late.")
+]
+LoopOption = Annotated[bool, typer.Option("--loop", help="Play a recording over and over.")]
 RegionsOption = Annotated[
     Path | None,
     typer.Option(help="TOML or JSON of named regions, such as fingers; see docs/streaming.md."),
@@ -35,17 +64,8 @@ class Framing(StrEnum):
 
 def serve(
     bundle: Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")],
-    source: Annotated[
-        list[str],
-        typer.Argument(
-            help="Image, folder of images, video, or a camera's number; two of two cameras, near "
-            "end first."
-        ),
-    ],
-    fps: Annotated[
-        float | None,
-        typer.Option(help="Play a recording at this rate, as a camera would; ask a camera for it."),
-    ] = None,
+    source: SourceArgument,
+    fps: FpsOption = None,
     port: Annotated[int, typer.Option(help="TCP port; 0 takes a free one.", min=0, max=65535)] = (
         5757
     ),
@@ -55,19 +75,9 @@ def serve(
     framing: Annotated[
         Framing, typer.Option("--format", help="JSON lines, or each message after its length.")
     ] = Framing.lines,
-    estimator: Annotated[
-        str | None, typer.Option(help="Force estimator; the bundle's best if not given.")
-    ] = None,
-    rest: Annotated[
-        list[Path] | None,
-        typer.Option(help="Frame of the unloaded sensor; twice for two cameras, near end first."),
-    ] = None,
-    follow: Annotated[
-        bool,
-        typer.Option(
-            "--follow", help="Follow markers from frame to frame, from --rest on: much faster."
-        ),
-    ] = False,
+    estimator: EstimatorOption = None,
+    rest: RestOption = None,
+    follow: FollowOption = False,
     serial: Annotated[
         Path | None, typer.Option(help="Serial port to send JSON lines to as well.")
     ] = None,
@@ -75,16 +85,14 @@ def serve(
     imu: Annotated[
         Path | None, typer.Option(help="File or port of motion samples; see docs/streaming.md.")
     ] = None,
-    record: Annotated[Path | None, typer.Option(help="CSV of contacts to write.")] = None,
+    record: RecordOption = None,
     regions: RegionsOption = None,
     design: DesignOption = None,
     record_regions: Annotated[
         Path | None, typer.Option(help="CSV of the regions' forces to write, a row a frame.")
     ] = None,
-    every: Annotated[
-        bool, typer.Option("--every", help="Leave out no frame of a recording that is late.")
-    ] = False,
-    loop: Annotated[bool, typer.Option("--loop", help="Play a recording over and over.")] = False,
+    every: EveryOption = False,
+    loop: LoopOption = False,
     wait: Annotated[
         bool, typer.Option("--wait", help="Begin when the first client has come.")
     ] = False,
