@@ -1,7 +1,11 @@
 """The accuracy presets: every knob that trades time for truth, in one place."""
 
-from dataclasses import asdict, dataclass
-from typing import Literal
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from difflib import get_close_matches
+from typing import Any, Literal
+
+from shapes.errors import DesignError
 
 Preset = Literal["draft", "standard", "fine"]
 
@@ -94,3 +98,72 @@ PRESETS: dict[str, Accuracy] = {
         print_tools=True,
     ),
 }
+
+
+RANGES: dict[str, tuple[float, float]] = {
+    "cad_tolerance_mm": (1e-4, 1.0),
+    "refine": (1, 24),
+    "truth_refine": (1, 32),
+    "sample_share": (0.0, 100.0),
+    "frames": (1, 10_000),
+    "place_share": (0.1, 2.0),
+    "place_orders": (1, 3),
+    "press_places": (0, 10_000),
+    "press_tolerance": (1e-4, 1.0),
+}
+"""Least and greatest value of each number."""
+
+
+def settings_of(accuracy: str | Accuracy) -> Accuracy:
+    """Settings of a preset by its name; settings are returned as they are.
+
+    Raises
+    ------
+    DesignError
+        If there is no such preset.
+    """
+    if isinstance(accuracy, Accuracy):
+        return accuracy
+    if accuracy not in PRESETS:
+        known = ", ".join(PRESETS)
+        raise DesignError(f"unknown accuracy {accuracy!r}; choose one of {known}")
+    return PRESETS[accuracy]
+
+
+def name_of(accuracy: Accuracy) -> str:
+    """Name of the preset that these settings are, or ``custom``."""
+    return next((name for name, preset in PRESETS.items() if preset == accuracy), "custom")
+
+
+def with_settings(accuracy: Accuracy, assignments: Sequence[str]) -> Accuracy:
+    """Settings with some changed: ``with_settings(PRESETS["draft"], ["refine=5"])``.
+
+    Raises
+    ------
+    DesignError
+        If an assignment is not ``KNOB=VALUE``, of an unknown knob, or not a number that it takes.
+    """
+    for text in assignments:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        kinds = {field.name: type(getattr(accuracy, field.name)) for field in fields(accuracy)}
+        if name not in kinds or not equals:
+            near = get_close_matches(name, kinds, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            known = ", ".join(kinds)
+            raise DesignError(f"no setting {text!r}{hint}; write KNOB=VALUE with one of {known}")
+        change: dict[str, Any] = {name: _value(name, value, kinds[name])}
+        accuracy = replace(accuracy, **change)
+    return accuracy
+
+
+def _value(name: str, text: str, kind: type) -> float:
+    """Read a knob's value; the ranges are those that the stages can work with."""
+    truth = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+    try:
+        value = truth[text.lower()] if kind is bool else kind(text)
+    except (KeyError, ValueError):
+        raise DesignError(f"{name} cannot be {text!r}; it is {kind.__name__}") from None
+    low, high = RANGES.get(name, (0.0, 1.0))
+    if not low <= value <= high:
+        raise DesignError(f"{name} cannot be {text}; it lies from {low:g} to {high:g}")
+    return value

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from phytac_design import cache
-from phytac_design.accuracy import PRESETS
+from phytac_design.accuracy import Accuracy, name_of, settings_of
 from phytac_design.check import check_design
 from phytac_design.design_file import design_hash, parse_design, to_toml
 from phytac_design.spec import Design
@@ -80,7 +80,7 @@ def build(
     design: Design,
     out: Path,
     *,
-    accuracy: str = "standard",
+    accuracy: str | Accuracy = "standard",
     only: Sequence[str] | None = None,
     seed: int = 0,
     force: bool = False,
@@ -107,7 +107,7 @@ def build(
         if not any(out.iterdir()):
             out.rmdir()
         raise
-    _export(out, design, stages, context, accuracy=accuracy, seed=seed)
+    _export(out, design, stages, context)
     return BuildResult(
         out=out,
         ran=tuple(ran),
@@ -125,7 +125,7 @@ def run_stages(
     design: Design,
     stages: Sequence[Stage],
     *,
-    accuracy: str,
+    accuracy: str | Accuracy,
     seed: int,
     force: bool = False,
     progress: Progress = print,
@@ -148,7 +148,7 @@ def run_stages(
     DesignError
         If the design cannot be built.
     """
-    context = Context(design=design, accuracy=PRESETS[accuracy], seed=seed, progress=progress)
+    context = Context(design=design, accuracy=settings_of(accuracy), seed=seed, progress=progress)
     keys: dict[str, str] = {}
     ran: list[str] = []
     timing: dict[str, float] = {}
@@ -211,9 +211,6 @@ def _export(
     design: Design,
     stages: Sequence[Stage],
     context: Context,
-    *,
-    accuracy: str,
-    seed: int,
 ) -> None:
     """Copy the stages' files, the resolved design and the manifest; drop stale files of ours."""
     (out / "design.toml").write_text(to_toml(design), encoding="utf-8")
@@ -232,8 +229,9 @@ def _export(
     kept = {item["path"] for item in files}
     identity = {
         "design": {"name": design.name, "hash": design_hash(design)},
-        "accuracy": accuracy,
-        "seed": seed,
+        "accuracy": name_of(context.accuracy),
+        "settings": context.accuracy.as_dict(),
+        "seed": context.seed,
     }
     others = _settle_old_files(out, kept, {stage.name for stage in stages}, identity)
     manifest = identity | {
