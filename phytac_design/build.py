@@ -4,6 +4,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from importlib import metadata
@@ -12,6 +13,7 @@ from typing import Any
 
 from phytac_design import cache
 from phytac_design.accuracy import Accuracy, name_of, settings_of
+from phytac_design.cache_care import limit_bytes, prune
 from phytac_design.check import check_design
 from phytac_design.design_file import design_hash, parse_design, to_toml
 from phytac_design.spec import Design
@@ -98,16 +100,26 @@ def build(
     begin = time.perf_counter()
     stages = select_stages(only)
     check_design(design)
+    limit = limit_bytes()
     _claim(out, design, force=force)
-    try:
-        context, ran, timing = run_stages(
-            design, stages, accuracy=accuracy, seed=seed, force=force, progress=progress
-        )
-    except GateError:
-        if not any(out.iterdir()):
-            out.rmdir()
-        raise
-    _export(out, design, stages, context)
+    with ExitStack() as keep:
+        try:
+            context, ran, timing = run_stages(
+                design,
+                stages,
+                accuracy=accuracy,
+                seed=seed,
+                force=force,
+                progress=progress,
+                keep=keep,
+            )
+        except GateError:
+            if not any(out.iterdir()):
+                out.rmdir()
+            raise
+        _export(out, design, stages, context)
+        if ran:
+            prune(limit_bytes=limit)
     return BuildResult(
         out=out,
         ran=tuple(ran),
@@ -129,8 +141,11 @@ def run_stages(
     seed: int,
     force: bool = False,
     progress: Progress = print,
+    keep: ExitStack | None = None,
 ) -> tuple[Context, list[str], dict[str, float]]:
     """Bring stages, in order, into the cache; nothing is exported.
+
+    Results are held against eviction until this returns, or until ``keep`` is closed.
 
     Returns
     -------
@@ -152,32 +167,49 @@ def run_stages(
     keys: dict[str, str] = {}
     ran: list[str] = []
     timing: dict[str, float] = {}
-    for number, stage in enumerate(stages, start=1):
-        needed = {name: context.folders[name] for name in stage.needs}
-        keys[stage.name] = cache.stage_key(stage.name, stage.inputs(context, keys))
-        folder = cache.lookup(stage.name, keys[stage.name])
-        if folder is None:
-            progress(f"[{number}/{len(stages)}] {stage.name} …")
-            stage_context = replace(context, folders=needed)
-            folder = cache.publish(stage.name, keys[stage.name], _timed(stage, stage_context))
-            ran.append(stage.name)
-            seconds = cache.record(folder)["seconds"]
-            progress(f"[{number}/{len(stages)}] {stage.name} {seconds:.1f} s")
-        context.folders[stage.name] = folder
-        timing[stage.name] = float(cache.record(folder)["seconds"])
-        reason = stage.gate(context) if stage.gate and not force else ""
-        if reason:
-            raise GateError(f"{reason}; or go on all the same with --force, which marks the report")
+    with ExitStack() as own:
+        for number, stage in enumerate(stages, start=1):
+            needed = {name: context.folders[name] for name in stage.needs}
+            key = keys[stage.name] = cache.stage_key(stage.name, stage.inputs(context, keys))
+            turn = f"[{number}/{len(stages)}] {stage.name}"
+            folder = cache.lookup(stage.name, key)
+            while folder is None or not (keep or own).enter_context(cache.held(folder)):
+                work = Work(stage, replace(context, folders=needed), turn)
+                folder = cache.publish(stage.name, key, work, waiting=work.waiting)
+                if work.done and stage.name not in ran:
+                    ran.append(stage.name)
+            context.folders[stage.name] = folder
+            timing[stage.name] = float(cache.record(folder)["seconds"])
+            reason = stage.gate(context) if stage.gate and not force else ""
+            if reason:
+                raise GateError(
+                    f"{reason}; or go on all the same with --force, which marks the report"
+                )
     return context, ran, timing
 
 
-def _timed(stage: Stage, context: Context) -> Callable[[Path], dict[str, Any]]:
-    def work(folder: Path) -> dict[str, Any]:
-        start = time.perf_counter()
-        stage.run(context, folder)
-        return {"stage": stage.name, "seconds": round(time.perf_counter() - start, 3)}
+@dataclass
+class Work:
+    """A stage to run, as the cache calls it; ``done`` says whether this process ran it."""
 
-    return work
+    stage: Stage
+    context: Context
+    turn: str
+    done: bool = False
+
+    def __call__(self, folder: Path) -> dict[str, Any]:
+        """Run into a folder; returns the record."""
+        self.context.progress(f"{self.turn} …")
+        start = time.perf_counter()
+        self.stage.run(self.context, folder)
+        seconds = time.perf_counter() - start
+        self.done = True
+        self.context.progress(f"{self.turn} {seconds:.1f} s")
+        return {"stage": self.stage.name, "seconds": round(seconds, 3)}
+
+    def waiting(self) -> None:
+        """Say that another process is at the same result."""
+        self.context.progress(f"{self.turn}: waiting for another build that is making it")
 
 
 def _claim(out: Path, design: Design, *, force: bool) -> None:

@@ -14,6 +14,7 @@ import typer
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from phytac_design import (
+    cli_cache,
     cli_import,
     cli_live,
     cli_mechanics,
@@ -51,6 +52,10 @@ def build(
         Path | None, typer.Option(help="The build's own folder; exports/NAME if not given.")
     ] = None,
     accuracy: Annotated[Preset, typer.Option(help="Speed against accuracy.")] = Preset.standard,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Change a setting of the preset: refine=5. As often as asked."),
+    ] = None,
     only: Annotated[str, typer.Option(help="Stages, comma separated, with what they need.")] = "",
     seed: SeedOption = 0,
     force: Annotated[
@@ -60,6 +65,7 @@ def build(
     as_json: JsonOption = False,
 ) -> None:
     """Build everything of a design: shell, views, mesh, decoder, report."""
+    from phytac_design.accuracy import settings_of, with_settings
     from phytac_design.build import build as run_build
     from phytac_design.design_file import load_design
 
@@ -70,7 +76,7 @@ def build(
         result = run_build(
             loaded,
             target,
-            accuracy=accuracy.value,
+            accuracy=with_settings(settings_of(accuracy.value), settings or []),
             only=names or None,
             seed=seed,
             force=force,
@@ -264,6 +270,7 @@ def decode(
 
 
 for command in (
+    cli_cache.cache,
     cli_mechanics.press,
     cli_mechanics.mesh,
     cli_mechanics.calibrate,

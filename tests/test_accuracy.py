@@ -1,0 +1,43 @@
+"""Settings of a build: presets, single changes, and refusals."""
+
+from dataclasses import replace
+
+import pytest
+
+from phytac_design.accuracy import PRESETS, name_of, settings_of, with_settings
+from shapes.errors import DesignError
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_by_name(name: str) -> None:
+    assert settings_of(name) is PRESETS[name]
+    assert name_of(PRESETS[name]) == name
+
+
+def test_settings_of_ones_own() -> None:
+    own = with_settings(PRESETS["draft"], ["refine=5", "place_share = 0.6", "receptors=no"])
+    assert own == replace(PRESETS["draft"], refine=5, place_share=0.6, receptors=False)
+    assert settings_of(own) is own
+    assert name_of(own) == "custom"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("refin=5", "did you mean 'refine'"),
+        ("refine", "KNOB=VALUE"),
+        ("refine=2.5", "refine cannot be '2.5'; it is int"),
+        ("refine=0", "refine cannot be 0; it lies from 1 to 24"),
+        ("place_share=nan", "place_share cannot be nan"),
+        ("cad_tolerance_mm=-1", "cad_tolerance_mm cannot be -1"),
+        ("receptors=maybe", "receptors cannot be 'maybe'; it is bool"),
+    ],
+)
+def test_settings_that_cannot_be(text: str, words: str) -> None:
+    with pytest.raises(DesignError, match=words):
+        with_settings(PRESETS["draft"], [text])
+
+
+def test_unknown_preset() -> None:
+    with pytest.raises(DesignError, match="choose one of draft, standard, fine"):
+        settings_of("best")
