@@ -21,12 +21,13 @@ from decoder.camera import Camera
 from decoder.estimators import ForceModel
 from decoder.locate import Locator
 from decoder.network import ACTIVATIONS, CascadeNetwork
+from decoder.regions import Region, regions_from, regions_table
 from decoder.segmentation import ColourModel
 from decoder.switches import RED_LEAST_PX, TipModel
 from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import InputError
 
-SCHEMA = (1, 4)
+SCHEMA = (1, 5)
 FORMAT = "phytac-decoder-bundle"
 NOISE_SHARE_MAX = 0.2
 """K·u is of use at a marker where its noise stays below this share of the largest force."""
@@ -88,6 +89,8 @@ class Bundle:
         Largest force that the sensor is meant for.
     shown : tuple of Shown
         What each camera shows; empty for one camera, which shows what it reads.
+    regions : tuple of Region
+        Named parts of the surface, such as fingers.
     notes : dict
         Provenance: training data, seconds, accuracy; free of meaning to the decoder.
     """
@@ -107,6 +110,7 @@ class Bundle:
     noise_centroid_px: float = 0.04
     force_max_N: float = 25.0
     shown: tuple[Shown, ...] = ()
+    regions: tuple[Region, ...] = ()
     notes: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -210,6 +214,8 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
     }
     if model.locator is not None:
         meta["auto"] = locator_table(model.locator)
+    if bundle.regions:
+        meta["regions"] = regions_table(bundle.regions)
     arrays = {
         "colour": bundle.colour,
         "position_mm": bundle.position_mm,
@@ -364,6 +370,8 @@ def _assemble(
         noise_centroid_px=float(meta.get("noise_centroid_px", 0.04)),
         force_max_N=float(meta.get("force_max_N", 25.0)),
         shown=tuple(_shown(arrays, number) for number in range(len(cameras) if several else 0)),
+        # Up to schema 1.4 there were none.
+        regions=regions_from(meta.get("regions", []), len(arrays["colour"])),
         notes=dict(meta["notes"]),
     )
 

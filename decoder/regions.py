@@ -126,14 +126,59 @@ def load_regions(
     if unknown or not isinstance(tables, list) or not tables:
         got = f"unknown key {unknown[0]!r}" if unknown else "no list of regions"
         raise InputError(f"{path}: {got}; write one or more [[regions]] and nothing else")
+    return regions_of(tables, f"{path}: ", position_mm, chart)
+
+
+def regions_of(
+    tables: Sequence[Any], where: str, position_mm: FloatArray, chart: Chart | None = None
+) -> tuple[Region, ...]:
+    """Regions of tables, as marker ids; see :func:`load_regions`.
+
+    Parameters
+    ----------
+    tables : sequence of dict
+        One for each part of a region.
+    where : str
+        What stands before ``regions[0]`` in messages.
+    position_mm, chart
+        See :func:`load_regions`.
+
+    Raises
+    ------
+    InputError
+        If one is no region of this sensor.
+    """
     found: dict[str, set[int]] = {}
     for number, table in enumerate(tables):
-        where = f"{path}: regions[{number}]"
-        name = _name(table, where)
-        found.setdefault(name, set()).update(_chosen(table, where, position_mm, chart).tolist())
+        label = f"{where}regions[{number}]"
+        name = _name(table, label)
+        found.setdefault(name, set()).update(_chosen(table, label, position_mm, chart).tolist())
     if len(found) > REGIONS_MAX:
-        raise InputError(f"{path}: {len(found)} regions; {REGIONS_MAX} at most")
+        raise InputError(f"{where}{len(found)} regions; {REGIONS_MAX} at most")
     return tuple(Region(name=name, markers=tuple(sorted(ids))) for name, ids in found.items())
+
+
+def regions_table(regions: Sequence[Region]) -> list[dict[str, Any]]:
+    """Regions as plain values, for a bundle."""
+    return [{"name": region.name, "markers": list(region.markers)} for region in regions]
+
+
+def regions_from(table: object, count: int) -> tuple[Region, ...]:
+    """Undo :func:`regions_table`, for a sensor of so many markers.
+
+    Raises
+    ------
+    ValueError
+        If it is no list of regions of this sensor.
+    """
+    if not isinstance(table, list) or not all(
+        isinstance(item, dict) and set(item) == {"name", "markers"} for item in table
+    ):
+        raise ValueError(f"regions are a list of names with markers (got {_short(table)})")
+    try:
+        return regions_of(table, "", np.zeros((count, 3)))
+    except InputError as error:
+        raise ValueError(str(error)) from None
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 import json
 import os
 import sys
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,6 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from phytac_design import (
     cli_cache,
+    cli_decode,
     cli_import,
     cli_live,
     cli_mechanics,
@@ -33,16 +33,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="From one design file: a camera-based force sensor, printable, proven visible, decoded.",
 )
-
-
-class Estimator(StrEnum):
-    """Force estimators of a bundle."""
-
-    fem = "fem"
-    fem_nn = "fem_nn"
-    fem_nn_identity = "fem_nn_identity"
-    koi_inverse = "koi_inverse"
-    auto = "auto"
 
 
 @app.command()
@@ -198,79 +188,9 @@ def shapes(
         typer.echo(shape_page(name) if name else shape_list())
 
 
-@app.command()
-def decode(
-    bundle: Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")],
-    frame: Annotated[
-        list[Path], typer.Argument(help="Camera frame; of two cameras one of each, near end first.")
-    ],
-    rest: Annotated[
-        list[Path] | None,
-        typer.Option(help="Frame of the unloaded sensor; twice for two cameras, near end first."),
-    ] = None,
-    estimator: Annotated[
-        Estimator | None, typer.Option(help="Force estimator; the decoder's best if not given.")
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Decode one camera frame, or one of each camera, to forces in newtons."""
-    from decoder.bundle import load_bundle
-    from decoder.calibrate_colours import calibrate_rest
-    from decoder.run import measure_frame, read_image
-
-    loaded = load_bundle(bundle)
-    images = [read_image(path) for path in frame]
-    if rest:
-        loaded = calibrate_rest(loaded, [read_image(path) for path in rest])
-    measured = measure_frame(loaded, images)
-    chosen = estimator.value if estimator else loaded.model.best
-    forces = measured.forces_N(loaded, chosen)
-    warnings = measured.warnings(loaded, forces, estimator=chosen)
-    contacts = (
-        loaded.model.contacts(measured.shift_px, measured.koi).contacts if chosen == "auto" else []
-    )
-    for warning in (*loaded.limits(), *warnings):
-        say(f"warning: {warning}")
-    if as_json:
-        result = {
-            "design": loaded.design,
-            "estimator": chosen,
-            "found": int(measured.found.sum()),
-            "forces_N": {str(i): round(float(forces[i]), 4) for i in measured.koi},
-            "total_N": round(float(forces.sum()), 4),
-            "contacts": [
-                {
-                    "force_N": round(contact.force_N, 4),
-                    "sd_N": round(contact.sd_N, 4),
-                    "position_mm": [round(float(x), 3) for x in contact.point_mm],
-                    "radius_mm": round(contact.radius_mm, 3),
-                    "markers": contact.markers.tolist(),
-                }
-                for contact in contacts
-            ],
-            "warnings": warnings,
-            "limits": loaded.limits(),
-        }
-        typer.echo(json.dumps(result, indent=1))
-        return
-    typer.echo(f"{loaded.design}: {int(measured.found.sum())} of {len(forces)} markers found")
-    for marker in measured.koi:
-        x, y, z = loaded.position_mm[marker]
-        typer.echo(
-            f"  marker {marker:4d} at ({x:6.1f}, {y:6.1f}, {z:6.1f}) mm  {forces[marker]:7.2f} N"
-        )
-    for contact in contacts:
-        x, y, z = contact.point_mm
-        switched = "" if len(contact.markers) else "; it tripped no switch"
-        typer.echo(
-            f"  contact at ({x:6.1f}, {y:6.1f}, {z:6.1f}) mm  {contact.force_N:.2f} N, standard "
-            f"deviation {contact.sd_N:.2f} N, radius {contact.radius_mm:.1f} mm{switched}"
-        )
-    typer.echo(f"total {forces.sum():.2f} N on {len(measured.koi)} switched receptors")
-
-
 for command in (
     cli_cache.cache,
+    cli_decode.decode,
     cli_mechanics.press,
     cli_mechanics.mesh,
     cli_mechanics.calibrate,

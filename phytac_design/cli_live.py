@@ -16,11 +16,14 @@ from phytac_design.cli_serve import (
     LoopOption,
     RecordOption,
     RegionsOption,
+    RestFirstOption,
     RestOption,
     SourceArgument,
     check_sources,
     decoder_of,
+    named_regions,
     open_recorders,
+    rest_images,
 )
 
 
@@ -33,6 +36,7 @@ def live(
     ] = 8057,
     estimator: EstimatorOption = None,
     rest: RestOption = None,
+    rest_first: RestFirstOption = 0,
     follow: FollowOption = False,
     regions: RegionsOption = None,
     design: DesignOption = None,
@@ -49,13 +53,13 @@ def live(
     from decoder.sources import open_source
     from decoder.stream import Stream
     from decoder.wire import Messages
-    from phytac_design.region_chart import bundle_regions
 
     loaded = load_bundle(bundle)
-    named = bundle_regions(regions, loaded, bundle, design)
+    named = named_regions(regions, loaded, bundle, design)
     check_sources(loaded.design, len(loaded.cameras), source)
     chosen = estimator or loaded.model.best
-    decode = decoder_of(loaded, rest or [], estimator=chosen, follow=follow)
+    unloaded = rest_images(loaded, rest or [], source, rest_first)
+    decode = decoder_of(loaded, unloaded, estimator=chosen, follow=follow)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     stopped = False
     with contextlib.ExitStack() as stack:

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from phytac_design.cli_options import say
+from shapes.arrays import ImageArray
 from shapes.errors import InputError
 
 if TYPE_CHECKING:
     from decoder.bundle import Bundle
     from decoder.record import Recorder, RegionRecorder
+    from decoder.regions import Region
     from decoder.stream import Decode
 
 
@@ -34,10 +36,14 @@ RestOption = Annotated[
     list[Path] | None,
     typer.Option(help="Frame of the unloaded sensor; twice for two cameras, near end first."),
 ]
+RestFirstOption = Annotated[
+    int,
+    typer.Option(help="So many frames at the beginning show the unloaded sensor.", min=0, max=1000),
+]
 FollowOption = Annotated[
     bool,
     typer.Option(
-        "--follow", help="Follow markers from frame to frame, from --rest on: much faster."
+        "--follow", help="Follow markers from frame to frame, from the unloaded sensor on: faster."
     ),
 ]
 RecordOption = Annotated[Path | None, typer.Option(help="CSV of contacts to write.")]
@@ -47,7 +53,10 @@ EveryOption = Annotated[
 LoopOption = Annotated[bool, typer.Option("--loop", help="Play a recording over and over.")]
 RegionsOption = Annotated[
     Path | None,
-    typer.Option(help="TOML or JSON of named regions, such as fingers; see docs/streaming.md."),
+    typer.Option(
+        help="TOML or JSON of named regions, such as fingers, in place of the bundle's; see "
+        "docs/streaming.md."
+    ),
 ]
 DesignOption = Annotated[
     str | None,
@@ -77,6 +86,7 @@ def serve(
     ] = Framing.lines,
     estimator: EstimatorOption = None,
     rest: RestOption = None,
+    rest_first: RestFirstOption = 0,
     follow: FollowOption = False,
     serial: Annotated[
         Path | None, typer.Option(help="Serial port to send JSON lines to as well.")
@@ -108,13 +118,13 @@ def serve(
     from decoder.sources import open_source
     from decoder.stream import Progress, Stream
     from decoder.wire import Messages
-    from phytac_design.region_chart import bundle_regions
 
     loaded = load_bundle(bundle)
-    named = bundle_regions(regions, loaded, bundle, design)
+    named = named_regions(regions, loaded, bundle, design)
     check_sources(loaded.design, len(loaded.cameras), source)
     chosen = estimator or loaded.model.best
-    decode = decoder_of(loaded, rest or [], estimator=chosen, follow=follow)
+    unloaded = rest_images(loaded, rest or [], source, rest_first)
+    decode = decoder_of(loaded, unloaded, estimator=chosen, follow=follow)
     camera = loaded.camera
     # Whoever runs it as a service stops it by SIGTERM.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -211,8 +221,57 @@ def check_sources(design: str, cameras: int, source: list[str]) -> None:
         raise InputError(f"the sensor {design!r} has {each} (got {len(source)})")
 
 
-def decoder_of(bundle: "Bundle", rest: list[Path], *, estimator: str, follow: bool) -> "Decode":
-    """Decoder of frames, one by one or followed from a rest frame on.
+def named_regions(
+    path: Path | None, bundle: "Bundle", folder: Path, design: str | None
+) -> "tuple[Region, ...]":
+    """Regions of a file, or the bundle's own.
+
+    Raises
+    ------
+    InputError
+        See :func:`phytac_design.region_chart.bundle_regions`.
+    """
+    from phytac_design.region_chart import bundle_regions
+
+    return bundle_regions(path, bundle, folder, design) if path else bundle.regions
+
+
+def rest_images(
+    bundle: "Bundle", rest: list[Path], source: list[str], first: int
+) -> list[ImageArray]:
+    """A frame of the unloaded sensor of each camera; none if none was named.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        The sensor's decoder.
+    rest : list of Path
+        Its images.
+    source : list of str
+        Where frames come from.
+    first : int
+        So many of these show the unloaded sensor.
+
+    Raises
+    ------
+    InputError
+        If both are given, or they cannot be read.
+    """
+    from decoder.run import read_image
+    from decoder.sources import first_frames
+
+    if rest and first:
+        raise InputError("--rest and --rest-first name the unloaded sensor both; give one of them")
+    if first:
+        size = (bundle.camera.width_px, bundle.camera.height_px)
+        return first_frames(source, first, size_px=size, report=say)
+    return [read_image(path) for path in rest]
+
+
+def decoder_of(
+    bundle: "Bundle", unloaded: list[ImageArray], *, estimator: str, follow: bool
+) -> "Decode":
+    """Decoder of frames, one by one or followed from the unloaded sensor on.
 
     Raises
     ------
@@ -220,17 +279,19 @@ def decoder_of(bundle: "Bundle", rest: list[Path], *, estimator: str, follow: bo
         If markers are to be followed from nowhere.
     """
     from decoder.calibrate_colours import calibrate_rest
-    from decoder.run import read_image
     from decoder.stream import follow_decoder, frame_decoder
+    from decoder.tears import watched
 
-    unloaded = [read_image(path) for path in rest]
     if unloaded:
         bundle = calibrate_rest(bundle, unloaded)
     if not follow:
-        return frame_decoder(bundle, estimator=estimator)
+        return watched(frame_decoder(bundle, estimator=estimator))
     if not unloaded:
-        raise InputError("--follow begins at a frame of the unloaded sensor; give it with --rest")
-    return follow_decoder(bundle, unloaded, estimator=estimator)
+        raise InputError(
+            "--follow begins at a frame of the unloaded sensor; give it with --rest, or say with "
+            "--rest-first that the recording begins with it"
+        )
+    return watched(follow_decoder(bundle, unloaded, estimator=estimator))
 
 
 def open_to_others(address: str) -> list[str]:

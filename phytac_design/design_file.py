@@ -14,9 +14,12 @@ from pydantic import BaseModel, ValidationError
 from tomlkit.items import AoT, Table
 
 from phytac_design.fixture_section import BoxFixture, CylinderFixture, MeshFixture
+from phytac_design.regions_section import RegionSection
 from phytac_design.spec import SHAPE_MODELS, Design
 from shapes.errors import DesignError, OutputError
 
+SHOWN = 120
+"""Characters of a refused value that its message shows."""
 FIXTURE_MODELS: dict[str, type[BaseModel]] = {
     "cylinder": CylinderFixture,
     "box": BoxFixture,
@@ -44,6 +47,11 @@ def load_design(name_or_path: str) -> Design:
     except tomllib.TOMLDecodeError as error:
         raise DesignError(
             f"{where} is not TOML: {error}; see `phytac new` for a template"
+        ) from None
+    except RecursionError:
+        raise DesignError(
+            f"{where} is no design: its lists are nested too deeply; `phytac new NAME` writes one "
+            "to edit"
         ) from None
     return parse_design(data, where, folder=Path(where).parent)
 
@@ -76,7 +84,9 @@ def _read(name_or_path: str) -> tuple[str, str]:
     try:
         return path.read_text(encoding="utf-8"), str(path)
     except UnicodeDecodeError:
-        raise DesignError(f"{path} is not TOML: it is not even text") from None
+        raise DesignError(
+            f"{path} is not TOML: it is not even text; `phytac new NAME` writes a design to edit"
+        ) from None
     except OSError as error:
         near = get_close_matches(name_or_path, shipped_designs(), n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
@@ -99,7 +109,7 @@ def _explain(item: Any, data: dict[str, Any]) -> str:
         known = _known_keys(parts[:-1], data)
         near = get_close_matches(str(parts[-1]), known, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else f" (known: {', '.join(known)})"
-        return f"unknown key {where!r}{hint}"
+        return f"unknown key {_short(where)}{hint}"
     if kind == "missing":
         if kinds is FIXTURE_MODELS:
             return f"{where} is missing; a fixture of its kind needs it"
@@ -109,8 +119,17 @@ def _explain(item: Any, data: dict[str, Any]) -> str:
         return f"{where}.kind must be one of {', '.join(kinds)} (got {got!r})"
     message = item["msg"][0].lower() + item["msg"][1:]
     got = item["input"]
-    shown = "" if isinstance(got, dict) else f" (got {got!r})"
+    shown = "" if isinstance(got, dict) else f" (got {_short(got)})"
     return f"{where or 'design'}: {message.removeprefix('value error, ')}{shown}"
+
+
+def _short(value: Any) -> str:
+    """Literal of a value as the file may hold it, cut where nobody would read on."""
+    try:
+        text = repr(value)
+    except ValueError:
+        return "a number of thousands of digits"
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}…"
 
 
 def _known_keys(parts: list[Any], data: dict[str, Any]) -> list[str]:
@@ -121,6 +140,8 @@ def _known_keys(parts: list[Any], data: dict[str, Any]) -> list[str]:
         return list(SHAPE_MODELS[kind].model_fields) if kind in SHAPE_MODELS else ["kind"]
     if parts[0] == "fixtures":
         return list(FIXTURE_MODELS[data["fixtures"][parts[1]]["kind"]].model_fields)
+    if parts[0] == "regions":
+        return list(RegionSection.model_fields)
     model = Design.model_fields[parts[0]].annotation
     if isinstance(model, type) and issubclass(model, BaseModel):
         return list(model.model_fields)
@@ -128,8 +149,11 @@ def _known_keys(parts: list[Any], data: dict[str, Any]) -> list[str]:
 
 
 def design_hash(design: Design) -> str:
-    """Hash of the resolved design, the same for the same fields in any order."""
-    text = json.dumps(design.model_dump(mode="json"), sort_keys=True)
+    """Hash of the resolved design, the same for the same fields in any order.
+
+    Names of regions are left out: with others it is still the same sensor.
+    """
+    text = json.dumps(design.model_dump(mode="json", exclude={"regions"}), sort_keys=True)
     return sha256(text.encode()).hexdigest()
 
 
@@ -159,7 +183,7 @@ def to_toml(design: Design) -> str:
             document.add(tomlkit.nl())
             document.add(name, _table(section, values[name]))
             continue
-        listed = name == "fixtures"
+        listed = name in {"fixtures", "regions"}
         if listed:
             document.add(tomlkit.nl())
         if info.description:

@@ -35,7 +35,7 @@ def to_parquet(recording: Path, target: Path, *, force: bool = False) -> tuple[i
     OutputError
         If the target is there, or cannot be written.
     """
-    arrow = _arrow()
+    arrow = parquet_library()
     if target.exists() and not force:
         raise OutputError(f"{target} is there already; add --force, or choose another name")
     table = _read(arrow, recording)
@@ -49,7 +49,14 @@ def to_parquet(recording: Path, target: Path, *, force: bool = False) -> tuple[i
     return table.num_rows, table.num_columns
 
 
-def _arrow() -> Any:
+def parquet_library() -> Any:
+    """Pyarrow, with what reads CSV and writes Parquet.
+
+    Raises
+    ------
+    MissingPartError
+        If it is not installed.
+    """
     try:
         import pyarrow as pa
         import pyarrow.compute

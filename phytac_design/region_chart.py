@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 
 from decoder.bundle import Bundle
-from decoder.regions import Chart, Region, load_regions
+from decoder.regions import Chart, Region, load_regions, regions_of
 from phytac_design.design_file import design_hash, load_design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.spec import Design
 from shapes import Surface
-from shapes.errors import InputError
+from shapes.errors import DesignError, InputError
 
 
 def chart_of(surface: Surface, markers: Markers) -> Chart:
@@ -31,6 +31,26 @@ def chart_of_design(design: Design) -> Chart:
     """Rows, columns and shares of the chart of a design's markers."""
     surface = design.surface()
     return chart_of(surface, make_markers(design, surface))
+
+
+def design_regions(design: Design) -> tuple[Region, ...]:
+    """Regions that a design names, on its markers.
+
+    Raises
+    ------
+    DesignError
+        If one holds no marker, or is no region of this surface.
+    """
+    # Heights do not matter, and some are dear to find.
+    plain = design.layout.model_copy(update={"heights": "linear"})
+    surface = design.surface()
+    markers = make_markers(design.model_copy(update={"layout": plain}), surface)
+    tables = [region.table() for region in design.regions]
+    position_mm = surface.point(markers.uv)
+    try:
+        return regions_of(tables, "", position_mm, chart_of(surface, markers))
+    except InputError as error:
+        raise DesignError(str(error)) from None
 
 
 def bundle_regions(

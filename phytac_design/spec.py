@@ -12,6 +12,7 @@ from phytac_design.fixture_section import FIXTURES_MAX, AnyFixture
 from phytac_design.hardware_section import HardwareSection
 from phytac_design.layout_section import LayoutSection, ReceptorSection
 from phytac_design.print_section import PrintSection
+from phytac_design.regions_section import TABLES_MAX, RegionSection
 from phytac_design.section import Section, assumed
 from phytac_design.switch_section import MoldSection, SwitchSection
 from shapes import Surface
@@ -276,8 +277,21 @@ class Design(Section):
     hardware: HardwareSection = HardwareSection()
     training: TrainingSection = TrainingSection()
     demands: DemandsSection = DemandsSection()
+    regions: tuple[RegionSection, ...] = Field((), max_length=TABLES_MAX)
+    """Named parts of the surface, such as fingers and a palm, whose forces the decoder tells."""
     fixtures: tuple[AnyFixture, ...] = Field((), max_length=FIXTURES_MAX)
     """Bodies that the camera sees and that can hide markers: `cylinder`, `box` or `mesh` (STL)."""
+
+    @model_validator(mode="after")
+    def _regions_hold_markers(self) -> Self:
+        if self.regions:
+            from phytac_design.region_chart import design_regions
+
+            try:
+                design_regions(self)
+            except DesignError as error:
+                raise ValueError(str(error)) from None
+        return self
 
     def surface(self) -> Surface:
         """Build the sensing surface."""

@@ -1,13 +1,24 @@
 """Named regions: files that say where they are, and what they say of a mistake."""
 
 import json
+import tomllib
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from decoder.bundle import SCHEMA, load_bundle, save_bundle
 from decoder.regions import NAME_MAX, REGIONS_MAX, Chart, Region, RegionForces, load_regions
-from shapes.errors import InputError
+from phytac_design.cli_serve import named_regions
+from phytac_design.design_file import design_hash, parse_design, to_toml
+from phytac_design.layout import make_markers
+from phytac_design.region_chart import chart_of_design, design_regions
+from shapes.errors import DesignError, InputError
+from tests.decoder.toy_sensor import toy_bundle
+from tests.designs import changed, small
 
 ROW, COLUMN = np.divmod(np.arange(24), 6)
 PLACES = np.column_stack([10.0 * COLUMN, 10.0 * ROW, np.zeros(24)])
@@ -125,3 +136,116 @@ def test_forces_add_up_and_a_contact_is_where_most_of_it_is() -> None:
     assert sums.home((2,), [1.0]) == "a"
     assert sums.home((1, 3), [-1.0, 0.0]) == "a"
     assert sums.home((9,), [1.0]) == ""
+
+
+NAMED = (Region(name="thumb", markers=(3, 7)), Region(name="palm", markers=(7, 8, 29)))
+
+
+def test_a_bundle_carries_regions_and_a_file_replaces_them(tmp_path: Path) -> None:
+    folder = tmp_path / "decoder"
+    save_bundle(replace(toy_bundle(), regions=NAMED), folder)
+    bundle = load_bundle(folder)
+    assert bundle.regions == NAMED
+    assert named_regions(None, bundle, folder, None) == NAMED
+    path = tmp_path / "regions.toml"
+    path.write_text('[[regions]]\nname = "tip"\nmarkers = [5]\n')
+    assert named_regions(path, bundle, folder, None) == (Region(name="tip", markers=(5,)),)
+
+
+def _older(meta: dict[str, Any]) -> None:
+    meta["schema_version"] = "1.4"
+    del meta["regions"]
+
+
+def test_older_bundles_have_none_and_newer_ones_are_refused(tmp_path: Path) -> None:
+    save_bundle(replace(toy_bundle(), regions=NAMED), tmp_path)
+    path = tmp_path / "bundle.json"
+    meta = json.loads(path.read_text())
+    assert meta["schema_version"] == f"{SCHEMA[0]}.{SCHEMA[1]}"
+    assert SCHEMA >= (1, 5)
+    _older(meta)
+    path.write_text(json.dumps(meta))
+    assert load_bundle(tmp_path).regions == ()
+    path.write_text(json.dumps(meta | {"schema_version": f"{SCHEMA[0]}.{SCHEMA[1] + 1}"}))
+    with pytest.raises(InputError, match="update phytac-design or rebuild"):
+        load_bundle(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda found: found[0].update(markers=[30]), r"a list of markers, 0 to 29 \(got \[30\]"),
+        (lambda found: found[0].update(markers=[]), "a list of markers"),
+        (lambda found: found[1].update(name=""), "name must be 1 to 40 printable letters"),
+        (lambda found: found[1].update(rows=[0, 1]), "a list of names with markers"),
+        (lambda found: found[1].pop("name"), "a list of names with markers"),
+        (lambda found: found.append(3), "a list of names with markers"),
+    ],
+)
+def test_spoilt_regions_of_a_bundle_are_refused(
+    tmp_path: Path, spoil: Callable[[list[Any]], None], message: str
+) -> None:
+    save_bundle(replace(toy_bundle(), regions=NAMED), tmp_path)
+    path = tmp_path / "bundle.json"
+    meta = json.loads(path.read_text())
+    spoil(meta["regions"])
+    path.write_text(json.dumps(meta))
+    with pytest.raises(InputError, match=f"is not a decoder bundle: ValueError .*{message}"):
+        load_bundle(tmp_path)
+
+
+TABLES: list[dict[str, Any]] = [
+    {"name": "thumb", "along": [0.5, 1.0], "around": [0.9, 0.1]},
+    {"name": "palm", "rows": [0, 1], "columns": [3, 5]},
+    {"name": "palm", "markers": [100]},
+    {"name": "spot", "point_mm": [30.0, 0.0, 30.0], "radius_mm": 9.0},
+]
+
+
+def test_a_design_names_regions_as_a_file_does(tmp_path: Path) -> None:
+    design = small(regions=TABLES)
+    found = design_regions(design)
+    assert [region.name for region in found] == ["thumb", "palm", "spot"]
+    path = tmp_path / "regions.json"
+    path.write_text(json.dumps({"regions": TABLES}))
+    surface = design.surface()
+    position_mm = surface.point(make_markers(design, surface).uv)
+    assert found == load_regions(path, position_mm, chart_of_design(design))
+    assert {3 + 14, 100} <= set(found[1].markers)
+    # The resolved file names the same ones, and the sensor is the same with or without.
+    again = parse_design(tomllib.loads(to_toml(design)), "again")
+    assert again == design
+    assert design_hash(design) == design_hash(small())
+    assert design_regions(small()) == ()
+
+
+def test_heights_by_line_of_sight_do_not_matter_to_regions() -> None:
+    names = [{"name": "a", "rows": [2, 3]}]
+    dense = changed("cylinder60-dense", regions=names)
+    (region,) = design_regions(dense)
+    columns = dense.layout.columns
+    assert region.markers == tuple(range(2 * columns, 4 * columns))
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"name": "a", "rows": [40, 50]}, "'a'.: no marker lies there; widen it"),
+        ({"name": "a"}, "says no place"),
+        ({"name": "a", "row": [1, 2]}, "unknown key 'regions.0.row'; did you mean 'rows'"),
+        ({"name": "a", "along": [0.5, 0.1]}, "shares from and to"),
+        ({"name": "a", "along": [0.5]}, "2 numbers in a list"),
+        ({"name": "a", "along": [0.0, 1.5]}, r"regions.0.along.1: .* 1 \(got 1.5\)"),
+        ({"name": "a", "radius_mm": 3.0}, "point_mm and radius_mm go together"),
+        ({"name": "a", "markers": [1.5]}, "regions.0.markers.0"),
+        ({"name": "a", "markers": [999]}, "a list of markers, 0 to 111"),
+        ({"rows": [0, 1]}, "regions.0.name is missing"),
+        ({"name": "a ", "rows": [0, 1]}, "begins or ends with a space"),
+        ({"name": "", "rows": [0, 1]}, "regions.0.name"),
+    ],
+)
+def test_regions_of_a_design_that_cannot_be_are_refused(
+    table: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(DesignError, match=message):
+        small(regions=[table])

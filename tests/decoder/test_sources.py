@@ -10,7 +10,7 @@ import pytest
 
 from decoder import live
 from decoder.frame import Frame, Source
-from decoder.sources import Recording, open_source
+from decoder.sources import Recording, first_frames, open_source
 from decoder.tracks import Folder
 from shapes.arrays import ImageArray
 from shapes.errors import InputError
@@ -230,6 +230,52 @@ def test_sources_that_do_not_go_together_are_refused(tmp_path: Path) -> None:
         open_source(["0"], loop=True)
 
 
+def test_without_pace_a_rate_only_stamps(tmp_path: Path) -> None:
+    folder = str(folder_of(tmp_path / "f", 4))
+    source = open_source([folder], fps=0.01, pace=False)
+    start = time.monotonic()
+    frames = [(frame.number, frame.timestamp_s) for frame in source]
+    assert time.monotonic() - start < 5.0
+    assert frames == [(0, 0.0), (1, 100.0), (2, 200.0), (3, 300.0)]
+    # None is late, however long the one before took.
+    slow = open_source([folder], fps=1000.0, pace=False)
+    for _ in slow:
+        time.sleep(0.005)
+    assert slow.missed == 0
+    # As a camera would be, it leaves out what is late.
+    paced = open_source([folder], fps=1000.0)
+    for _ in paced:
+        time.sleep(0.005)
+    assert paced.missed > 0
+
+
+def test_a_recording_tells_its_length(tmp_path: Path) -> None:
+    near, far = folder_of(tmp_path / "near", 3), video_of(tmp_path / "far.avi", 3)
+    for wheres, count in (([near], 3), ([far], None), ([near, far], 3)):
+        source = open_source([str(where) for where in wheres])
+        assert isinstance(source, Recording)
+        assert source.count == count
+        source.close()
+
+
+def test_first_frames_are_averaged(tmp_path: Path) -> None:
+    near, far = folder_of(tmp_path / "near", 9), folder_of(tmp_path / "far", 9)
+    for number, value in enumerate((10, 20, 30, 61)):
+        cv2.imwrite(str(near / f"frame_{number}.png"), shade(value))
+    tear(near / "frame_1.png")
+    said: list[str] = []
+    one, two = first_frames([str(near), str(far)], 3, report=said.append)
+    assert one.dtype == np.uint8
+    assert set(one.ravel().tolist()) == {round((10 + 30 + 61) / 3)}
+    assert set(two.ravel().tolist()) == {round((0 + 2 + 3) / 3)}
+    assert len(said) == 1
+    with pytest.raises(InputError, match="gave 8 frames, fewer than the 9 that show"):
+        first_frames([str(near)], 9, report=said.append)
+    cv2.imwrite(str(far / "frame_1.png"), np.zeros((12, 16, 3), dtype=np.uint8))
+    with pytest.raises(InputError, match="differ in size"):
+        first_frames([str(far)], 2)
+
+
 class FakeCamera:
     """What OpenCV gives, at 200 frames a second; every fifth is torn; it ends with the 40th."""
 
@@ -308,6 +354,14 @@ def test_two_cameras_are_read_together(cameras: list[FakeCamera]) -> None:
         first, second = next(frames).images
         assert first[0, 0, 0] == second[0, 0, 0]
     source.close()
+
+
+def test_a_cameras_first_frames_leave_it_free(cameras: list[FakeCamera]) -> None:
+    (mean,) = first_frames(["3"], 3, size_px=(32, 24), report=lambda _: None)
+    (camera,) = cameras
+    assert camera.released
+    assert camera.asked[cv2.CAP_PROP_FRAME_WIDTH] == 32
+    assert mean.shape == (24, 32, 3)
 
 
 def test_a_camera_that_is_not_there_is_refused(cameras: list[FakeCamera]) -> None:

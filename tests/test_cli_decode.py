@@ -1,0 +1,301 @@
+"""``phytac decode`` as a person runs it: an image, and recordings to rows, CSV and Parquet."""
+
+import csv
+import json
+import os
+import re
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from decoder.bundle import save_bundle
+from decoder.regions import Region
+from phytac_design.cli_decode import Teller, decode
+from shapes.errors import InputError, MissingPartError, OutputError, PhytacError
+from tests.decoder.toy_sensor import toy_bundle, toy_frame
+
+PRESSES: list[Mapping[int, float]] = [{}, {14: 3.0}, {14: 3.0, 15: 1.5, 29: 2.0}, {7: 2.0}]
+PATIENCE_S = 60.0
+COMMAND = "import typer\nfrom phytac_design.cli_decode import decode\ntyper.run(decode)"
+ALONE = [sys.executable, "-c", COMMAND]
+
+app = typer.Typer()
+app.command()(decode)
+
+
+def folder_of(where: Path, presses: list[Mapping[int, float]]) -> Path:
+    where.mkdir()
+    for number, pressed in enumerate(presses):
+        cv2.imwrite(str(where / f"frame_{number}.png"), toy_frame(pressed))
+    return where
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Decoder and frames of the toy sensor."""
+    folder = tmp_path_factory.mktemp("toy")
+    save_bundle(toy_bundle(), folder / "decoder")
+    folder_of(folder / "frames", PRESSES)
+    return folder
+
+
+def run(*words: object) -> tuple[str, str]:
+    """What it prints, and what it says besides; its error, if there is one, is raised."""
+    done = CliRunner().invoke(app, [str(word) for word in words])
+    if isinstance(done.exception, PhytacError):
+        raise done.exception
+    assert done.exit_code == 0, done.output
+    return done.stdout, done.stderr
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
+def test_one_image_is_told_in_full(toy: Path) -> None:
+    words = (toy / "decoder", toy / "frames" / "frame_2.png", "--estimator", "koi_inverse")
+    said, _ = run(*words)
+    lines = said.splitlines()
+    assert lines[0] == "toy: 30 of 30 markers found"
+    assert [int(line.split()[1]) for line in lines[1:4]] == [14, 15, 29]
+    assert re.fullmatch(r"total 6\.\d\d N on 3 switched receptors", lines[4])
+    result = json.loads(run(*words, "--json")[0])
+    assert list(result) == [
+        "design", "estimator", "found", "forces_N", "total_N", "contacts", "warnings", "limits"
+    ]  # fmt: skip
+    assert result["forces_N"]["14"] == pytest.approx(3.0, abs=0.15)
+
+
+def test_a_folder_is_told_a_row_a_frame(toy: Path) -> None:
+    said, besides = run(toy / "decoder", toy / "frames", "--fps", "10")
+    lines = said.splitlines()
+    assert [line.split()[:2] for line in lines] == [[str(k), f"0.{k}00"] for k in range(4)]
+    assert [float(line.split()[3]) for line in lines] == pytest.approx([0, 3, 6.5, 2], abs=0.3)
+    assert lines[2].count("#") == 2
+    # The contact goes on: its number stays.
+    assert "#0 " in lines[1]
+    assert re.search(r"#0 4\.\d\d N at", lines[2])
+    assert "#1 " in lines[2]
+    assert re.search(r"^4 frames in \d+\.\d s, 0 unread, 0 skipped, 0 missed, \d with", besides)
+
+
+def test_json_lines_are_the_streams_messages(toy: Path) -> None:
+    said, _ = run(toy / "decoder", toy / "frames", "--fps", "10", "--json")
+    messages = [json.loads(line) for line in said.splitlines()]
+    assert [message["sequence"] for message in messages] == [0, 1, 2, 3]
+    assert [message["koi"] for message in messages] == [[], [14], [14, 15, 29], [7]]
+    assert messages[2]["contacts"][0]["markers"] == [14, 15]
+    # A rate does not slow it down, nor leave frames out.
+    start = time.monotonic()
+    said, _ = run(toy / "decoder", toy / "frames", "--fps", "0.05", "--json")
+    assert time.monotonic() - start < 15.0
+    assert [json.loads(line)["timestamp_s"] for line in said.splitlines()] == [
+        0.0,
+        20.0,
+        40.0,
+        60.0,
+    ]
+
+
+def test_files_are_written_and_agree(toy: Path, tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    (tmp_path / "regions.toml").write_text('[[regions]]\nname = "thumb"\nmarkers = [14, 15]\n')
+    out, table, sums = (tmp_path / name for name in ("out.csv", "out.parquet", "sums.csv"))
+    said, besides = run(
+        toy / "decoder", toy / "frames", "--fps", "10", "--csv", out, "--parquet", table,
+        "--regions", tmp_path / "regions.toml", "--record-regions", sums,
+    )  # fmt: skip
+    assert said == ""
+    assert f"5 rows in {out}, 4 rows in {sums}, 5 rows in {table}" in besides
+    rows = rows_of(out)
+    assert [row["markers"] for row in rows] == ["", "14", "14 15", "29", "7"]
+    assert [row["region"] for row in rows] == ["", "thumb", "thumb", "", ""]
+    same = parquet.read_table(table)
+    assert same["force_N"].to_pylist()[1:] == [float(row["force_N"]) for row in rows[1:]]
+    told = [float(row["region_thumb_N"]) for row in rows_of(sums)]
+    assert told == pytest.approx([0.0, 3.0, 4.5, 0.0], abs=0.3)
+    alone = tmp_path / "alone.parquet"
+    run(toy / "decoder", toy / "frames", "--fps", "10", "--parquet", alone)
+    assert parquet.read_table(alone)["id"].to_pylist() == same["id"].to_pylist()
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "alone.parquet", "out.csv", "out.parquet", "regions.toml", "sums.csv"
+    ]  # fmt: skip
+
+
+def test_a_file_that_is_there_is_kept(toy: Path, tmp_path: Path) -> None:
+    taken = tmp_path / "taken"
+    taken.write_text("mine")
+    for option in ("--csv", "--parquet", "--record-regions"):
+        with pytest.raises(OutputError, match=f"is there already; give {option} another name"):
+            run(toy / "decoder", toy / "frames", option, taken)
+    assert taken.read_text() == "mine"
+    with pytest.raises(InputError, match="name them with --regions"):
+        run(toy / "decoder", toy / "frames", "--record-regions", tmp_path / "sums.csv")
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+
+
+def test_parquet_without_its_library_is_refused_first(
+    toy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [name for name in sys.modules if name.split(".")[0] == "pyarrow"] or ["pyarrow"]:
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(MissingPartError, match="Parquet needs pyarrow"):
+        run(toy / "decoder", toy / "frames", "--parquet", tmp_path / "out.parquet")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_broken_frame_is_told_of_and_passed_over(toy: Path, tmp_path: Path) -> None:
+    frames = folder_of(tmp_path / "frames", PRESSES)
+    torn, black = frames / "frame_1.png", np.zeros((120, 160, 3), dtype=np.uint8)
+    torn.write_bytes(torn.read_bytes()[:-20])
+    cv2.imwrite(str(frames / "frame_2.png"), black)
+    said, besides = run(toy / "decoder", frames, "--csv", tmp_path / "out.csv", "--json")
+    messages = [json.loads(line) for line in said.splitlines()]
+    assert [(m["sequence"], m["valid"]) for m in messages] == [(0, True), (2, False), (3, True)]
+    assert "frame 1 skipped" in besides
+    assert "frame 2: the frame cannot be decoded: found 0 of 30 markers" in besides
+    assert "3 frames in" in besides
+    assert "1 unread, 1 skipped" in besides
+    assert [row["valid"] for row in rows_of(tmp_path / "out.csv")] == ["1", "0", "1"]
+    said, _ = run(toy / "decoder", frames)
+    assert "could not be decoded" in said.splitlines()[1]
+
+
+def test_nothing_but_broken_frames_is_an_error(toy: Path, tmp_path: Path) -> None:
+    frames = folder_of(tmp_path / "frames", [{}, {}])
+    for path in frames.iterdir():
+        cv2.imwrite(str(path), np.zeros((120, 160, 3), dtype=np.uint8))
+    with pytest.raises(InputError, match=r"none of the 2 frames of .* could be decoded"):
+        run(toy / "decoder", frames)
+
+
+def test_a_video_is_read(toy: Path, tmp_path: Path) -> None:
+    video = tmp_path / "press.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (160, 120))
+    assert writer.isOpened()
+    writer.set(cv2.VIDEOWRITER_PROP_QUALITY, 100)
+    for pressed in PRESSES:
+        writer.write(toy_frame(pressed))
+    writer.release()
+    said, _ = run(toy / "decoder", video, "--json")
+    messages = [json.loads(line) for line in said.splitlines()]
+    assert [m["timestamp_s"] for m in messages] == pytest.approx([0.0, 0.05, 0.1, 0.15], abs=1e-3)
+    assert [m["koi"] for m in messages] == [[], [14], [14, 15, 29], [7]]
+    assert [m["total_N"] for m in messages] == pytest.approx([0, 3, 6.5, 2], abs=0.5)
+
+
+def test_the_recordings_own_beginning_is_its_rest(toy: Path, tmp_path: Path) -> None:
+    """A camera that sits 3 px off: only a frame of its own tells what is rest."""
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    presses: list[Mapping[int, float]] = [{}, {}, {14: 3.0}]
+    for number, pressed in enumerate(presses):
+        cv2.imwrite(str(frames / f"{number}.png"), np.roll(toy_frame(pressed), 3, axis=1))
+    _, besides = run(toy / "decoder", frames)
+    assert besides.count("the camera has moved") == 1
+    said, besides = run(toy / "decoder", frames, "--rest-first", "2", "--json")
+    assert "the camera has moved" not in besides
+    totals = [json.loads(line)["total_N"] for line in said.splitlines()]
+    assert totals == pytest.approx([0.0, 0.0, 3.0], abs=0.15)
+    same, _ = run(toy / "decoder", frames, "--rest", frames / "0.png", "--json")
+    assert json.loads(same.splitlines()[2])["total_N"] == pytest.approx(totals[2], abs=0.05)
+    with pytest.raises(InputError, match="give one of them"):
+        run(toy / "decoder", frames, "--rest", frames / "0.png", "--rest-first", "1")
+    with pytest.raises(InputError, match="gave 3 frames, fewer than the 4"):
+        run(toy / "decoder", frames, "--rest-first", "4")
+
+
+def test_markers_can_be_followed(toy: Path, tmp_path: Path) -> None:
+    step: list[Mapping[int, float]] = [{}, {}, {14: 0.8}, {14: 1.6}]
+    frames = folder_of(tmp_path / "frames", step)
+    with pytest.raises(InputError, match="--follow begins at a frame of the unloaded sensor"):
+        run(toy / "decoder", frames, "--follow")
+    said, _ = run(toy / "decoder", frames, "--follow", "--rest-first", "1", "--json")
+    assert json.loads(said.splitlines()[3])["total_N"] == pytest.approx(1.6, abs=0.2)
+
+
+def test_the_bundles_regions_are_told_and_can_be_replaced(toy: Path, tmp_path: Path) -> None:
+    named = replace(toy_bundle(), regions=(Region(name="thumb", markers=(14, 15)),))
+    save_bundle(named, tmp_path / "decoder")
+    said, _ = run(tmp_path / "decoder", toy / "frames")
+    assert "mm thumb" in said.splitlines()[1]
+    assert re.search(r"  thumb 4\.\d\d N", said.splitlines()[2])
+    image = toy / "frames" / "frame_2.png"
+    words = (tmp_path / "decoder", image, "--estimator", "koi_inverse")
+    assert re.search(r"^  region thumb  4\.\d\d N$", run(*words)[0], re.MULTILINE)
+    assert json.loads(run(*words, "--json")[0])["regions"]["thumb"] == pytest.approx(4.5, abs=0.3)
+    other = tmp_path / "other.toml"
+    other.write_text('[[regions]]\nname = "palm"\nmarkers = [29]\n')
+    result = json.loads(run(*words, "--json", "--regions", other)[0])
+    assert list(result["regions"]) == ["palm"]
+
+
+def test_each_kind_of_warning_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+    teller = Teller(as_json=False, rows=False)
+    for number, warnings in enumerate(
+        (["1 switches (3) are stuck", "dark"], ["2 switches (3, 41) are stuck"], [])
+    ):
+        teller.publish({"sequence": number, "valid": True, "warnings": warnings})
+    assert capsys.readouterr().err.splitlines() == [
+        "warning: frame 0: 1 switches (3) are stuck",
+        "warning: frame 0: dark",
+    ]
+    assert (teller.valid, teller.flagged) == (3, 2)
+
+
+def test_errors(toy: Path, tmp_path: Path) -> None:
+    for words, message in (
+        ((tmp_path, toy / "frames"), "no decoder bundle in"),
+        ((toy / "decoder", tmp_path / "none"), "no frames at"),
+        ((toy / "decoder", tmp_path / "none.png"), "no image at"),
+        ((toy / "decoder", toy / "frames", toy / "frames"), "has one camera"),
+        ((toy / "decoder", toy / "frames", "--estimator", "auto"), "no estimator 'auto'; known"),
+        ((toy / "decoder", toy / "frames", "--fps", "-1"), "a rate lies above 0"),
+        ((toy / "decoder", toy / "frames" / "frame_1.png", "--rest", "no.png"), "no image at no"),
+    ):
+        with pytest.raises(InputError, match=message):
+            run(*words)
+
+
+def test_what_was_decoded_is_kept_when_it_is_stopped(toy: Path, tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    frames, count = tmp_path / "frames", 3000
+    frames.mkdir()
+    for number in range(count):
+        (frames / f"{number}.png").symlink_to(toy / "frames" / f"frame_{number % 4}.png")
+    out, table = tmp_path / "out.csv", tmp_path / "out.parquet"
+    words = [str(toy / "decoder"), str(frames), "--json"]
+    done = subprocess.Popen(
+        ["env", "--default-signal=INT", *ALONE, *words, "--csv", str(out), "--parquet", str(table)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
+    with done:
+        try:
+            assert done.stdout is not None
+            assert select.select([done.stdout], [], [], PATIENCE_S)[0]
+            for _ in range(5):
+                last = json.loads(done.stdout.readline())["sequence"]
+            done.send_signal(signal.SIGINT)
+            _, errors = done.communicate(timeout=PATIENCE_S)
+        finally:
+            done.kill()
+    assert done.returncode == 130
+    assert "Traceback" not in errors
+    numbers = {int(row["sequence"]) for row in rows_of(out)}
+    assert set(range(last)) <= numbers
+    assert len(numbers) < count
+    assert parquet.read_table(table).num_rows == len(rows_of(out))
