@@ -4,9 +4,11 @@ Frames are rendered (lens blur, fall-off, vignetting, noise) of contacts that a 
 displacement solves. ``python -m benchmarks.decoder_faults [--quick]``
 """
 
+import copy
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -20,8 +22,10 @@ from decoder.bundle import Bundle
 from decoder.calibrate_colours import calibrate_rest
 from decoder.follow import Follower
 from decoder.run import Measured, measure_frame
-from phytac_design.build import copy_of
+from decoder.tears import STREAK, Tears
+from phytac_design.build import copy_of, run_stages, select_stages
 from phytac_design.design_file import load_design
+from phytac_design.stages.decoder import plain_model
 from shapes.arrays import ImageArray
 from shapes.errors import InputError
 
@@ -29,6 +33,7 @@ DESIGN = "cylinder60"
 ESTIMATORS = ("koi_inverse", "auto")
 WRONG_SHARE, WRONG_N = 0.1, 0.3
 """A force is wrong that a fault changes by more than both."""
+TORN = "a frame torn"
 TRIES = 4
 """Frames after which a follower has found a press that came at once."""
 
@@ -43,6 +48,8 @@ class Tally:
     followed: int = 0
     wrong: int = 0
     silent: int = 0
+    watched: int = 0
+    unseen: int = 0
     said: str = ""
     total: list[float] = field(default_factory=list)
     contact: list[float] = field(default_factory=list)
@@ -72,27 +79,32 @@ def add_faults(table: Table, bench: Bench, count: int) -> None:
     chosen = np.flatnonzero(bench.tripped)[: count + 1].tolist()
     chips = {index: bench.chip(*bench.pose(index)) for index in chosen}
     sound = {index: measure_frame(bundle, bench.shot(chips[index], seed=index)) for index in chosen}
+    tears = {index: _tears(bench, chips[after], index) for index, after in pairwise(chosen)}
     names = [name for name in ESTIMATORS if name in bundle.model.estimators]
     for fault, damage in {"none": _again, **FAULTS}.items():
         tallies = {name: Tally() for name in names}
         for index, sample in _samples(bench, chosen, chips):
             frame = damage(sample)
             follows = _followed(bundle, rest, sample, frame)
+            torn = bool(copy.deepcopy(tears[index]).look([frame]))
             try:
                 seen = measure_frame(bundle, frame)
             except InputError as error:
                 for tally in tallies.values():
                     tally.frames, tally.refused = tally.frames + 1, tally.refused + 1
                     tally.followed += follows
+                    tally.watched += torn
                     tally.said = str(error)
                 continue
             for name, tally in tallies.items():
                 total, contact, wrong, told = judged(bench, index, sound[index], seen, name)
                 tally.frames += 1
                 tally.followed += follows
+                tally.watched += torn
                 tally.flagged += bool(told)
                 tally.wrong += wrong
                 tally.silent += wrong and not told
+                tally.unseen += wrong and not told and not torn
                 tally.said = told[0] if told else tally.said
                 tally.total.append(total)
                 tally.contact.append(contact)
@@ -148,6 +160,15 @@ def _followed(bundle: Bundle, rest: ImageArray, sample: Sample, frame: ImageArra
     return bool(seen.flags or seen.warnings(bundle, forces, estimator="koi_inverse"))
 
 
+def _tears(bench: Bench, light: NDArray[np.float32], index: int) -> Tears:
+    """One who has seen frames of the press before a sample's; the last is its ``other``."""
+    tears = Tears()
+    for seed in (*(10000 * k + index for k in range(3, 3 + STREAK)), 2000 + index):
+        if tears.look([bench.shot(light, seed=seed)]):
+            raise InputError(f"sample {index}: two draws of the noise are the same")
+    return tears
+
+
 def _add_fault(table: Table, fault: str, estimator: str, tally: Tally) -> None:
     total, contact = tally.total, tally.contact
     where = f"fault {fault}, {estimator}"
@@ -159,7 +180,8 @@ def _add_fault(table: Table, fault: str, estimator: str, tally: Tally) -> None:
             reference=tally.frames,
             source="frames, another draw of the noise",
             target="== 0",
-            note=f"by a follower {tally.followed}; said: {tally.said or 'nothing'}",
+            note=f"by a follower {tally.followed}; by one who holds them against the frame before "
+            f"{tally.watched}; said: {tally.said or 'nothing'}",
         )
     else:
         table.add(
@@ -172,6 +194,17 @@ def _add_fault(table: Table, fault: str, estimator: str, tally: Tally) -> None:
             target="== 0",
             note=f"{tally.frames} frames: {tally.refused} refused, {tally.flagged} flagged; by a "
             f"follower {tally.followed}; last said: {tally.said or 'nothing'}",
+        )
+    if fault == TORN:
+        table.add(
+            f"{where}: the same, by one who holds it against the frame before",
+            tally.unseen,
+            "frames",
+            reference=tally.wrong,
+            source="as serve, live and decode do with recordings and cameras; rows that are the "
+            "last frame's to the bit",
+            target="== 0",
+            note=f"{tally.watched} of {tally.frames} frames told to be torn",
         )
     if not total:
         return
@@ -190,28 +223,46 @@ def _add_fault(table: Table, fault: str, estimator: str, tally: Tally) -> None:
 def add_alarms(table: Table, benches: dict[str, Bench]) -> None:
     """Warnings about sound frames, by the points route."""
     for label, bench in benches.items():
-        alarms, missing, told = 0, 0, ""
-        for index, motion in enumerate(bench.motion):
-            bits = bench.job.plan.switching.bits[index]
-            seen = bench.eyes.points(motion, bits, 1.0, np.random.default_rng([SEEN, index]))
-            read = Measured(koi=np.flatnonzero(bits), shift_px=seen.shift_px, found=seen.found)
-            forces = read.forces_N(bench.bundle, "koi_inverse")
-            said = read.warnings(bench.bundle, forces, estimator="koi_inverse")
-            sound = bool(bench.tripped[index])
-            alarms += sound and bool(said)
-            missing += not sound and bool(said)
-            told = said[0] if sound and said else told
-        table.add(
-            f"sound samples with a warning, {label}",
-            alarms,
-            "samples",
-            reference=int(bench.tripped.sum()),
-            source="samples by points, all of whose contacts tripped a switch, up to "
-            f"{bench.job.design.training.force_max_N:g} N each",
-            target="== 0",
-            note=f"of {int((~bench.tripped).sum())} with a contact that trips no switch {missing} "
-            f"are told of missing forces; said: {told or 'nothing'}",
-        )
+        for estimator in ESTIMATORS:
+            _add_alarm(table, label, bench, estimator)
+
+
+def _add_alarm(table: Table, label: str, bench: Bench, estimator: str) -> None:
+    alarms, missing, told = 0, 0, ""
+    for index, motion in enumerate(bench.motion):
+        bits = bench.job.plan.switching.bits[index]
+        seen = bench.eyes.points(motion, bits, 1.0, np.random.default_rng([SEEN, index]))
+        read = Measured(koi=np.flatnonzero(bits), shift_px=seen.shift_px, found=seen.found)
+        forces = read.forces_N(bench.bundle, estimator)
+        said = read.warnings(bench.bundle, forces, estimator=estimator)
+        sound = bool(bench.tripped[index])
+        alarms += sound and bool(said)
+        missing += not sound and bool(said)
+        told = said[0] if sound and said else told
+    table.add(
+        f"sound samples with a warning, {label}, {estimator}",
+        alarms,
+        "samples",
+        reference=int(bench.tripped.sum()),
+        source="samples by points, all of whose contacts tripped a switch, up to "
+        f"{bench.job.design.training.force_max_N:g} N each",
+        target="== 0",
+        note=f"of {int((~bench.tripped).sum())} with a contact that trips no switch {missing} "
+        f"are told of missing forces; said: {told or 'nothing'}",
+    )
+
+
+def with_tables(bench: Bench) -> Bench:
+    """The same, its decoder with the tables of ``auto``."""
+    context = run_stages(
+        bench.job.design,
+        select_stages(["response", "places"]),
+        accuracy=bench.job.accuracy,
+        seed=0,
+        force=True,
+        progress=lambda _: None,
+    )[0]
+    return replace(bench, bundle=replace(bench.bundle, model=plain_model(context)))
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
@@ -223,6 +274,7 @@ def add_rows(table: Table, *, quick: bool) -> None:
                 "pixel_um": 2.0 * design.camera.pixel_um}  # fmt: skip
         design = copy_of(design, camera=half)
     bench = Bench.of(design, scenario_of(3 if quick else 30, "receptor"), seed=1, quick=quick)
+    bench = with_tables(bench)
     add_lights(table, bench, quick=quick)
     add_faults(table, bench, 1 if quick else 20)
     benches = {}

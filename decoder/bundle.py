@@ -15,7 +15,14 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from decoder.bundle_camera import camera_from, camera_table
-from decoder.bundle_check import check_arrays, check_indices, check_shown
+from decoder.bundle_check import (
+    check_arrays,
+    check_indices,
+    check_shown,
+    fault_of,
+    no_number,
+    positive,
+)
 from decoder.bundle_locator import locator_arrays, locator_from, locator_table
 from decoder.camera import Camera
 from decoder.estimators import ForceModel
@@ -287,29 +294,34 @@ def load_bundle(folder: Path) -> Bundle:
             )
         cameras = tuple(camera_from(table, folder) for table in tables)
         return _assemble(meta, arrays, cameras, locator)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         raise InputError(
-            f"{folder}/bundle.json is not a decoder bundle: {type(error).__name__} {error}"
+            f"{folder}/bundle.json is not a decoder bundle: {fault_of(error)}; rebuild the decoder"
         ) from error
 
 
 def _read_meta(folder: Path) -> dict[str, Any]:
     path = folder / "bundle.json"
     try:
-        meta = json.loads(path.read_text(encoding="utf-8"))
+        meta = json.loads(path.read_text(encoding="utf-8"), parse_constant=no_number)
     except OSError as error:
         raise InputError(
             f"no decoder bundle in {folder} ({error.strerror}); give the folder that holds "
             "bundle.json, such as exports/cylinder60/decoder"
         ) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is not JSON ({error}); rebuild the decoder") from error
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
-        raise InputError(f"{path} is not a decoder bundle (format is not {FORMAT!r})")
+        raise InputError(
+            f"{path} is not a decoder bundle (format is not {FORMAT!r}); give the folder of a "
+            "decoder, such as exports/cylinder60/decoder"
+        )
     try:
         major, minor = (int(part) for part in str(meta["schema_version"]).split("."))
     except (KeyError, ValueError) as error:
-        raise InputError(f"{path} has no readable schema_version") from error
+        raise InputError(
+            f"{path} has no schema_version such as '{SCHEMA[0]}.{SCHEMA[1]}'; rebuild the decoder"
+        ) from error
     if major != SCHEMA[0] or minor > SCHEMA[1]:
         raise InputError(
             f"{path} has schema {major}.{minor}, this decoder reads {SCHEMA[0]}.0 to "
@@ -367,8 +379,8 @@ def _assemble(
         ),
         threshold_N=arrays["threshold_N"],
         # Up to schema 1.1 these were not stored.
-        noise_centroid_px=float(meta.get("noise_centroid_px", 0.04)),
-        force_max_N=float(meta.get("force_max_N", 25.0)),
+        noise_centroid_px=positive(meta.get("noise_centroid_px", 0.04), "noise_centroid_px"),
+        force_max_N=positive(meta.get("force_max_N", 25.0), "force_max_N"),
         shown=tuple(_shown(arrays, number) for number in range(len(cameras) if several else 0)),
         # Up to schema 1.4 there were none.
         regions=regions_from(meta.get("regions", []), len(arrays["colour"])),

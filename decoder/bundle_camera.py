@@ -46,9 +46,10 @@ def camera_from(table: dict[str, Any], folder: Path) -> Camera:
     focal = np.broadcast_to(np.asarray(table["focal_px"], dtype=np.float64), 2)
     pose = [*table["position_mm"], *np.ravel(table["rotation"])]
     rotation = np.asarray(table["rotation"], dtype=np.float64)
-    if rotation.shape != (3, 3) or not np.isfinite(pose).all():
+    if rotation.shape != (3, 3) or len(pose) != 12 or not np.isfinite(pose).all():
         raise InputError(
-            f"{folder}/bundle.json: the camera's pose must be finite; rebuild the decoder"
+            f"{folder}/bundle.json: the camera's pose must be 3 + 9 finite numbers; rebuild the "
+            "decoder"
         )
     try:
         lens = LENSES[table["model"]](

@@ -12,6 +12,10 @@ INTEGERS = ("colour", "neighbours", "read_by")
 PARTIAL = ("tip_on_px", "shown_rest_px", "shown_tip_on_px")
 """Arrays with NaN for what is not seen."""
 CAMERAS_MAX = 2
+NUMBER_MAX = 1e6
+"""Largest noise, px, and largest force, N, that a bundle may speak of."""
+SHOWN_LETTERS = 200
+"""Letters of a fault in a file that a message shows."""
 
 
 def check_arrays(arrays: dict[str, Any], count: int, networks: list[str], folder: Path) -> None:
@@ -116,3 +120,25 @@ def check_indices(
                 f"{folder}/bundle.safetensors: {name} points beyond the bundle's {high} entries; "
                 "rebuild the decoder"
             )
+
+
+def fault_of(error: Exception) -> str:
+    """What is wrong with a table, in words of the file's, not of the program's."""
+    if isinstance(error, KeyError):
+        return f"{error} is missing"
+    if isinstance(error, ValueError) and "broadcast" not in str(error):
+        return str(error)[:SHOWN_LETTERS]
+    return "a value is not of the kind or the size that it should be"
+
+
+def positive(value: Any, name: str) -> float:
+    """Number from 0 to ``NUMBER_MAX``."""
+    number = float(value)
+    if not 0.0 <= number <= NUMBER_MAX:
+        raise ValueError(f"{name} must lie within 0 and {NUMBER_MAX:g} (got {number:g})")
+    return number
+
+
+def no_number(name: str) -> float:
+    """Refuse NaN and infinity, which JSON has not."""
+    raise ValueError(f"{name} is no number of JSON")

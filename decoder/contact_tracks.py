@@ -193,6 +193,7 @@ class ContactTracker:
                     [p + m for p, m in zip(alone.place, moved, strict=True)],
                     contacts[piece].position_mm,
                 )
+                ** 2
                 for piece in pieces
             ]
             for alone in track.inside

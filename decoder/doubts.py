@@ -2,7 +2,8 @@
 
 Motion is held against the compliance of the key nodes and, with any sign, of their neighbours:
 where in its cell a contact presses, how wide it is, and large displacement are then not mistaken
-for a fault.
+for a fault. Few markers that seem pressed all the same, as beside a rim, are held against the
+tables of ``auto`` as well, which know large displacement, where the decoder has them.
 """
 
 from functools import lru_cache
@@ -11,6 +12,7 @@ import numpy as np
 
 from decoder.bundle import Bundle
 from decoder.contacts import contact_groups
+from decoder.locate import SILENT_MISFIT
 from shapes.arrays import BoolArray, FloatArray, IntArray
 
 RIDGE = 1e-3
@@ -34,6 +36,10 @@ STRONG = 10.0
 """A group of switches with so many times its threshold is not doubted."""
 
 
+EXCUSED_MOST = 2
+"""As many markers as seem pressed may be excused; under a dead switch more do, nearly always."""
+
+
 class Explained:
     """Motion of one frame, held against its switches.
 
@@ -52,6 +58,7 @@ class Explained:
         self._gram = _gram(_Same(model.compliance_px))
         self.inverse_N = model.forces("koi_inverse", shift_px, koi)
         self._plain = (model.compliance_px @ self.inverse_N).reshape(-1, 2)
+        self._seen = np.asarray(shift_px, dtype=np.float64)
         # A marker that was not found does as it should.
         self._shift = np.where(np.isfinite(shift_px), shift_px, self._plain)
         self._right = model.compliance_px.T @ self._shift.reshape(-1)
@@ -113,7 +120,24 @@ class Explained:
             limit[self.around(group)] += beside
         pressed = (as_force > limit) & bundle.force_readable
         pressed[self.koi] = False
-        return np.flatnonzero(pressed | self._unread()), np.flatnonzero(astray)
+        suspects = np.flatnonzero(pressed | self._unread())
+        if self._excused(suspects, limit[suspects]):
+            suspects = suspects[:0]
+        return suspects, np.flatnonzero(astray)
+
+    def _excused(self, markers: IntArray, limit_N: FloatArray) -> bool:
+        """Whether contacts with switches explain all motion, without these markers (k,)."""
+        model = self.bundle.model
+        if model.locator is None or not len(self.koi) or not 1 <= len(markers) <= EXCUSED_MOST:
+            return False
+        found = model.contacts(self._seen, self.koi)
+        silent = any(len(contact.markers) == 0 for contact in found.contacts)
+        if silent or found.misfit > SILENT_MISFIT:
+            return False
+        left = np.nan_to_num(self._seen.reshape(-1) - found.shift_px)
+        own = np.maximum(self._gram.diagonal()[markers], 1e-300)
+        as_force = (model.compliance_px[:, markers].T @ left) / own
+        return bool((as_force <= limit_N).all())
 
     def _unread(self) -> BoolArray:
         """Markers (n,) that moved as if pressed and whose switches cannot be read.

@@ -295,6 +295,9 @@ def check_framing(framing: str) -> None:
         raise InputError(f"no format {framing!r} for a stream; known: {', '.join(FRAMINGS)}")
 
 
+ASK = "read it in the format that phytac serve was given (--format)"
+
+
 class Splitter:
     """Bytes as they arrive, in pieces of any size, to messages.
 
@@ -339,7 +342,7 @@ class Splitter:
         if length > MESSAGE_MAX_BYTES:
             raise InputError(
                 f"a message of {length} bytes or more; is this a stream in the format "
-                f"{self._framing!r} of phytac serve?"
+                f"{self._framing!r} of phytac serve? {ASK}"
             )
         if not ready:
             return None
@@ -352,11 +355,11 @@ def _parsed(text: bytes) -> Message:
     try:
         message = json.loads(text, parse_constant=_refuse)
     except ValueError as error:
-        raise InputError(f"not a message of a stream: {error}") from None
+        raise InputError(f"not a message of a stream: {error}; {ASK}") from None
     except RecursionError:
-        raise InputError("not a message of a stream: nested too deeply") from None
+        raise InputError(f"not a message of a stream: nested too deeply; {ASK}") from None
     if not isinstance(message, dict) or not isinstance(message.get("type"), str):
-        raise InputError("not a message of a stream: no object with a type")
+        raise InputError(f"not a message of a stream: no object with a 'type'; {ASK}")
     return message
 
 

@@ -17,7 +17,7 @@ from phytac_design.cache_care import limit_bytes, prune
 from phytac_design.check import check_design
 from phytac_design.design_file import design_hash, parse_design, to_toml
 from phytac_design.spec import Design
-from phytac_design.stage import EXPORT, Context, Stage
+from phytac_design.stage import EXPORT, Context, Stage, array_hashes
 from phytac_design.stages import STAGES
 from shapes.errors import DesignError, OutputError
 
@@ -174,7 +174,7 @@ def run_stages(
             turn = f"[{number}/{len(stages)}] {stage.name}"
             folder = cache.lookup(stage.name, key)
             while folder is None or not (keep or own).enter_context(cache.held(folder)):
-                work = Work(stage, replace(context, folders=needed), turn)
+                work = Work(stage, replace(context, folders=needed, uses=stage.uses), turn)
                 folder = cache.publish(stage.name, key, work, waiting=work.waiting)
                 if work.done and stage.name not in ran:
                     ran.append(stage.name)
@@ -205,7 +205,11 @@ class Work:
         seconds = time.perf_counter() - start
         self.done = True
         self.context.progress(f"{self.turn} {seconds:.1f} s")
-        return {"stage": self.stage.name, "seconds": round(seconds, 3)}
+        return {
+            "stage": self.stage.name,
+            "seconds": round(seconds, 3),
+            "arrays": array_hashes(folder),
+        }
 
     def waiting(self) -> None:
         """Say that another process is at the same result."""
@@ -250,14 +254,16 @@ def _export(
     for stage in stages:
         source = context.folders[stage.name] / EXPORT
         seconds = float(cache.record(context.folders[stage.name])["seconds"])
-        for path in sorted(item for item in source.rglob("*") if item.is_file()):
-            relative = path.relative_to(source)
-            target = out / relative
+        paths = [path.relative_to(source) for path in source.rglob("*") if path.is_file()]
+        for path in sorted(paths):
+            target = out / path
             target.parent.mkdir(parents=True, exist_ok=True)
             partial = target.with_name(f".{target.name}.part")
-            shutil.copyfile(path, partial)
+            shutil.copyfile(source / path, partial)
             partial.replace(target)
-            files.append(_entry(out, relative, stage.name, seconds))
+        if stage.finish:
+            stage.finish(design, out)
+        files += [_entry(out, path, stage.name, seconds) for path in sorted(paths)]
     kept = {item["path"] for item in files}
     identity = {
         "design": {"name": design.name, "hash": design_hash(design)},

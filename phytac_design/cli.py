@@ -13,18 +13,23 @@ import typer
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from phytac_design import (
+    cli_build,
     cli_cache,
     cli_decode,
     cli_import,
     cli_live,
     cli_mechanics,
     cli_onnx,
+    cli_plan,
     cli_serve,
+    cli_stability,
+    cli_study,
     cli_switch,
+    cli_trade,
     cli_train,
     cli_twin,
 )
-from phytac_design.cli_options import DesignArgument, JsonOption, Preset, SeedOption, say
+from phytac_design.cli_options import DesignArgument, JsonOption, SeedOption, say
 from shapes.errors import DesignError, PhytacError
 
 app = typer.Typer(
@@ -33,65 +38,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="From one design file: a camera-based force sensor, printable, proven visible, decoded.",
 )
-
-
-@app.command()
-def build(
-    design: DesignArgument,
-    out: Annotated[
-        Path | None, typer.Option(help="The build's own folder; exports/NAME if not given.")
-    ] = None,
-    accuracy: Annotated[Preset, typer.Option(help="Speed against accuracy.")] = Preset.standard,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="Change a setting of the preset: refine=5. As often as asked."),
-    ] = None,
-    only: Annotated[str, typer.Option(help="Stages, comma separated, with what they need.")] = "",
-    seed: SeedOption = 0,
-    force: Annotated[
-        bool,
-        typer.Option(help="Overwrite another design's folder; go on though markers hide or fuse."),
-    ] = False,
-    as_json: JsonOption = False,
-) -> None:
-    """Build everything of a design: shell, views, mesh, decoder, report."""
-    from phytac_design.accuracy import settings_of, with_settings
-    from phytac_design.build import build as run_build
-    from phytac_design.design_file import load_design
-
-    loaded = load_design(design)
-    target = out or Path("exports") / loaded.name
-    names = [name.strip() for name in only.split(",") if name.strip()]
-    try:
-        result = run_build(
-            loaded,
-            target,
-            accuracy=with_settings(settings_of(accuracy.value), settings or []),
-            only=names or None,
-            seed=seed,
-            force=force,
-            progress=say,
-        )
-    except KeyboardInterrupt:
-        say("stopped; run the same command again to go on where it was")
-        raise typer.Exit(130) from None
-    if as_json:
-        summary = {
-            "out": str(result.out),
-            "ran": list(result.ran),
-            "cached": list(result.cached),
-            "seconds": round(result.seconds, 3),
-            "timing_s": result.timing_s,
-        }
-        typer.echo(json.dumps(summary, indent=1))
-        return
-    typer.echo(
-        f"{target}: {len(result.ran)} stages run, {len(result.cached)} from the cache, "
-        f"{result.seconds:.1f} s"
-    )
-    page = target / "report" / "report.html"
-    if page.is_file():
-        typer.echo(f"open {page}")
 
 
 @app.command()
@@ -189,6 +135,7 @@ def shapes(
 
 
 for command in (
+    cli_build.build,
     cli_cache.cache,
     cli_decode.decode,
     cli_mechanics.press,
@@ -196,6 +143,11 @@ for command in (
     cli_mechanics.calibrate,
     cli_live.live,
     cli_onnx.export_onnx,
+    cli_plan.plan,
+    cli_trade.tradeoff,
+    cli_stability.stability,
+    cli_study.sweep,
+    cli_study.optimise,
     cli_serve.serve,
     cli_serve.convert,
     cli_switch.switch,

@@ -274,7 +274,7 @@ def _decode_recording(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: W
     reader = decoder_of(bundle, unloaded, estimator=wanted.chosen, follow=wanted.follow)
     teller = Teller(as_json=wanted.as_json, rows=wanted.as_json or not wanted.files)
     size = (bundle.camera.width_px, bundle.camera.height_px)
-    stopped = False
+    stopped, failed = False, None
     # Whoever runs it as a service stops it by SIGTERM.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with contextlib.ExitStack() as stack:
@@ -302,8 +302,13 @@ def _decode_recording(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: W
             stream.run()
         except KeyboardInterrupt:
             stopped = True
+        except InputError as error:
+            # Such as a camera that was unplugged: what it gave is kept.
+            failed = error
     wrote = _written(wanted, kept)
     say(f"{stream.progress.total()}, {teller.flagged} with warnings{wrote}")
+    if failed:
+        raise failed
     if stopped:
         raise typer.Exit(130)
     if not teller.valid:

@@ -102,7 +102,10 @@ def _explain(item: Any, data: dict[str, Any]) -> str:
     kinds = FIXTURE_MODELS if item["loc"][:1] == ("fixtures",) else SHAPE_MODELS
     parts = [part for part in item["loc"] if part not in kinds]
     if parts[:2] == ["camera", "stand_off_mm"]:
-        return f"camera.stand_off_mm: must be a distance in mm or 'fit' (got {item['input']!r})"
+        return (
+            "camera.stand_off_mm: must be a distance in mm, at most 1e6, or 'fit' "
+            f"(got {_short(item['input'])})"
+        )
     where = ".".join(str(part) for part in parts)
     kind = item["type"]
     if kind == "extra_forbidden":

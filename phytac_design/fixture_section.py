@@ -35,7 +35,9 @@ class CylinderFixture(Fixture):
     @model_validator(mode="after")
     def _has_length(self) -> Self:
         if self.from_mm == self.to_mm:
-            raise ValueError(f"from_mm and to_mm of the fixture {self.name!r} are the same point")
+            raise ValueError(
+                f"from_mm and to_mm of the fixture {self.name!r} are the same point; move one"
+            )
         return self
 
 

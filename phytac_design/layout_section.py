@@ -78,7 +78,8 @@ class LayoutSection(Section):
             raise ValueError(
                 "kind 'explicit' needs positions (or positions_csv)"
                 if self.kind == "explicit"
-                else f"positions are for kind 'explicit' only (kind is {self.kind!r})"
+                else f"positions are for kind 'explicit' only (kind is {self.kind!r}); set it or "
+                "remove them"
             )
         sizes = {len(row) for row in self.positions}
         if len(sizes) > 1 or not sizes <= {2, 3}:

@@ -11,6 +11,8 @@ from shapes.errors import DesignError
 CHART, SPACE = ("u", "v"), ("x_mm", "y_mm", "z_mm")
 FURTHER = ("colour", "height_mm")
 LINES_MAX = 50_000
+SHOWN = 120
+"""Characters of a bad first line that its message shows."""
 
 
 def read_positions(path: Path) -> dict[str, Any]:
@@ -33,20 +35,22 @@ def read_positions(path: Path) -> dict[str, Any]:
             f"cannot read positions from {path}: {error.strerror}; layout.positions_csv is "
             "relative to the design file"
         ) from None
-    lines = [
-        (number, [cell.strip() for cell in next(csv.reader([line]))])
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
+    try:
+        lines = _lines(text)
+    except csv.Error as error:
+        raise DesignError(f"{path} is not a CSV file: {error}; save it as u,v lines") from None
     if not lines:
-        raise DesignError(f"{path} has no positions; its first line is u,v or x_mm,y_mm,z_mm")
+        raise DesignError(
+            f"{path} has no positions; write u,v or x_mm,y_mm,z_mm as its first line, then one "
+            "position on each"
+        )
     (first, names), rows = lines[0], lines[1:]
     place = CHART if set(CHART) <= set(names) else SPACE
     known = {*place, *FURTHER}
     if not set(place) <= set(names) <= known or len(set(names)) != len(names):
         raise DesignError(
             f"{path}, line {first}: columns must be u,v or x_mm,y_mm,z_mm, then colour and "
-            f"height_mm if wanted (got {','.join(names)})"
+            f"height_mm if wanted (got {','.join(names)[:SHOWN]})"
         )
     if not 1 <= len(rows) <= LINES_MAX:
         raise DesignError(
@@ -59,6 +63,15 @@ def read_positions(path: Path) -> dict[str, Any]:
     if "height_mm" in names:
         out["position_heights_mm"] = [row["height_mm"] for row in table]
     return out
+
+
+def _lines(text: str) -> list[tuple[int, list[str]]]:
+    """Number and cells of each line that says something."""
+    return [
+        (number, [cell.strip() for cell in next(csv.reader([line], strict=True))])
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
 
 
 def _row(path: Path, number: int, names: list[str], cells: list[str]) -> dict[str, Any]:

@@ -36,7 +36,8 @@ def _plain(value: Any) -> Any:
     """Lists and tuples alike, whole numbers as floats."""
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
-    return float(value) if isinstance(value, int) else value
+    # Larger whole numbers than a float holds stay what they are.
+    return float(value) if isinstance(value, int) and abs(value) < 2**1000 else value
 
 
 class Section(BaseModel):

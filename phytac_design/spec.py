@@ -119,7 +119,7 @@ class CameraSection(Section):
     numbers take the place of model, size, focal length, centre and distortion."""
     ends: Literal["near", "far", "both"] = "near"
     """Where cameras stand: before the near end, beyond the far one (looking back), or both."""
-    stand_off_mm: float | Literal["fit"] = assumed("fit")
+    stand_off_mm: Annotated[float, Field(ge=-1e6, le=1e6)] | Literal["fit"] = assumed("fit")
     """Distance from the camera's centre to its own rim's plane; `fit` fills the image with it."""
     fill: float = assumed(0.975, gt=0.05, le=1.0)
     """For `fit`: reach of its own rim's inner edge, as a fraction of half the smaller side."""

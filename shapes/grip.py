@@ -20,7 +20,7 @@ import numpy as np
 
 from shapes.arrays import FloatArray
 from shapes.errors import DesignError
-from shapes.revolved import Revolved
+from shapes.revolved import SEGMENTS, Revolved
 from shapes.spline import Spline
 from shapes.variables import check_variables, variable
 
@@ -65,6 +65,12 @@ class Grip(Revolved):
     @property
     def _step(self) -> float:
         return self.length_mm / (len(self.diameters_mm) - 1)
+
+    @property
+    def _segments(self) -> int:
+        """As many to each piece of the spline."""
+        pieces = len(self.diameters_mm) - 1
+        return pieces * -(-SEGMENTS // pieces)
 
     def span(self) -> tuple[float, float]:
         """0 to the length."""

@@ -45,6 +45,11 @@ class Revolved(Surface):
         """Closed around, open along."""
         return (False, True)
 
+    @property
+    def _segments(self) -> int:
+        """Segments of quadratures along the profile; it must be smooth within each."""
+        return SEGMENTS
+
     def radius(self, u: FloatArray) -> FloatArray:
         """Distance of the outer face from the axis, (n,) mm; exactly 0 at a pole."""
         r = self.curve(np.asarray(u, dtype=np.float64))[0][:, 0]
@@ -98,10 +103,10 @@ class Revolved(Surface):
     def arc_length_mm(self, u: FloatArray) -> FloatArray:
         """Length of the profile from its near end to u, (n,) mm."""
         low, high = self.span()
-        edges = np.linspace(low, high, SEGMENTS + 1)
+        edges = np.linspace(low, high, self._segments + 1)
         whole = np.concatenate([[0.0], np.cumsum(self._lengths(edges[:-1], edges[1:]))])
         u = np.asarray(u, dtype=np.float64)
-        k = np.clip(np.searchsorted(edges, u, side="right") - 1, 0, SEGMENTS - 1)
+        k = np.clip(np.searchsorted(edges, u, side="right") - 1, 0, self._segments - 1)
         return np.asarray(whole[k] + self._lengths(edges[k], u))
 
     def _lengths(self, start: FloatArray, end: FloatArray) -> FloatArray:
@@ -116,8 +121,8 @@ class Revolved(Surface):
         """Pappus' theorem by Gauss quadrature: 2π ∫ (r + o·n_r)(1 + o·κ) ds."""
         low, high = self.span()
         x, w = np.polynomial.legendre.leggauss(8)
-        edges = np.linspace(low, high, SEGMENTS + 1)
-        half = (high - low) / SEGMENTS / 2.0
+        edges = np.linspace(low, high, self._segments + 1)
+        half = (high - low) / self._segments / 2.0
         u = ((edges[:-1] + edges[1:]) / 2.0)[:, None] + half * x
         flat = u.ravel()
         rz, slope, curvature = self.curve(flat)

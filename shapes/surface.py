@@ -124,7 +124,8 @@ def march(
     o = np.asarray(origins_mm, dtype=np.float64)
     d = np.asarray(directions, dtype=np.float64)
     low, high = surface.bounds_mm()
-    margin = abs(offset_mm) + 0.05 * float(np.linalg.norm(high - low))
+    # Along each axis by its own extent: through a long thin sensor the steps stay short.
+    margin = abs(offset_mm) + 0.05 * (high - low) + 1e-6 * float(np.linalg.norm(high - low))
     with np.errstate(divide="ignore", invalid="ignore"):
         near, far = (low - margin - o) / d, (high + margin - o) / d
     enter = np.nanmax(np.where(d != 0.0, np.minimum(near, far), -np.inf), axis=1)
@@ -159,7 +160,7 @@ def march(
                 same = np.sign(height(rays[crossed], middle)[0]) == start
                 a, b = np.where(same, middle, a), np.where(same, b, middle)
             left, inside = height(rays[crossed], (a + b) / 2.0)
-            real = inside & (np.abs(left) < 1e-6 * (1.0 + margin))
+            real = inside & (np.abs(left) < 1e-6 * (1.0 + float(margin.max())))
             hit[rays[crossed[real]]] = ((a + b) / 2.0)[real]
         before = after
     return hit

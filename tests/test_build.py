@@ -77,9 +77,6 @@ CONTRACT = {
 }
 
 
-FABRICATION = {"switch", "hardware", "mold", "kit", "printing", "bench"}
-
-
 def quiet(_: str) -> None:
     """No progress."""
 
@@ -168,40 +165,6 @@ def test_a_spiral_whose_straight_rows_cannot_be_made_is_not_compared(tmp_path: P
     facts = json.loads((tmp_path / "facts.json").read_text())
     assert facts["straight"] is None
     assert "hidden by nearer ones at every height" in facts["why"]
-
-
-@pytest.mark.parametrize(
-    ("change", "stages"),
-    [
-        ({"description": "other words"}, {"bench", "report"}),
-        (
-            {"material": {"modulus_MPa": 1800.0}},
-            {"underload", "resolution", "mesh", "response", "places", "twin", "decoder", "frames"},
-        ),
-        ({"print_rules": {"gap_min_mm": 0.31}}, {"shell", "step", *FABRICATION}),
-        ({"mold": {"land_mm": 0.7}}, FABRICATION),
-        ({"hardware": {"wall_mm": 3.5}}, {"hardware", "printing", "bench"}),
-        (
-            {"training": {"force_max_N": 24.0}},
-            {"underload", "resolution", "mesh", "places", "twin", "decoder", "frames"}
-            | {"kit", "printing", "bench"},
-        ),
-        ({"demands": {"clear_force_N": 1.0}}, {"underload"}),
-    ],
-)
-def test_a_change_runs_only_what_reads_it(change: dict, stages: set[str]) -> None:
-    from phytac_design.accuracy import PRESETS
-    from phytac_design.stage import Context
-
-    def keys(design: object) -> dict[str, str]:
-        context = Context(design=design, accuracy=PRESETS["draft"], seed=0)
-        out: dict[str, str] = {}
-        for stage in STAGES:
-            out[stage.name] = cache.stage_key(stage.name, stage.inputs(context, out))
-        return out
-
-    before, after = keys(small()), keys(small(**change))
-    assert {name for name in before if before[name] != after[name]} == stages | {"report"}
 
 
 def test_only_runs_what_is_needed(tmp_path: Path, built: BuildResult) -> None:

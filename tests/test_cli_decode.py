@@ -19,9 +19,13 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from decoder import live
 from decoder.bundle import save_bundle
 from decoder.regions import Region
+from decoder.stream import Progress
+from phytac_design import cli_decode
 from phytac_design.cli_decode import Teller, decode
+from shapes.arrays import ImageArray
 from shapes.errors import InputError, MissingPartError, OutputError, PhytacError
 from tests.decoder.toy_sensor import toy_bundle, toy_frame
 
@@ -133,6 +137,13 @@ def test_files_are_written_and_agree(toy: Path, tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
+def test_one_image_can_be_a_recording_as_well(toy: Path, tmp_path: Path) -> None:
+    out, image = tmp_path / "out.csv", toy / "frames" / "frame_2.png"
+    run(toy / "decoder", image, "--csv", out)
+    assert [row["markers"] for row in rows_of(out)] == ["14 15", "29"]
+    assert run(toy / "decoder", image, "--fps", "30")[0].startswith("     0      0.000 s     6.")
+
+
 def test_a_file_that_is_there_is_kept(toy: Path, tmp_path: Path) -> None:
     taken = tmp_path / "taken"
     taken.write_text("mine")
@@ -178,6 +189,21 @@ def test_nothing_but_broken_frames_is_an_error(toy: Path, tmp_path: Path) -> Non
         cv2.imwrite(str(path), np.zeros((120, 160, 3), dtype=np.uint8))
     with pytest.raises(InputError, match=r"none of the 2 frames of .* could be decoded"):
         run(toy / "decoder", frames)
+
+
+def test_frames_that_are_torn_are_told_of(toy: Path, tmp_path: Path) -> None:
+    frames, rng = tmp_path / "frames", np.random.default_rng(0)
+    frames.mkdir()
+    still = toy_frame({14: 3.0}).astype(np.float64)
+    shots = [np.rint(still + rng.normal(0.0, 2.0, still.shape)) for _ in range(8)]
+    shots[6][60:] = shots[5][60:]
+    for number, shot in enumerate(shots):
+        image = np.clip(shot, 0, 255).astype(np.uint8)
+        cv2.imwrite(str(frames / f"{number}.png"), image)
+    for more in ((), ("--follow", "--rest", toy / "frames" / "frame_0.png")):
+        said, _ = run(toy / "decoder", frames, "--json", *more)
+        warned = [json.loads(line)["warnings"] for line in said.splitlines()]
+        assert ["torn" in " ".join(texts) for texts in warned] == [False] * 6 + [True, False]
 
 
 def test_a_video_is_read(toy: Path, tmp_path: Path) -> None:
@@ -252,6 +278,51 @@ def test_each_kind_of_warning_is_said_once(capsys: pytest.CaptureFixture[str]) -
         "warning: frame 0: dark",
     ]
     assert (teller.valid, teller.flagged) == (3, 2)
+
+
+class FakeCamera:
+    """Gives three frames and is then unplugged."""
+
+    def __init__(self, _device: int) -> None:
+        self.given = -1
+
+    def isOpened(self) -> bool:
+        return True
+
+    def set(self, _key: int, _value: float) -> bool:
+        return True
+
+    def grab(self) -> bool:
+        time.sleep(0.1)
+        self.given += 1
+        return self.given < 3
+
+    def retrieve(self) -> tuple[bool, ImageArray]:
+        return True, toy_frame(PRESSES[self.given])
+
+    def release(self) -> None:
+        pass
+
+
+def test_what_a_camera_gave_is_kept_when_it_goes(
+    toy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    monkeypatch.setattr(live.cv2, "VideoCapture", FakeCamera)
+    monkeypatch.setattr(live, "SILENT_S", 0.5)
+    out = tmp_path / "out.parquet"
+    with pytest.raises(InputError, match=r"camera 7 has given no frame for 0\.5 s"):
+        run(toy / "decoder", "7", "--parquet", out)
+    table = parquet.read_table(out)
+    assert table["sequence"].to_pylist() == [0, 1, 2, 2]
+    assert table["force_N"].to_pylist()[1] == pytest.approx(3.0, abs=0.15)
+    assert [path.name for path in tmp_path.iterdir()] == ["out.parquet"]
+
+
+def test_progress_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    for count, words in ((40, "12 of 40 frames, 6.0 a second"), (None, "12 frames, 6.0 a second")):
+        cli_decode._progress(count, rows=False)(Progress(seconds=2.0, frames=12, fps=6.0))
+        assert words in capsys.readouterr().err
 
 
 def test_errors(toy: Path, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from phytac_design.finite import finite
 from phytac_design.learn.data import DataSet, Part, bundle_hash, check_inputs, read_sets, share_out
 from phytac_design.learn.folder import claimed, written
 from phytac_design.learn.trainers import TRAINERS, Lesson
+from phytac_design.region_chart import design_regions
 from phytac_design.spec import Design
 from phytac_design.stages.decoder import DECODER, assemble, plain_model
 
@@ -102,7 +103,12 @@ def train(
             force=True,
             progress=progress,
         )[0]
-        plain = assemble(context, plain_model(context), _notes(sets, seed, accuracy, start, first))
+        plain = replace(
+            assemble(context, plain_model(context), _notes(sets, seed, accuracy, start, first)),
+            design=design.name,
+            design_hash=design_hash(design),
+            regions=design_regions(design) if design.regions else (),
+        )
         for item in sets:
             check_inputs(item, plain.model, accuracy)
         noise_px = design.camera.noise_centroid_px

@@ -30,6 +30,10 @@ POSITIVE_DEFINITE = 2
 """PARDISO's number for such matrices, real and symmetric."""
 
 
+LEAST_LOAD = 1e-100
+"""Loads that differ by more than this from those that numbers are made for are solved scaled."""
+
+
 class Factor:
     """Factor of a positive definite matrix, scaled to a diagonal of ones.
 
@@ -75,6 +79,12 @@ class Factor:
     def solve(self, loads: FloatArray) -> tuple[FloatArray, float]:
         """Motion (n, m) under loads (n, m), and the largest relative rounding error over them."""
         right = self.scale[:, None] * loads
+        most = np.abs(right).max(axis=0, initial=0.0)
+        if np.any((most > 0.0) & ((most < LEAST_LOAD) | (most > 1.0 / LEAST_LOAD))):
+            # Squares of such numbers are none; by powers of two nothing else changes.
+            power = np.frexp(most)[1]
+            scaled, worst = self.solve(np.ldexp(loads, -power))
+            return np.ldexp(scaled, power), worst
         x = self.backend.solve(right)
         square = x * x
         size = np.sqrt(square.sum(axis=0))

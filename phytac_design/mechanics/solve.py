@@ -126,7 +126,11 @@ class ShellModel:
         dense = np.asarray(loads.toarray() if hasattr(loads, "toarray") else loads, dtype=float)
         dense = dense.reshape(self.fixed.size, -1)
         if not np.all(np.isfinite(dense)):
-            raise NumericalError("a load is not finite (NaN or inf); check the forces handed in")
+            row, column = np.argwhere(~np.isfinite(dense))[0]
+            raise NumericalError(
+                f"a load is not finite: load {column} has {dense[row, column]:g} at node "
+                f"{row // 6}; check the forces handed in"
+            )
         motion = np.zeros_like(dense)
         error = 0.0
         for first in range(0, dense.shape[1], BATCH):
@@ -242,7 +246,8 @@ def _refuse_bad_numbers(
         if not (np.all(np.isfinite(array)) and np.all(array > low)):
             raise NumericalError(
                 f"{label} must be finite{'' if low else ' and positive'} "
-                f"(least value {np.min(array)!r}); correct the model's input"
+                f"(least value {np.min(array):g}, {int((~np.isfinite(array)).sum())} not finite); "
+                "correct the model's input"
             )
     if not 0.0 <= poisson < 0.5:
         raise NumericalError(f"poisson must lie in [0, 0.5) (got {poisson!r})")

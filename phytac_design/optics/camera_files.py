@@ -24,6 +24,11 @@ ROS_MODELS = {
 KNOWN = "OpenCV (camera_matrix), ROS camera_info (camera_matrix, distortion_model), Kalibr (cam0)"
 
 
+AGAIN = "export it again from the calibration tool, as one of the kinds in docs/formats.md"
+SHOWN = 300
+"""Letters of a fault that a message shows."""
+
+
 def read_lens(path: Path) -> Lens:
     """Lens of a calibration file.
 
@@ -46,9 +51,17 @@ def read_lens(path: Path) -> Lens:
             return _read_kalibr(data["cam0"])
         if isinstance(data, dict) and "distortion_model" in data:
             return _read_ros(data)
+    except RecursionError:
+        raise InputError(
+            f"camera calibration {path} is not usable: nested too deeply; {AGAIN}"
+        ) from None
     except (KeyError, TypeError, ValueError, IndexError, yaml.YAMLError, cv2.error) as error:
-        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
-        raise InputError(f"camera calibration {path} is not usable: {what}") from error
+        what = (
+            f"{error} is missing" if isinstance(error, KeyError) else " ".join(str(error).split())
+        )
+        raise InputError(
+            f"camera calibration {path} is not usable: {what[:SHOWN]}; {AGAIN}"
+        ) from error
     except DesignError as error:
         raise InputError(f"camera calibration {path} is not usable: {error}") from error
     raise InputError(f"camera calibration {path} is of no known kind (known: {KNOWN})")

@@ -1,6 +1,8 @@
 """The design's cameras, and the refusal of those that cannot work."""
 
 from dataclasses import dataclass
+from functools import cache
+from typing import NoReturn
 
 import numpy as np
 
@@ -110,6 +112,7 @@ def _camera_at(design: Design, surface: Surface, end: int) -> Camera:
     sign = 1.0 if end == 0 else -1.0
     start = _start_mm(rim, end)
 
+    @cache
     def fit(fill: float) -> float:
         return fit_stand_off_mm(lens, rim, end=end, start_mm=start, fill=fill)
 
@@ -127,15 +130,18 @@ def _camera_at(design: Design, surface: Surface, end: int) -> Camera:
             f"{fix}"
         )
     _refuse_wall(design, surface, camera, fix)
-    near, far = bar_span_mm(design, surface)
-    if design.light.bar_radius_mm > 0.0 and near <= z <= far:
+    # Without a bar its span is not worth finding.
+    near, far = bar_span_mm(design, surface) if design.light.bar_radius_mm > 0.0 else (0.0, 0.0)
+    if near < far and near <= z <= far:
         raise DesignError(
             f"the camera stands inside the light bar: the bar starts at z = "
             f"{far if end else near:.2f} mm, the camera's centre is at z = {z:.2f} mm; raise "
             f"light.bar_start_mm above {-stand_off:.2f}"
         )
     where = f"stand-off {stand_off:.2f} mm, focal length {camera.focal_px:g} px"
-    _refuse_blind(camera, rim, side, where, f"move it back to at least {fit(1.0):.2f} mm or {fix}")
+    if not camera.sees(rim).all():
+        mend = f"move it back to at least {fit(1.0):.2f} mm or {fix}"
+        _refuse_blind(camera, rim, side, where, mend)
     return camera
 
 
@@ -185,10 +191,8 @@ def _refuse_wall(design: Design, surface: Surface, camera: Camera, fix: str) -> 
         )
 
 
-def _refuse_blind(camera: Camera, rim: FloatArray, side: str, where: str, mend: str) -> None:
-    """Raise if any point of the rim before the camera projects outside of the image."""
-    if bool(camera.sees(rim).all()):
-        return
+def _refuse_blind(camera: Camera, rim: FloatArray, side: str, where: str, mend: str) -> NoReturn:
+    """Raise, as some point of the rim before the camera projects outside of the image."""
     pixels = camera.project(rim)
     if np.isnan(pixels).any():
         raise DesignError(
@@ -206,8 +210,8 @@ def _refuse_blind(camera: Camera, rim: FloatArray, side: str, where: str, mend: 
 def refuse_swallowed(design: Design, surface: Surface, markers: Markers) -> None:
     """Raise a ``DesignError`` if the light bar reaches a receptor's end face or its red tip."""
     radius = design.light.bar_radius_mm
-    near, far = bar_span_mm(design, surface)
-    if radius <= 0.0 or near >= far:
+    near, far = bar_span_mm(design, surface) if radius > 0.0 else (0.0, 0.0)
+    if near >= far:
         return
     axis = (markers.tip_mm - markers.foot_mm) / markers.height_mm[:, None]
     out = max(design.switch.stroke_mm - design.switch.tip_recess_mm, 0.0)

@@ -109,8 +109,8 @@ def _bar_clearances(
 ) -> list[tuple[str, FloatArray, float]]:
     """What comes near the bar, how near its axis (n,) it comes, and how near it may; mm."""
     bar, switch = design.light.bar_radius_mm, design.switch
-    near, far = bar_span_mm(design, surface)
-    if bar == 0.0 or near >= far:
+    near, far = bar_span_mm(design, surface) if bar > 0.0 else (0.0, 0.0)
+    if near >= far:
         return []
     pushed = markers.tip_mm + (switch.stroke_mm - switch.tip_recess_mm) * markers.direction
     ends = (

@@ -10,18 +10,18 @@ from phytac_design.fabrication.triangles import TriangleMesh
 from phytac_design.stage import EXPORT, Context, Stage, export_path, write_facts
 from phytac_design.stages.switch import switches_of, without_switches
 
-TABLES = (
+READS = (
     "name",
     "description",
-    "shape",
-    "wall",
-    "layout",
-    "receptor",
+    "markers",
+    "cameras",
+    "bodies",
+    "camera.pixel_um",
     "switch",
     "mold",
     "bench",
-    "camera",
-    "light",
+    "hardware",
+    "print_rules",
 )
 LISTS = ("mold", "hardware", "kit")
 """Stages whose facts list parts."""
@@ -153,7 +153,7 @@ def read_stl(path: Path) -> TriangleMesh:
 
 BENCH = Stage(
     name="bench",
-    tables=TABLES,
+    reads=READS,
     knobs=("cad_tolerance_mm",),
     needs=("shell", "switch", "printing", *LISTS),
     run=run,

@@ -1,25 +1,33 @@
 """Train the paper's network, judge every estimator on held-out contacts, write the bundle."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from decoder.estimators import ESTIMATORS, ForceModel
+from decoder.estimators import ForceModel
 from decoder.network import Activation
 from phytac_design.layout.thresholds import thresholds_N
+from phytac_design.spec import Design
 from phytac_design.stage import EXPORT, Context, Stage, write_facts
 from phytac_design.stages.places import locator_of
-from phytac_design.stages.twin import readers_of
+from phytac_design.stages.twin import TOUCH, readers_of
+from phytac_design.study.plan.scope import scope_of
 from phytac_design.twin.dataset import Dataset, decode_points, key_node_data
-from shapes.arrays import FloatArray
+from shapes.arrays import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from decoder.bundle import Bundle
+    from decoder.switches import TipModel
 
 ACTIVATIONS: dict[str, Activation] = {"fem_nn": "rectified", "fem_nn_identity": "identity"}
 """Networks of the bundle: both readings of the paper's \"linear unit\"."""
+UNREAD_N = 1e4
+"""Threshold of switches that a scene's decoder does not read: the largest force of a design."""
+UNREAD_RED = 4.0
+"""Red over what tells on from off, that no such tip shows."""
 MIDDLE = (0.125, 0.792)
 """Middle of the sensor as fractions of its length: heights 15 to 95 mm of 120 (paper)."""
 
@@ -59,7 +67,7 @@ def plain_model(context: Context) -> ForceModel:
 
 
 def assemble(context: Context, model: ForceModel, notes: dict[str, Any]) -> "Bundle":
-    """Bundle of a design from its stages ``views`` and ``response`` and a force model.
+    """Bundle from the stages ``views`` and ``response`` and a force model; of no design by name.
 
     Parameters
     ----------
@@ -71,15 +79,14 @@ def assemble(context: Context, model: ForceModel, notes: dict[str, Any]) -> "Bun
         Where it comes from, plain JSON.
     """
     from decoder.bundle import Bundle, Shown
-    from decoder.switches import TipModel
-    from phytac_design.design_file import design_hash
     from phytac_design.twin.expected import colour_model
 
     design, views = context.design, context.arrays("views")
     colours, classes = colour_model(design)
     readers = readers_of(context)
+    played = played_in(context)
     shown = [
-        Shown(rest_px=rest, tips=TipModel(on_px=on, red_rest_px=red_rest, red_on_px=red_on))
+        Shown(rest_px=rest, tips=read_tips(on, red_rest, red_on, played))
         for rest, on, red_rest, red_on in zip(
             views["shown_rest_px"],
             views["shown_tip_on_px"],
@@ -89,8 +96,8 @@ def assemble(context: Context, model: ForceModel, notes: dict[str, Any]) -> "Bun
         )
     ]
     return Bundle(
-        design=design.name,
-        design_hash=design_hash(design),
+        design="",
+        design_hash="",
         cameras=readers.cameras,
         read_by=readers.read_by,
         colours=colours,
@@ -98,13 +105,12 @@ def assemble(context: Context, model: ForceModel, notes: dict[str, Any]) -> "Bun
         position_mm=context.surface.point(context.markers.uv),
         rest_px=views["rest_px"],
         tip_bias_px=views["tip_bias_px"],
-        tips=TipModel(
-            on_px=views["tip_on_px"],
-            red_rest_px=views["tip_red_rest_px"],
-            red_on_px=views["tip_red_on_px"],
+        tips=read_tips(
+            views["tip_on_px"], views["tip_red_rest_px"], views["tip_red_on_px"], played
         ),
         model=model,
-        threshold_N=thresholds_N(design, context.markers),
+        # No force explains a switch out of play: it is doubted in every frame.
+        threshold_N=np.where(played, thresholds_N(design, context.markers), UNREAD_N),
         noise_centroid_px=design.camera.noise_centroid_px,
         force_max_N=design.training.force_max_N,
         shown=tuple(shown) if len(shown) > 1 else (),
@@ -112,15 +118,74 @@ def assemble(context: Context, model: ForceModel, notes: dict[str, Any]) -> "Bun
     )
 
 
+def played_in(context: Context) -> BoolArray:
+    """Receptors (n,) that the decoder reads: in a scene those in play."""
+    scope = scope_of(context)
+    if scope is None:
+        return np.ones(context.markers.count, dtype=np.bool_)
+    return scope.in_play(context.markers)
+
+
+def read_tips(
+    on_px: FloatArray, red_rest_px: FloatArray, red_on_px: FloatArray, played: BoolArray
+) -> "TipModel":
+    """Tips as the decoder reads them.
+
+    Of a switch out of play that cannot be read anyway, no amount of red counts; motion alone,
+    which explains nothing there, would else stand for it.
+    """
+    from decoder.switches import RED_LEAST_PX, RED_RATIO, TipModel
+
+    tips = TipModel(on_px=on_px, red_rest_px=red_rest_px, red_on_px=red_on_px)
+    never = UNREAD_RED * (RED_RATIO * red_rest_px + RED_LEAST_PX)
+    return replace(tips, red_on_px=np.where(played | tips.readable, red_on_px, never))
+
+
 def run(context: Context, folder: Path) -> None:
     """Write ``decoder/bundle.{json,safetensors}`` and the table of estimators."""
     from decoder.bundle import save_bundle
-    from decoder.train import split_samples, train_network
-    from phytac_design.twin.judge import judge
 
     twin = context.arrays("twin")
     model = plain_model(context)
-    data = Dataset.from_arrays(twin, "train")
+    training: dict[str, Any] = {"key_nodes": 0, "samples": 0}
+    if context.scene is None or context.scene.networks:
+        training = train_networks(context, model, Dataset.from_arrays(twin, "train"))
+    scores = judged(context, model, twin)
+    bundle = assemble(
+        context,
+        model,
+        {
+            "data": context.facts("twin")["model"],
+            "training_samples": training["samples"],
+            "seed": context.seed,
+            "test_relative_error": {
+                name: scores["test"][name]["relative_error"] for name in model.estimators
+            },
+        }
+        | scene_notes(context),
+    )
+    save_bundle(bundle, folder / EXPORT / "decoder")
+    write_facts(folder, {"training": training, **scores, "limits": limits_of(bundle)})
+
+
+def scene_notes(context: Context) -> dict[str, Any]:
+    """What the bundle of a scene says of itself: forces are read on receptors in play alone."""
+    scene = context.scene
+    if scene is None:
+        return {}
+    return {
+        "scene": {
+            "name": scene.name,
+            "regions": [region.model_dump(mode="json") for region in scene.regions],
+            "in_play": np.flatnonzero(played_in(context)).tolist(),
+        }
+    }
+
+
+def train_networks(context: Context, model: ForceModel, data: Dataset) -> dict[str, Any]:
+    """Train the networks of the paper into ``model``, and say how they fit."""
+    from decoder.train import split_samples, train_network
+
     rows = key_node_data(model, data)
     first, second, third = split_samples(data.contacts.samples, seed=context.seed)
     training: dict[str, Any] = {"key_nodes": len(rows.force_N), "samples": data.contacts.samples}
@@ -137,12 +202,19 @@ def run(context: Context, folder: Path) -> None:
             "rmse_validation_N": fit.rmse_validation_N,
             "rmse_test_split_N": _rmse(fit.network, rows.take(third)),
         }
+    return training
+
+
+def judged(context: Context, model: ForceModel, twin: dict[str, Any]) -> dict[str, Any]:
+    """Scores of every estimator on both held-out sets."""
+    from phytac_design.twin.judge import judge
+
     scores: dict[str, Any] = {}
     for name in ("test", "anywhere"):
         held_out = Dataset.from_arrays(twin, name)
         height = along_mm(context, held_out.contacts.uv)
         scores[name] = {}
-        for estimator in ESTIMATORS:
+        for estimator in model.estimators:
             start = time.perf_counter()
             forces = decode_points(model.linear, held_out, estimator)
             seconds = time.perf_counter() - start
@@ -153,20 +225,7 @@ def run(context: Context, folder: Path) -> None:
                 height_mm=height,
                 middle_mm=middle_mm(context),
             ) | {"milliseconds_per_frame": 1e3 * seconds / held_out.contacts.samples}
-    bundle = assemble(
-        context,
-        model,
-        {
-            "data": context.facts("twin")["model"],
-            "training_samples": data.contacts.samples,
-            "seed": context.seed,
-            "test_relative_error": {
-                name: scores["test"][name]["relative_error"] for name in ESTIMATORS
-            },
-        },
-    )
-    save_bundle(bundle, folder / EXPORT / "decoder")
-    write_facts(folder, {"training": training, **scores, "limits": limits_of(bundle)})
+    return scores
 
 
 def limits_of(bundle: "Bundle") -> dict[str, Any]:
@@ -176,6 +235,9 @@ def limits_of(bundle: "Bundle") -> dict[str, Any]:
     unusable = ~bundle.stiffness_usable
     sensitivity = np.linalg.norm(bundle.model.shift_to_mm, axis=1)
     observed = sensitivity > 0.0
+    # A scene's bundle reads no force off the receptors in play: their noise is no figure.
+    in_play = bundle.notes.get("scene", {}).get("in_play", np.arange(len(noise)))
+    noise, inverse = noise[in_play], inverse[in_play]
     return {
         "fem_noise_N_least": float(noise.min()),
         "fem_noise_N_median": float(np.median(noise)),
@@ -197,10 +259,26 @@ def _rmse(network: Any, rows: Any) -> float:
     return float(np.sqrt((error**2).mean())) if len(error) else float("nan")
 
 
+def finish(design: Design, out: Path) -> None:
+    """Mark the exported bundle with the design it is of, and its named regions."""
+    from decoder.bundle_stamp import stamp_bundle
+    from phytac_design.design_file import design_hash
+    from phytac_design.region_chart import design_regions
+
+    stamp_bundle(
+        out / "decoder",
+        design=design.name,
+        design_hash=design_hash(design),
+        regions=design_regions(design) if design.regions else (),
+    )
+
+
 DECODER = Stage(
     name="decoder",
-    tables=("name", "shape", "wall", "layout", "camera", "receptor", "switch", "material"),
+    reads=("markers", "cameras", "trips", "camera.noise_centroid_px", *TOUCH),
     needs=("views", "response", "places", "twin"),
     seeded=True,
+    scene=("name", "networks", "regions", "reach_mm"),
+    finish=finish,
     run=run,
 )

@@ -9,7 +9,10 @@ import numpy as np
 
 from phytac_design.stage import EXPORT, Context, Stage, export_path, write_facts
 from phytac_design.stages.decoder import along_mm, middle_mm
+from phytac_design.stages.twin import MECHANICS, truth_of
 from phytac_design.stages.views import MARKS, write_image
+from phytac_design.study.plan.scene import ALL_AT_ONCE
+from phytac_design.study.plan.scope import scope_of
 from phytac_design.twin.contacts import Contacts, Switching
 from shapes.arrays import FloatArray, ImageArray
 from shapes.errors import InputError
@@ -39,12 +42,20 @@ def press(context: Context) -> Pressed:
     """Draw contacts of one to five at once and solve them on the simulated sensor's mesh."""
     from phytac_design.twin.contacts import draw_contacts, switch_states
     from phytac_design.twin.response import motion_responses, superpose
-    from phytac_design.twin.shell import truth_shell
 
     design, surface, markers = context.design, context.surface, context.markers
     rng = np.random.default_rng([context.seed, 2])
-    contacts = draw_contacts(design, surface, markers, samples=context.accuracy.frames, rng=rng)
-    mesh, model = truth_shell(design, surface, context.accuracy.truth_refine)
+    scope = scope_of(context)
+    contacts = draw_contacts(
+        design,
+        surface,
+        markers,
+        samples=context.accuracy.frames,
+        rng=rng,
+        most=context.scene.at_once if context.scene else ALL_AT_ONCE,
+        inside=scope.holds if scope else None,
+    )
+    mesh, model = truth_of(context)
     responses = motion_responses(
         model, mesh, surface, markers, uv=contacts.uv, radius_mm=contacts.radius_mm
     )
@@ -85,14 +96,13 @@ def write_frames(folder: Path, name: str, frames: tuple[ImageArray, ...]) -> Non
 def decode_all(context: Context, folder: Path, pressed: Pressed) -> Tally:
     """Render and decode every sample; keep the frame with the most switches on as an example."""
     from decoder.bundle import load_bundle
-    from decoder.estimators import ESTIMATORS
     from decoder.run import measure_frame, rest_positions
 
     bundle = load_bundle(context.folders["decoder"] / EXPORT / "decoder")
     # The frames are of a linear shell.
     bundle = replace(bundle, model=bundle.model.linear)
     bits = pressed.switching.bits
-    tally = Tally(forces_N={name: np.zeros(bits.shape) for name in ESTIMATORS})
+    tally = Tally(forces_N={name: np.zeros(bits.shape) for name in bundle.model.estimators})
     rest_frames = shoot(context, pressed, None)
     write_frames(folder, "frame_rest", rest_frames)
     rest_px = bundle.rest_px
@@ -116,7 +126,7 @@ def decode_all(context: Context, folder: Path, pressed: Pressed) -> Tally:
             tally.refused.append(str(error))
             tally.missed += int(on.sum())
             continue
-        for name in ESTIMATORS:
+        for name in tally.forces_N:
             tally.forces_N[name][index] = measured.forces_N(bundle, name)
         found = np.isin(np.arange(len(on)), measured.koi)
         tally.missed += int((on & ~found).sum())
@@ -157,20 +167,10 @@ def run(context: Context, folder: Path) -> None:
 
 FRAMES = Stage(
     name="frames",
-    tables=(
-        "shape",
-        "wall",
-        "layout",
-        "receptor",
-        "switch",
-        "camera",
-        "light",
-        "fixtures",
-        "material",
-        "training",
-    ),
+    reads=(*MECHANICS, "markers", "bodies", "trips", "training", "camera.noise_pixel"),
     knobs=("truth_refine", "frames"),
     needs=("decoder",),
     seeded=True,
+    scene=("regions", "reach_mm", "at_once"),
     run=run,
 )

@@ -11,9 +11,8 @@ from shapes.errors import DesignError, MissingPartError, NumericalError
 if TYPE_CHECKING:
     from phytac_design.fabrication.hardware.parts import Kit
 
-TABLES = (
-    "name", "shape", "wall", "layout", "receptor", "switch", "mold", "print_rules", "hardware",
-    "camera", "light",
+READS = (
+    "name", "markers", "cameras", "bodies", "camera.pixel_um", "switch", "print_rules", "hardware"
 )  # fmt: skip
 VOLUME_TOL = 1e-3
 """Largest relative difference of the two kernels' volumes that a build accepts."""
@@ -132,7 +131,7 @@ def _write_step(
 
 HARDWARE = Stage(
     name="hardware",
-    tables=TABLES,
+    reads=READS,
     knobs=("cad_tolerance_mm",),
     needs=("switch",),
     graphics=True,

@@ -5,8 +5,7 @@ from typing import Any
 
 from phytac_design.stage import Context, Stage, export_path, write_facts
 from phytac_design.stages.switch import switches_of, without_switches
-
-TABLES = ("name", "shape", "wall", "layout", "receptor", "switch", "mold", "training", "kit")
+from phytac_design.stages.twin import TOUCH
 
 
 def run(context: Context, folder: Path) -> None:
@@ -59,4 +58,10 @@ def run(context: Context, folder: Path) -> None:
     write_facts(folder, facts)
 
 
-KIT = Stage(name="kit", tables=TABLES, knobs=("cad_tolerance_mm",), needs=("switch",), run=run)
+KIT = Stage(
+    name="kit",
+    reads=("name", "markers", "wall", "receptor", "switch", "training.force_min_N", *TOUCH, "kit"),
+    knobs=("cad_tolerance_mm",),
+    needs=("switch",),
+    run=run,
+)

@@ -33,7 +33,7 @@ def run(context: Context, folder: Path) -> None:
 
 MESH = Stage(
     name="mesh",
-    tables=("name", "shape", "wall", "layout", "material", "training"),
+    reads=("name", "feet", "material", "training.patch_radius_max_mm"),
     knobs=("refine",),
     run=run,
 )

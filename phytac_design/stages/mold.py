@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from phytac_design.stage import Context, Stage, export_path, write_facts
-from phytac_design.stages.switch import TABLES, switches_of, without_switches
+from phytac_design.stages.switch import switches_of, without_switches
 
 if TYPE_CHECKING:
     from phytac_design.fabrication.molds.make import MoldSet
@@ -138,7 +138,7 @@ def _parts(sets: list[dict[str, Any]], poured: list[dict[str, float]]) -> list[d
 
 MOLD = Stage(
     name="mold",
-    tables=TABLES,
+    reads=("tubes", "switch", "mold", "print_rules"),
     knobs=("cad_tolerance_mm",),
     needs=("switch",),
     run=run,

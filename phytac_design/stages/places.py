@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.stage import Context, Stage, write_arrays, write_facts
-from phytac_design.stages.twin import MECHANICS, arms_mm, readers_of
+from phytac_design.stages.twin import MECHANICS, SEEN, TOUCH, arms_mm, readers_of
+from phytac_design.study.plan.scope import scope_of
 
 if TYPE_CHECKING:
     from decoder.locate import Locator
@@ -21,7 +22,7 @@ def run_places(context: Context, folder: Path) -> None:
     from phytac_design.twin.places import make_places
 
     design, surface, markers = context.design, context.surface, context.markers
-    training, accuracy = design.training, context.accuracy
+    training, accuracy, scope = design.training, context.accuracy, scope_of(context)
     mesh = marker_mesh(
         surface, markers, thickness_mm=design.wall.thickness_mm, refine=accuracy.refine
     )
@@ -38,6 +39,7 @@ def run_places(context: Context, folder: Path) -> None:
         arm_mm=arms_mm(context),
         spacing_mm=accuracy.place_share * radius,
         orders=accuracy.place_orders,
+        near=scope.near if scope else None,
         progress=context.progress,
     )
     places = done.places
@@ -100,8 +102,10 @@ def locator_of(context: Context) -> "Locator":
 
 PLACES = Stage(
     name="places",
-    tables=(*MECHANICS, "training"),
+    reads=(*MECHANICS, *TOUCH),
     knobs=("refine", "receptors", "place_share", "place_orders"),
     needs=("views",),
+    uses=SEEN,
+    scene=("regions", "reach_mm"),
     run=run_places,
 )

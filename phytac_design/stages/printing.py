@@ -7,7 +7,6 @@ from typing import Any
 from phytac_design.stage import EXPORT, Context, Stage, export_path, write_facts
 from shapes.errors import DesignError
 
-TABLES = ("name", "shape", "wall", "layout", "receptor", "print_rules")
 OTHERS = ("mold", "hardware", "kit")
 """Stages whose parts lists name more printed files."""
 SHELL_FILE = "shell/shell.stl"
@@ -112,7 +111,7 @@ def _part(context: Context, folder: Path) -> dict[str, Any]:
 
 PRINTING = Stage(
     name="printing",
-    tables=TABLES,
+    reads=("name", "tubes", "wall", "receptor", "print_rules"),
     knobs=("cad_tolerance_mm", "print_tools"),
     needs=("shell", *OTHERS),
     run=run,

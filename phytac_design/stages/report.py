@@ -124,7 +124,7 @@ def run(context: Context, folder: Path) -> None:
 
 REPORT = Stage(
     name="report",
-    tables=tuple(Design.model_fields),
+    reads=tuple(Design.model_fields),
     needs=NEEDS,
     run=run,
 )

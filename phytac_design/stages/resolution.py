@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phytac_design.stage import Context, Stage, write_arrays, write_facts
-from phytac_design.stages.twin import MECHANICS
+from phytac_design.stages.twin import MECHANICS, TOUCH
+from phytac_design.study.plan.scope import scope_of
 from shapes.arrays import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -68,7 +69,11 @@ def run_resolution(context: Context, folder: Path) -> None:
         return np.concatenate(each, axis=1)
 
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
-    signals = contact_signals(surface, shifts, uv=markers.uv, radius_mm=radius)
+    scope = scope_of(context)
+    asked = np.arange(markers.count)
+    if scope is not None:
+        asked = np.flatnonzero(scope.in_play(markers))
+    signals = contact_signals(surface, shifts, uv=markers.uv[asked], radius_mm=radius)
     prior = cell_prior(
         surface.area_mm2(),
         markers.count,
@@ -77,7 +82,7 @@ def run_resolution(context: Context, folder: Path) -> None:
     )
     noise = design.camera.noise_centroid_px
     along = surface.unwrap(markers.uv)[:, 1]
-    place = (along - along.min()) / max(float(np.ptp(along)), 1e-9)
+    place = ((along - along.min()) / max(float(np.ptp(along)), 1e-9))[asked]
     middle = (place > RIM_SHARE) & (place < 1.0 - RIM_SHARE)
     middle = middle if middle.any() else np.ones_like(middle)  # one row, or one marker
     arrays: dict[str, Any] = {}
@@ -88,7 +93,10 @@ def run_resolution(context: Context, folder: Path) -> None:
     table_read: dict[str, Any] = {}
     for force in sorted({*FORCES_N, training.force_max_N}):
         bound = signals.bound(force, noise_px=noise, prior=prior)
-        arrays |= {f"{key}_{force:g}": value for key, value in asdict(bound).items()}
+        for key, value in asdict(bound).items():
+            # A scene knows nothing of receptors that are not in play.
+            arrays[f"{key}_{force:g}"] = np.full(markers.count, np.nan)
+            arrays[f"{key}_{force:g}"][asked] = value
         table[f"{force:g} N"] = _medians(bound, middle)
         table_read[f"{force:g} N"] = _medians(
             as_read.bound(force, noise_px=noise, prior=prior), middle
@@ -108,8 +116,10 @@ def run_resolution(context: Context, folder: Path) -> None:
 
 RESOLUTION = Stage(
     name="resolution",
-    tables=(*MECHANICS, "training"),
+    reads=(*MECHANICS, "camera.noise_centroid_px", *TOUCH),
     knobs=("refine", "receptors"),
     needs=("views",),
+    uses={"views": ("paint_points_mm", "seen_by", "camera")},
+    scene=("regions", "reach_mm"),
     run=run_resolution,
 )

@@ -5,7 +5,6 @@ from pathlib import Path
 from phytac_design.stage import Context, Stage, export_path, write_facts
 from shapes.errors import MissingPartError, NumericalError
 
-TABLES = ("name", "shape", "wall", "layout", "receptor", "print_rules")
 VOLUME_TOL = 1e-3
 """Largest relative difference of the two kernels' volumes that a build accepts."""
 
@@ -68,5 +67,16 @@ def run_step(context: Context, folder: Path) -> None:
     )
 
 
-SHELL = Stage(name="shell", tables=TABLES, knobs=("cad_tolerance_mm",), run=run_shell)
-STEP = Stage(name="step", tables=TABLES, needs=("shell",), graphics=True, run=run_step)
+SHELL = Stage(
+    name="shell",
+    reads=("name", "markers", "wall", "receptor"),
+    knobs=("cad_tolerance_mm",),
+    run=run_shell,
+)
+STEP = Stage(
+    name="step",
+    reads=("name", "tubes", "wall", "receptor"),
+    needs=("shell",),
+    graphics=True,
+    run=run_step,
+)

@@ -14,7 +14,8 @@ from phytac_design.stage import Context, Stage, export_path, write_facts
 from shapes.arrays import FloatArray
 from shapes.errors import DesignError
 
-TABLES = ("shape", "wall", "layout", "receptor", "switch", "mold", "print_rules", "camera", "light")
+RED = {"views": ("tip_red_rest_px", "tip_red_on_px")}
+READS = ("tubes", "cameras", "wall", "receptor", "switch", "mold", "print_rules")
 
 
 def run(context: Context, folder: Path) -> None:
@@ -137,4 +138,4 @@ def _set_of(context: Context, made: list[dict[str, Any]]) -> SwitchSet:
     return make_switches(context.design, context.surface, context.markers, made, thresholds)
 
 
-SWITCH = Stage(name="switch", tables=TABLES, needs=("views",), gate=refusal, run=run)
+SWITCH = Stage(name="switch", reads=READS, needs=("views",), uses=RED, gate=refusal, run=run)

@@ -7,15 +7,22 @@ import numpy as np
 
 from phytac_design.spec import Design
 from phytac_design.stage import Context, Stage, write_arrays, write_facts
+from phytac_design.study.plan.scene import ALL_AT_ONCE
+from phytac_design.study.plan.scope import scope_of
 from shapes.arrays import FloatArray
 from shapes.errors import DesignError
 
 if TYPE_CHECKING:
+    from phytac_design.mechanics.meshing.mesh import ShellMesh
+    from phytac_design.mechanics.solve import ShellModel
     from phytac_design.optics.view import Readers
 
-MECHANICS = ("shape", "wall", "layout", "receptor", "camera", "material", "switch")
-SETS = ("train", "test", "anywhere")
-"""Data sets: to learn from, held out likewise, and held out with contacts anywhere."""
+MECHANICS = ("tubes", "cameras", "stiffness")
+TOUCH = ("training.force_max_N", "training.patch_radius_min_mm", "training.patch_radius_max_mm")
+SEEN = {"views": ("paint_point_mm", "camera")}
+"""Where the paint is, and which camera reads it: all that mechanics asks of the pictures."""
+JUDGED = {"test": 24, "anywhere": 12}
+"""Samples of a scene that trains nothing: to judge with."""
 
 
 def arms_mm(context: Context) -> FloatArray:
@@ -44,11 +51,14 @@ def cell_radius_mm(context: Context) -> float:
 
 
 def run_response(context: Context, folder: Path) -> None:
-    """Condense the decoder's mesh to what each marker's camera sees of it."""
-    from phytac_design.mechanics.compliance import marker_compliance, point_motion
+    """Condense the decoder's mesh to what each marker's camera sees of it.
+
+    In a scene only forces on receptors in play are: to the others the matrices give no force.
+    """
+    from phytac_design.mechanics.compliance import point_motion
     from phytac_design.mechanics.meshing.mesh import marker_mesh
     from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
-    from phytac_design.twin.condense import condense
+    from phytac_design.twin.response import condense_pressed, pressed_motion
 
     design, surface, markers = context.design, context.surface, context.markers
     mesh = marker_mesh(
@@ -62,19 +72,19 @@ def run_response(context: Context, folder: Path) -> None:
         context.progress(f"response: the wall is taken as plain: {unknown}")
     receptors = context.accuracy.receptors and not unknown
     model = sensor_model(design, markers, mesh, receptors=receptors)
-    compliance = marker_compliance(
-        model,
-        mesh,
-        surface,
-        markers,
-        load_radius_mm=cell_radius_mm(context),
+    scope, arm, readers = scope_of(context), arms_mm(context), readers_of(context)
+    pressed = np.arange(markers.count)
+    if scope is not None:
+        pressed = np.flatnonzero(scope.in_play(markers))
+    motion = pressed_motion(
+        model, mesh, surface, markers, pressed=pressed, radius_mm=cell_radius_mm(context)
     )
-    arm = arms_mm(context)
-    condensed = condense(
-        readers_of(context),
+    condensed = condense_pressed(
+        readers,
         watched_mm=markers.mid_mm + arm,
         normal=markers.normal,
-        motion_mm=point_motion(compliance.motion, arm),
+        motion_mm=point_motion(motion, arm),
+        pressed=pressed,
     )
     write_arrays(
         folder,
@@ -90,8 +100,8 @@ def run_response(context: Context, folder: Path) -> None:
         {
             "nodes": len(mesh.nodes_mm),
             "condition": condensed.condition,
-            "sensitivity_px_mm_least": float(condensed.sensitivity_px_mm.min()),
-            "sensitivity_px_mm_median": float(np.median(condensed.sensitivity_px_mm)),
+            "sensitivity_px_mm_least": float(condensed.sensitivity_px_mm[pressed].min()),
+            "sensitivity_px_mm_median": float(np.median(condensed.sensitivity_px_mm[pressed])),
             "receptors": receptors,
             "receptors_unknown": unknown,
         },
@@ -104,23 +114,27 @@ def run_twin(context: Context, folder: Path) -> None:
     from phytac_design.twin.contacts import draw_contacts, switch_states
     from phytac_design.twin.dataset import Dataset
     from phytac_design.twin.response import motion_responses, point_motions, superpose
-    from phytac_design.twin.shell import truth_shell
 
     design, surface, markers = context.design, context.surface, context.markers
     rng = np.random.default_rng([context.seed, 1])
     count = samples_of(design, context.accuracy.sample_share)
+    if context.scene is not None and not context.scene.samples:
+        count = dict(JUDGED)
+    scope = scope_of(context)
     drawn = {
         name: draw_contacts(
             design,
             surface,
             markers,
-            samples=count[name],
+            samples=samples,
             rng=rng,
             placement="anywhere" if name == "anywhere" else "receptor",
+            most=context.scene.at_once if context.scene else ALL_AT_ONCE,
+            inside=scope.holds if scope else None,
         )
-        for name in SETS
+        for name, samples in count.items()
     }
-    mesh, model = truth_shell(design, surface, context.accuracy.truth_refine)
+    mesh, model = truth_of(context)
     arm = arms_mm(context)
     responses = motion_responses(
         model,
@@ -154,9 +168,23 @@ def run_twin(context: Context, folder: Path) -> None:
             "samples": count,
             "dent_mm_largest": dent,
             "contacts": {name: len(item.force_N) for name, item in drawn.items()},
-            "tripped_no_switch": {name: int((~arrays[f"{name}.tripped"]).sum()) for name in SETS},
+            "tripped_no_switch": {name: int((~arrays[f"{name}.tripped"]).sum()) for name in drawn},
         },
     )
+
+
+def truth_of(context: Context) -> "tuple[ShellMesh, ShellModel]":
+    """Mesh and model of the simulated sensor; in a scene fine in its regions alone."""
+    from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
+    from phytac_design.twin.shell import local_mesh, truth_mesh, truth_shell
+
+    design, surface, scope = context.design, context.surface, scope_of(context)
+    refine = context.accuracy.truth_refine
+    if scope is None:
+        return truth_shell(design, surface, refine)
+    mesh, _ = local_mesh(design, surface, truth_mesh(design, surface, refine), scope.touched)
+    receptors = not unknown_receptors(design)
+    return mesh, sensor_model(design, context.markers, mesh, receptors=receptors)
 
 
 def deepest_dent_mm(context: Context, responses: FloatArray, force_N: FloatArray) -> float:
@@ -193,16 +221,20 @@ def samples_of(design: Design, share: float) -> dict[str, int]:
 
 RESPONSE = Stage(
     name="response",
-    tables=MECHANICS,
+    reads=MECHANICS,
     knobs=("refine", "receptors"),
     needs=("views",),
+    uses=SEEN,
+    scene=("regions", "reach_mm"),
     run=run_response,
 )
 TWIN = Stage(
     name="twin",
-    tables=(*MECHANICS, "training"),
+    reads=(*MECHANICS, "trips", "training", "camera.noise_centroid_px"),
     knobs=("truth_refine", "sample_share"),
     needs=("views",),
+    uses=SEEN,
     seeded=True,
+    scene=("regions", "reach_mm", "at_once", "samples"),
     run=run_twin,
 )

@@ -10,7 +10,8 @@ import numpy as np
 
 from phytac_design.layout.places import SAME_mm, press_places
 from phytac_design.stage import Context, Stage, write_arrays, write_facts
-from phytac_design.stages.twin import MECHANICS
+from phytac_design.stages.twin import MECHANICS, TOUCH
+from phytac_design.study.plan.scope import scope_of
 from shapes.arrays import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -128,9 +129,9 @@ def see_pressed(
     ]
     force = design.training.force_max_N
     shell = Pressing(context)
-    uv = press_places(
-        surface, markers, gap_px, context.accuracy.press_places, repeats=shell.repeats
-    )
+    scope = scope_of(context)
+    choose = press_places if scope is None else scope.presses
+    uv = choose(surface, markers, gap_px, context.accuracy.press_places, repeats=shell.repeats)
 
     def look(motions: FloatArray, forces_N: FloatArray) -> dict[int, "UnderLoad"]:
         return {
@@ -273,9 +274,11 @@ def load_verdict(context: Context) -> str:
 
 UNDERLOAD = Stage(
     name="underload",
-    tables=(*MECHANICS, "light", "fixtures", "training", "demands"),
+    reads=(*MECHANICS, "markers", "bodies", *TOUCH, "demands"),
     knobs=("refine", "receptors", "press_places", "press_tolerance"),
     needs=("views",),
+    uses={"views": ("gap_same_colour_px", "gap_other_colour_px", "camera")},
+    scene=("regions", "reach_mm"),
     gate=load_verdict,
     run=run_underload,
 )

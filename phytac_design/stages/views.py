@@ -10,17 +10,20 @@ import numpy as np
 from phytac_design.layout import make_markers
 from phytac_design.spec import Design
 from phytac_design.stage import Context, Stage, export_path, write_arrays, write_facts
+from phytac_design.study.plan.scope import scope_of
 from shapes.arrays import FloatArray, ImageArray
 from shapes.errors import DesignError, MissingPartError
 
 if TYPE_CHECKING:
     from decoder.camera import Camera
+    from phytac_design.optics.scene import Scene
     from phytac_design.optics.visibility import Visibility
     from phytac_design.twin.expected import Expected
 
 MARKS = ("", "_far")
 """What the names of pictures and frames of each camera end in; one camera's, in nothing."""
-TABLES = ("shape", "wall", "layout", "receptor", "switch", "camera", "light", "fixtures")
+PICTURES = ("markers", "cameras", "bodies", "camera.noise_pixel")
+SHARPNESS = ("camera.f_number", "camera.pixel_um", "camera.focus_mm", "camera.noise_centroid_px")
 
 
 def write_image(path: Path, image: ImageArray) -> None:
@@ -77,8 +80,9 @@ def shoot(
 ) -> Shot:
     """Look through one camera at rest and with all switches on; write its pictures.
 
-    ``mark`` goes into the names of its files. A marker that shows nowhere is expected where its
-    tip would be, as long as no other camera may see it (``alone``), else nowhere (NaN).
+    In a scene without pictures none are made, and the renderer is "none". ``mark`` goes into the
+    names of its files. A marker that shows nowhere is expected where its tip would be, as long as
+    no other camera may see it (``alone``), else nowhere (NaN).
     """
     from phytac_design.optics.frame import render_frame
     from phytac_design.optics.raster import rasterise
@@ -93,8 +97,7 @@ def shoot(
     rest = build_scene(design, surface, markers, tolerance_mm=tolerance)
     on = build_scene(design, surface, markers, tolerance_mm=tolerance, switch_on=all_on)
     seen = see(rest, on, camera, noise_std=design.camera.noise_pixel, rng=rng)
-    context.progress("views: pictures")
-    part_rest, part_on = rasterise(rest, camera).part, rasterise(on, camera).part
+    part_on = rasterise(on, camera).part
     away = camera.project(markers.tip_mm) if alone else np.nan
     place = np.where(seen.lost[:, None], away, seen.centroid_px)
     expected = expectations(
@@ -106,17 +109,31 @@ def shoot(
         red_px=red_centroids(part_on, markers.count),
     )
     rest_px = np.where(seen.lost[:, None], place, expected.rest_px)
-    picture, renderer = picture_or_frame(rest, camera)
-    write_image(export_path(folder, f"views/camera{mark}.png"), picture)
-    pressed = picture_or_frame(on, camera)[0]
-    write_image(export_path(folder, f"views/camera{mark}_all_on.png"), pressed)
-    write_image(export_path(folder, f"views/ids{mark}.png"), id_picture(part_rest))
+    renderer = "none"
+    if context.scene is None or context.scene.pictures:
+        renderer = write_pictures(context, folder, camera, mark, rest, on)
     return Shot(
         camera=camera,
         seen=seen,
         expected=replace(expected, rest_px=rest_px),
         renderer=renderer,
     )
+
+
+def write_pictures(
+    context: Context, folder: Path, camera: "Camera", mark: str, rest: "Scene", on: "Scene"
+) -> str:
+    """Write pictures of a camera at rest and with all switches on, and its ID map; by what."""
+    from phytac_design.optics.raster import rasterise
+
+    context.progress("views: pictures")
+    picture, renderer = picture_or_frame(rest, camera)
+    write_image(export_path(folder, f"views/camera{mark}.png"), picture)
+    pressed = picture_or_frame(on, camera)[0]
+    write_image(export_path(folder, f"views/camera{mark}_all_on.png"), pressed)
+    ids = id_picture(rasterise(rest, camera).part)
+    write_image(export_path(folder, f"views/ids{mark}.png"), ids)
+    return renderer
 
 
 def run_views(context: Context, folder: Path) -> None:
@@ -195,11 +212,18 @@ def run_views(context: Context, folder: Path) -> None:
 
 
 def told_apart(context: Context) -> str:
-    """Say why nothing should be made of markers that hide or fuse at rest; "" if all are seen."""
+    """Say why nothing should be made of markers that hide or fuse at rest; "" if all are seen.
+
+    In a scene, of those in play.
+    """
     from phytac_design.optics.visibility import visibility_advice
 
-    views = context.arrays("views")
-    occluded, fused = np.flatnonzero(views["occluded"]), np.flatnonzero(views["fused"])
+    views, scope = context.arrays("views"), scope_of(context)
+    counted = np.ones(context.markers.count, dtype=np.bool_)
+    if scope is not None:
+        counted = scope.in_play(context.markers)
+    occluded = np.flatnonzero(views["occluded"] & counted)
+    fused = np.flatnonzero(views["fused"] & counted)
     return visibility_advice(context.design, context.markers, occluded, fused, views["hidden_by"])
 
 
@@ -234,6 +258,12 @@ def run_compare(context: Context, folder: Path) -> None:
 
 
 VIEWS = Stage(
-    name="views", tables=TABLES, seeded=True, graphics=True, gate=told_apart, run=run_views
+    name="views",
+    reads=(*PICTURES, *SHARPNESS),
+    seeded=True,
+    graphics=True,
+    scene=("pictures",),
+    gate=told_apart,
+    run=run_views,
 )
-COMPARE = Stage(name="compare", tables=TABLES, seeded=True, graphics=True, run=run_compare)
+COMPARE = Stage(name="compare", reads=PICTURES, seeded=True, graphics=True, run=run_compare)

@@ -1,6 +1,6 @@
 """Drawing contacts: patches on the surface with a force, and which switches they trip."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,8 +13,11 @@ from phytac_design.mechanics.contact import footprint_force_share
 from phytac_design.spec import Design
 from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray, IntArray
+from shapes.errors import DesignError
 
 Placement = Literal["receptor", "anywhere"]
+Inside = Callable[[FloatArray], BoolArray]
+"""Which chart positions (m, 2) may be centres of contacts, (m,)."""
 JITTER_MM = 1.0
 """A rig that presses on receptors hits them within this distance, along and around."""
 JITTER_SHARE = 1.0 / 3.0
@@ -22,6 +25,8 @@ JITTER_SHARE = 1.0 / 3.0
 TRIES = 400
 POOL = 2048
 """Places drawn at once: charts are cheaper by the thousand than one by one."""
+EMPTY_POOLS = 50
+"""Draws without a single place that end the search."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,6 +91,7 @@ def draw_contacts(
     rng: np.random.Generator,
     placement: Placement = "receptor",
     most: int = 5,
+    inside: Inside | None = None,
 ) -> Contacts:
     """Draw samples of one contact, and (a share of them) of two to ``most`` at once.
 
@@ -93,10 +99,16 @@ def draw_contacts(
     within ``JITTER_MM``, as the paper's rig traverses them; ``anywhere`` is uniform over the area
     that senses. Centres lie within the open edges. Contacts of one sample keep apart by more than
     both radii and a footprint; where the sensor has no room for as many, a sample has fewer.
+    Centres are where ``inside`` says, if that is given; where no receptor is, anywhere there.
+
+    Raises
+    ------
+    DesignError
+        If nothing that senses is inside.
     """
     training = design.training
     jitter = min(JITTER_MM, JITTER_SHARE * training.patch_radius_min_mm)
-    places = _places(surface, markers, placement, rng, jitter)
+    places = _places(surface, markers, placement, rng, jitter, inside)
     rows: list[tuple[int, float, float, float, float]] = []
     for sample in range(samples):
         multi = rng.random() < training.multi_contact and most > 1
@@ -128,15 +140,28 @@ def _places(
     placement: Placement,
     rng: np.random.Generator,
     jitter_mm: float,
+    inside: Inside | None = None,
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Chart coordinates (2,) and points (3,) of one random place after the other."""
+    held = np.arange(markers.count)
+    if inside is not None:
+        held = np.flatnonzero(inside(markers.uv))
+    empty = 0
     while True:
-        if placement == "anywhere":
+        if placement == "anywhere" or len(held) == 0:
             uv = by_area(surface, rng.random((POOL, 2)))
             uv = uv[surface.sensing(uv)]
         else:
-            ids = rng.integers(markers.count, size=POOL)
+            ids = held[rng.integers(len(held), size=POOL)]
             uv = _beside(surface, markers, ids, rng, jitter_mm)
+        if inside is not None:
+            uv = uv[inside(uv)]
+        empty = 0 if len(uv) else empty + 1
+        if empty == EMPTY_POOLS:
+            raise DesignError(
+                f"no contact can be drawn: {EMPTY_POOLS * POOL} places drawn, none of them in the "
+                "regions asked for; widen along and around"
+            )
         yield from zip(uv, surface.point(uv), strict=True)
 
 

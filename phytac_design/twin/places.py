@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from decoder.bundle_locator import LEAST_PLACES
 from decoder.places import Places
 from phytac_design.layout import Markers
 from phytac_design.mechanics.compliance import column_turn
@@ -23,8 +24,8 @@ from phytac_design.twin.feet import Feet
 from phytac_design.twin.response import point_motions, turned_points
 from phytac_design.twin.touch import flat_touches
 from shapes import Surface
-from shapes.arrays import FloatArray, IntArray
-from shapes.errors import NumericalError
+from shapes.arrays import BoolArray, FloatArray, IntArray
+from shapes.errors import DesignError, NumericalError
 
 BATCH = 32
 """Loads solved together."""
@@ -116,9 +117,10 @@ def make_places(
     arm_mm: FloatArray,
     spacing_mm: float,
     orders: int,
+    near: Callable[[float, FloatArray], BoolArray] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Tabulated:
-    """Tables over the whole surface.
+    """Tables over the whole surface, or a part of it.
 
     Where the shell repeats itself around (checked), the places of one column are solved and turned.
 
@@ -136,23 +138,36 @@ def make_places(
         Between places, at most.
     orders : int
         Powers of the force: 1 (linear theory) to 3.
+    near : callable, optional
+        ``near(spacing, uv)`` says which of places (p, 2) so far apart are wanted; all without it.
 
     Raises
     ------
     NumericalError
         If the shell cannot be solved.
+    DesignError
+        If fewer than ``LEAST_PLACES`` are wanted.
     """
     training = design.training
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     columns = markers.lattice.columns if markers.lattice else 1
     turn = column_turn(model, mesh, columns)
     least = np.sqrt(surface.area_mm2() * orders * 8.0 * markers.count / BYTES_MAX)
-    ring = rings(surface, max(spacing_mm, float(least)), columns if turn is not None else 1)
-    solved = np.unique(ring.base)
+    spacing = max(spacing_mm, float(least))
+    ring = rings(surface, spacing, columns if turn is not None else 1)
+    wanted = np.arange(len(ring.uv)) if near is None else np.flatnonzero(near(spacing, ring.uv))
+    if len(wanted) < LEAST_PLACES:
+        raise DesignError(
+            f"the part of the surface asked for holds {len(wanted)} places of the tables, "
+            f"{spacing:.2g} mm apart; it takes {LEAST_PLACES}: widen it"
+        )
+    row = np.full(len(ring.uv), -1)
+    row[wanted] = np.arange(len(wanted))
+    solved = np.unique(ring.base[wanted])
     shell = _Pressed(design, surface, markers, mesh=mesh, model=model, orders=orders)
     see = _Seen(readers, markers.mid_mm, arm_mm)
-    out = np.zeros((len(ring.uv), orders, 2 * markers.count), dtype=np.float32)
-    copies = [np.flatnonzero(ring.base == base) for base in solved]
+    out = np.zeros((len(wanted), orders, 2 * markers.count), dtype=np.float32)
+    copies = [wanted[ring.base[wanted] == base] for base in solved]
     unsure = 0
     for first in range(0, len(solved), BATCH):
         batch = solved[first : first + BATCH]
@@ -162,11 +177,11 @@ def make_places(
             unsure += len(motions) < orders
             for place in own:
                 turned = [_turned(m, turn, int(ring.turns[place]), columns) for m in motions]
-                out[place, : len(motions)] = see.powers(turned, shell.forces)
+                out[row[place], : len(motions)] = see.powers(turned, shell.forces)
         progress(f"places: {min(first + BATCH, len(solved))} of {len(solved)}")
-    along, around = tangent_frame(surface, ring.uv)
+    along, around = tangent_frame(surface, ring.uv[wanted])
     places = Places(
-        point_mm=surface.point(ring.uv),
+        point_mm=surface.point(ring.uv[wanted]),
         along=along,
         around=around,
         shift_px=out,

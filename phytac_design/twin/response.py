@@ -11,15 +11,17 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from phytac_design.layout import Markers
-from phytac_design.mechanics.compliance import column_turn, probe_loads
+from phytac_design.mechanics.compliance import column_turn, marker_compliance, probe_loads
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.locate import locate
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.solve import ShellModel
+from phytac_design.optics.view import Readers
+from phytac_design.twin.condense import Condensed, condense
 from phytac_design.twin.contacts import Contacts
 from shapes import Surface
-from shapes.arrays import FloatArray
+from shapes.arrays import FloatArray, IntArray
 
 CHUNK = 96
 """Right-hand sides solved together: bounds the memory."""
@@ -115,3 +117,66 @@ def superpose(responses: FloatArray, contacts: Contacts) -> FloatArray:
     out = np.zeros((contacts.samples, *responses.shape[1:]))
     np.add.at(out, contacts.sample, contacts.force_N[:, None, None] * responses)
     return out
+
+
+def pressed_motion(
+    model: ShellModel,
+    mesh: ShellMesh,
+    surface: Surface,
+    markers: Markers,
+    *,
+    pressed: IntArray,
+    radius_mm: float,
+) -> FloatArray:
+    """Motion (n, 6, k) of every marker per newton on each of k ``pressed`` markers' cells.
+
+    As :func:`mechanics.compliance.marker_compliance`, of some markers: no more loads are solved
+    than those, nor than one column's where the shell repeats itself around.
+    """
+    columns = markers.lattice.columns if markers.lattice else 1
+    if len(pressed) == markers.count or column_turn(model, mesh, columns) is not None:
+        whole = marker_compliance(model, mesh, surface, markers, load_radius_mm=radius_mm)
+        return whole.motion if len(pressed) == markers.count else whole.motion[:, :, pressed]
+    loads = patch_loads(mesh, surface, markers.uv[pressed], radius_mm)
+    return np.asarray(model.solve(loads).motion[mesh.marker_nodes])
+
+
+def condense_pressed(
+    readers: Readers,
+    *,
+    watched_mm: FloatArray,
+    normal: FloatArray,
+    motion_mm: FloatArray,
+    pressed: IntArray,
+) -> Condensed:
+    """Condense motion (n, 3, k) under forces on k markers; what says nothing of the others is 0.
+
+    K then counts the others as load-free, which they are; see :func:`condense.condense`.
+
+    Raises
+    ------
+    NumericalError
+        As :func:`condense.condense`.
+    """
+    count = len(watched_mm)
+    part = condense(
+        Readers(cameras=readers.cameras, read_by=readers.read_by[pressed]),
+        watched_mm=watched_mm[pressed],
+        normal=normal[pressed],
+        motion_mm=motion_mm[pressed],
+    )
+    if len(pressed) == count:
+        return part
+    compliance = np.zeros((count, 2, count))
+    compliance[:, :, pressed] = np.einsum("nij,njm->nim", readers.jacobian(watched_mm), motion_mm)
+    shift_to_mm, sensitivity = np.zeros((count, 2)), np.zeros(count)
+    shift_to_mm[pressed], sensitivity[pressed] = part.shift_to_mm, part.sensitivity_px_mm
+    stiffness = np.zeros((count, count))
+    stiffness[np.ix_(pressed, pressed)] = part.stiffness
+    return Condensed(
+        shift_to_mm=shift_to_mm,
+        compliance_px=compliance.reshape(2 * count, count),
+        stiffness=stiffness,
+        condition=part.condition,
+        sensitivity_px_mm=sensitivity,
+    )

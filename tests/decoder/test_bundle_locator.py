@@ -152,5 +152,5 @@ def test_damaged_settings_are_refused(keys: tuple[str, ...], value: object, tmp_
         table = table[key]
     table[keys[-1]] = value
     path.write_text(json.dumps(meta))
-    with pytest.raises(InputError, match="not a decoder bundle"):
+    with pytest.raises(InputError, match=r"not a decoder bundle|NaN is no number"):
         load_bundle(tmp_path)

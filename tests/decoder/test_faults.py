@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -9,10 +10,13 @@ import pytest
 
 from decoder.bundle import Bundle
 from decoder.doubts import Explained
+from decoder.estimators import ForceModel
 from decoder.matching import carried, match_markers
 from decoder.run import Measured, measure_frame
 from decoder.segmentation import Blobs
+from decoder.switches import TipModel
 from shapes.arrays import BoolArray, FloatArray, ImageArray
+from tests.decoder import flat_sensor
 from tests.decoder.test_follow import BGR, COLOUR, COUNT, OFF, PITCH, REST, TIP_OFF, disc, draw
 from tests.decoder.test_follow import make_bundle as drawn_bundle
 
@@ -115,6 +119,61 @@ def test_a_stuck_switch_does_not_live_on_others_force() -> None:
     assert forces[81] > BUNDLE.threshold_N[81]
     found = Explained(BUNDLE, measured.shift_px, measured.koi)
     assert found.powerless(forces).tolist() == [81]
+
+
+def explained(forces: dict[int, float], koi: tuple[int, ...], bundle: Bundle = BUNDLE) -> Explained:
+    return Explained(bundle, motion(forces), np.array(koi, dtype=np.int64))
+
+
+def test_a_switch_that_is_about_to_let_go_is_not_stuck() -> None:
+    threshold = BUNDLE.threshold_N[84]
+    for share, weak in ((0.8, []), (0.5, [84])):
+        held = explained({84: share * threshold}, (84,))
+        assert held.powerless(held.forces_on(np.arange(COUNT))).tolist() == weak
+
+
+def test_a_strong_group_is_not_asked_about() -> None:
+    """It is solved for with its neighbours only where its force is small."""
+    for force, asked in ((6.0, False), (1.0, True)):
+        held = explained({84: force}, (84,))
+        with mock.patch.object(Explained, "forces_on", wraps=held.forces_on) as solved:
+            assert held.powerless(motion({84: force})[:, 1] / PX_N).size == 0
+        assert solved.called is asked
+
+
+def test_the_more_force_the_more_motion_may_be_unexplained() -> None:
+    """Models err by a share of the force."""
+    for beside, told_of in ((1.0, True), (25.0, False)):
+        pressed, _ = explained({30: 5.0, 84: beside, 108: beside}, (84, 108)).unexplained()
+        assert (30 in pressed.tolist()) is told_of
+
+
+def test_what_noise_can_make_is_no_press() -> None:
+    loud = replace(BUNDLE, noise_centroid_px=1.0)
+    for bundle, told_of in ((BUNDLE, True), (loud, False)):
+        pressed, _ = explained({30: 5.0, 84: 1.0}, (84,), bundle).unexplained()
+        assert (30 in pressed.tolist()) is told_of
+
+
+def test_forces_that_cannot_be_read_are_not_told_of() -> None:
+    """Where a force hardly moves its marker: what moves it is something else."""
+    faint = BUNDLE.model.compliance_px.copy()
+    faint[:, 30] *= 0.006 / np.linalg.norm(faint[:, 30])
+    bundle = replace(BUNDLE, model=replace(BUNDLE.model, compliance_px=faint))
+    assert not bundle.force_readable[30]
+    shift = (50.0 * faint[:, 30]).reshape(-1, 2)
+    assert Explained(bundle, shift, np.array([], dtype=np.int64)).unexplained()[0].size == 0
+
+
+def test_a_blind_switch_beside_a_strong_press_may_be_off_by_a_share() -> None:
+    red = BUNDLE.tips.red_rest_px.copy()
+    red[59] = BUNDLE.tips.red_on_px[59]
+    bundle = replace(BUNDLE, tips=replace(BUNDLE.tips, red_rest_px=red))
+    for share, told_of in ((1.33, False), (2.0, True)):
+        shift = motion({58: 25.0})
+        shift[59] *= share
+        pressed, _ = Explained(bundle, shift, np.array([58])).unexplained()
+        assert (59 in pressed.tolist()) is told_of
 
 
 def test_forces_of_any_estimator_are_doubted() -> None:
@@ -252,3 +311,79 @@ def test_markers_that_are_not_seen_are_no_reason_for_doubt() -> None:
     assert told(replace(measured, shift_px=shift)) == []
     as_if_still = Explained(BUNDLE, np.nan_to_num(shift), measured.koi)
     assert any(len(markers) for markers in as_if_still.unexplained())
+
+
+def flat_bundle(*, noise_px: float = 0.02) -> Bundle:
+    """A decoder with tables of large displacement, of a sensor in closed form."""
+    base, places = drawn_bundle(), flat_sensor.MARKERS
+    count = len(places)
+    red = TipModel(
+        on_px=np.zeros((count, 2)), red_rest_px=np.zeros(count), red_on_px=np.full(count, 40.0)
+    )
+    model = replace(
+        base.model,
+        compliance_px=np.stack([flat_sensor.per_newton(place) for place in places], axis=1),
+        neighbours=flat_sensor.neighbours(),
+        locator=flat_sensor.flat_locator(noise_px=noise_px),
+    )
+    return replace(
+        base,
+        position_mm=places,
+        threshold_N=np.full(count, 0.5),
+        noise_centroid_px=0.02,
+        tips=red,
+        model=model,
+    )
+
+
+def suspects(
+    bundle: Bundle, shift: FloatArray, at: FloatArray, *, noise_px: float = 0.02
+) -> list[int]:
+    """Markers that seem pressed where the switch nearest to a contact is on."""
+    noise = np.random.default_rng(6).normal(0.0, noise_px, shift.shape)
+    koi = np.array([flat_sensor.nearest(at)])
+    pressed, _ = Explained(bundle, (shift + noise).reshape(-1, 2), koi).unexplained()
+    return pressed.tolist()
+
+
+AT = np.array([28.2, 29.6, 0.0])
+WIDE = np.array([3.4, -1.3, 4.6])
+
+
+def test_what_tables_of_large_displacement_explain_is_no_fault() -> None:
+    bundle = flat_bundle()
+    plain = replace(bundle, model=replace(bundle.model, locator=None))
+    press = flat_sensor.shifts(AT, 22.0, WIDE)
+    assert suspects(plain, press, AT) == [45]
+    assert suspects(bundle, press, AT) == []
+    # Not where more is left than noise.
+    assert suspects(bundle, press, AT, noise_px=0.025) == [45]
+    # Nor a frame with a dead switch besides.
+    dead = flat_sensor.shifts(np.array([9.0, 9.0, 0.0]), 6.0)
+    assert 11 in suspects(bundle, press + dead, AT)
+
+
+def test_a_press_in_what_tables_leave_is_not_excused() -> None:
+    """Presumed noise so high that the fit seems good."""
+    light = flat_sensor.shifts(np.array([3.0, 3.0, 0.0]), 3.5)
+    assert suspects(flat_bundle(noise_px=1.0), flat_sensor.shifts(AT, 5.0) + light, AT) == [0]
+
+
+def test_a_contact_without_a_switch_excuses_nobody() -> None:
+    """It explains the motion, and its force is on no receptor all the same."""
+    light = flat_sensor.shifts(np.array([45.0, 45.0, 0.0]), 3.2)
+    bundle, both = flat_bundle(), flat_sensor.shifts(AT, 5.0) + light
+    found = bundle.model.contacts(both.reshape(-1, 2), np.array([flat_sensor.nearest(AT)]))
+    assert [len(contact.markers) for contact in found.contacts] == [1, 0]
+    assert suspects(bundle, both, AT) == [77]
+
+
+def test_tables_are_not_asked_about_many_markers() -> None:
+    """That takes milliseconds, and a dead switch would take them in every frame."""
+    dead = flat_sensor.shifts(np.array([9.0, 9.0, 0.0]), 20.0)
+    with mock.patch.object(ForceModel, "contacts") as asked:
+        found = suspects(flat_bundle(), flat_sensor.shifts(AT, 5.0) + dead, AT)
+        alone = Explained(flat_bundle(), dead.reshape(-1, 2), np.zeros(0, dtype=np.int64))
+        assert len(alone.unexplained()[0]) > 2
+    assert len(found) > 2
+    assert not asked.called

@@ -1,11 +1,14 @@
 """Contacts found from marker shifts, on a sensor in closed form."""
 
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
 
-from decoder.locate import Located
+from decoder import locate
+from decoder.contact_fit import OFF_SPACINGS
+from decoder.locate import SILENT_MISFIT, Located
 from decoder.places import Places
 from shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import (
@@ -138,6 +141,82 @@ def test_a_contact_without_a_switch_is_found_and_carries_no_receptor() -> None:
     forces = found.receptor_forces_N(COUNT)
     assert forces.sum() == pytest.approx(first.force_N)
     assert np.flatnonzero(forces).tolist() == [nearest(loud)]
+
+
+def test_nine_fingers_are_parted_at_once() -> None:
+    """More than may be found as contacts without a switch: their groups are parted first."""
+    places = [point(x, y) for y in (9.0, 30.0, 51.0) for x in (12.0, 27.0, 42.0)]
+    forces = (9.0, 3.0, 6.0, 4.0, 8.0, 5.0, 7.0, 3.0, 5.0)
+    koi = sorted({nearest(at + point(dx, 0.0)) for at in places for dx in (-3.0, 3.0)})
+    seen = np.sum([shifts(at, f) for at, f in zip(places, forces, strict=True)], axis=0)
+    found = find(seen, koi)
+    assert len(found) == 9
+    for at, force in zip(places, forces, strict=True):
+        near = min(found, key=lambda contact: float(np.linalg.norm(contact.point_mm - at)))
+        assert near.force_N == pytest.approx(force, rel=0.03)
+
+
+def test_a_force_that_must_have_switched_is_not_silent() -> None:
+    """A dead switch: what it hides is left to those who judge the frame."""
+    loud, dead = point(15.0, 15.0), point(45.0, 42.0)
+    both = shifts(loud, 10.0) + shifts(dead, 15.0)
+    found = LOCATOR.find(both.reshape(-1, 2), np.array([nearest(loud)]))
+    (contact,) = found.contacts
+    assert contact.force_N == pytest.approx(10.0, rel=0.05)
+    assert found.misfit > 10.0
+    # Where its switch is on, it is a contact like any other.
+    assert len(find(both, [nearest(loud), nearest(dead)])) == 2
+
+
+def test_a_receptor_whose_tip_is_out_counts_less() -> None:
+    """How much paint the tip covers is not known: its shift is off by more than noise."""
+    at = point(30.0, 30.0)
+    marker = nearest(at)
+    seen = shifts(at, 8.0).reshape(-1, 2)
+    seen[marker] += (0.6, -0.4)
+
+    def off_mm(switched_px: float) -> float:
+        wary = replace(LOCATOR, noise=replace(LOCATOR.noise, switched_px=switched_px))
+        (contact,) = wary.find(seen, np.array([marker])).contacts
+        return float(np.linalg.norm(contact.point_mm - at))
+
+    assert off_mm(1.0) < 0.01
+    assert off_mm(0.0) > 0.05
+
+
+def test_no_contact_lies_beyond_a_rim() -> None:
+    """Of a load off the edge the tables say nothing; there is no surface to press on."""
+    reach_mm = OFF_SPACINGS * LOCATOR.places.spacing_mm
+    for x in (-4.0, -6.0, -8.0):
+        (contact,) = find(shifts(point(x, 30.0), 10.0), [nearest(point(3.0, 30.0))])
+        assert -reach_mm - 1e-9 <= contact.point_mm[0] < 0.0
+        assert contact.point_mm[1] == pytest.approx(30.0, abs=0.1)
+
+
+def test_a_start_is_not_drawn_away_from_markers_that_were_lost() -> None:
+    """So much noise that the contact stays where its switches put it."""
+    markers = [44, 54]
+    at = MARKERS[markers].mean(axis=0)
+    seen = shifts(at, 10.0).reshape(-1, 2)
+    seen[[32, 33, 34, 35, 36, 42, 43, 44, 45, 46]] = np.nan
+    blind = replace(
+        LOCATOR,
+        prior=replace(LOCATOR.prior, place_mm=0.2),
+        noise=replace(LOCATOR.noise, centroid_px=2.0),
+    )
+    (contact,) = blind.find(seen, np.array(markers)).contacts
+    assert np.linalg.norm(contact.point_mm - at) < 0.3
+
+
+def test_what_is_left_without_a_place_is_not_fitted() -> None:
+    """Noise above the presumed is no contact: no time is lost on one."""
+    at, rng = point(30.0, 30.0), np.random.default_rng(5)
+    for _ in range(10):
+        noisy = shifts(at, 10.0) + rng.normal(0.0, 0.025, 2 * COUNT)
+        with mock.patch.object(locate, "fit", wraps=locate.fit) as fitted:
+            found = LOCATOR.find(noisy.reshape(-1, 2), np.array([nearest(at)]))
+        assert found.misfit > SILENT_MISFIT
+        assert fitted.call_count == 1
 
 
 def test_noise_alone_makes_no_silent_contact() -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -135,6 +136,7 @@ def test_forces_add_up_and_a_contact_is_where_most_of_it_is() -> None:
     assert sums.home((1, 3), [1.0, 2.0]) == "b"
     assert sums.home((2,), [1.0]) == "a"
     assert sums.home((1, 3), [-1.0, 0.0]) == "a"
+    assert sums.home((2, 3), [0.0, -1.0]) == "b"
     assert sums.home((9,), [1.0]) == ""
 
 
@@ -190,7 +192,7 @@ def test_spoilt_regions_of_a_bundle_are_refused(
     meta = json.loads(path.read_text())
     spoil(meta["regions"])
     path.write_text(json.dumps(meta))
-    with pytest.raises(InputError, match=f"is not a decoder bundle: ValueError .*{message}"):
+    with pytest.raises(InputError, match=f"is not a decoder bundle: .*{message}"):
         load_bundle(tmp_path)
 
 
@@ -221,8 +223,10 @@ def test_a_design_names_regions_as_a_file_does(tmp_path: Path) -> None:
 
 def test_heights_by_line_of_sight_do_not_matter_to_regions() -> None:
     names = [{"name": "a", "rows": [2, 3]}]
-    dense = changed("cylinder60-dense", regions=names)
-    (region,) = design_regions(dense)
+    with mock.patch("phytac_design.layout.make.sight_heights_mm") as dear:
+        dense = changed("cylinder60-dense", regions=names)
+        (region,) = design_regions(dense)
+    assert not dear.called
     columns = dense.layout.columns
     assert region.markers == tuple(range(2 * columns, 4 * columns))
 

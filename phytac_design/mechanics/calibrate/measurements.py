@@ -89,7 +89,9 @@ def _columns(path: Path) -> dict[str, FloatArray]:
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError:
-        raise InputError(f"{path} is not a CSV file: it is not even text") from None
+        raise InputError(
+            f"{path} is not a CSV file: it is not even text; save it as UTF-8"
+        ) from None
     except OSError as error:
         raise InputError(f"no measurements at {path} ({error.strerror})") from None
     numbered = [
@@ -97,9 +99,18 @@ def _columns(path: Path) -> dict[str, FloatArray]:
         for number, line in enumerate(lines, start=1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
-    rows = list(csv.reader(line for _, line in numbered))
+    try:
+        # Line by line: a quote that is not closed must not swallow the next ones.
+        rows = [next(csv.reader([line], strict=True)) for _, line in numbered]
+    except csv.Error as error:
+        raise InputError(
+            f"{path} is not a CSV file: {error}; save its numbers separated by commas"
+        ) from None
     if len(rows) < 2:
-        raise InputError(f"{path} holds no measurements: a line of column names and rows are due")
+        raise InputError(
+            f"{path} holds no measurements: {len(rows)} lines; give a line of column names, then "
+            "one for each"
+        )
     names = [name.strip() for name in rows[0]]
     _check_names(path, names)
     out: list[list[float]] = []

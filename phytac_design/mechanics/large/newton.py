@@ -165,7 +165,10 @@ class System:
         if not np.isfinite(self.pressure_MPa):
             raise NumericalError(f"the pressure is not finite (got {self.pressure_MPa})")
         if not (self.pressure_MPa or np.any(self.force) or np.any(self.prescribed)):
-            raise NumericalError("the loading is zero: give a force, a pressure or a motion")
+            raise NumericalError(
+                f"the loading is zero (pressure {self.pressure_MPa:g} MPa, all {size} numbers of "
+                "force and motion 0); give a force, a pressure or a motion"
+            )
         self.free = np.flatnonzero(~model.fixed.ravel())
         if np.any(self.prescribed[self.free]):
             raise NumericalError("motion is prescribed at a DOF that is not held; hold it first")

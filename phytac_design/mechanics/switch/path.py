@@ -20,6 +20,8 @@ ITERATIONS = 9
 RESIDUAL_TOL = 1e-9
 """Largest unbalanced force over the sums of absolute element forces."""
 GAP_TOL = 1e-9
+EPS = 4.0 * float(np.finfo(np.float64).eps)
+"""Rounding of a position, of the body's extent."""
 STRAY = 0.35
 """Largest departure of a step from the trapezoidal rule on the tangents at its ends."""
 SHORTEST = 1.0 / 24.0
@@ -146,13 +148,16 @@ def correct(
         If it does not converge.
     """
     unknowns, factor_ = guess
+    extent = float(np.abs(model.mesh.nodes_mm).max())
     first = np.inf
     for _ in range(ITERATIONS):
         state = _state(model, unknowns)
         left = state.force - factor_ * load
         row, gap = constraint.gap(unknowns)
         size = float(np.linalg.norm(left))
-        floor = RESIDUAL_TOL * max(state.gross_N, 1e-300)
+        # Under a tiny load forces are as good as the positions they come from are rounded.
+        rounding = EPS * extent * float(np.linalg.norm(state.tangent.diagonal()))
+        floor = max(RESIDUAL_TOL * state.gross_N, rounding, 1e-300)
         if size <= floor and abs(gap) <= constraint.slack:
             return _point(load, unknowns, factor_, state)
         first = min(first, size)

@@ -1,0 +1,27 @@
+"""Search of the design space: rate, ladder, optimiser, large studies, Dask, the densest sensor.
+
+``python -m benchmarks.study [--quick] [--parts rate,ladder,optimiser,rows,dask,dense]``
+"""
+
+from collections.abc import Callable
+from functools import partial
+
+from benchmarks import study_dask, study_dense, study_optimiser, study_rate, study_rows
+from benchmarks.harness import Table, run_parts
+
+
+def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
+    """Parts by name, in order."""
+    works = {
+        "rate": study_rate.rate,
+        "ladder": study_rate.ladder,
+        "optimiser": study_optimiser.optimiser,
+        "rows": study_rows.rows,
+        "dask": study_dask.dask,
+        "dense": study_dense.dense,
+    }
+    return {name: partial(work, quick=quick) for name, work in works.items()}
+
+
+if __name__ == "__main__":
+    run_parts("study", parts, __doc__ or "")

@@ -1,0 +1,244 @@
+"""Workers, clusters and kills: throughput against independent copies, and the same rows.
+
+``python -m benchmarks.study_dask copy FOLDER COUNT`` is one independent copy; ``drive FOLDER COUNT
+ADDRESS`` is a driver that this benchmark kills.
+"""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any
+
+from benchmarks.harness import Table
+from benchmarks.study_cases import drawn, one_thread, study_of
+from phytac_design.kernels import THREADS
+from phytac_design.recording import parquet_library
+from phytac_design.study.search.dask_pool import DaskPool
+from phytac_design.study.search.drive import Done, run_study
+from phytac_design.study.search.file import Study
+from phytac_design.study.search.ladder import climb, spec_of, task_of
+from phytac_design.study.search.space import Space
+
+RUNGS = ("rules", "sampled")
+GO = "go"
+ALONE = dict.fromkeys((THREADS, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+KILL_EVERY_S = 10.0
+
+
+def study_for(count: int) -> tuple[Study, Space]:
+    """The cylinder's space, rules and sampled."""
+    return study_of(
+        "cylinder",
+        ladder={"rungs": list(RUNGS)},
+        budget={"candidates": count},
+        sampling={"batch": 128},
+    )
+
+
+def warm() -> None:
+    """Load all that a candidate needs."""
+    study, space = study_for(4)
+    for params in drawn(study, space, 4):
+        climb(spec_of(study, space), params, RUNGS)
+
+
+def copy(folder: Path, count: int) -> None:
+    """A copy of the program that does its own candidates, with files and all, once told to go."""
+    one_thread()
+    warm()
+    study, space = study_for(count)
+    (folder / "ready").touch()
+    while not (folder.parent / GO).exists():
+        time.sleep(0.01)
+    start = time.perf_counter()
+    run_study(study, space, folder / "study", kind="sweep")
+    (folder / "seconds").write_text(str(time.perf_counter() - start))
+
+
+def copies(number: int, count: int) -> float:
+    """Candidates a second of so many copies that run together."""
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        folders = [Path(name) / str(k) for k in range(number)]
+        parts = []
+        for folder in folders:
+            folder.mkdir()
+            words = [sys.executable, "-m", __name__, "copy", str(folder), str(count)]
+            parts.append(stack.enter_context(subprocess.Popen(words, env=os.environ | ALONE)))
+        while not all((folder / "ready").exists() for folder in folders):
+            time.sleep(0.05)
+        (Path(name) / GO).touch()
+        for part in parts:
+            part.wait()
+        return sum(count / float((folder / "seconds").read_text()) for folder in folders)
+
+
+def pooled(pool: DaskPool, count: int, folder: Path) -> Done:
+    """Run a study on a pool whose workers have loaded all."""
+    study, space = study_for(count)
+    spec, early = spec_of(study, space), drawn(study, space, 4 * pool.workers, first=1 << 16)
+    for _ in pool.run(task_of(k, spec, params, RUNGS) for k, params in enumerate(early)):
+        pass
+    return run_study(study, space, folder, kind="sweep", pool=pool)
+
+
+class Cluster:
+    """A scheduler and workers as processes of their own, on loopback."""
+
+    def __init__(self, workers: int) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = int(free.getsockname()[1])
+        self.address = f"tcp://127.0.0.1:{self.port}"
+        self.scheduler = self._scheduler()
+        self.workers = [self._worker() for _ in range(workers)]
+
+    def _start(self, part: str, *words: str) -> "subprocess.Popen[bytes]":
+        command = [sys.executable, "-m", f"distributed.cli.dask_{part}", *words, "--no-dashboard"]
+        quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        environment = os.environ | ALONE | {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "50"}
+        return subprocess.Popen(command, env=environment, **quiet)
+
+    def _scheduler(self) -> "subprocess.Popen[bytes]":
+        return self._start("scheduler", "--host", "127.0.0.1", "--port", str(self.port))
+
+    def _worker(self) -> "subprocess.Popen[bytes]":
+        return self._start("worker", self.address, "--nthreads", "1", "--no-nanny")
+
+    def kill_worker(self, number: int) -> None:
+        """Kill a worker, and start another in its place."""
+        self.workers[number].kill()
+        self.workers[number].wait()
+        self.workers[number] = self._worker()
+
+    def kill_scheduler(self) -> None:
+        """Kill the scheduler, and start it and its workers again."""
+        self.scheduler.kill()
+        self.scheduler.wait()
+        self.scheduler = self._scheduler()
+        for number in range(len(self.workers)):
+            self.kill_worker(number)
+
+    def wait(self) -> None:
+        """Wait until the scheduler listens."""
+        while True:
+            with suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1.0):
+                return
+            time.sleep(0.1)
+
+    def close(self) -> None:
+        """End all."""
+        for part in (*self.workers, self.scheduler):
+            part.kill()
+            part.wait()
+
+
+def rows_of(folder: Path) -> list[dict[str, Any]]:
+    """Rows without the seconds that they took."""
+    table = parquet_library().parquet.read_table(folder / "results.parquet")
+    return [
+        {key: value for key, value in row.items() if not key.startswith("seconds.")}
+        for row in table.to_pylist()
+    ]
+
+
+def dask(table: Table, *, quick: bool) -> None:
+    """Throughput of one and two workers and of a cluster; then kills."""
+    count = 24 if quick else 512
+    alone = {number: copies(number, count // number) for number in (1, 2)}
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        expected: list[dict[str, Any]] = []
+        rates = {}
+        for workers in (1, 2):
+            pool = DaskPool(workers=workers)
+            done = pooled(pool, count, Path(name) / f"local-{workers}")
+            pool.close()
+            rates[f"{workers} local workers" if workers > 1 else "1 local worker"] = (
+                workers,
+                done.new / done.seconds,
+            )
+            expected = rows_of(done.folder)
+        cluster = Cluster(2)
+        stack.callback(cluster.close)
+        cluster.wait()
+        pool = DaskPool(address=cluster.address)
+        while pool.client.scheduler_info(n_workers=-1)["n_workers"] < 2:
+            time.sleep(0.1)
+        pool.client.wait_for_workers(2)
+        done = pooled(pool, count, Path(name) / "cluster")
+        pool.close()
+        rates["two-process cluster on loopback"] = 2, done.new / done.seconds
+        for case, (workers, rate) in rates.items():
+            table.add(
+                f"{case}: throughput over that of {workers} independent "
+                f"{'copies run together' if workers > 1 else 'copy'}",
+                rate / alone[workers],
+                "ratio",
+                reference=1.0,
+                source=f"{count} candidates, rules and sampled, all loaded before",
+                target=">= 0.9",
+                note=f"{rate:.1f}/s against {alone[workers]:.1f}/s, driver and scheduler on the "
+                "same cores",
+            )
+        _killed(table, cluster, Path(name) / "killed", count, expected)
+
+
+def _killed(
+    table: Table, cluster: Cluster, folder: Path, count: int, expected: list[dict[str, Any]]
+) -> None:
+    """Kill a worker every ten seconds, the driver once and the scheduler once."""
+    words = [sys.executable, "-m", __name__, "drive", str(folder), str(count), cluster.address]
+    kills = {"worker": 0, "driver": 0, "scheduler": 0}
+
+    def driver() -> "subprocess.Popen[bytes]":
+        return subprocess.Popen(words, env=os.environ | ALONE, stdout=subprocess.DEVNULL)
+
+    running, start = driver(), time.monotonic()
+    events = ["worker", "driver", "worker", "scheduler", *["worker"] * 1000]
+    for number, what in enumerate(events):
+        left = start + (number + 1) * KILL_EVERY_S - time.monotonic()
+        with suppress(subprocess.TimeoutExpired):
+            running.wait(max(left, 0.0))
+            break
+        kills[what] += 1
+        if what == "worker":
+            cluster.kill_worker(number % 2)
+        elif what == "scheduler":
+            cluster.kill_scheduler()
+        else:
+            running.send_signal(signal.SIGKILL)
+            running.wait()
+            running = driver()
+    found = rows_of(folder)
+    same = sum(one == other for one, other in zip(found, expected, strict=False))
+    table.add(
+        f"rows equal to the undisturbed ones, {kills['worker']} workers, {kills['driver']} driver "
+        f"and {kills['scheduler']} scheduler killed",
+        100.0 * same / len(expected),
+        "%",
+        reference=100.0,
+        source=f"{count} candidates, a kill every {KILL_EVERY_S:g} s, cluster on loopback",
+        target=">= 100",
+        note=f"{len(found)} rows; driver ended with {running.returncode}, all but its last run "
+        "by kill",
+    )
+
+
+def drive(folder: Path, count: int, address: str) -> None:
+    """A driver that may be killed."""
+    study, space = study_for(count)
+    pool = DaskPool(address=address, say=print)
+    run_study(study, space, folder, kind="sweep", pool=pool)
+    pool.close()
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "copy":
+        copy(Path(sys.argv[2]), int(sys.argv[3]))
+    else:
+        drive(Path(sys.argv[2]), int(sys.argv[3]), sys.argv[4])

@@ -1,0 +1,157 @@
+"""How many designs a second a core looks at, and what each further rung costs and foretells."""
+
+import cProfile
+import pstats
+import time
+
+import numpy as np
+from scipy.stats import spearmanr
+
+from benchmarks.harness import Table
+from benchmarks.study_cases import SPACES, climbed, drawn, median, one_thread, study_of
+from phytac_design.study.search.ladder import OK, Outcome, climb, spec_of
+from phytac_design.study.search.measures import MEASURES, measures_up_to
+
+CHEAP = ("rules", "sampled")
+SOURCE = "processor time of one process on one thread, compiled code loaded before"
+WARM = 3
+ALL = ("rules", "sampled", "exact", "mechanics", "load", "twin")
+PRESSED = ("rules", "sampled", "exact", "mechanics", "load")
+
+
+def rate(table: Table, *, quick: bool) -> None:
+    """A thousand designs through layout, rules, sampled visibility, density and surrogate."""
+    one_thread()
+    each = 20 if quick else 334
+    spent, looked, done = 0.0, 0, 0
+    for shape in SPACES:
+        study, space = study_of(shape)
+        spec = spec_of(study, space)
+        candidates = drawn(study, space, each)
+        for params in candidates[:WARM]:
+            climb(spec, params, CHEAP)
+        start, wall = time.process_time(), time.perf_counter()
+        outcomes = [climb(spec, params, CHEAP) for params in candidates]
+        seconds, wall = time.process_time() - start, time.perf_counter() - wall
+        able = [outcome for outcome in outcomes if outcome.status == OK]
+        own = sum(sum(outcome.seconds.values()) for outcome in able)
+        counts = [outcome.measures["marker_count"] for outcome in able]
+        table.add(
+            f"{shape}: designs a second and core, those that pass the rules",
+            len(able) / own,
+            "1/s",
+            reference=10,
+            source=SOURCE,
+            target=">= 10",
+            note=f"{len(able)} of {each} pass; {min(counts):.0f} to {max(counts):.0f} markers, "
+            f"median {median(counts):.0f}; all {each} in {seconds:.1f} s of processor and "
+            f"{wall:.1f} s of wall time; rules {1e3 * _mean(able, 'rules'):.0f} ms, sampled "
+            f"{1e3 * _mean(able, 'sampled'):.0f} ms",
+        )
+        spent, looked, done = spent + seconds, looked + each, done + len(able)
+    table.add(
+        "designs a second and core, all that were drawn",
+        looked / spent,
+        "1/s",
+        reference=10,
+        source=SOURCE,
+        target=">= 10",
+        note=f"{looked} designs, of which {done} pass the rules; refused ones stop there",
+    )
+    _profile(table)
+
+
+def _mean(outcomes: list[Outcome], rung: str) -> float:
+    return float(np.mean([outcome.seconds[rung] for outcome in outcomes]))
+
+
+PARTS = {
+    "placing and rules": "check_design",
+    "scene": "build_scene",
+    "sampled visibility": "sampled_fraction",
+    "surrogate": "predict",
+    "density": "density_of",
+    "gaps of outlines": "outlined_gap_px",
+}
+
+
+def _profile(table: Table) -> None:
+    """Where the time goes, on the cylinder."""
+    study, space = study_of("cylinder")
+    spec = spec_of(study, space)
+    profile = cProfile.Profile()
+    profile.enable()
+    for params in drawn(study, space, 20):
+        climb(spec, params, CHEAP)
+    profile.disable()
+    stats = pstats.Stats(profile)
+    cumulative = {key[2]: value[3] for key, value in stats.stats.items()}  # type: ignore[attr-defined]
+    whole = cumulative["climb"]
+    for name, function in PARTS.items():
+        table.add(
+            f"cylinder: share of the time for {name}",
+            100.0 * cumulative[function] / whole,
+            "%",
+            reference=100.0,
+            source="cProfile, wall time, 20 designs",
+        )
+
+
+def ladder(table: Table, *, quick: bool) -> None:
+    """What each rung costs and how well it puts designs in the order of the next."""
+    one_thread()
+    each = 4 if quick else 16
+    twins = 2 if quick else 6
+    for shape in SPACES:
+        study, space = study_of(shape, ladder={"rungs": list(ALL)})
+        # A rung tells most where the others let designs through: no constraint, all rungs.
+        candidates = drawn(study, space, 4 * each)
+        able = [
+            params
+            for params in candidates
+            if climb(spec_of(study, space), params, ("rules",)).status == OK
+        ][:each]
+        found = list(climbed(f"ladder-{shape}", study, space, able, PRESSED))
+        found = [outcome for outcome in found if outcome.status == OK]
+        judged = list(climbed(f"twin-{shape}", study, space, able[:twins], ("twin",)))
+        _costs(table, shape, found, judged)
+        _orders(table, shape, found, judged)
+
+
+def _costs(table: Table, shape: str, found: list[Outcome], judged: list[Outcome]) -> None:
+    for rung in (*PRESSED, "twin"):
+        seconds = [
+            outcome.seconds[rung] for outcome in (judged if rung == "twin" else found)
+            if rung in outcome.seconds
+        ]  # fmt: skip
+        table.add(
+            f"{shape}: {rung}, each",
+            median(seconds),
+            "s",
+            reference="",
+            source=f"median of {len(seconds)} designs, processor time, one thread, draft",
+        )
+
+
+def _orders(table: Table, shape: str, found: list[Outcome], judged: list[Outcome]) -> None:
+    """Spearman of each measure with what it stands in for."""
+    joined = [one.and_then(other) for one, other in zip(found, judged, strict=False)]
+    for name in measures_up_to(ALL):
+        earlier = MEASURES[name].proxy
+        rows = joined if MEASURES[name].rung == "twin" else found
+        pairs = np.array(
+            [
+                (row.measures[earlier], row.measures[name])
+                for row in rows
+                if earlier in row.measures and name in row.measures
+            ]
+        )
+        if len(pairs) < 4 or float(np.ptp(pairs, axis=0).min()) == 0.0:
+            continue
+        table.add(
+            f"{shape}: {earlier} against {name}",
+            float(spearmanr(pairs[:, 0], pairs[:, 1]).statistic),
+            "Spearman",
+            reference=1.0,
+            source=f"{len(pairs)} designs that pass the rules, drawn evenly, none left out",
+        )

@@ -1,0 +1,151 @@
+"""A study of ten thousand rows: memory of the driver, time of the front, and the page."""
+
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.harness import Table
+from benchmarks.study_cases import study_of
+from phytac_design.study.search.drive import run_study
+from phytac_design.study.search.ladder import Outcome, Task
+from phytac_design.study.search.measures import measures_up_to
+from phytac_design.study.search.report import read_results, write_page
+from phytac_design.study.search.store import OPEN
+
+RUNGS = ("rules", "sampled")
+GOALS = [
+    {"measure": "marker_count", "goal": "max"},
+    {"measure": "surrogate_force_sd_N", "goal": "min"},
+    {"measure": "mass_g", "goal": "min"},
+]
+
+
+class ClosedForm:
+    """A pool that answers at once: this part is about the driver, not about designs.
+
+    Also keeps the memory of this process after each batch.
+    """
+
+    def __init__(self) -> None:
+        self.memory_MB: list[float] = []
+
+    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Outcome]]:
+        """Smooth figures of the variables."""
+        for task in tasks:
+            values = [float(value) for value in task.params.values()]
+            names = measures_up_to(RUNGS)
+            found = {name: abs(np.sin(k + sum(values))) for k, name in enumerate(names)}
+            found["marker_count"] = values[0] * values[1]
+            found["surrogate_force_sd_N"] = values[-2] / values[1] + 0.01 * values[2]
+            seconds = dict.fromkeys(RUNGS, 0.05)
+            yield task, Outcome(rung=RUNGS[-1], measures=found, seconds=seconds, design="0" * 64)
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        self.memory_MB.append(pages * resource.getpagesize() / 2**20)
+
+    @property
+    def workers(self) -> int:
+        """One."""
+        return 1
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def rows(table: Table, *, quick: bool) -> None:
+    """Memory at the tenth and at the last batch; front, page, and its bytes."""
+    count = 1000 if quick else 10_000
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "study"
+        study, space = study_of(
+            "cylinder",
+            objective=GOALS,
+            budget={"candidates": count},
+            sampling={"batch": 64},
+            ladder={"rungs": list(RUNGS)},
+        )
+        pool = ClosedForm()
+        start = time.perf_counter()
+        done = run_study(study, space, folder, kind="sweep", pool=pool)
+        seconds = time.perf_counter() - start
+        source = f"sweep of {count} candidates whose figures are a closed form"
+        table.add(
+            f"driver: growth of memory from the tenth batch to row {done.rows}",
+            pool.memory_MB[-1] - pool.memory_MB[9],
+            "MB",
+            reference=pool.memory_MB[9],
+            source=f"{source}; resident set, batches of 64",
+            target="<= 20",
+        )
+        table.add(
+            "driver: own time for each candidate",
+            1e3 * seconds / count,
+            "ms",
+            reference=100.0,
+            source=f"{source}; ask, journal, rows and parts",
+            note="0.1 s is what ten designs a second take",
+        )
+        size = done.results.stat().st_size
+        table.add("results: bytes for each row", size / count, "B", reference="", source="Parquet")
+        start = time.perf_counter()
+        results = read_results(folder)
+        front = results.front()
+        table.add(
+            f"front of {count} rows and three objectives, read from the file",
+            time.perf_counter() - start,
+            "s",
+            reference="",
+            source="wall time",
+            target="<= 5",
+            note=f"{int(front.sum())} rows on the front",
+        )
+        start = time.perf_counter()
+        page = write_page(folder)
+        table.add(
+            "page with front, importance and agreement of rungs",
+            time.perf_counter() - start,
+            "s",
+            reference="",
+            source="wall time, figures included",
+            target="<= 10",
+            note=f"{page.stat().st_size / 1e6:.1f} MB, one file",
+        )
+        _shown(table, page)
+        open_bytes = (folder / OPEN).stat().st_size
+        assert open_bytes == 0
+
+
+def _shown(table: Table, page: Path) -> None:
+    """Time until a browser has drawn the page, less that of an empty one."""
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        return
+    empty = page.with_name("empty.html")
+    empty.write_text("<!doctype html><title>empty</title>")
+
+    def opened(path: Path) -> float:
+        words = [browser, "--headless", "--no-sandbox", "--disable-gpu", "--window-size=1100,2200"]
+        words += [f"--screenshot={path.with_suffix('.png')}", path.as_uri()]
+        start = time.perf_counter()
+        subprocess.run(words, capture_output=True, check=True, timeout=120)
+        return time.perf_counter() - start
+
+    opened(empty)
+    table.add(
+        "page: until a browser has drawn it",
+        min(opened(page) for _ in range(3)) - min(opened(empty) for _ in range(3)),
+        "s",
+        reference="",
+        source=f"{Path(browser).name}, headless, beyond an empty page",
+        target="<= 2",
+    )
+
+
+if __name__ == "__main__":
+    rows(Table("study"), quick="--quick" in sys.argv)

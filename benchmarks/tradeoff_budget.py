@@ -1,0 +1,96 @@
+"""Budgets on random designs: is a build done in the time it was given."""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.harness import Table
+from benchmarks.tradeoff_designs import random_designs
+from benchmarks.tradeoff_journal import once
+from phytac_design.spec import Design
+from phytac_design.study.trade.build_to import build_to
+from shapes.errors import DesignError, PhytacError
+
+BUDGETS_s = (30.0, 45.0, 60.0, 90.0, 120.0)
+DESIGNS, SEED = 24, 5
+OVER = 1.2
+MET = 90.0
+
+
+@contextmanager
+def empty_cache() -> Iterator[Path]:
+    """Folder for a build whose cache is empty, gone afterwards."""
+    before = os.environ.get("PHYTAC_CACHE")
+    folder = Path(tempfile.mkdtemp(prefix="phytac-budget-"))
+    os.environ["PHYTAC_CACHE"] = str(folder / "cache")
+    try:
+        yield folder
+    finally:
+        if before is None:
+            del os.environ["PHYTAC_CACHE"]
+        else:
+            os.environ["PHYTAC_CACHE"] = before
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def built(design: Design, budget_s: float) -> dict[str, Any]:
+    """One build in a time: seconds taken, or why not."""
+    with empty_cache() as folder:
+        try:
+            result, choice = build_to(
+                design, folder / "out", budget_s=budget_s, force=True, progress=lambda _: None
+            )
+        except DesignError as refused:
+            return {"refused": str(refused)}
+        except PhytacError as failed:
+            return {"failed": str(failed)}
+    return {
+        "seconds": result.seconds,
+        "predicted": choice.seconds,
+        "settings": choice.accuracy.as_dict(),
+        "stages": choice.achieved_s,
+    }
+
+
+def add_rows(table: Table, *, quick: bool) -> None:
+    """Add the rows of all budgets together."""
+    count = 2 if quick else DESIGNS
+    runs = []
+    for number, design in enumerate(random_designs(count, SEED)):
+        budget = BUDGETS_s[number % len(BUDGETS_s)]
+        run = once(design, f"budget {budget:g}", lambda d=design, b=budget: built(d, b))  # type: ignore[misc]
+        runs.append(run | {"budget": budget})
+        spent = run.get("seconds")
+        print(f"  {design.name}, {budget:g} s: {spent or run}", flush=True)
+    done = [run for run in runs if "seconds" in run]
+    refused = sum("refused" in run for run in runs)
+    failed = [run["failed"] for run in runs if "failed" in run]
+    if not done:
+        return
+    ratio = np.array([run["seconds"] / run["budget"] for run in done])
+    table.add(
+        f"budgets of {BUDGETS_s[0]:g} to {BUDGETS_s[-1]:g} s: builds done within 1.2 times theirs",
+        100.0 * float(np.mean(ratio <= OVER)),
+        "%",
+        reference=100.0,
+        source=f"{len(done)} builds of random designs, empty cache",
+        target=f">= {MET:g}",
+        note=f"from {ratio.min():.2f} to {ratio.max():.2f} times the budget, median "
+        f"{float(np.median(ratio)):.2f}; {refused} refused beforehand as too short"
+        + (f"; {len(failed)} could not be built: {failed[0][:120]}" if failed else ""),
+    )
+    first = np.array([run["seconds"] / run["predicted"] for run in done])
+    table.add(
+        "budgets: seconds taken over those of the first plan, median distance from 1",
+        100.0 * float(np.median(np.abs(first - 1.0))),
+        "%",
+        reference=0.0,
+        source="cost model, before anything ran",
+        note=f"from {first.min():.2f} to {first.max():.2f}",
+    )

@@ -1,0 +1,344 @@
+"""Scenes: their cost against the whole sensor's, the error that costs, predicted against actual.
+
+Part of ``python -m benchmarks.tradeoff``. Results of stages lie below ``$PHYTAC_DATA``: a run that
+was killed goes on where it was. ``python -m benchmarks.tradeoff_scenes --units`` measures the unit
+costs that plans are made with and writes them into ``phytac_design/study/plan/units.py``.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from pprint import pformat
+from typing import Any
+
+import numpy as np
+
+from benchmarks.decoder_data import data_folder
+from benchmarks.harness import Table, argument_parser
+from decoder.bundle import Bundle, load_bundle
+from decoder.run import Measured
+from phytac_design.accuracy import PRESETS
+from phytac_design.design_file import load_design
+from phytac_design.layout import make_markers
+from phytac_design.stage import EXPORT, Context
+from phytac_design.study.plan.audit import force_errors, reference_presses
+from phytac_design.study.plan.cost import WITHIN, features, fit_units, probe_s
+from phytac_design.study.plan.counts import count, counts_of
+from phytac_design.study.plan.plan import context_of, plan_scene
+from phytac_design.study.plan.resolve import Resolved, resolve
+from phytac_design.study.plan.scene import load_scene
+from phytac_design.twin.dataset import Dataset
+
+SHAPES = ("cylinder60", "grip")
+SCENES = ("fingertip", "grip5", "occlusion", "fabrication")
+PRESSES = 16
+FITTED = (
+    ("cylinder60", "standard", ""),
+    ("cylinder60", "draft", ""),
+    ("grip", "standard", ""),
+    ("hemisphere", "draft", ""),
+    ("cylinder60", "standard", "fingertip"),
+    ("cylinder60", "standard", "grip5"),
+    ("grip", "standard", "fingertip"),
+    ("hemisphere", "standard", "fingertip"),
+)
+"""Builds that unit costs are fitted to."""
+UNITS = Path(__file__).parents[1] / "phytac_design" / "study" / "plan" / "units.py"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cost:
+    """Cost of a build: processor and wall time, s, greatest memory, MB; and where results lie."""
+
+    cpu_s: float
+    wall_s: float
+    peak_MB: float
+    stages: dict[str, dict[str, float]]
+    folders: dict[str, Path]
+
+
+def measured(design: str, accuracy: str, scene: str = "") -> Cost:
+    """Build in a process of its own, from what the benchmark's cache lacks."""
+    words = [design, accuracy, *([scene] if scene else [])]
+    done = subprocess.run(
+        [sys.executable, "-m", "phytac_design.study.plan.measure", *words],
+        env={**os.environ, "PHYTAC_CACHE": str(data_folder() / "scenes")},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    data = json.loads(done.stdout.splitlines()[-1])
+    costs = data["costs"]
+    return Cost(
+        cpu_s=sum(item["cpu_s"] for item in costs.values()),
+        wall_s=sum(item["wall_s"] for item in costs.values()),
+        peak_MB=max(item["peak_MB"] for item in costs.values()),
+        stages=costs,
+        folders={name: Path(folder) for name, folder in data["folders"].items()},
+    )
+
+
+def add_rows(table: Table, *, quick: bool) -> None:
+    """Add the rows of all scenes on two shapes."""
+    accuracy = "draft" if quick else "standard"
+    for shape in SHAPES[:1] if quick else SHAPES:
+        whole = measured(shape, accuracy)
+        for name in SCENES[:1] if quick else SCENES:
+            cost = measured(shape, accuracy, name)
+            resolved = resolve(load_design(shape), load_scene(name), PRESETS[accuracy])
+            label = f"scene {name} on {shape}, {accuracy}"
+            _add_costs(table, label, cost, whole, one=name == "fingertip")
+            _add_prediction(table, label, shape, accuracy, name, cost)
+            context = context_of(resolved)
+            context.folders.update(cost.folders)
+            if "decoder" in cost.folders:
+                _add_forces(table, label, context, whole, presses=4 if quick else PRESSES)
+            if name == "fingertip":
+                _add_outside(table, label, resolved, cost, whole)
+            if name == "occlusion":
+                _add_occlusion(table, label, context, whole)
+            if name == "fabrication":
+                _add_fabrication(table, label, context, whole)
+
+
+def _add_costs(table: Table, label: str, cost: Cost, whole: Cost, *, one: bool) -> None:
+    table.add(
+        f"{label}: times cheaper than the whole sensor, processor time",
+        whole.cpu_s / cost.cpu_s,
+        "ratio",
+        reference=round(whole.cpu_s, 1),
+        source=f"the whole sensor, s of all stages; the scene takes {cost.cpu_s:.1f} s",
+        target=">= 10" if one else None,
+    )
+    shared = [name for name in cost.stages if name in whole.stages]
+    table.add(
+        f"{label}: times cheaper than the same stages of the whole sensor, processor time",
+        sum(whole.stages[name]["cpu_s"] for name in shared) / cost.cpu_s,
+        "ratio",
+        reference=round(sum(whole.stages[name]["cpu_s"] for name in shared), 1),
+        source="these stages, of all of the surface, s",
+    )
+    table.add(
+        f"{label}: wall time, one stage after the other",
+        cost.wall_s,
+        "s",
+        reference=round(whole.wall_s, 1),
+        source="the whole sensor, s",
+    )
+    table.add(
+        f"{label}: peak memory",
+        cost.peak_MB,
+        "MB",
+        reference=round(whole.peak_MB, 0),
+        source="the whole sensor, MB",
+    )
+
+
+def _add_prediction(
+    table: Table, label: str, shape: str, accuracy: str, name: str, cost: Cost
+) -> None:
+    """Predicted over actual cost, as a factor of at least 1."""
+    with tempfile.TemporaryDirectory() as empty:
+        before = os.environ.get("PHYTAC_CACHE")
+        os.environ["PHYTAC_CACHE"] = empty
+        try:
+            plan = plan_scene(load_design(shape), load_scene(name), accuracy=PRESETS[accuracy])
+        finally:
+            os.environ.pop("PHYTAC_CACHE")
+            if before is not None:
+                os.environ["PHYTAC_CACHE"] = before
+    for what, predicted, actual in (
+        ("processor time", plan.seconds, cost.cpu_s),
+        ("peak memory", plan.memory_MB, cost.peak_MB),
+    ):
+        table.add(
+            f"{label}: {what}, predicted against actual, off by the factor",
+            max(predicted / actual, actual / predicted),
+            "ratio",
+            reference=round(predicted, 1),
+            source=f"predicted; actual {actual:.1f}",
+            target=f"<= {WITHIN}",
+        )
+
+
+def _bundle(folders: dict[str, Path]) -> Bundle:
+    return load_bundle(folders["decoder"] / EXPORT / "decoder")
+
+
+def _add_forces(table: Table, label: str, context: Context, whole: Cost, *, presses: int) -> None:
+    """Forces in the regions: by the scene's decoder against the whole one's, and the truth."""
+    pressed = reference_presses(context, presses)
+    mine, full = _bundle(context.folders), _bundle(whole.folders)
+    ours, theirs = (force_errors(bundle.model, pressed, "auto") for bundle in (mine, full))
+    judged = np.isfinite(ours) & np.isfinite(theirs)
+    apart = np.abs((ours - theirs) / (1.0 + theirs))[judged]
+    where = f"{int(judged.sum())} presses in the regions, large displacement, finer mesh, no noise"
+    table.add(
+        f"{label}: force by its decoder against the whole sensor's, greatest difference",
+        100.0 * float(apart.max()),
+        "%",
+        reference=100.0 * float(np.median(apart)),
+        source=f"reference: median; {where}",
+        target="<= 1",
+    )
+    table.add(
+        f"{label}: force by its decoder against the truth, median error",
+        100.0 * float(np.median(np.abs(ours[judged]))),
+        "%",
+        reference=100.0 * float(np.median(np.abs(theirs[judged]))),
+        source=f"the whole sensor's decoder; {where}",
+    )
+    scene = context.scene
+    plan = plan_scene(load_design(context.design.name), load_scene(scene.name if scene else ""),
+                      accuracy=PRESETS["standard"], speed=1.0)  # fmt: skip
+    table.add(
+        f"{label}: worst error of a force",
+        100.0 * float(np.abs(ours[judged]).max()),
+        "%",
+        reference=100.0 * plan.error["force"],
+        source=f"predicted by the plan; {where}",
+        target=f"<= {100.0 * plan.resolved.scene.error_allowed:g}",
+    )
+
+
+def _add_outside(table: Table, label: str, resolved: Resolved, cost: Cost, whole: Cost) -> None:
+    """Single contacts off the receptors in play: whether their forces are doubted."""
+    bundle, told, outside = _bundle(cost.folders), 0, 0
+    with np.load(whole.folders["twin"] / "arrays.npz") as data:
+        arrays = {name: data[name] for name in data.files}
+    for name in ("test", "anywhere"):
+        for one in singles(Dataset.from_arrays(arrays, name)):
+            if len(one.koi) == 0 or resolved.in_play[one.koi].any():
+                continue
+            outside += 1
+            forces = one.forces_N(bundle, "auto")
+            told += bool(one.warnings(bundle, forces, estimator="auto"))
+    table.add(
+        f"{label}: contacts that trip only switches out of play, doubted",
+        100.0 * told / outside,
+        "%",
+        reference=outside,
+        source="contacts of the whole sensor's simulated data, one at a time",
+        target=">= 100",
+    )
+
+
+def singles(data: Dataset) -> list[Measured]:
+    """Samples of a single contact, as eyes that miss nothing measure them."""
+    contacts = data.contacts
+    alone = np.flatnonzero(contacts.counts[contacts.sample] == 1)
+    return [
+        Measured(
+            koi=np.flatnonzero(data.switching.bits[sample]),
+            shift_px=data.shift_px[sample],
+            found=np.ones(data.shift_px.shape[1], dtype=np.bool_),
+        )
+        for sample in contacts.sample[alone]
+    ]
+
+
+def both(context: Context, whole: Cost) -> tuple[dict[str, Path], dict[str, Path]]:
+    """Result folders of a scene's build and of the whole sensor's."""
+    return context.folders, whole.folders
+
+
+def _facts(folders: dict[str, Path], stage: str) -> dict[str, Any]:
+    data: dict[str, Any] = json.loads((folders[stage] / "facts.json").read_text())
+    return data
+
+
+def _add_occlusion(table: Table, label: str, context: Context, whole: Cost) -> None:
+    """Figures of visibility against those of the whole build."""
+    mine, full = (_facts(folders, "views") for folders in both(context, whole))
+    table.add(
+        f"{label}: markers hidden or fused at rest, against the whole build's",
+        abs(sum(mine["visibility"][k] - full["visibility"][k] for k in ("occluded", "fused"))),
+        "markers",
+        reference=full["visibility"]["occluded"] + full["visibility"]["fused"],
+        source="the whole build",
+        target="== 0",
+    )
+    mine, full = (_facts(folders, "underload") for folders in both(context, whole))
+    table.add(
+        f"{label}: least gap of a colour under load, difference from the whole build's",
+        abs(mine["least_gap_same_colour_px"] - full["least_gap_same_colour_px"]),
+        "px",
+        reference=full["least_gap_same_colour_px"],
+        source="the whole build",
+        target="<= 0.5",
+    )
+
+
+def _add_fabrication(table: Table, label: str, context: Context, whole: Cost) -> None:
+    """The shell against that of the whole build."""
+    mine, full = (float(_facts(folders, "shell")["volume_mm3"]) for folders in both(context, whole))
+    table.add(
+        f"{label}: volume of the shell, difference from the whole build's",
+        abs(mine / full - 1.0),
+        "relative",
+        reference=full,
+        source="the whole build, mm3",
+        target="== 0",
+    )
+
+
+def measure_units() -> None:
+    """Fit unit costs to measured builds and write them."""
+    times: dict[str, list[tuple[dict[str, float], float]]] = {}
+    peaks: dict[str, list[tuple[dict[str, float], float]]] = {}
+    for shape, accuracy, name in FITTED:
+        design, settings = load_design(shape), PRESETS[accuracy]
+        if name:
+            resolved = resolve(design, load_scene(name), settings)
+            grown = features(
+                counts_of(resolved), resolved.accuracy, resolved.design, resolved.scene
+            )
+        else:
+            surface = design.surface()
+            counts = count(design, settings, surface, make_markers(design, surface))
+            grown = features(counts, settings, design)
+        for stage, cost in measured(shape, accuracy, name).stages.items():
+            times.setdefault(stage, []).append((grown[stage], cost["cpu_s"]))
+            peaks.setdefault(stage, []).append((grown[stage], cost["peak_MB"]))
+    write_units(times, peaks, probe_s())
+
+
+def write_units(
+    times: dict[str, list[tuple[dict[str, float], float]]],
+    peaks: dict[str, list[tuple[dict[str, float], float]]],
+    probed_s: float,
+) -> None:
+    """Write the module of unit costs."""
+    kind = "dict[str, dict[str, float]]"
+    text = f'''"""Unit costs of stages; by ``python -m benchmarks.tradeoff_scenes --units``."""
+
+PROBE_s = {probed_s:.4g}
+"""What :func:`cost.probe_s` took on the machine that they were measured on."""
+'''
+    for name, rows, what in (
+        ("SECONDS", times, "Processor time, s, of each feature of :func:`cost.features`."),
+        ("MEMORY_MB", peaks, "Peak memory, MB, likewise; the program itself included."),
+    ):
+        units = {stage: fit_units(pairs) for stage, pairs in rows.items()}
+        text += f'{name}: {kind} = {pformat(units, width=96)}\n"""{what}"""\n'
+    UNITS.write_text(text, encoding="utf-8")
+    subprocess.run([sys.executable, "-m", "ruff", "format", "-q", str(UNITS)], check=False)
+
+
+def main() -> None:
+    """Measure unit costs, or print the rows."""
+    parser = argument_parser(__doc__ or "")
+    parser.add_argument("--units", action="store_true", help="measure and write unit costs")
+    given = parser.parse_args()
+    if given.units:
+        measure_units()
+        return
+    add_rows(Table("tradeoff", part="scenes"), quick=given.quick)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,153 @@
+"""Tolerances on random designs: is the achieved error within them, and does the cost rise."""
+
+import multiprocessing
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from benchmarks.harness import Table
+from benchmarks.tradeoff_designs import random_designs
+from benchmarks.tradeoff_journal import once
+from phytac_design.accuracy import PRESETS
+from phytac_design.design_file import parse_design
+from phytac_design.layout import make_markers
+from phytac_design.spec import Design
+from phytac_design.study.trade.choose import choose_tolerance
+from phytac_design.study.trade.force import ForceError, rms
+from shapes.errors import DesignError, PhytacError
+
+TOLERANCES = (0.10, 0.05, 0.02, 0.01, 0.005)
+DESIGNS, SEED = 40, 40
+WITHIN = 95.0
+"""Share of choices, %, whose achieved error must be within the tolerance."""
+REFERENCE_IS = "large displacements extrapolated from two meshes not nested in the setting's"
+
+
+def judge(data: dict[str, Any]) -> dict[str, Any]:
+    """All tolerances on one design: what is predicted and what comes."""
+    design = parse_design(data, "random design")
+    return once(design, "tolerance", lambda: _judged(design))
+
+
+def _judged(design: Design) -> dict[str, Any]:
+    error = ForceError(design)
+    out: dict[str, Any] = {
+        "name": design.name,
+        "markers": make_markers(design, error.surface).count,
+        "choices": {},
+    }
+    for tolerance in TOLERANCES:
+        try:
+            choice = choose_tolerance(design, tolerance, error=error)
+        except DesignError as refused:
+            out["choices"][f"{tolerance:g}"] = {"refused": str(refused)}
+            continue
+        except PhytacError as failed:
+            out["choices"][f"{tolerance:g}"] = {"failed": str(failed)}
+            continue
+        out["choices"][f"{tolerance:g}"] = {
+            "predicted": choice.predicted_error,
+            "achieved": rms(error.errors(choice.accuracy)),
+            "seconds": choice.seconds,
+            "mechanics_s": sum(
+                choice.predicted_s[name]
+                for name in ("places", "response", "resolution", "underload", "mesh")
+            ),
+            "settings": choice.accuracy.as_dict(),
+        }
+    return out
+
+
+def add_rows(table: Table, *, quick: bool) -> None:
+    """Add the rows of every tolerance."""
+    count = 3 if quick else DESIGNS
+    asked = [design.model_dump(mode="json") for design in random_designs(count, SEED)]
+    found: list[dict[str, Any]] = []
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        for result in pool.imap(judge, asked):
+            found.append(result)
+            print(f"  {len(found)} of {count}: {result['name']}", flush=True)
+    for tolerance in TOLERANCES:
+        _add_tolerance(table, tolerance, found)
+    rising = [_rises(result) for result in found]
+    table.add(
+        f"force tolerance: predicted seconds rise from each tolerance to the next, {count} designs",
+        100.0 * float(np.mean(rising)),
+        "%",
+        reference=100.0,
+        source="own target: a tighter tolerance never costs less",
+        target=">= 100",
+    )
+    whole = [c for result in found for c in result["choices"].values() if "achieved" in c]
+    table.add(
+        "force tolerance: achieved error over predicted, median of all choices",
+        float(np.median([c["achieved"] / c["predicted"] for c in whole])),
+        "ratio",
+        reference=1.0,
+        source="1 is no safety",
+        note=f"90 % from {np.percentile([c['achieved'] / c['predicted'] for c in whole], 5):.2f} "
+        f"to {np.percentile([c['achieved'] / c['predicted'] for c in whole], 95):.2f}",
+    )
+
+
+def _add_tolerance(table: Table, tolerance: float, found: list[dict[str, Any]]) -> None:
+    choices = [result["choices"][f"{tolerance:g}"] for result in found]
+    chosen = [choice for choice in choices if "achieved" in choice]
+    refused = sum("refused" in choice for choice in choices)
+    failed = [choice["failed"] for choice in choices if "failed" in choice]
+    label = f"force tolerance {100.0 * tolerance:g} %"
+    table.add(
+        f"{label}: designs for which a setting was found",
+        len(chosen),
+        "designs",
+        reference=len(found),
+        source="all that were drawn",
+        note=f"{refused} refused, their best setting being predicted worse"
+        + (f"; {len(failed)} not solved: {failed[0][:120]}" if failed else ""),
+    )
+    if not chosen:
+        return
+    within = [choice["achieved"] <= tolerance for choice in chosen]
+    table.add(
+        f"{label}: of these, achieved error within the tolerance",
+        100.0 * float(np.mean(within)),
+        "%",
+        reference=REFERENCE_IS,
+        source=f"{len(chosen)} random designs of all shapes",
+        target=f">= {WITHIN:g}",
+        note=f"largest {100.0 * max(c['achieved'] for c in chosen):.3g} %, median "
+        f"{100.0 * float(np.median([c['achieved'] for c in chosen])):.3g} %",
+    )
+    table.add(
+        f"{label}: predicted seconds of meshes, tables and presses, median",
+        float(np.median([choice["mechanics_s"] for choice in chosen])),
+        "s",
+        reference="-",
+        source="cost model",
+    )
+
+
+def _rises(result: dict[str, Any]) -> bool:
+    spent = [c["seconds"] for c in result["choices"].values() if "seconds" in c]
+    return all(b >= 0.999 * a for a, b in pairwise(spent))
+
+
+def add_auto(table: Table, *, quick: bool) -> None:
+    """Hold the figure against the estimator ``auto`` itself, with tables of the presets."""
+    from benchmarks.tradeoff_auto import auto_errors
+
+    cases = [("hemisphere", "draft")]
+    if not quick:
+        cases += [("cylinder60", name) for name in PRESETS]
+    for design, name in cases:
+        figure, read, count = auto_errors(design, PRESETS[name])
+        table.add(
+            f"{design}, {name}: force error by the estimator auto, standard contacts, no noise",
+            100.0 * read,
+            "%",
+            reference=100.0 * figure,
+            source="the figure of --tolerance, which knows the place",
+            note=f"{count} contacts; auto finds place, size and force, and its size takes up part of "
+            "what mesh and theory get wrong",
+        )

@@ -1,0 +1,1 @@
+"""Studies of a design: what a setting costs and gains, where it ends, what a scene needs."""

@@ -1,0 +1,1 @@
+"""Search of the design space: studies, their ladder of checks, their driver and their results."""

@@ -1,0 +1,204 @@
+"""Candidates climbed by Dask: processes on this machine, or a cluster's workers; the same code.
+
+Results are content-addressed and only the driver writes, so that a task may run twice: a worker
+that dies has its tasks run again by Dask; when the scheduler is lost, the driver waits for it to
+come back and gives out again what it has no result of.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from typing import Any
+
+from phytac_design.cache import code_hash
+from phytac_design.kernels import THREADS
+from phytac_design.study.search.ladder import FAILED, Outcome, Task
+from shapes.errors import InputError, MissingPartError
+
+AHEAD = 4
+"""Tasks per worker that are given out ahead, so that none waits for the driver."""
+CONNECT_S = 10.0
+RETURN_S = 120.0
+"""How long a lost scheduler may take to come back."""
+WORKERS_S = 120.0
+"""How long to wait for a cluster's first worker."""
+COUNT_S = 5.0
+"""How often workers are counted."""
+DEATHS = 10
+"""Workers that may die over one task before it is given up."""
+
+
+def _library() -> Any:
+    try:
+        import distributed
+    except ImportError:
+        raise MissingPartError(
+            "--workers and --scheduler need dask; install it with: pip install "
+            "'phytac-design[study]'"
+        ) from None
+    return distributed
+
+
+class DaskPool:
+    """A client of a scheduler: its own (``workers``) or a running one (``address``).
+
+    Parameters
+    ----------
+    workers : int
+        Processes to start on this machine, one thread each; 0 with an address.
+    address : str
+        Of a running scheduler, as ``tcp://host:8786``.
+    say : callable
+        Told of what is waited for.
+
+    Raises
+    ------
+    InputError
+        If the scheduler cannot be reached, has no worker, or one with another program.
+    """
+
+    def __init__(
+        self, *, workers: int = 0, address: str = "", say: Callable[[str], None] = lambda _: None
+    ) -> None:
+        self.library, self.say = _library(), say
+        self.cluster: Any = None
+        self.address = address
+        self._counted = (0.0, 1)
+        if not address:
+            environment = dict.fromkeys(
+                ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", THREADS), "1"
+            )
+            self.cluster = self.library.LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address=None,
+                silence_logs="ERROR",
+                env=environment,
+                scheduler_kwargs={"allowed_failures": DEATHS},
+            )
+            self.address = self.cluster.scheduler_address
+        try:
+            self.client = self._connect(CONNECT_S)
+            self._check_workers()
+        except BaseException:
+            if self.cluster is not None:
+                self.cluster.close()
+            raise
+
+    def _connect(self, seconds: float) -> Any:
+        try:
+            return self.library.Client(self.address, timeout=seconds, set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            said = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise InputError(
+                f"no scheduler at {self.address} ({said}); start one with `dask scheduler`, or "
+                "use --workers. What was done is kept"
+            ) from None
+
+    def _check_workers(self) -> None:
+        """Wait for a first worker, and refuse those that run another program."""
+        if not self.client.scheduler_info(n_workers=-1)["workers"]:
+            self.say(f"waiting for workers of {self.address} …")
+        try:
+            self.client.wait_for_workers(1, timeout=WORKERS_S)
+        except (TimeoutError, OSError):
+            raise InputError(
+                f"the scheduler at {self.address} has no worker; start some with `dask worker "
+                f"{self.address} --nthreads 1`"
+            ) from None
+        mine = code_hash()
+        for worker, theirs in self.client.run(code_hash, on_error="return").items():
+            if theirs != mine:
+                said = theirs if isinstance(theirs, Exception) else "another version"
+                raise InputError(
+                    f"the worker {worker} does not run this program ({said}); install the same "
+                    "version there"
+                )
+
+    @property
+    def workers(self) -> int:
+        """Threads that run tasks, as of late."""
+        when, count = self._counted
+        if time.monotonic() - when > COUNT_S:
+            with suppress(OSError):
+                info = self.client.scheduler_info(n_workers=-1)["workers"]
+                count = max(1, sum(worker["nthreads"] for worker in info.values()))
+            self._counted = time.monotonic(), count
+        return count
+
+    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Outcome]]:
+        """Results as they come; every task once, however often a worker dies."""
+        waiting = list(tasks)
+        while waiting:
+            left = {task.key: task for task in waiting}
+            for task, outcome in self._once(waiting):
+                del left[task.key]
+                yield task, outcome
+            waiting = list(left.values())
+            if waiting:
+                self._come_back()
+
+    def _once(self, tasks: list[Task]) -> Iterator[tuple[Task, Outcome]]:
+        """Results until all are there or the scheduler is lost."""
+        library = self.library
+        source = iter(tasks)
+        running: dict[str, tuple[Task, Any]] = {}
+        done = library.as_completed(loop=self.client.loop)
+
+        def more() -> None:
+            room = AHEAD * self.workers + 1 - len(running)
+            for _, task in zip(range(room), source, strict=False):
+                future = self.client.submit(task.run, key=f"phytac-{task.key}", pure=False)
+                running[future.key] = task, future
+                done.add(future)
+
+        try:
+            more()
+            while running:
+                future = next(done)
+                task, _ = running.pop(future.key)
+                if future.status in {"cancelled", "lost"}:
+                    return
+                yield task, _outcome(future)
+                more()
+        except (OSError, library.comm.core.CommClosedError, StopIteration):
+            return
+
+    def _come_back(self) -> None:
+        """Wait for a lost scheduler.
+
+        Raises
+        ------
+        InputError
+            If it stays away.
+        """
+        self.say(f"the scheduler at {self.address} is lost; waiting for it …")
+        with suppress(Exception):  # a client whose scheduler is gone may not even close
+            self.client.close(timeout=1)
+        end = time.monotonic() + RETURN_S
+        while True:
+            try:
+                self.client = self._connect(CONNECT_S)
+                self._check_workers()
+            except InputError:
+                if time.monotonic() > end:
+                    raise
+                time.sleep(1.0)
+            else:
+                return
+
+    def close(self) -> None:
+        """Leave the scheduler; stop it if it is this one's own."""
+        with suppress(Exception):  # a scheduler that is gone cannot be left
+            self.client.close()
+        if self.cluster is not None:
+            self.cluster.close()
+
+
+def _outcome(future: Any) -> Outcome:
+    """What a task came to; one that its worker did not survive is a failed candidate."""
+    if future.status == "finished":
+        return Outcome(**future.result())
+    error = future.exception()
+    return Outcome(status=FAILED, reason=f"{type(error).__name__}: {error}"[:500], violation=1e3)

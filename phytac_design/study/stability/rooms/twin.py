@@ -1,0 +1,270 @@
+"""Draws of the virtual sensor: within range, spread as said, the same for the same seed."""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from phytac_design.layout import make_markers
+from phytac_design.study.stability.bases import SHAPES, design_of
+from phytac_design.study.stability.case import Case, Evidence, Expect, Room
+from phytac_design.study.stability.faces import face_of
+from phytac_design.twin.contacts import draw_contacts, switch_states
+from phytac_design.twin.response import motion_responses, superpose
+from phytac_design.twin.scenario.file import UnitSection
+from phytac_design.twin.scenario.scatter import CUT, draw_unit, wall_factor
+
+UNLIKELY = 1e-6
+"""Chance that a right draw fails a test of its spread."""
+
+
+def check_contacts(values: Mapping[str, Any], found: Evidence) -> None:
+    """Places on the face, forces and radii in range and evenly spread, shares that sum up."""
+    from scipy.stats import kstest
+
+    design = design_of(values)
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    rng = np.random.default_rng(5)
+    kinds = {"samples": 300, "placement": values["placement"]}
+    contacts = draw_contacts(design, surface, markers, rng=rng, **kinds)
+    again = draw_contacts(design, surface, markers, rng=np.random.default_rng(5), **kinds)
+    found.true("the same for the same seed", np.array_equal(contacts.uv, again.uv))
+    t = design.training
+    found.true("every sample has a contact", contacts.counts >= 1)
+    found.true(
+        "forces in range", (contacts.force_N >= t.force_min_N) & (contacts.force_N <= t.force_max_N)
+    )
+    found.true(
+        "radii in range",
+        (contacts.radius_mm >= t.patch_radius_min_mm)
+        & (contacts.radius_mm <= t.patch_radius_max_mm),
+    )
+    span = t.force_max_N - t.force_min_N
+    chance = kstest((contacts.force_N - t.force_min_N) / span, "uniform").pvalue
+    found.true(
+        f"forces are even (Kolmogorov and Smirnov, chance {chance:.2g})",
+        chance > UNLIKELY,
+        kind="reference",
+    )
+    low, high = surface.domain.T
+    slack = 1e-9 * (high - low)
+    inside = (contacts.uv >= low - slack) & (contacts.uv <= high + slack)
+    found.true("centres within the open edges", inside | np.array(surface.periodic))
+    table = {item.name: getattr(surface, item.name) for item in fields(surface)}  # type: ignore[arg-type]
+    known = face_of(surface.name, table)
+    point = surface.point(contacts.uv)
+    if known.gap is not None:
+        size = float(np.ptp(point, axis=0).max())
+        found.add("centres on the face's equation", known.gap(point) / max(size, 1.0), 1e-9)
+    _apart(design, contacts, point, found)
+    _shares(design, surface, markers, contacts, found)
+
+
+def _apart(design: Any, contacts: Any, point: Any, found: Evidence) -> None:
+    """Contacts of one sample do not overlap."""
+    first, second = np.triu_indices(len(point), 1)
+    same = contacts.sample[first] == contacts.sample[second]
+    first, second = first[same], second[same]
+    gap = np.linalg.norm(point[first] - point[second], axis=1)
+    need = contacts.radius_mm[first] + contacts.radius_mm[second]
+    need = need + design.switch.footprint_diameter_mm
+    found.true("contacts of a sample keep apart", gap > need)
+
+
+def _shares(design: Any, surface: Any, markers: Any, contacts: Any, found: Evidence) -> None:
+    """Forces on receptors sum to those of the contacts that tripped any."""
+    state = switch_states(design, surface, markers, contacts)
+    total = np.bincount(
+        contacts.sample, weights=contacts.force_N * state.tripped, minlength=contacts.samples
+    )
+    found.close(
+        "receptors' forces sum to the contacts'",
+        state.receptor_force_N.sum(axis=1),
+        total,
+        1e-12,
+        kind="balance",
+    )
+    found.true(
+        "only switches that are on carry force", (state.receptor_force_N == 0.0) | state.bits
+    )
+
+
+def check_unit(values: Mapping[str, Any], found: Evidence) -> None:
+    """A print differs from its design by what its numbers allow, and no more."""
+    design = design_of(values)
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    section = UnitSection.model_validate(values["unit"])
+    unit = draw_unit(design, surface, markers, section, values["seed"])
+    again = draw_unit(design, surface, markers, section, values["seed"])
+    found.true("the same for the same seed", np.array_equal(unit.on_N, again.on_N))
+    nominal = section.number == 0
+    off = abs(unit.modulus - 1.0)
+    found.add(
+        "modulus within its cut scatter",
+        max(off - (0.0 if nominal else CUT * section.modulus_share), 0.0),
+        1e-12,
+    )
+    threshold = np.full(markers.count, design.switch.threshold_N)
+    off = np.abs(unit.on_N / threshold - 1.0).max()
+    found.add(
+        "thresholds within their cut scatter",
+        max(off - (0.0 if nominal else CUT * section.threshold_share), 0.0),
+        1e-12,
+    )
+    found.true("switches release no later than they trip", unit.off_N <= unit.on_N)
+    moved = np.linalg.norm(unit.markers.mid_mm - markers.mid_mm, axis=1).max()
+    # A step in the tangent plane is brought back to the face: shorter on convex ones.
+    most = 0.0 if nominal else np.sqrt(2.0) * CUT * section.marker_mm * 1.05
+    found.add("markers within their cut scatter, mm", max(moved - most, 0.0), 1e-9)
+    found.true("receptors keep a height", unit.markers.height_mm > 0.0)
+    rng = np.random.default_rng(0)
+    low, high = surface.domain.T
+    wall = wall_factor(unit.wall, rng.uniform(low, high, (500, 2)))
+    found.true("the wall stays a wall", (wall > 0.0) & np.isfinite(wall))
+    for camera in unit.cameras:
+        turn = camera.rotation @ camera.rotation.T - np.eye(3)
+        found.add("cameras are turned, not bent", turn, 1e-12)
+
+
+def check_response(values: Mapping[str, Any], found: Evidence) -> None:
+    """Responses by adjoints, turned from one column, against each contact solved by itself."""
+    from phytac_design.mechanics.compliance import probe_motion
+    from phytac_design.mechanics.loads import patch_loads
+    from phytac_design.mechanics.meshing.mesh import plain_mesh
+    from phytac_design.mechanics.solve import clamped_model
+
+    design = design_of(values)
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    section = design.material
+    mesh = plain_mesh(surface, thickness_mm=design.wall.thickness_mm, size_mm=4.0)
+    model = clamped_model(mesh, modulus_MPa=section.modulus_MPa, poisson=section.poisson)
+    contacts = draw_contacts(design, surface, markers, samples=200, rng=np.random.default_rng(1))
+    many = motion_responses(
+        model, mesh, surface, markers, uv=contacts.uv, radius_mm=contacts.radius_mm
+    )
+    few = np.arange(5)
+    loads = patch_loads(mesh, surface, contacts.uv[few], contacts.radius_mm[few])
+    solution = model.solve(loads)
+    direct = np.moveaxis(probe_motion(mesh, solution, markers.uv), 2, 0)
+    found.close(
+        "each contact solved by itself",
+        many[few],
+        direct,
+        max(1e-9, 10.0 * solution.error),
+        kind="symmetry",
+    )
+    whole = superpose(many, contacts)
+    last = contacts.sample == contacts.samples - 1
+    one = np.einsum("c,cnd->nd", contacts.force_N[last], many[last])
+    found.close("a sample is the sum of its contacts", whole[-1], one, 1e-12, kind="balance")
+    narrow = np.einsum(
+        "c,cnd->nd", contacts.force_N[last].astype(np.float32), many[last].astype(np.float32)
+    )
+    spread = np.einsum("c,cnd->nd", contacts.force_N[last], np.abs(many[last])).max()
+    found.add(
+        "motion in single precision, of its terms",
+        np.abs(narrow - one).max() / spread,
+        8.0 * float(np.finfo(np.float32).eps),
+        kind="float32",
+    )
+
+
+def cases() -> list[Case]:
+    """Contacts and prints of every family: least and greatest forces, radii, scatter."""
+    out = []
+
+    def add(
+        shape: str,
+        name: str,
+        check: str,
+        changes: dict[str, Any],
+        expect: Expect = "right",
+        **more: Any,
+    ) -> None:
+        out.append(
+            Case(
+                room="twin",
+                name=f"{shape}: {name}",
+                check=check,
+                shape=shape,
+                expect=expect,
+                values={"shape": shape, "changes": changes, **more},
+            )
+        )
+
+    large = {
+        "threshold_share": 0.3,
+        "modulus_share": 0.3,
+        "marker_mm": 0.5,
+        "height_mm": 0.3,
+        "camera_mm": 1.0,
+        "camera_deg": 2.0,
+        "focal_share": 0.02,
+        "thickness_share": 0.15,
+        "thickness_wave_share": 0.1,
+        "paint_share": 0.2,
+    }
+    for shape in SHAPES:
+        for where in ("receptor", "anywhere"):
+            add(shape, f"contacts {where}", "contacts", {}, placement=where)
+        add(
+            shape,
+            "forces of a micronewton apart",
+            "contacts",
+            {"training": {"force_min_N": 24.999999, "force_max_N": 25.0}},
+            placement="anywhere",
+        )
+        add(
+            shape,
+            "patches of a micrometre",
+            "contacts",
+            {"training": {"patch_radius_min_mm": 1e-3, "patch_radius_max_mm": 1e-3}},
+            placement="anywhere",
+        )
+        add(
+            shape,
+            "patches as large as the sensor",
+            "contacts",
+            {"training": {"patch_radius_min_mm": 15.0, "patch_radius_max_mm": 16.0}},
+            placement="anywhere",
+        )
+        add(
+            shape,
+            "always several",
+            "contacts",
+            {"training": {"multi_contact": 1.0}},
+            placement="anywhere",
+        )
+        add(
+            shape,
+            "one marker",
+            "contacts",
+            {"layout": {"kind": "straight", "rows": 1, "columns": 1}},
+            placement="receptor",
+        )
+        add(shape, "print number 0", "unit", {}, unit={"number": 0}, seed=1)
+        add(shape, "print number 3", "unit", {}, unit={"number": 3}, seed=2)
+        add(
+            shape,
+            "print of large scatter",
+            "unit",
+            {},
+            "either",
+            unit={"number": 5, **large},
+            seed=3,
+        )
+        add(shape, "print of a seed of 2³¹ − 1", "unit", {}, unit={"number": 1}, seed=2**31 - 1)
+        add(shape, "responses", "response", {})
+    return out
+
+
+ROOM = Room(
+    name="twin",
+    about="contacts, prints and responses of the virtual sensor",
+    checks={"contacts": check_contacts, "unit": check_unit, "response": check_response},
+    cases=cases,
+)

@@ -1,0 +1,1 @@
+"""The trade of time for truth: every knob measured, and settings chosen by what they lose."""

@@ -1,0 +1,68 @@
+"""Fronts: settings that no other beats, and by how much a setting is beaten."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """A setting with what it costs and loses.
+
+    Attributes
+    ----------
+    settings : dict
+        Knobs and their values.
+    seconds, cpu_s, peak_MB : float
+        Wall and CPU time, and the greatest memory of any of its processes.
+    errors : dict
+        By quantity.
+    """
+
+    settings: Mapping[str, Any]
+    seconds: float
+    cpu_s: float
+    peak_MB: float
+    errors: Mapping[str, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self)
+
+
+def pareto(points: Sequence[Measured], quantity: str) -> list[Measured]:
+    """Front in (seconds, error of a quantity), cheapest first."""
+    out: list[Measured] = []
+    for point in sorted(points, key=lambda p: (p.seconds, p.errors[quantity])):
+        if not out or point.errors[quantity] < out[-1].errors[quantity]:
+            out.append(point)
+    return out
+
+
+def no_worse(one: Measured, other: Measured) -> bool:
+    """Whether no error of ``one`` is larger than the other's."""
+    return all(one.errors[name] <= error for name, error in other.errors.items())
+
+
+def beaten_by(point: Measured, points: Sequence[Measured]) -> float:
+    """Share of a setting's seconds that another saves, none of whose errors is larger; 0 if none.
+
+    A share of 0.1 means that it is dominated by 10 %.
+    """
+    rivals = [other.seconds for other in points if no_worse(other, point)]
+    return max(0.0, 1.0 - min(rivals, default=point.seconds) / point.seconds)
+
+
+def knee(points: Sequence[Measured], quantity: str) -> Measured:
+    """Point of a front farthest below the line between its ends, in logarithms of both."""
+    from math import log
+
+    whole = pareto(points, quantity)
+    front = [p for p in whole if p.errors[quantity] > 0.0]
+    x = [log(p.seconds) for p in front]
+    y = [log(p.errors[quantity]) for p in front]
+    if len(front) < 3:
+        return (front or whole)[-1]
+    dx, dy = x[-1] - x[0], y[-1] - y[0]
+    below = [dx * (y[0] - b) - dy * (x[0] - a) for a, b in zip(x, y, strict=True)]
+    return front[max(range(len(front)), key=below.__getitem__)]

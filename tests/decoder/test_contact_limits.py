@@ -1,0 +1,112 @@
+"""Contacts where their rules just hold, or just do not: gates, lost frames, merged ones."""
+
+import numpy as np
+import pytest
+
+from decoder.contact_tracks import HOLD_S, ContactTracker
+from decoder.contacts import REACH_SPACINGS, Contact, Skin
+from tests.decoder.test_contacts import FPS, PLANE, ids_of, press, spiral, tracker
+
+SPACING_MM = 5.0
+
+
+def alone(watch: ContactTracker, x: float, time_s: float) -> int:
+    """The id of one small finger at x."""
+    (contact,) = watch.update(press((x, 70.0, 3.0, 5.0)), time_s)
+    return contact.id
+
+
+def test_a_pull_does_not_push_a_contact_aside() -> None:
+    """``fem`` gives negative forces beside a press."""
+    forces = np.zeros(len(PLANE.position_mm))
+    forces[[820, 821]] = (5.0, -3.0)
+    (found,) = PLANE.find(forces, np.array([820, 821]))
+    assert found.position_mm == pytest.approx(tuple(PLANE.position_mm[820]), abs=1e-6)
+    assert found.force_N == pytest.approx(2.0)
+
+
+def test_the_strongest_contact_comes_first() -> None:
+    forces = np.zeros(len(PLANE.position_mm))
+    forces[[100, 820, 1400]] = (2.0, 9.0, 4.0)
+    found = PLANE.find(forces, np.array([100, 820, 1400]))
+    assert [contact.force_N for contact in found] == [9.0, 4.0, 2.0]
+
+
+def test_a_quadric_is_not_asked_far_away() -> None:
+    skin = Skin.through(spiral())
+    marker = 147
+    spacing = float(skin.spacing_mm[marker])
+    for axis in skin.axes[marker][:2]:
+        far = skin.position_mm[marker] + 20.0 * spacing * axis
+        found = skin.nearest(far, [marker])
+        flat = skin.axes[marker][:2] @ (found - skin.position_mm[marker])
+        assert np.linalg.norm(flat) == pytest.approx(REACH_SPACINGS * spacing)
+
+
+def test_the_nearest_marker_has_most_to_say() -> None:
+    """On a wavy face: what a quadric says of its neighbours' places is off."""
+    x, y = (line.ravel() for line in np.meshgrid(np.arange(0.0, 60.0, 4.0), np.arange(0, 40, 4.0)))
+    places = np.column_stack([x, y, 3.0 * np.sin(x / 4.0)])
+    skin = Skin.through(places)
+    inner = np.flatnonzero((x > 10) & (x < 46) & (y > 8) & (y < 30))
+    gap = np.linalg.norm(places[:, None] - places, axis=2)
+    off = [
+        float(np.linalg.norm(skin.nearest(places[i], np.argsort(gap[i])[:9].tolist()) - places[i]))
+        for i in inner.tolist()
+    ]
+    assert np.mean(off) < 0.06
+
+
+def test_a_wide_contact_may_go_farther() -> None:
+    """Beyond the gate of a point, within half its own width more; no marker in common."""
+    step_mm = 17.5
+    for radius, same in ((6.0, True), (1.0, False)):
+        watch = tracker()
+        (first,) = watch.update(press((60.0, 70.0, radius, 5.0)), 0.0)
+        (second,) = watch.update(press((60.0 + step_mm, 70.0, radius, 5.0)), 1.0 / FPS)
+        assert not set(first.markers) & set(second.markers)
+        assert (first.id == second.id) is same
+
+
+def test_a_fast_contact_is_not_looked_for_beyond_its_gate() -> None:
+    """It stops while frames are lost: to go on for all that time would take it past all gates."""
+    watch = tracker()
+    assert [alone(watch, 40.0 + 10.0 * k, 0.01 * k) for k in range(4)] == [0] * 4
+    assert alone(watch, 70.0 + 15.0, 0.03 + 0.1) == 0
+
+
+def test_speed_is_forgotten_over_a_pause() -> None:
+    watch = tracker()
+    assert [alone(watch, 40.0 + 10.0 * k, 0.01 * k) for k in range(4)] == [0] * 4
+    later = 0.03 + HOLD_S + 0.1
+    assert alone(watch, 70.0, later) == 0
+    assert alone(watch, 56.0, later + 0.01) == 0
+
+
+def test_four_that_merge_two_by_two_get_their_ids_back() -> None:
+    def frame(inner: float, outer: float) -> list[Contact]:
+        places = [100.0 + sign * (outer + side * inner) for sign in (-1, 1) for side in (-1, 1)]
+        return press(*((x, 70.0, 4.0, 5.0 + k) for k, x in enumerate(places)))
+
+    near = [(gap, 42.0) for gap in np.arange(16.0, 5.0, -1.0)]
+    all_one = [(6.0, outer) for outer in np.arange(42.0, 11.0, -1.0)]
+    way = [*near, *all_one]
+    frames = [frame(inner, outer) for inner, outer in [*way, *way[::-1]]]
+    assert {len(contacts) for contacts in frames} >= {1, 2, 4}
+    found = ids_of(tracker(), frames)
+    assert len(set(found[0])) == 4
+    assert found[-1] == found[0]
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_merged_contacts_that_slide_over_one_old_place_are_still_both(sign: float) -> None:
+    def frame(gap: float, aside: float) -> list[Contact]:
+        return press(
+            (100.0 - gap / 2 + aside, 70.0, 5.0, 6.0), (100.0 + gap / 2 + aside, 70.0, 5.0, 7.0)
+        )
+
+    meet = [frame(gap, 0.0) for gap in np.arange(30.0, 11.0, -2.0)]
+    slide = [frame(12.0, sign * step) for step in np.arange(1.0, 26.0)]
+    found = ids_of(tracker(), [*meet, *slide])
+    (one,) = found[len(meet) - 1]
+    assert found[len(meet) :] == [[one]] * len(slide)

@@ -1,0 +1,94 @@
+"""The commands `phytac sweep` and `phytac optimise`."""
+
+import json
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from phytac_design.cli_study import optimise, sweep
+from phytac_design.study.search.measures import MEASURES
+from shapes.errors import DesignError, InputError
+
+APP = typer.Typer()
+APP.command()(sweep)
+APP.command()(optimise)
+STUDY = """
+name = "walls"
+design = "cylinder60"
+[fixed]
+"shape.length_mm" = 60.0
+"layout.rows" = 8
+"layout.height_far_mm" = 6.0
+[[variable]]
+field = "wall.thickness_mm"
+low = 0.7
+high = 1.2
+[[objective]]
+measure = "mass_g"
+goal = "min"
+[sampling]
+batch = 2
+start = 2
+[budget]
+candidates = 4
+"""
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    path = tmp_path / "walls.toml"
+    path.write_text(STUDY)
+    return path
+
+
+def test_a_sweep_writes_rows_page_and_summary(study: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = CliRunner().invoke(APP, ["sweep", str(study), "--out", str(out), "--json"])
+    assert done.exit_code == 0, done.output
+    facts = json.loads(done.stdout)
+    assert facts["candidates"] == facts["new"] == 4
+    assert len(facts["front"]) == 1
+    assert {path.name for path in out.iterdir()} >= {
+        "results.parquet", "report.html", "summary.json", "study.json"
+    }  # fmt: skip
+    again = CliRunner().invoke(APP, ["sweep", str(study), "--out", str(out), "--candidates", "5"])
+    assert "5 candidates (5 ok), 1 of them now" in again.stdout
+    assert "trial" in again.stdout
+
+
+def test_optimise_goes_on_where_it_was(study: Path, tmp_path: Path) -> None:
+    out = str(tmp_path / "out")
+    for candidates in ("2", "4"):
+        done = CliRunner().invoke(
+            APP, ["optimise", str(study), "--out", out, "--candidates", candidates]
+        )
+        assert done.exit_code == 0, done.output
+    assert "4 candidates (4 ok), 2 of them now" in done.stdout
+
+
+def test_measures_and_studies_are_listed() -> None:
+    done = CliRunner().invoke(APP, ["sweep", "--measures", "--json"])
+    assert [one["name"] for one in json.loads(done.stdout)] == list(MEASURES)
+    plain = CliRunner().invoke(APP, ["sweep", "--measures"])
+    assert all(name in plain.stdout for name in MEASURES)
+    assert "dense-cylinder" in CliRunner().invoke(APP, ["optimise"]).stdout
+
+
+def test_a_scheduler_that_is_not_there_is_refused_before_anything_is_written(
+    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed")
+    from phytac_design.study.search import dask_pool
+
+    out = tmp_path / "out"
+    monkeypatch.setattr(dask_pool, "CONNECT_S", 0.5)
+    words = ["sweep", str(study), "--out", str(out), "--scheduler", "tcp://127.0.0.1:9"]
+    done = CliRunner().invoke(APP, words)
+    assert isinstance(done.exception, InputError)
+    assert "no scheduler at tcp://127.0.0.1:9" in str(done.exception)
+    assert not out.exists()
+    both = CliRunner().invoke(APP, [*words, "--workers", "2"])
+    assert isinstance(both.exception, DesignError)
+    assert "exclude each other" in str(both.exception)

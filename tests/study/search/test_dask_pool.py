@@ -1,0 +1,134 @@
+"""Candidates climbed by Dask: the same rows, also when workers and the scheduler are killed."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from phytac_design.study.search.drive import run_study
+from phytac_design.study.search.file import Study
+from phytac_design.study.search.store import RESULTS, parquet_library
+from tests.study.search.studies import space_of, tiny
+
+distributed = pytest.importorskip("distributed")
+
+from phytac_design.study.search.dask_pool import DaskPool  # noqa: E402 - after the skip
+
+# Dask's own threads and sockets end a little after what started them.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning"),
+]
+
+
+def study() -> Study:
+    return tiny(budget={"candidates": 40}, sampling={"batch": 40, "start": 8})
+
+
+def rows(folder: Path) -> list[dict[str, object]]:
+    table = parquet_library().parquet.read_table(folder / RESULTS)
+    return [
+        {key: value for key, value in row.items() if not key.startswith("seconds.")}
+        for row in table.to_pylist()
+    ]
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, object]]:
+    out = tmp_path_factory.mktemp("expected")
+    run_study(study(), space_of(study()), out, kind="sweep")
+    return rows(out)
+
+
+def test_a_worker_that_is_killed_loses_nothing(
+    expected: list[dict[str, object]], tmp_path: Path
+) -> None:
+    pool = DaskPool(workers=2)
+    try:
+        pids = list(pool.client.run(os.getpid).values())
+        assert len(pids) == len(set(pids)) == pool.workers == 2
+        killer = threading.Timer(0.3, os.kill, (pids[0], signal.SIGKILL))
+        killer.start()
+        done = run_study(study(), space_of(study()), tmp_path, kind="sweep", pool=pool)
+        killer.join()
+    finally:
+        pool.close()
+    assert done.new == 40
+    assert rows(tmp_path) == expected
+
+
+class Cluster:
+    """A scheduler and a worker as processes of their own, on one port."""
+
+    def __init__(self) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = free.getsockname()[1]
+        self.address = f"tcp://127.0.0.1:{self.port}"
+        self.parts: list[subprocess.Popen[bytes]] = []
+        self.scheduler()
+        self.start("worker", self.address, "--nthreads", "1", "--no-dashboard")
+
+    def start(self, *words: str) -> "subprocess.Popen[bytes]":
+        command = [sys.executable, "-m", "distributed.cli.dask_" + words[0], *words[1:]]
+        silent = subprocess.DEVNULL
+        part = subprocess.Popen(command, stdout=silent, stderr=silent)
+        self.parts.append(part)
+        return part
+
+    def scheduler(self) -> "subprocess.Popen[bytes]":
+        return self.start(
+            "scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard"
+        )
+
+    def close(self) -> None:
+        for part in self.parts:
+            part.kill()
+            part.wait()
+
+
+@pytest.fixture
+def cluster() -> Iterator[Cluster]:
+    running = Cluster()
+    yield running
+    running.close()
+
+
+def test_a_scheduler_that_is_killed_and_comes_back_loses_nothing(
+    cluster: Cluster, expected: list[dict[str, object]], tmp_path: Path
+) -> None:
+    end = time.monotonic() + 60.0
+    while True:
+        try:
+            socket.create_connection(("127.0.0.1", cluster.port), timeout=1.0).close()
+            break
+        except OSError:
+            assert time.monotonic() < end
+            time.sleep(0.1)
+    said: list[str] = []
+    pool = DaskPool(address=cluster.address, say=said.append)
+    first = cluster.parts[0]
+
+    def again() -> None:
+        first.kill()
+        first.wait()
+        cluster.scheduler()
+        cluster.start("worker", cluster.address, "--nthreads", "1", "--no-dashboard")
+
+    killer = threading.Timer(0.5, again)
+    killer.start()
+    try:
+        run_study(study(), space_of(study()), tmp_path, kind="sweep", pool=pool)
+    finally:
+        killer.join()
+        pool.close()
+    assert any("is lost" in text for text in said)
+    assert rows(tmp_path) == expected

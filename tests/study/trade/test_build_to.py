@@ -1,0 +1,87 @@
+"""Builds to a tolerance or in a time, end to end."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from phytac_design.accuracy import PRESETS
+from phytac_design.build import BuildResult
+from phytac_design.cli_trade import build_within
+from phytac_design.design_file import to_toml
+from phytac_design.study.trade import build_to as module
+from phytac_design.study.trade.build_to import AUDIT, build_to
+from phytac_design.study.trade.choose import Choice
+from shapes.errors import DesignError
+from tests.designs import small
+
+
+def quiet(_: str) -> None:
+    """Say nothing."""
+
+
+def test_a_budget_takes_what_the_cache_has(built: BuildResult, tmp_path: Path) -> None:
+    """A draft is in the cache, and costs nothing; nothing else fits so few seconds."""
+    result, choice = build_to(small(), tmp_path / "out", budget_s=5.0, progress=quiet)
+    assert choice.accuracy == PRESETS["draft"]
+    assert choice.seconds == 0.0
+    assert result.ran == ()
+    assert result.seconds <= 1.2 * 5.0
+    data = json.loads((tmp_path / "out" / AUDIT).read_text())
+    assert data["wanted"] == 5.0
+    assert data["wall_s"] == pytest.approx(result.seconds)
+    assert (tmp_path / "out" / "report" / "report.html").is_file()
+
+
+def test_a_tolerance_is_built_and_audited(
+    built: BuildResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    def chosen(design: object, tolerance: float, **_: object) -> Choice:
+        return Choice(
+            accuracy=PRESETS["draft"],
+            quantity="force",
+            wanted=tolerance,
+            predicted_error=0.9 * tolerance,
+            predicted_s={"views": 1.0},
+        )
+
+    monkeypatch.setattr(module, "choose_tolerance", chosen)
+    monkeypatch.setattr(module, "achieved", lambda choice, _: 0.8 * choice.wanted)
+    path = tmp_path / "small.toml"
+    path.write_text(to_toml(small()), encoding="utf-8")
+    build_within(
+        str(path), tmp_path / "out", tolerance="20%", tolerance_of="force", budget=None, seed=0,
+        force=False,
+    )  # fmt: skip
+    said = capsys.readouterr().out
+    assert "force error: wanted 20 %, predicted 18 %, achieved 16 %" in said
+    data = json.loads((tmp_path / "out" / AUDIT).read_text())
+    assert data["achieved_error"] == pytest.approx(0.16)
+    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    assert manifest["accuracy"] == "draft"
+
+
+def test_one_of_the_two_is_asked_for(tmp_path: Path) -> None:
+    for more in ({}, {"tolerance": 0.1, "budget_s": 60.0}):
+        with pytest.raises(DesignError, match="a tolerance or a budget, and not both"):
+            build_to(small(), tmp_path / "out", progress=quiet, **more)
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(DesignError, match="--tolerance-of 'taste' is not known"):
+        build_within(
+            "cylinder60", tmp_path, tolerance="2%", tolerance_of="taste", budget=None, seed=0,
+            force=False,
+        )  # fmt: skip
+
+
+def test_a_choice_is_plain_json() -> None:
+    choice = Choice(
+        accuracy=PRESETS["fine"], quantity="time", wanted=60.0, predicted_error=None,
+        predicted_s={"views": 2.0, "frames": 3.0},
+    )  # fmt: skip
+    data = choice.as_dict()
+    assert data["predicted_total_s"] == 5.0
+    assert data["achieved_total_s"] is None
+    done = replace(choice, achieved_s={"views": 4.0}).as_dict()
+    assert done["achieved_total_s"] == 4.0
