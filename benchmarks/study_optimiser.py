@@ -47,17 +47,19 @@ def optimiser(table: Table, *, quick: bool) -> None:
     for sampler in ("tpe", "nsga2"):
         ratios, notes = [], []
         for seed in SEEDS[:1] if quick else SEEDS:
-            sampling = {"batch": 16, "start": 16 if quick else 32, "optimise": sampler}
-            study, space = study_of(
-                "cylinder",
-                seed=seed,
-                objective=GOALS,
-                constraint=LIMITS,
-                budget={"candidates": budget},
-                sampling=sampling,
-            )
-            even = _covered(ran(study, space, "sweep", f"sobol-{seed}"))
-            found = _covered(ran(study, space, "optimise", f"{sampler}-{seed}"))
+            cases = [
+                study_of(
+                    "cylinder",
+                    seed=seed,
+                    objective=GOALS,
+                    constraint=LIMITS,
+                    budget={"candidates": budget},
+                    sampling={"batch": 16, "start": 16 if quick else 32, "optimise": name},
+                )
+                for name in ("tpe", sampler)
+            ]
+            even = _covered(ran(*cases[0], "sweep", f"sobol-{seed}"))
+            found = _covered(ran(*cases[1], "optimise", f"{sampler}-{seed}"))
             ratios.append(found / even)
             notes.append(f"seed {seed}: {found:.1f} against {even:.1f}")
         table.add(

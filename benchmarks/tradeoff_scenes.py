@@ -192,9 +192,9 @@ def _add_forces(table: Table, label: str, context: Context, whole: Cost, *, pres
         reference=100.0 * float(np.median(np.abs(theirs[judged]))),
         source=f"the whole sensor's decoder; {where}",
     )
-    scene = context.scene
-    plan = plan_scene(load_design(context.design.name), load_scene(scene.name if scene else ""),
-                      accuracy=PRESETS["standard"], speed=1.0)  # fmt: skip
+    named = load_scene(context.scene.name if context.scene else "")
+    design = load_design(context.design.name)
+    plan = plan_scene(design, named, accuracy=context.accuracy, speed=1.0)
     table.add(
         f"{label}: worst error of a force",
         100.0 * float(np.abs(ours[judged]).max()),

@@ -26,20 +26,17 @@ from decoder.bundle_check import (
 from decoder.bundle_locator import locator_arrays, locator_from, locator_table
 from decoder.camera import Camera
 from decoder.estimators import ForceModel
+from decoder.limits import NOISE_SHARE_MAX, limits_of
 from decoder.locate import Locator
 from decoder.network import ACTIVATIONS, CascadeNetwork
 from decoder.regions import Region, regions_from, regions_table
 from decoder.segmentation import ColourModel
-from decoder.switches import RED_LEAST_PX, TipModel
+from decoder.switches import TipModel
 from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import InputError
 
 SCHEMA = (1, 5)
 FORMAT = "phytac-decoder-bundle"
-NOISE_SHARE_MAX = 0.2
-"""K·u is of use at a marker where its noise stays below this share of the largest force."""
-SHOWN = 5
-"""Markers named in a sentence."""
 ENDS = ("near", "far")
 """Ends of a sensor with two cameras, in their order."""
 
@@ -147,44 +144,7 @@ class Bundle:
 
     def limits(self) -> list[str]:
         """What this sensor cannot read whatever the frame, each as a sentence; empty for none."""
-        out = []
-        hidden = ~self.tips.readable & (self.tips.red_on_px <= RED_LEAST_PX)
-        if hidden.any():
-            out.append(
-                f"{int(hidden.sum())} of {len(self.colour)} switches cannot be seen even when on "
-                f"({named(np.flatnonzero(hidden))}): something stands before their tips, such as "
-                "the light bar"
-            )
-        unread = np.flatnonzero(~self.tips.readable & ~hidden)
-        if len(unread):
-            out.append(
-                f"{len(unread)} of {len(self.colour)} switches cannot be read well "
-                f"({named(unread)}): the camera sees nearly as much red at rest as when they are "
-                "on; they count only where the markers' motion agrees"
-            )
-        faint = np.flatnonzero(~self.force_readable)
-        if len(faint):
-            out.append(
-                f"forces on {len(faint)} of {len(self.colour)} markers cannot be read by any "
-                f"estimator ({named(faint)}): noise would exceed "
-                f"{NOISE_SHARE_MAX * self.force_max_N:g} N"
-            )
-        weak = np.flatnonzero(~self.stiffness_usable)
-        if len(weak):
-            noise = self.noise_centroid_px * self.model.stiffness_noise_N_px
-            out.append(
-                f"the estimators fem, fem_nn and fem_nn_identity cannot be used at {len(weak)} of "
-                f"{len(self.colour)} markers ({named(weak)}): noise of their K·u exceeds "
-                f"{NOISE_SHARE_MAX * self.force_max_N:g} N (median {np.median(noise):.3g} N); use "
-                "koi_inverse or auto"
-            )
-        return out
-
-
-def named(markers: IntArray) -> str:
-    """Ids as a list that stays short."""
-    more = f" and {len(markers) - SHOWN} more" if len(markers) > SHOWN else ""
-    return ", ".join(map(str, markers[:SHOWN])) + more
+        return limits_of(self)
 
 
 def save_bundle(bundle: Bundle, folder: Path) -> None:

@@ -7,8 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from decoder.bundle import Bundle, named
+from decoder.bundle import Bundle
 from decoder.doubts import Explained
+from decoder.limits import in_play, named, scene_of
 from decoder.matching import Matched, carried, match_markers
 from decoder.segmentation import check_image, segment
 from decoder.switches import read_switches
@@ -91,6 +92,12 @@ class Measured:
                     f"the whole image{bundle.of_camera(number)} has shifted by ({moved[0]:.1f}, "
                     f"{moved[1]:.1f}) px: the camera has moved; take a new rest frame"
                 )
+        elsewhere = self.koi[~in_play(bundle)[self.koi]]
+        if len(elsewhere):
+            out.append(
+                f"forces on {len(elsewhere)} switched receptors ({named(elsewhere)}) cannot be "
+                f"read: this decoder was made for {scene_of(bundle)}"
+            )
         if still:
             out += self._doubts(bundle, forces_N)
         useless = self.koi[~bundle.stiffness_usable[self.koi]]

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from decoder.bundle import Bundle, named
+from decoder.bundle import Bundle
 from decoder.contact_tracks import ContactTracker
 from decoder.contacts import Contact, ContactFinder
+from decoder.limits import named
 from decoder.regions import Region, RegionForces
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import InputError

@@ -269,6 +269,7 @@ def _export(
         "design": {"name": design.name, "hash": design_hash(design)},
         "accuracy": name_of(context.accuracy),
         "settings": context.accuracy.as_dict(),
+        "scene": context.scene.model_dump(mode="json") if context.scene else None,
         "seed": context.seed,
     }
     others = _settle_old_files(out, kept, {stage.name for stage in stages}, identity)

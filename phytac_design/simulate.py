@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from decoder.bundle import named
 from decoder.estimators import ForceModel
+from decoder.limits import named
 from decoder.run import FOUND_WELL
 from decoder.samples import STATUSES, THEORIES, Samples, inputs_alone, key_nodes
 from decoder.samples_read import read_samples

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from decoder.bundle import Bundle, Shown, load_bundle, save_bundle
+from decoder.bundle import SCHEMA, Bundle, Shown, load_bundle, save_bundle
 from decoder.camera import Camera
 from decoder.matching import match_markers
 from decoder.run import measure_frame
@@ -54,7 +54,7 @@ def test_a_bundle_of_two_cameras_comes_back_as_it_was(tmp_path: Path) -> None:
     for name in ("bundle.json", "bundle.safetensors"):
         assert (tmp_path / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
     meta = json.loads((tmp_path / "bundle.json").read_text())
-    assert meta["schema_version"] == "1.4"
+    assert meta["schema_version"] == "{}.{}".format(*SCHEMA)
     assert meta["camera"] == meta["cameras"][0]
 
 
@@ -79,8 +79,11 @@ def test_older_bundles_have_one_camera(tmp_path: Path, version: str) -> None:
     assert len(back.cameras) == 1
     assert back.read_by.tolist() == [0] * N
     assert back.threshold_N.tolist() == [meta["threshold_N"]] * N
-    path.write_text(json.dumps(meta | {"schema_version": "1.5"}))
-    with pytest.raises(InputError, match=r"has schema 1.5, this decoder reads 1.0 to 1.4"):
+    major, minor = SCHEMA
+    newer = f"{major}.{minor + 1}"
+    path.write_text(json.dumps(meta | {"schema_version": newer}))
+    said = rf"has schema {newer}, this decoder reads 1.0 to {major}.{minor}"
+    with pytest.raises(InputError, match=said):
         load_bundle(tmp_path)
 
 

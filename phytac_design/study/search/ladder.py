@@ -18,7 +18,7 @@ from phytac_design.design_file import design_hash
 from phytac_design.study.search.candidate import Candidate
 from phytac_design.study.search.file import Constraint, Study
 from phytac_design.study.search.front import ranks
-from phytac_design.study.search.measures import MEASURES, stand_in
+from phytac_design.study.search.measures import MEASURES, RUNGS, stand_in
 from phytac_design.study.search.rungs import LADDER
 from phytac_design.study.search.space import Params, Space, make_space
 from shapes.errors import DesignError, PhytacError
@@ -148,7 +148,7 @@ def _finite(found: Mapping[str, float]) -> dict[str, float]:
 
 def _left(study: Study, rung: str) -> float:
     """Rungs that were not climbed."""
-    return float(len(study.rungs) - 1 - study.rungs.index(rung))
+    return float(sum(RUNGS.index(other) > RUNGS.index(rung) for other in study.rungs))
 
 
 def misses(study: Study, rung: str, found: Mapping[str, float]) -> tuple[float, str]:

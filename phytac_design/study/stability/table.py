@@ -35,7 +35,8 @@ WORST = """
 Error and, in brackets, the tolerance that it comes nearest to. Condition numbers are those of the
 stiffness scaled to a unit diagonal (1-norm); of estimators, of what they solve.
 """
-NOT_COVERED = """## Not covered
+NOT_COVERED = """
+## Not covered
 
 - Speed and memory: cases end after their time limit or at 8 GiB, and are wrong then; otherwise
   neither is judged here (`docs/verification.md`).
@@ -63,10 +64,10 @@ def page(report: Report) -> str:
             for name, row in counts.items()
         ),
         _kinds(report.outcomes),
-        "## The most extreme right answers\n",
+        "\n## The most extreme right answers\n",
         EXTREMES,
         *(_extremes(name, report.outcomes) for name in counts),
-        "## How extremes are refused\n",
+        "\n## How extremes are refused\n",
         *(_refusals(name, report.outcomes) for name in counts),
         *([_wrong(report.wrong)] if report.wrong else []),
         NOT_COVERED,

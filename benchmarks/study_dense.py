@@ -1,0 +1,99 @@
+"""The densest cylinder that the tool finds, built whole beside the published one."""
+
+from contextlib import closing
+from typing import Any
+
+import numpy as np
+
+from benchmarks.decoder_data import data_folder
+from benchmarks.harness import Table
+from phytac_design.build import run_stages, select_stages
+from phytac_design.cache import code_hash
+from phytac_design.design_file import load_design
+from phytac_design.optics.density import density_of
+from phytac_design.spec import Design
+from phytac_design.study.search.dask_pool import DaskPool
+from phytac_design.study.search.drive import run_study
+from phytac_design.study.search.file import Budget, load_study
+from phytac_design.study.search.rebuild import rebuild
+from phytac_design.study.search.report import read_results
+from phytac_design.study.search.space import make_space
+
+STUDIES = {"dense-cylinder": (64, 1000), "dense-cone": (32, None), "dense-hemisphere": (32, None)}
+"""Candidates of each study, and the count that is asked for."""
+WHOLE = ("dense-cylinder", "cylinder60")
+"""Built at standard accuracy; the others as drafts."""
+WORKERS = 2
+
+
+def dense(table: Table, *, quick: bool) -> None:
+    """Search, then build the one with the most markers; what a build says of it counts."""
+    for name, (candidates, asked) in STUDIES.items():
+        study, folder = load_study(name)
+        number = 6 if quick else candidates
+        study = study.model_copy(update={"budget": Budget(candidates=number)})
+        out = data_folder() / "study" / f"{name}-{code_hash()[:16]}"
+        with closing(DaskPool(workers=WORKERS, say=print)) as pool:
+            space = make_space(study, folder)
+            run_study(study, space, out, kind="optimise", pool=pool, progress=print)
+        results = read_results(out)
+        if not results.ok.any():
+            table.add(
+                f"{name}: markers of the densest that meets all",
+                0,
+                "markers",
+                reference="",
+                source=f"{number} candidates",
+                target=f">= {asked or 1}",
+                note="none of the candidates met all constraints",
+            )
+            continue
+        counts = np.where(results.ok, results.columns["marker_count"], 0.0)
+        best = int(results.columns["trial"][int(counts.argmax())])
+        _built(table, rebuild(out, best), f"{name} trial {best}", asked, number, quick=quick)
+    _built(table, load_design("cylinder60"), "cylinder60", None, 0, quick=quick)
+
+
+def _built(
+    table: Table, design: Design, label: str, asked: int | None, searched: int, *, quick: bool
+) -> None:
+    """What a build finds: everything that the search assumed, at standard accuracy."""
+    accuracy = "draft" if quick or not label.startswith(WHOLE) else "standard"
+    surface = design.surface()
+    context, _, timing = run_stages(
+        design,
+        select_stages(["underload", "resolution", "switch", "decoder"]),
+        accuracy=accuracy,
+        seed=0,
+        force=True,
+        progress=lambda text: print(f"  {label}: {text}", flush=True),
+    )
+    views, load = context.facts("views"), context.facts("underload")
+    density = density_of(surface, context.markers)
+    source = f"build at {accuracy} accuracy"
+    found = f"of {searched} candidates of `phytac optimise`" if searched else "published counts"
+
+    def add(what: str, value: float, unit: str, **rest: Any) -> None:
+        table.add(f"{label}: {what}", value, unit, reference="", source=source, **rest)
+
+    target = f">= {asked}" if asked else None
+    add("markers", density.count, "markers", target=target, note=found)
+    add("density", density.per_cm2, "/cm²")
+    seen = views["visibility"]
+    add("hidden or fused at rest", seen["occluded"] + seen["fused"], "markers", target="<= 0")
+    add("hidden or fused at 25 N", load["hidden_most"] + load["fused_most"], "markers",
+        target="<= 0", note=f"{load['presses']} presses, {load['theory']}")  # fmt: skip
+    add("crosstalk at 25 N", load["crosstalk_px"], "px", target="<= 0.1")
+    add("least visible fraction at 25 N", load["least_visible_fraction"], "")
+    add("least gap of one colour at 25 N", load["least_gap_same_colour_px"], "px")
+    refused = context.facts("switch")["refused"]
+    add("switches that cannot be made", float(bool(refused)), "", target="<= 0", note=refused)
+    bound = context.facts("resolution")["bound"]["10 N"]
+    add("bound of force at 10 N, median", bound["force_N_median"], "N")
+    judged = context.facts("decoder")["anywhere"]["auto"]
+    add(
+        "decoder: mean absolute error of force",
+        judged["mae_N"],
+        "N",
+        note=f"contacts anywhere, in simulation; stages took {sum(timing.values()):.0f} s",
+    )
