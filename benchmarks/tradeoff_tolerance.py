@@ -148,6 +148,6 @@ def add_auto(table: Table, *, quick: bool) -> None:
             "%",
             reference=100.0 * figure,
             source="the figure of --tolerance, which knows the place",
-            note=f"{count} contacts; auto finds place, size and force, and its size takes up part of "
-            "what mesh and theory get wrong",
+            note=f"{count} contacts; auto finds place, size and force, and its size takes up part "
+            "of what mesh and theory get wrong",
         )

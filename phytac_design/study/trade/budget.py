@@ -140,21 +140,23 @@ def choose_budget(
         factor=factor,
         setting=LADDER[0],
     )
-    least = _predicted(plan, LADDER[0])
-    if sum(least.values()) > budget_s:
-        costly = sorted(least, key=least.__getitem__)[-3:][::-1]
-        parts = ", ".join(f"{name} {least[name]:.1f} s" for name in costly)
-        raise DesignError(
-            f"no setting of this design is built in {budget_s:g} s: the cheapest is predicted to "
-            f"take {sum(least.values()):.0f} s here ({parts}); allow that, or build some stages "
-            "with --only"
-        )
-    for rung in reversed(LADDER):
-        seconds = _predicted(plan, rung)
-        if MARGIN * sum(seconds.values()) <= budget_s or rung is LADDER[0]:
+    # What is in the cache may make a finer rung cheaper than the first.
+    each = [_predicted(plan, rung) for rung in LADDER]
+    for rung, seconds in zip(reversed(LADDER), reversed(each), strict=True):
+        if MARGIN * sum(seconds.values()) <= budget_s:
             plan.setting = rung
             return plan, seconds
-    raise AssertionError("the first rung was taken")
+    least = min(each, key=lambda seconds: sum(seconds.values()))
+    if sum(least.values()) <= budget_s:
+        plan.setting = LADDER[each.index(least)]
+        return plan, least
+    costly = sorted(least, key=least.__getitem__)[-3:][::-1]
+    parts = ", ".join(f"{name} {least[name]:.1f} s" for name in costly)
+    raise DesignError(
+        f"no setting of this design is built in {budget_s:g} s: the cheapest is predicted to "
+        f"take {sum(least.values()):.0f} s here ({parts}); allow that, or build some stages "
+        "with --only"
+    )
 
 
 def _predicted(plan: Plan, setting: Accuracy) -> dict[str, float]:
@@ -201,13 +203,16 @@ def _replanned(plan: Plan, number: int) -> Accuracy:
     """Setting with the knobs of group ``number`` and later of the highest rung that fits."""
     later = {knob for _, knobs in GROUPS[number:] for knob in knobs}
     ahead = {name for names, _ in GROUPS[number:] for name in names}
-    settled = plan.setting
+    least: tuple[float, Accuracy] | None = None
     for rung in reversed(LADDER):
-        setting = _with(settled, rung, later)
+        setting = _with(plan.setting, rung, later)
         seconds = _predicted(plan, setting)
-        if MARGIN * sum(seconds[name] for name in ahead) <= plan.left_s:
+        spent = MARGIN * sum(seconds[name] for name in ahead)
+        if spent <= max(plan.left_s, 0.0):
             return setting
-    return _with(settled, LADDER[0], later)
+        if least is None or spent <= least[0]:
+            least = spent, setting
+    return least[1] if least else plan.setting
 
 
 def _with(settled: Accuracy, rung: Accuracy, knobs: set[str]) -> Accuracy:

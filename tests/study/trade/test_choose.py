@@ -190,6 +190,7 @@ def test_budgets_are_planned_and_planned_again(monkeypatch: pytest.MonkeyPatch) 
     final = run_plan(plan, force=True, progress=lambda _: None)
     assert calls[0] == PRESETS["standard"]
     assert final.frames < PRESETS["standard"].frames
+    assert 3.0 < plan.factor < 4.0
     assert clock[0] <= 1.2 * max(1.1 * total, 4.0 * sum(predict(work, LADDER[0]).values()))
 
 

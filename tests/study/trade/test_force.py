@@ -53,6 +53,11 @@ def test_the_reference_is_met_by_a_third_mesh(error: ForceError) -> None:
     assert left < 0.75 * rms(read_forces(nine[:, None], linear) - 1.0)
     assert left < 0.006
     assert extrapolation(1, 2) == pytest.approx(1.0 / 3.0)
+    five, large = error.truth(5), error.truth(9)
+    for name in ("shift_px", "motion"):
+        step = getattr(large, name) - getattr(five, name)
+        limit = getattr(large, name) + step * 25.0 / (81.0 - 25.0)
+        assert np.allclose(getattr(error.reference, name), limit)
 
 
 def test_the_pilot_foretells_the_error(error: ForceError) -> None:
