@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 from contextlib import ExitStack, suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from phytac_design.recording import parquet_library
 from phytac_design.study.search.dask_pool import DaskPool
 from phytac_design.study.search.drive import Done, run_study
 from phytac_design.study.search.file import Study
-from phytac_design.study.search.ladder import climb, spec_of, task_of
+from phytac_design.study.search.ladder import Outcome, Task, climb, spec_of, task_of
 from phytac_design.study.search.space import Space
 
 RUNGS = ("rules", "sampled")
@@ -76,6 +77,28 @@ def copies(number: int, count: int) -> float:
         for part in parts:
             part.wait()
         return sum(count / float((folder / "seconds").read_text()) for folder in folders)
+
+
+class Nothing(Task):
+    """A task without work."""
+
+    def run(self) -> dict[str, Any]:
+        """As a climb without rungs."""
+        return asdict(Outcome())
+
+
+def overhead_ms(pool: DaskPool, count: int) -> float:
+    """What a task costs beside its work, as the driver sees it."""
+    study, space = study_for(4)
+    spec, params = spec_of(study, space), drawn(study, space, 1)[0]
+    tasks = [
+        Nothing(order=k, key=f"nothing-{k}", spec=spec, params=params, rungs=RUNGS)
+        for k in range(count)
+    ]
+    start = time.perf_counter()
+    for _ in pool.run(tasks):
+        pass
+    return 1e3 * (time.perf_counter() - start) / count
 
 
 def pooled(pool: DaskPool, count: int, folder: Path) -> Done:
@@ -153,16 +176,25 @@ def dask(table: Table, *, quick: bool) -> None:
     alone = {number: copies(number, count // number) for number in (1, 2)}
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         expected: list[dict[str, Any]] = []
-        rates = {}
+        rates, cost = {}, 0.0
         for workers in (1, 2):
             pool = DaskPool(workers=workers)
             done = pooled(pool, count, Path(name) / f"local-{workers}")
+            cost = overhead_ms(pool, 100 if quick else 2000)
             pool.close()
             rates[f"{workers} local workers" if workers > 1 else "1 local worker"] = (
                 workers,
                 done.new / done.seconds,
             )
             expected = rows_of(done.folder)
+        table.add(
+            "a task beside its work, driver, scheduler and two workers on this machine",
+            cost,
+            "ms",
+            reference=100.0,
+            source="tasks that do nothing, wall time over their number",
+            note="0.1 s is what ten designs a second take",
+        )
         cluster = Cluster(2)
         stack.callback(cluster.close)
         cluster.wait()

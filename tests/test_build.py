@@ -93,7 +93,8 @@ def test_folder_is_the_contract(built: BuildResult) -> None:
     for path, item in entries.items():
         assert item["sha256"] == cache.file_hash(built.out / path)
         assert item["bytes"] == (built.out / path).stat().st_size
-    assert built.ran == tuple(stage.name for stage in STAGES)
+    # What other tests have made of the same design is taken from the cache.
+    assert {*built.ran, *built.cached} == {stage.name for stage in STAGES}
 
 
 def test_report_holds_the_figures(built: BuildResult) -> None:

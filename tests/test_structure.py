@@ -11,7 +11,20 @@ ROOT = Path(__file__).parents[1]
 ROOMS = ("shapes", "decoder", "phytac_design")
 MODULES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
 ALLOWED = {"shapes": {"shapes"}, "decoder": {"shapes", "decoder"}, "phytac_design": set(ROOMS)}
-HEAVY = {"gmsh", "cadquery", "OCP", "pyrender", "torch", "matplotlib", "lib3mf", "onnx", "pyarrow"}
+HEAVY = {
+    "gmsh",
+    "cadquery",
+    "OCP",
+    "pyrender",
+    "torch",
+    "matplotlib",
+    "lib3mf",
+    "onnx",
+    "pyarrow",
+} | {
+    "optuna",
+    "distributed",
+}
 RUN_TIME = {"numpy", "cv2", "safetensors"}
 
 

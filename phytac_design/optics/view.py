@@ -1,7 +1,7 @@
 """The design's cameras, and the refusal of those that cannot work."""
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import NoReturn
 
 import numpy as np
@@ -166,6 +166,13 @@ def fit_stand_off_mm(
     DesignError
         If no distance does.
     """
+    return _fitted(lens, np.asarray(rim, dtype=np.float64).tobytes(), end, start_mm, fill)
+
+
+@lru_cache(maxsize=32)
+def _fitted(lens: Lens, rim_bytes: bytes, end: int, start_mm: float, fill: float) -> float:
+    """:func:`fit_stand_off_mm`; a design's cameras are asked for by several checks."""
+    rim = np.frombuffer(rim_bytes).reshape(-1, 3)
     frame = Camera.at(lens, z_mm=start_mm, backward=end == 1)
     points = frame.to_camera(rim)
     nearest = float(points[:, 2].min())

@@ -188,7 +188,10 @@ class Solver:
         ArithmeticError
             If they would, by linear theory.
         """
-        dent = float(np.linalg.norm(linear.reshape(-1, 6)[:, :3], axis=1).max())
+        moved = linear.reshape(-1, 6)[:, :3]
+        # Motions of any size are squared without an overflow.
+        scale = float(np.abs(moved).max()) or 1.0
+        dent = scale * float(np.linalg.norm(moved / scale, axis=1).max())
         if not dent <= self.deepest_mm:
             raise ArithmeticError(
                 f"the touches are too strong for this wall: linear theory has it pressed in by "

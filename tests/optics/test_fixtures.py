@@ -19,6 +19,7 @@ from phytac_design.optics.paint import FIXTURE
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.scene import FIRST_FIXTURE, paint_owner
 from phytac_design.optics.view import camera_of
+from phytac_design.reads import fields_of
 from phytac_design.spec import Design
 from phytac_design.stages import STAGES
 from shapes.arrays import FloatArray
@@ -188,12 +189,14 @@ def test_bad_fixtures_are_explained(change: dict[str, Any], message: str) -> Non
 
 
 def test_every_stage_that_draws_the_light_bar_draws_fixtures() -> None:
-    fixtures = {stage.name for stage in STAGES if "fixtures" in stage.tables}
+    design = load_design("cylinder60")
+    reads = {stage.name: set(fields_of(design, stage.reads)) for stage in STAGES}
+    fixtures = {name for name, fields in reads.items() if "fixtures" in fields}
     assert {"views", "compare", "underload", "frames"} <= fixtures
     for stage in STAGES:
         # The others that read the light ask where the camera stands, or where the bar is held.
         if "build_scene" in inspect.getsource(sys.modules[stage.run.__module__]):
-            assert {"light", "fixtures"} <= set(stage.tables), stage.name
+            assert {"light", "fixtures"} <= reads[stage.name], stage.name
 
 
 def test_a_camera_may_look_past_a_fixture_beyond_the_far_end() -> None:

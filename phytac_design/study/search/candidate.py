@@ -17,6 +17,9 @@ from phytac_design.study.search.file import Study
 from shapes import Surface
 from shapes.arrays import IntArray
 
+COARSE = 2.5
+"""Coarser polygons than those of a check, 0.25 px off their circles: rays are few anyway."""
+
 
 @dataclass
 class Candidate:
@@ -48,13 +51,13 @@ class Candidate:
 
     @cached_property
     def scenes(self) -> tuple[Scene, ...]:
-        """What each camera looks at, at rest."""
+        """What each camera looks at, at rest; for rays, not for pictures."""
         return tuple(
             build_scene(
                 self.design,
                 self.surface,
                 self.markers,
-                tolerance_mm=tolerance_mm(camera, self.markers),
+                tolerance_mm=COARSE * tolerance_mm(camera, self.markers),
             )
             for camera in self.cameras
         )

@@ -54,7 +54,8 @@ class DaskPool:
     Raises
     ------
     InputError
-        If the scheduler cannot be reached, has no worker, or one with another program.
+        If workers cannot be started, or the scheduler cannot be reached, has no worker, or one
+        with another program.
     """
 
     def __init__(
@@ -68,15 +69,20 @@ class DaskPool:
             environment = dict.fromkeys(
                 ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", THREADS), "1"
             )
-            self.cluster = self.library.LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address=None,
-                silence_logs="ERROR",
-                env=environment,
-                scheduler_kwargs={"allowed_failures": DEATHS},
-            )
+            try:
+                self.cluster = self.library.LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address=None,
+                    silence_logs="ERROR",
+                    env=environment,
+                    scheduler_kwargs={"allowed_failures": DEATHS},
+                )
+            except (RuntimeError, OSError, TimeoutError) as error:
+                raise InputError(
+                    f"{workers} workers could not be started ({error}); take fewer, or none"
+                ) from None
             self.address = self.cluster.scheduler_address
         try:
             self.client = self._connect(CONNECT_S)

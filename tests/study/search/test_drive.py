@@ -150,13 +150,19 @@ def test_a_kill_while_parts_join_leaves_each_row_once(
 ) -> None:
     study = tiny()
 
-    def killed(_: object) -> None:
-        raise KilledError
+    unlink = Path.unlink
+
+    def killed(path: Path, **how: bool) -> None:
+        if path.suffix == ".parquet":
+            raise KilledError
+        unlink(path, **how)
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "unlink", killed)
         with pytest.raises(KilledError):
             run(tiny(budget={"candidates": 8}), tmp_path)
+    assert len(rows(tmp_path)) == 8
+    assert list((tmp_path / "parts").iterdir())
     run(study, tmp_path)
     assert [row["trial"] for row in rows(tmp_path)] == list(range(24))
 
