@@ -1,6 +1,6 @@
 """The trade of time for truth: fronts, presets, and settings chosen by tolerance or budget.
 
-``python -m benchmarks.tradeoff [--quick] [--parts costs,fronts,presets,tolerance,budget,auto]``
+``python -m benchmarks.tradeoff [--quick] [--parts costs,fronts,presets,tolerance,budget,scenes,auto]``
 
 Measured points lie in ``$PHYTAC_DATA/tradeoff``: a run that was killed goes on where it was.
 """
@@ -8,7 +8,13 @@ Measured points lie in ``$PHYTAC_DATA/tradeoff``: a run that was killed goes on 
 from collections.abc import Callable
 from functools import partial
 
-from benchmarks import tradeoff_budget, tradeoff_costs, tradeoff_fronts, tradeoff_tolerance
+from benchmarks import (
+    tradeoff_budget,
+    tradeoff_costs,
+    tradeoff_fronts,
+    tradeoff_scenes,
+    tradeoff_tolerance,
+)
 from benchmarks.harness import Table, run_parts
 
 
@@ -20,6 +26,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "presets": partial(tradeoff_fronts.add_presets, quick=quick),
         "tolerance": partial(tradeoff_tolerance.add_rows, quick=quick),
         "budget": partial(tradeoff_budget.add_rows, quick=quick),
+        "scenes": partial(tradeoff_scenes.add_rows, quick=quick),
         "auto": partial(tradeoff_tolerance.add_auto, quick=quick),
     }
 
