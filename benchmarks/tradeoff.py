@@ -1,6 +1,6 @@
 """The trade of time for truth: fronts, presets, and settings chosen by tolerance or budget.
 
-``python -m benchmarks.tradeoff [--quick] [--parts costs,fronts,presets,tolerance,budget,scenes,auto]``
+``python -m benchmarks.tradeoff [--quick] [--parts costs,fronts,presets,tolerance,budget,…]``
 
 Measured points lie in ``$PHYTAC_DATA/tradeoff``: a run that was killed goes on where it was.
 """
