@@ -51,6 +51,8 @@ SHORT: tuple[tuple[str, str], ...] = (
     ("decoder", "cylinder60 unit 1, frames: auto, middle heights: samples from which on"),
     ("decoder", "cnn on 598 samples"),
     ("decoder", "rest coordinates from one frame, RMSE, all"),
+    ("stability", "cases over all rooms"),
+    ("stability", "wrong"),
 )
 """Rows of the README: benchmark and how the case begins; the first that matches is shown."""
 
