@@ -81,7 +81,8 @@ HEAD = "| case | value | reference | target | |\n|---|---|---|---|---|\n"
 
 def read() -> dict[str, dict[str, Any]]:
     """Return every committed result by name."""
-    return {path.stem: json.loads(path.read_text()) for path in sorted(RESULTS.glob("*.json"))}
+    found = {path.stem: json.loads(path.read_text()) for path in sorted(RESULTS.glob("*.json"))}
+    return {name: data for name, data in found.items() if "rows" in data}
 
 
 def page(results: dict[str, dict[str, Any]]) -> str:
