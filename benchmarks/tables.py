@@ -53,6 +53,8 @@ SHORT: tuple[tuple[str, str], ...] = (
     ("decoder", "rest coordinates from one frame, RMSE, all"),
     ("stability", "cases over all rooms"),
     ("stability", "wrong"),
+    ("tradeoff", "scene fingertip on cylinder60, standard: times cheaper than the whole"),
+    ("tradeoff", "scene fingertip on cylinder60, standard: force by its decoder against the whole"),
 )
 """Rows of the README: benchmark and how the case begins; the first that matches is shown."""
 
