@@ -5,9 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from phytac_design.accuracy import PRESETS
 from phytac_design.build import BuildResult
+from phytac_design.cli import app
 from phytac_design.cli_trade import build_within
 from phytac_design.design_file import to_toml
 from phytac_design.study.trade import budget as budget_module
@@ -54,11 +56,10 @@ def test_a_tolerance_is_built_and_audited(
     monkeypatch.setattr(module, "achieved", lambda choice, _: 0.8 * choice.wanted)
     path = tmp_path / "small.toml"
     path.write_text(to_toml(small()), encoding="utf-8")
-    build_within(
-        str(path), tmp_path / "out", tolerance="20%", tolerance_of="force", budget=None, seed=0,
-        force=False,
-    )  # fmt: skip
-    said = capsys.readouterr().out
+    asked = ["build", str(path), "--out", str(tmp_path / "out"), "--tolerance", "20%"]
+    run = CliRunner().invoke(app, asked)
+    assert run.exit_code == 0
+    said = run.stdout
     assert "force error: wanted 20 %, predicted 18 %, achieved 16 %" in said
     data = json.loads((tmp_path / "out" / AUDIT).read_text())
     assert data["achieved_error"] == pytest.approx(0.16)
@@ -73,7 +74,7 @@ def test_one_of_the_two_is_asked_for(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
     with pytest.raises(DesignError, match="--tolerance-of 'taste' is not known"):
         build_within(
-            "cylinder60", tmp_path, tolerance="2%", tolerance_of="taste", budget=None, seed=0,
+            small(), tmp_path, tolerance="2%", tolerance_of="taste", budget=None, seed=0,
             force=False,
         )  # fmt: skip
 
