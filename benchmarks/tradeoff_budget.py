@@ -5,6 +5,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +65,7 @@ def add_rows(table: Table, *, quick: bool) -> None:
     runs = []
     for number, design in enumerate(random_designs(count, SEED)):
         budget = BUDGETS_s[number % len(BUDGETS_s)]
-        run = once(design, f"budget {budget:g}", lambda d=design, b=budget: built(d, b))  # type: ignore[misc]
+        run = once(design, f"budget {budget:g}", partial(built, design, budget))
         runs.append(run | {"budget": budget})
         spent = run.get("seconds")
         print(f"  {design.name}, {budget:g} s: {spent or run}", flush=True)

@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +67,7 @@ def add_rows(table: Table, *, quick: bool) -> None:
     probes = []
     for number, design in enumerate(random_designs(2 if quick else DESIGNS, SEED)):
         setting = random_setting(number)
-        found = once(design, f"costs {number}", lambda d=design, s=setting: timed(d, s))  # type: ignore[misc]
+        found = once(design, f"costs {number}", partial(timed, design, setting))
         print(
             f"  {design.name}: {found.get('failed') or sum(found['seconds'].values())}", flush=True
         )

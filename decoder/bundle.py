@@ -26,7 +26,7 @@ from decoder.bundle_check import (
 from decoder.bundle_locator import locator_arrays, locator_from, locator_table
 from decoder.camera import Camera
 from decoder.estimators import ForceModel
-from decoder.limits import NOISE_SHARE_MAX, limits_of
+from decoder.limits import NOISE_SHARE_MAX, check_scene, limits_of
 from decoder.locate import Locator
 from decoder.network import ACTIVATIONS, CascadeNetwork
 from decoder.regions import Region, regions_from, regions_table
@@ -253,11 +253,13 @@ def load_bundle(folder: Path) -> Bundle:
                 folder=folder,
             )
         cameras = tuple(camera_from(table, folder) for table in tables)
-        return _assemble(meta, arrays, cameras, locator)
+        bundle = _assemble(meta, arrays, cameras, locator)
+        check_scene(bundle)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         raise InputError(
             f"{folder}/bundle.json is not a decoder bundle: {fault_of(error)}; rebuild the decoder"
         ) from error
+    return bundle
 
 
 def _read_meta(folder: Path) -> dict[str, Any]:

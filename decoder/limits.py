@@ -63,7 +63,27 @@ def in_play(bundle: "Bundle") -> BoolArray:
     """Markers (n,) on which forces are read: all, or in a scene's decoder those in play."""
     number = np.arange(len(bundle.colour))
     scene = bundle.notes.get("scene")
-    return np.isin(number, scene["in_play"] if scene else number)
+    return np.isin(number, number if scene is None else scene["in_play"])
+
+
+def check_scene(bundle: "Bundle") -> None:
+    """Check that a scene's decoder says which markers are in play.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError
+        If it does not.
+    """
+    scene = bundle.notes.get("scene")
+    if scene is None:
+        return
+    markers, count = scene["in_play"], len(bundle.colour)
+    if not isinstance(markers, list) or not all(
+        isinstance(marker, int) and 0 <= marker < count for marker in markers
+    ):
+        raise ValueError(f"notes.scene.in_play is no list of markers 0 to {count - 1}")
+    if not isinstance(scene["name"], str):
+        raise TypeError("notes.scene.name is no text")
 
 
 def scene_of(bundle: "Bundle") -> str:

@@ -247,3 +247,23 @@ def test_each_marker_is_measured_in_its_own_cameras_frame() -> None:
         if "shifted" in text
     ]
     assert "the whole image of the far camera has shifted by (2.0, " in warning
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        [],
+        {},
+        {"name": "pad"},
+        {"name": 3, "in_play": [0]},
+        {"name": "pad", "in_play": [N]},
+        {"name": "pad", "in_play": "all"},
+    ],
+)
+def test_a_garbled_scene_is_refused(tmp_path: Path, scene: Any) -> None:
+    bundle = make_bundle()
+    save_bundle(replace(bundle, notes={"scene": scene}), tmp_path)
+    with pytest.raises(InputError, match="is not a decoder bundle"):
+        load_bundle(tmp_path)
+    save_bundle(replace(bundle, notes={"scene": {"name": "pad", "in_play": [0, 2]}}), tmp_path)
+    assert any("made for the scene 'pad'" in said for said in load_bundle(tmp_path).limits())

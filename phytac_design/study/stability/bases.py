@@ -1,10 +1,12 @@
 """A small sensor of each surface family, and a design made from it by changes."""
 
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 from phytac_design.design_file import parse_design
 from phytac_design.spec import Design
+from shapes import Surface
 from shapes.errors import DesignError
 
 Data = dict[str, Any]
@@ -110,3 +112,9 @@ def _times(value: Any, factor: float) -> Any:
     if isinstance(value, list | tuple):
         return [_times(item, factor) for item in value]
     return factor * value if isinstance(value, int | float) else value
+
+
+def numbers_of(surface: Surface) -> dict[str, Any]:
+    """What a surface was made of, by name; every family is a dataclass."""
+    family: Any = surface
+    return {item.name: getattr(surface, item.name) for item in fields(family)}

@@ -41,7 +41,6 @@ def test_a_budget_takes_what_the_cache_has(
 
 def test_a_tolerance_is_built_and_audited(
     built: BuildResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     def chosen(design: object, tolerance: float, **_: object) -> Choice:
         return Choice(

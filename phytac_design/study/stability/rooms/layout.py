@@ -1,14 +1,13 @@
 """Layout and heights: where receptors stand and how tall they are, on every shape, at the ends."""
 
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from phytac_design.layout import Markers, make_markers
 from phytac_design.spec import Design
-from phytac_design.study.stability.bases import AROUND, SHAPES, design_of, sized
+from phytac_design.study.stability.bases import AROUND, SHAPES, design_of, numbers_of, sized
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
 from phytac_design.study.stability.faces import face_of
 from shapes import Surface
@@ -26,7 +25,7 @@ def check_markers(values: Mapping[str, Any], found: Evidence) -> None:
     markers = make_markers(design, surface)
     low, high = surface.bounds_mm()
     size = float(np.linalg.norm(high - low))
-    table = {item.name: getattr(surface, item.name) for item in fields(surface)}  # type: ignore[arg-type]
+    table = numbers_of(surface)
     known = face_of(surface.name, table)
     outer = surface.point(markers.uv)
     if known.gap is not None:

@@ -1,14 +1,13 @@
 """CAD meshes: closed, of the right genus, of the right volume, at every size."""
 
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from phytac_design.fabrication.solid_mesh import shell_manifold, to_triangles
 from phytac_design.rules import check_design
-from phytac_design.study.stability.bases import AROUND, SHAPES, design_of
+from phytac_design.study.stability.bases import AROUND, SHAPES, design_of, numbers_of
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
 from phytac_design.study.stability.faces import face_of
 from shapes import Surface
@@ -26,7 +25,7 @@ def wall_volume_mm3(surface: Surface, thickness_mm: float) -> float:
     The outer area is the text-book's; how areas shrink inward is Steiner's formula, with the
     total curvatures of revolution and of sheets by quadrature of the face's own normals.
     """
-    table = {item.name: getattr(surface, item.name) for item in fields(surface)}  # type: ignore[arg-type]
+    table = numbers_of(surface)
     outer = face_of(surface.name, table).area_mm2
     t = thickness_mm
     one, two = _shrinks(surface)

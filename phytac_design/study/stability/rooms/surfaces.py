@@ -8,7 +8,7 @@ import numpy as np
 
 import shapes
 from phytac_design.spec import SHAPE_MODELS
-from phytac_design.study.stability.bases import SHAPES, design_of
+from phytac_design.study.stability.bases import SHAPES, design_of, numbers_of
 from phytac_design.study.stability.case import Case, Evidence, Room
 from phytac_design.study.stability.faces import Face, face_of, patch_point
 from shapes import Surface
@@ -46,7 +46,7 @@ def check_face(values: Mapping[str, Any], found: Evidence) -> None:
     """Everything a surface answers, against the text-book's face."""
     table = values["table"]
     surface = _surface(table)
-    known = face_of(table["kind"], {**_defaults(surface), **table})
+    known = face_of(table["kind"], {**numbers_of(surface), **table})
     uv, size = _places(surface), _size_mm(surface)
     point, normal = surface.point(uv), surface.normal(uv)
     _on_face(surface, known, table, uv, point, normal, size, found)
@@ -65,10 +65,6 @@ def check_face(values: Mapping[str, Any], found: Evidence) -> None:
         _rays(surface, known, uv, point, normal, size, found)
     _maps(surface, table, uv, found)
     _units(surface, uv, found)
-
-
-def _defaults(surface: Surface) -> dict[str, Any]:
-    return {item.name: getattr(surface, item.name) for item in fields(surface)}  # type: ignore[arg-type]
 
 
 def _on_face(
@@ -169,12 +165,13 @@ def _units(surface: Surface, uv: FloatArray, found: Evidence) -> None:
     """The same surface in other units of length."""
     for name, factor in (("metres", 1e-3), ("micrometres", 1e3)):
         change = {
-            item.name: _times(getattr(surface, item.name), factor)
-            for item in fields(surface)  # type: ignore[arg-type]
-            if item.name.endswith("_mm")
+            field: _times(value, factor)
+            for field, value in numbers_of(surface).items()
+            if field.endswith("_mm")
         }
+        family: Any = surface
         try:
-            other = replace(surface, **change)  # type: ignore[type-var]
+            other = replace(family, **change)
         except DesignError:
             continue  # beyond the family's range in these units
         share = (uv - surface.domain[:, 0]) / np.ptp(surface.domain, axis=1)
@@ -192,9 +189,10 @@ def _times(value: Any, factor: float) -> Any:
 
 def _ends(kind: str) -> dict[str, tuple[float, float]]:
     """Least and greatest of each of a family's numbers."""
+    family: Any = shapes.REGISTRY[kind]
     return {
         item.name: (item.metadata["minimum"], item.metadata["maximum"])
-        for item in fields(shapes.REGISTRY[kind])  # type: ignore[arg-type]
+        for item in fields(family)
         if item.type in (float, "float") and "minimum" in item.metadata
     }
 

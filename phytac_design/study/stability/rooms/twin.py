@@ -1,13 +1,12 @@
 """Draws of the virtual sensor: within range, spread as said, the same for the same seed."""
 
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from phytac_design.layout import make_markers
-from phytac_design.study.stability.bases import SHAPES, design_of
+from phytac_design.study.stability.bases import SHAPES, design_of, numbers_of
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
 from phytac_design.study.stability.faces import face_of
 from phytac_design.twin.contacts import draw_contacts, switch_states
@@ -52,7 +51,7 @@ def check_contacts(values: Mapping[str, Any], found: Evidence) -> None:
     slack = 1e-9 * (high - low)
     inside = (contacts.uv >= low - slack) & (contacts.uv <= high + slack)
     found.true("centres within the open edges", inside | np.array(surface.periodic))
-    table = {item.name: getattr(surface, item.name) for item in fields(surface)}  # type: ignore[arg-type]
+    table = numbers_of(surface)
     known = face_of(surface.name, table)
     point = surface.point(contacts.uv)
     if known.gap is not None:
