@@ -24,7 +24,7 @@ from phytac_design.stages.places import locator_of
 from phytac_design.stages.twin import arms_mm, readers_of
 from phytac_design.twin.places import make_places
 
-STEPS = ((0.8, 1), (0.8, 3), (0.55, 1), (0.55, 2), (0.55, 3), (0.4, 3))
+STEPS = ((0.8, 1), (0.8, 3), (0.55, 1), (0.55, 2), (0.55, 3), (0.55, 4), (0.4, 5))
 """Spacing over the patches' mean radius, and powers of the force."""
 LEARN, JUDGE = 100, 100
 """Samples."""

@@ -9,7 +9,7 @@ from phytac_design.stages.places import locator_of
 from phytac_design.stages.twin import arms_mm, readers_of
 from phytac_design.study.trade.force import REFERENCE, ForceError, extrapolation, rms
 from phytac_design.twin.contacts import switch_states
-from phytac_design.twin.places import _Seen as Seen
+from phytac_design.twin.pressed import Seen
 from phytac_design.twin.response import turned_points
 from shapes.arrays import FloatArray
 

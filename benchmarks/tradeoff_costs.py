@@ -40,7 +40,7 @@ def random_setting(number: int) -> Accuracy:
         sample_share=one(0.3, 1.0),
         frames=int(one(5, 15, 30)),
         place_share=one(0.8, 0.55),
-        place_orders=int(one(1, 3)),
+        place_orders=int(one(1, 3, 4)),
         press_places=int(one(8, 20, 40)),
         press_tolerance=one(1.0, 1.0, 0.05),
         print_tools=bool(one(0, 1)),

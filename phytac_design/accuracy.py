@@ -31,7 +31,8 @@ class Accuracy:
     place_share : float
         Spacing of the places of the estimator ``auto``, over the patches' mean radius.
     place_orders : int
-        Powers of the force in its tables: 1 is linear theory, 3 large displacements.
+        Powers of the force in its tables: 1 is linear theory, 2 and 3 Koiter's expansion, 4 and 5
+        large displacements where that does not hold (:data:`twin.pressed.SOLVED_AT`).
     press_places : int
         Places at which the sensor is pressed to see what hides or fuses under load.
     press_tolerance : float
@@ -79,7 +80,7 @@ PRESETS: dict[str, Accuracy] = {
         sample_share=1.0,
         frames=50,
         place_share=0.55,
-        place_orders=3,
+        place_orders=4,
         press_places=40,
         press_tolerance=0.05,
         print_tools=True,
@@ -92,7 +93,7 @@ PRESETS: dict[str, Accuracy] = {
         sample_share=1.0,
         frames=100,
         place_share=0.4,
-        place_orders=3,
+        place_orders=5,
         press_places=120,
         press_tolerance=0.02,
         print_tools=True,
@@ -107,7 +108,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "sample_share": (0.0, 100.0),
     "frames": (1, 10_000),
     "place_share": (0.1, 2.0),
-    "place_orders": (1, 3),
+    "place_orders": (1, 5),
     "press_places": (0, 10_000),
     "press_tolerance": (1e-4, 1.0),
 }

@@ -57,6 +57,7 @@ def run_places(context: Context, folder: Path) -> None:
         {
             "places": len(places.point_mm),
             "solves": done.solves,
+            "large": done.large,
             "unsure": done.unsure,
             "orders": places.orders,
             "radius_mm": places.radius_mm,

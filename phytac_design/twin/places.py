@@ -1,7 +1,8 @@
 """Tables of what contacts at any place do to the markers' images, by the decoder's own mesh.
 
-Linear theory gives the first power of the force, Koiter's expansion the second and third; the
-camera is the true lens, and receptors turn with the wall's inner face (:mod:`feet`).
+Linear theory gives the first power of the force, Koiter's expansion or large displacements
+(:mod:`pressed`) the others; the camera is the true lens, and receptors turn with the wall's inner
+face (:mod:`feet`).
 """
 
 from collections.abc import Callable
@@ -13,24 +14,18 @@ from decoder.bundle_locator import LEAST_PLACES
 from decoder.places import Places
 from phytac_design.layout import Markers
 from phytac_design.mechanics.compliance import column_turn
-from phytac_design.mechanics.large.modified import Modified
 from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.pressure import Holes, tangent_frame, touch_loads
+from phytac_design.mechanics.pressure import tangent_frame
 from phytac_design.mechanics.solve import ShellModel
 from phytac_design.optics.view import Readers
 from phytac_design.spec import Design
-from phytac_design.twin.contacts import Contacts
-from phytac_design.twin.feet import Feet
-from phytac_design.twin.response import point_motions, turned_points
-from phytac_design.twin.touch import flat_touches
+from phytac_design.twin.pressed import Pressed, Seen
 from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray, IntArray
-from shapes.errors import DesignError, NumericalError
+from shapes.errors import DesignError
 
 BATCH = 32
 """Loads solved together."""
-SERIES_MAX = 0.9
-"""Largest the second and third term may be together over the first, at the greatest force."""
 FINE = 513
 """Points along u that rings are spaced by."""
 BYTES_MAX = 400e6
@@ -66,12 +61,16 @@ class Tabulated:
         The tables.
     solves : int
         Places solved; the others are turned copies.
+    large : int
+        Of these, those solved with large displacements.
     unsure : int
-        Of these, those whose series says nothing at the greatest force: linear ones stand there.
+        Of these, those whose series says nothing at the greatest force, and that were not solved:
+        linear ones stand there.
     """
 
     places: Places
     solves: int
+    large: int
     unsure: int
 
 
@@ -137,7 +136,7 @@ def make_places(
     spacing_mm : float
         Between places, at most.
     orders : int
-        Powers of the force: 1 (linear theory) to 3.
+        Powers of the force: 1 (linear theory) to 5; see :data:`pressed.SOLVED_AT`.
     near : callable, optional
         ``near(spacing, uv)`` says which of places (p, 2) so far apart are wanted; all without it.
 
@@ -164,8 +163,8 @@ def make_places(
     row = np.full(len(ring.uv), -1)
     row[wanted] = np.arange(len(wanted))
     solved = np.unique(ring.base[wanted])
-    shell = _Pressed(design, surface, markers, mesh=mesh, model=model, orders=orders)
-    see = _Seen(readers, markers.mid_mm, arm_mm)
+    shell = Pressed(design, surface, markers, mesh=mesh, model=model, orders=orders)
+    see = Seen(readers, markers.mid_mm, arm_mm)
     out = np.zeros((len(wanted), orders, 2 * markers.count), dtype=np.float32)
     copies = [wanted[ring.base[wanted] == base] for base in solved]
     unsure = 0
@@ -187,89 +186,7 @@ def make_places(
         shift_px=out,
         radius_mm=radius,
     )
-    return Tabulated(places=places, solves=len(solved), unsure=unsure)
-
-
-class _Pressed:
-    """Receptors' motion under discs."""
-
-    def __init__(
-        self,
-        design: Design,
-        surface: Surface,
-        markers: Markers,
-        *,
-        mesh: ShellMesh,
-        model: ShellModel,
-        orders: int,
-    ) -> None:
-        receptor = design.receptor
-        self.mesh, self.surface, self.model, self.orders = mesh, surface, model, orders
-        self.holes = Holes.of(surface, markers.uv, receptor.diameter_hole_mm / 2.0)
-        self.feet = Feet(mesh, surface, markers.uv, receptor.diameter_outer_mm / 2.0)
-        self.shell = Modified(model)
-        most = design.training.force_max_N
-        self.forces = most * np.arange(1, orders) / max(orders - 1, 1)
-
-    def motions(self, uv: FloatArray, radius_mm: float) -> list[list[FloatArray]]:
-        """For each place the motion (n, 6) per newton, then that under each of the forces."""
-        count = len(uv)
-        touches = flat_touches(
-            Contacts(
-                sample=np.arange(count),
-                uv=uv,
-                radius_mm=np.full(count, radius_mm),
-                force_N=np.ones(count),
-                samples=count,
-            )
-        )
-        loads = touch_loads(self.mesh, self.surface, touches, holes=self.holes).toarray()
-        linear = self.model.solve(loads).motion.reshape(loads.shape)
-        return [self._motions(loads[:, k], linear[:, k].copy()) for k in range(count)]
-
-    def _motions(self, load: FloatArray, first: FloatArray) -> list[FloatArray]:
-        out = [self.feet.linear(first)]
-        if self.orders == 1:
-            return out
-        try:
-            second, third = self.shell.series(load, first)
-        except (ArithmeticError, NumericalError, np.linalg.LinAlgError):
-            return out
-        most = float(self.forces[-1])
-        more = np.linalg.norm((most * second + most**2 * third).reshape(-1, 6)[:, :3], axis=1)
-        size = np.linalg.norm(first.reshape(-1, 6)[:, :3], axis=1)
-        if not float(more.max()) <= SERIES_MAX * float(size.max()):
-            return out
-        return out + [
-            self.feet.large(f * first + f**2 * second + f**3 * third) for f in self.forces
-        ]
-
-
-class _Seen:
-    """What the cameras see of motion."""
-
-    def __init__(self, readers: Readers, mid_mm: FloatArray, arm_mm: FloatArray) -> None:
-        self.readers, self.arm_mm = readers, arm_mm
-        self.watched = mid_mm + arm_mm
-        self.rest = readers.project(self.watched)
-        self.slope = readers.jacobian(self.watched)
-
-    def powers(self, motions: list[FloatArray], forces: FloatArray) -> FloatArray:
-        """Rows (k, 2n) of the powers of the force, exact at each of the forces (k - 1,)."""
-        linear = point_motions(motions[0], self.arm_mm)
-        first = np.einsum("nij,nj->ni", self.slope, linear).ravel()
-        if len(motions) == 1:
-            return np.asarray(first[None])
-        rest = [
-            ((self._shift(motion) / f) - first) / f
-            for f, motion in zip(forces, motions[1:], strict=True)
-        ]
-        powers = forces[:, None] ** np.arange(len(forces))
-        return np.concatenate([first[None], np.linalg.solve(powers, np.stack(rest))])
-
-    def _shift(self, motion: FloatArray) -> FloatArray:
-        moved = self.watched + turned_points(motion, self.arm_mm)
-        return np.asarray(self.readers.project(moved) - self.rest).ravel()
+    return Tabulated(places=places, solves=len(solved), large=shell.solved, unsure=unsure)
 
 
 def _turned(motion: FloatArray, turn: FloatArray | None, times: int, columns: int) -> FloatArray:

@@ -146,6 +146,27 @@ class Modified:
             expansion = self._expanded(first, force)
         return expansion.second, expansion.third
 
+    def gap(self, load: FloatArray, motion: FloatArray, linear: FloatArray) -> float:
+        """How far a motion is from equilibrium, over linear motion, in the norm of K₀.
+
+        About the relative error of the motion where the shell neither softens nor stiffens much.
+
+        Parameters
+        ----------
+        load : (6N,) float
+            Nodal forces (N) and moments (N mm).
+        motion, linear : (6N,) float
+            The motion that is judged, and that of linear theory.
+
+        Raises
+        ------
+        NumericalError
+            If an element is distorted beyond what it can describe.
+        """
+        residual = np.where(self._shell.held, 0.0, load) - self._shell.internal(motion)
+        g = self._shell.solved(residual[:, None])[:, 0]
+        return float(np.sqrt(max(float(g @ residual), 0.0) / float(linear @ load)))
+
     def solve(
         self, load: Any, *, tolerance: float | None = None, linear: FloatArray | None = None
     ) -> Found:

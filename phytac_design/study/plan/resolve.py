@@ -35,7 +35,7 @@ STAGES_OF: dict[str, tuple[str, ...]] = {
 """Stages that make each output; those that they read from come with them."""
 AUTO_ms, INVERSE_ms = 1.6, 0.8
 """Time of one core per contact by `auto`, and per frame by `koi_inverse` (measured, p50)."""
-POWERS = 3
+POWERS = 4
 """Of the force, in the tables of `auto`, where linear theory is not enough."""
 EYES_ms, EYES_ms_Mpx = 0.8, 0.45
 """Time of one core to find markers in a frame: for any, and more per megapixel (measured, p50)."""

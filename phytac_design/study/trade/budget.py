@@ -59,9 +59,9 @@ LADDER: tuple[Accuracy, ...] = (
     _rung(DRAFT, (3, 3, 0.8), (8, 1.0)),
     _rung(DRAFT, (4, 3, 0.8), (8, 1.0), cad_tolerance_mm=0.02, frames=10),
     _rung(DRAFT, (4, 3, 0.8), (20, 1.0), cad_tolerance_mm=0.02, truth_refine=7, frames=20),
-    _rung(STANDARD, (4, 3, 0.55), (20, 0.05), truth_refine=7, frames=30),
+    _rung(STANDARD, (4, 4, 0.55), (20, 0.05), truth_refine=7, frames=30),
     STANDARD,
-    _rung(STANDARD, (5, 3, 0.55), (60, 0.05), truth_refine=11, frames=75),
+    _rung(STANDARD, (5, 4, 0.55), (60, 0.05), truth_refine=11, frames=75),
     FINE,
 )
 """Settings from the cheapest to the finest."""

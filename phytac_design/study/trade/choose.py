@@ -18,7 +18,7 @@ from shapes.errors import DesignError
 Progress = Callable[[str], None]
 REFINES = (2, 3, 4, 5, 6, 8, 10, 12)
 SHARES = (1.2, 0.8, 0.55, 0.4)
-ORDERS = (1, 3)
+ORDERS = (1, 3, 4, 5)
 TOLERANCES_mm = (0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002)
 PRESS_TOLERANCES = (1.0, 0.1, 0.05, 0.02)
 

@@ -21,6 +21,7 @@ from phytac_design.stages import STAGES
 from phytac_design.stages.twin import samples_of
 from phytac_design.study.trade.coefficients import COEFFICIENTS, PROBE_S
 from phytac_design.twin.places import rings
+from phytac_design.twin.pressed import SOLVED_AT
 from phytac_design.twin.shell import truth_mesh
 from shapes.arrays import FloatArray
 
@@ -130,6 +131,7 @@ def terms(work: Work, setting: Accuracy) -> dict[str, list[float]]:
             nodes,
             nodes * solved / 100.0,
             nodes * solved / 100.0 if setting.place_orders > 1 else 0.0,
+            nodes * solved / 100.0 if setting.place_orders in SOLVED_AT else 0.0,
             placed * n / 100.0,
         ],
         "twin": [1.0, truth, truth * right, n * sum(count.values()) / 100.0],

@@ -28,9 +28,8 @@ from phytac_design.optics.view import Readers, cameras_of
 from phytac_design.spec import Design
 from phytac_design.study.trade.contacts import StandardContacts, standard_contacts
 from phytac_design.twin.feet import Feet
-from phytac_design.twin.places import _Pressed as Pressed
-from phytac_design.twin.places import _Seen as Seen
 from phytac_design.twin.places import rings
+from phytac_design.twin.pressed import Pressed, Seen
 from phytac_design.twin.response import turned_points
 from phytac_design.twin.shell import truth_shell
 from shapes import Surface

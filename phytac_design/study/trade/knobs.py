@@ -68,7 +68,7 @@ KNOBS: tuple[Knob, ...] = (
     _setting("refine", (2, 3, 4, 5, 6, 8), "force", "mesh refinement"),
     _setting("receptors", (0, 1), "force", "receptors' stiffness and holes"),
     _setting("place_share", (1.2, 0.8, 0.55, 0.4), "force", "spacing of the decoder's tables"),
-    _setting("place_orders", (1, 2, 3), "force", "linear theory or a series of large ones"),
+    _setting("place_orders", (1, 2, 3, 4, 5), "force", "linear theory, a series, or solved"),
     _setting("truth_refine", (5, 7, 9, 13), "score", "mesh of the simulated sensor"),
     _setting("sample_share", (0.1, 0.3, 1.0), "score", "simulated training and test samples"),
     _setting("frames", (5, 20, 50, 100), "score", "rendered frames that are decoded"),

@@ -79,7 +79,7 @@ def test_theory_follows_the_pilot() -> None:
         small(), scene(contacts={"force_max_N": 25.0}, error_allowed=0.02), PRESETS["draft"]
     )
     assert weak.accuracy.place_orders == 1
-    assert strong.accuracy.place_orders == 3
+    assert strong.accuracy.place_orders == 4
     # Its first term grows with the force.
     ratio = strong.linear_error / weak.linear_error
     assert 20.0 < ratio < 70.0
