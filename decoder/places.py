@@ -21,13 +21,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shapes.arrays import FloatArray, IntArray
+from shapes.arrays import BoolArray, FloatArray, IntArray
 
 NEAR = 20
 """Places that a cubic is fitted to: twice its ten coefficients."""
 TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
 """Powers of x and y of the cubic."""
 FACTORIALS = (1.0, 1.0, 2.0, 6.0)
+LOPSIDED = 1.5
+"""Ratio of spreads of the places around from which on they are all on one side, as at a rim."""
 FADE = 4.0
 """Weight of the farthest place that a cubic is fitted to, as exp(-FADE)."""
 CHUNK = 256
@@ -108,12 +110,15 @@ class Places:
         gap[normal[own] @ normal.T <= 0.0] = np.inf
         # The place itself first, whatever rounding says.
         gap[np.arange(len(own)), own] = -np.inf
-        wanted = min(NEAR, len(self.point_mm))
+        wanted = min(2 * NEAR, len(self.point_mm))
         near = np.argsort(gap, axis=1, kind="stable")[:, :wanted]
         far = np.isinf(np.take_along_axis(gap, near, axis=1))
         far[:, 0] = False
         arm = self.point_mm[near] - self.point_mm[own][:, None]
         xy = _laid(arm, self.along[own][:, None], self.around[own][:, None])
+        best = _balanced(xy, far)[:, :NEAR]
+        near, far = np.take_along_axis(near, best, axis=1), np.take_along_axis(far, best, axis=1)
+        xy = np.take_along_axis(xy, best[:, :, None], axis=1)
         size = np.linalg.norm(np.where(far[:, :, None], 0.0, xy), axis=2).max(axis=1)
         size = np.where(size > 0.0, size, 1.0)
         xy = xy / size[:, None, None]
@@ -129,6 +134,27 @@ class Places:
         near, weights = self.fits
         rows = self.shift_px[near[place]].reshape(near.shape[1], -1)
         return (weights[place] @ rows).reshape(len(TERMS), *self.shift_px.shape[1:])
+
+
+def _balanced(xy: FloatArray, far: BoolArray) -> IntArray:
+    """Order (p, q) of the places (p, q, 2) around, nearest first.
+
+    On a rim the nearest lie along it, on too few lines for a cubic across: there distances count
+    less the way in which the places spread less.
+    """
+    weight = np.where(far, 0.0, 1.0)
+    total = weight.sum(axis=1)
+    mean = np.einsum("pq,pqi->pi", weight, xy) / total[:, None]
+    from_mean = (xy - mean[:, None]) * weight[:, :, None]
+    spread = np.einsum("pqi,pqj->pij", from_mean, from_mean) / total[:, None, None]
+    least, most = np.linalg.eigvalsh(spread).T
+    lopsided = most > LOPSIDED * least
+    square = np.sum(xy**2, axis=2)
+    weighed = np.einsum("pqi,pij,pqj->pq", xy, spread, xy)
+    square = np.where(lopsided[:, None], weighed, square)
+    square[far] = np.inf
+    square[:, 0] = -np.inf
+    return np.argsort(square, axis=1, kind="stable")
 
 
 def _laid(arm: FloatArray, along: FloatArray, around: FloatArray) -> FloatArray:

@@ -159,6 +159,20 @@ def column_turn(model: ShellModel, mesh: ShellMesh, columns: int) -> FloatArray 
     return turn if alike else None
 
 
+def turns_of(model: ShellModel, mesh: ShellMesh, columns: int) -> tuple[int, FloatArray | None]:
+    """Sectors that shell and supports repeat themselves in, and the turn (3, 3) to the next.
+
+    The greatest divisor of ``columns`` that will do: all columns on a cylinder, four on a square
+    box; 1 and None where none does.
+    """
+    for sectors in range(columns, 1, -1):
+        if columns % sectors == 0:
+            turn = column_turn(model, mesh, sectors)
+            if turn is not None:
+                return sectors, turn
+    return 1, None
+
+
 def _repeats(value: float | FloatArray, landed: IntArray) -> bool:
     """Whether a section, one or one per element, is the same where each element lands."""
     section = np.broadcast_to(np.asarray(value, dtype=np.float64), len(landed))

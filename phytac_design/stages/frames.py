@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,14 +17,24 @@ from phytac_design.twin.contacts import Contacts, Switching
 from shapes.arrays import FloatArray, ImageArray
 from shapes.errors import InputError
 
+if TYPE_CHECKING:
+    from phytac_design.mechanics.meshing.mesh import ShellMesh
+    from phytac_design.mechanics.solve import ShellModel
+
 
 @dataclass(frozen=True, kw_only=True)
 class Pressed:
-    """Contacts of all frames, what they trip, and how every marker moves, (samples, n, 6)."""
+    """Contacts of all frames, what they trip, and how every marker moves, (samples, n, 6).
+
+    ``example`` is the frame with the most switches on, and ``shown`` (n, 6) how a sensor would move
+    there: with large displacements, where they can be solved.
+    """
 
     contacts: Contacts
     switching: Switching
     motion: FloatArray
+    example: int
+    shown: FloatArray
 
 
 @dataclass(kw_only=True)
@@ -59,15 +69,44 @@ def press(context: Context) -> Pressed:
     responses = motion_responses(
         model, mesh, surface, markers, uv=contacts.uv, radius_mm=contacts.radius_mm
     )
+    switching = switch_states(design, surface, markers, contacts)
+    motion = superpose(responses, contacts)
+    example = int(np.argmax(switching.bits.sum(axis=1)))
+    large = _large(context, mesh, model, contacts.of_sample(example))
     return Pressed(
         contacts=contacts,
-        switching=switch_states(design, surface, markers, contacts),
-        motion=superpose(responses, contacts),
+        switching=switching,
+        motion=motion,
+        example=example,
+        shown=motion[example] if large is None else large,
     )
 
 
-def shoot(context: Context, pressed: Pressed, index: int | None) -> tuple[ImageArray, ...]:
-    """Noisy frame of each camera of one sample, or of the unloaded sensor (None)."""
+def _large(
+    context: Context, mesh: "ShellMesh", model: "ShellModel", contacts: Contacts
+) -> FloatArray | None:
+    """Motion (n, 6) under the contacts of one sample by large displacements; None without one."""
+    from phytac_design.mechanics.large.modified import Modified
+    from phytac_design.mechanics.pressure import Holes, touch_loads
+    from phytac_design.twin.feet import Feet
+    from phytac_design.twin.touch import flat_touches
+
+    receptor, surface, uv = context.design.receptor, context.surface, context.markers.uv
+    holes = Holes.of(surface, uv, receptor.diameter_hole_mm / 2.0)
+    unit = touch_loads(mesh, surface, flat_touches(contacts), holes=holes)
+    motion = Modified(model).solve(np.asarray(unit @ contacts.force_N).ravel()).sample.motion
+    if motion is None:
+        return None
+    return Feet(mesh, surface, uv, receptor.diameter_outer_mm / 2.0).large(motion)
+
+
+def shoot(
+    context: Context, pressed: Pressed, index: int | None, motion: FloatArray | None = None
+) -> tuple[ImageArray, ...]:
+    """Noisy frame of each camera of one sample, or of the unloaded sensor (None).
+
+    ``motion`` (n, 6) stands in for the sample's own.
+    """
     from phytac_design.optics.frame import render_frame
     from phytac_design.optics.scene import build_scene
     from phytac_design.optics.view import cameras_of, tolerance_mm
@@ -80,7 +119,7 @@ def shoot(context: Context, pressed: Pressed, index: int | None) -> tuple[ImageA
         tolerance = tolerance_mm(camera, markers)
         scene = build_scene(design, surface, markers, tolerance_mm=tolerance, switch_on=bits)
         if index is not None:
-            motion = pressed.motion[index]
+            motion = pressed.motion[index] if motion is None else motion
             scene = scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm)
         noise = design.camera.noise_pixel
         frames.append(render_frame(scene, camera, noise_std=noise, rng=rng))
@@ -94,12 +133,12 @@ def write_frames(folder: Path, name: str, frames: tuple[ImageArray, ...]) -> Non
 
 
 def decode_all(context: Context, folder: Path, pressed: Pressed) -> Tally:
-    """Render and decode every sample; keep the frame with the most switches on as an example."""
+    """Render and decode every sample; write the unloaded frame and the example."""
     from decoder.bundle import load_bundle
     from decoder.run import measure_frame, rest_positions
 
     bundle = load_bundle(context.folders["decoder"] / EXPORT / "decoder")
-    # The frames are of a linear shell.
+    # All frames but the example are of a linear shell.
     bundle = replace(bundle, model=bundle.model.linear)
     bits = pressed.switching.bits
     tally = Tally(forces_N={name: np.zeros(bits.shape) for name in bundle.model.estimators})
@@ -110,16 +149,14 @@ def decode_all(context: Context, folder: Path, pressed: Pressed) -> Tally:
         rest_px = rest_positions(bundle, rest_frames)
     except InputError as error:  # only a forced build of markers that cannot be seen gets here
         tally.refused.append(str(error))
-    example = int(np.argmax(bits.sum(axis=1)))
+    truth = pressed.switching.receptor_force_N[pressed.example]
+    write_frames(folder, "frame_pressed", shoot(context, pressed, pressed.example, pressed.shown))
+    export_path(folder, "views/frame_pressed.json").write_text(
+        json.dumps({str(i): round(float(truth[i]), 4) for i in np.flatnonzero(truth)})
+    )
     for index, on in enumerate(bits):
         context.progress(f"frames: {index + 1} of {len(bits)}")
         frames = shoot(context, pressed, index)
-        if index == example:
-            write_frames(folder, "frame_pressed", frames)
-            truth = pressed.switching.receptor_force_N[index]
-            export_path(folder, "views/frame_pressed.json").write_text(
-                json.dumps({str(i): round(float(truth[i]), 4) for i in np.flatnonzero(truth)})
-            )
         try:
             measured = measure_frame(bundle, frames, rest_px=rest_px)
         except InputError as error:

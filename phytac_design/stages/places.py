@@ -57,6 +57,7 @@ def run_places(context: Context, folder: Path) -> None:
         {
             "places": len(places.point_mm),
             "solves": done.solves,
+            "bent": done.bent,
             "large": done.large,
             "unsure": done.unsure,
             "orders": places.orders,

@@ -58,6 +58,17 @@ class Contacts:
         """Contacts in each sample, (samples,)."""
         return np.bincount(self.sample, minlength=self.samples)
 
+    def of_sample(self, number: int) -> "Contacts":
+        """Contacts of one sample, as the only one."""
+        own = np.flatnonzero(self.sample == number)
+        return Contacts(
+            sample=np.zeros(len(own), dtype=np.int64),
+            uv=self.uv[own],
+            radius_mm=self.radius_mm[own],
+            force_N=self.force_N[own],
+            samples=1,
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Switching:

@@ -6,14 +6,14 @@ face (:mod:`feet`).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from decoder.bundle_locator import LEAST_PLACES
-from decoder.places import Places
+from decoder.places import FACTORIALS, TERMS, Places
 from phytac_design.layout import Markers
-from phytac_design.mechanics.compliance import column_turn
+from phytac_design.mechanics.compliance import turns_of
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.pressure import tangent_frame
 from phytac_design.mechanics.solve import ShellModel
@@ -26,6 +26,9 @@ from shapes.errors import DesignError
 
 BATCH = 32
 """Loads solved together."""
+APART = 2.0
+"""Distance of places at which the higher powers of the force are solved, over that of places:
+they are a small part of the shifts, and are interpolated."""
 FINE = 513
 """Points along u that rings are spaced by."""
 BYTES_MAX = 400e6
@@ -43,7 +46,7 @@ class Rings:
     base : (p,) int
         The place of the same ring that each is a turned copy of; itself where it is none.
     turns : (p,) int
-        By how many columns it is turned from there.
+        By how many sectors it is turned from there.
     """
 
     uv: FloatArray
@@ -61,6 +64,8 @@ class Tabulated:
         The tables.
     solves : int
         Places solved; the others are turned copies.
+    bent : int
+        Places at which the higher powers of the force were found.
     large : int
         Of these, those solved with large displacements.
     unsure : int
@@ -70,12 +75,13 @@ class Tabulated:
 
     places: Places
     solves: int
+    bent: int
     large: int
     unsure: int
 
 
-def rings(surface: Surface, spacing_mm: float, columns: int) -> Rings:
-    """Places at most about ``spacing_mm`` apart; ``columns`` > 1 repeats them around so often."""
+def rings(surface: Surface, spacing_mm: float, sectors: int) -> Rings:
+    """Places at most about ``spacing_mm`` apart; ``sectors`` > 1 repeats them around so often."""
     (u0, u1), (v0, v1) = surface.domain
     u, v = np.linspace(u0, u1, FINE), np.linspace(v0, v1, 65)
     grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -97,8 +103,8 @@ def rings(surface: Surface, spacing_mm: float, columns: int) -> Rings:
             base += range(start, len(uv))
             turns += [0] * (number + 1)
             continue
-        per = max(int(np.ceil(width / spacing_mm / columns)), 1)
-        number = 1 if width < 1e-6 * length[-1] else per * columns
+        per = max(int(np.ceil(width / spacing_mm / sectors)), 1)
+        number = 1 if width < 1e-6 * length[-1] else per * sectors
         uv += [(at, v0 + (v1 - v0) * k / number) for k in range(number)]
         base += [start + k % per for k in range(number)]
         turns += [k // per for k in range(number)]
@@ -150,49 +156,96 @@ def make_places(
     training = design.training
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     columns = markers.lattice.columns if markers.lattice else 1
-    turn = column_turn(model, mesh, columns)
+    sectors, turn = turns_of(model, mesh, columns)
+    if turn is not None and not _markers_turn(markers, turn, columns // sectors):
+        sectors, turn = 1, None
     least = np.sqrt(surface.area_mm2() * orders * 8.0 * markers.count / BYTES_MAX)
     spacing = max(spacing_mm, float(least))
-    ring = rings(surface, spacing, columns if turn is not None else 1)
-    wanted = np.arange(len(ring.uv)) if near is None else np.flatnonzero(near(spacing, ring.uv))
-    if len(wanted) < LEAST_PLACES:
-        raise DesignError(
-            f"the part of the surface asked for holds {len(wanted)} places of the tables, "
-            f"{spacing:.2g} mm apart; it takes {LEAST_PLACES}: widen it"
-        )
-    row = np.full(len(ring.uv), -1)
-    row[wanted] = np.arange(len(wanted))
-    solved = np.unique(ring.base[wanted])
-    shell = Pressed(design, surface, markers, mesh=mesh, model=model, orders=orders)
     see = Seen(readers, markers.mid_mm, arm_mm)
-    out = np.zeros((len(wanted), orders, 2 * markers.count), dtype=np.float32)
-    copies = [wanted[ring.base[wanted] == base] for base in solved]
-    unsure = 0
-    for first in range(0, len(solved), BATCH):
-        batch = solved[first : first + BATCH]
-        for own, motions in zip(
-            copies[first : first + BATCH], shell.motions(ring.uv[batch], radius), strict=True
-        ):
-            unsure += len(motions) < orders
-            for place in own:
-                turned = [_turned(m, turn, int(ring.turns[place]), columns) for m in motions]
-                out[row[place], : len(motions)] = see.powers(turned, shell.forces)
-        progress(f"places: {min(first + BATCH, len(solved))} of {len(solved)}")
-    along, around = tangent_frame(surface, ring.uv[wanted])
-    places = Places(
-        point_mm=surface.point(ring.uv[wanted]),
-        along=along,
-        around=around,
-        shift_px=out,
-        radius_mm=radius,
+
+    def table(powers: int, apart_mm: float) -> tuple[Places, int, Pressed, int]:
+        ring = rings(surface, apart_mm, sectors)
+        wanted = np.arange(len(ring.uv))
+        if near is not None:
+            wanted = np.flatnonzero(near(apart_mm, ring.uv))
+        if len(wanted) < LEAST_PLACES:
+            raise DesignError(
+                f"the part of the surface asked for holds {len(wanted)} places of the tables, "
+                f"{apart_mm:.2g} mm apart; it takes {LEAST_PLACES}: widen it"
+            )
+        row = np.full(len(ring.uv), -1)
+        row[wanted] = np.arange(len(wanted))
+        solved = np.unique(ring.base[wanted])
+        shell = Pressed(design, surface, markers, mesh=mesh, model=model, orders=powers)
+        out = np.zeros((len(wanted), powers, 2 * markers.count), dtype=np.float32)
+        copies = [wanted[ring.base[wanted] == base] for base in solved]
+        unsure = 0
+        for first in range(0, len(solved), BATCH):
+            batch = solved[first : first + BATCH]
+            for own, motions in zip(
+                copies[first : first + BATCH], shell.motions(ring.uv[batch], radius), strict=True
+            ):
+                unsure += len(motions) < powers
+                for place in own:
+                    times = int(ring.turns[place])
+                    turned = [_turned(m, turn, times, columns, sectors) for m in motions]
+                    out[row[place], : len(motions)] = see.powers(turned, shell.forces)
+            progress(
+                f"places: {min(first + BATCH, len(solved))} of {len(solved)}"
+                + (", large displacements" if powers > 1 else "")
+            )
+        along, around = tangent_frame(surface, ring.uv[wanted])
+        places = Places(
+            point_mm=surface.point(ring.uv[wanted]),
+            along=along,
+            around=around,
+            shift_px=out,
+            radius_mm=radius,
+        )
+        return places, len(solved), shell, unsure
+
+    places, solves, shell, unsure = table(1, spacing)
+    if orders == 1:
+        return Tabulated(places=places, solves=solves, bent=0, large=0, unsure=0)
+    higher, bent, shell, unsure = table(orders, APART * spacing)
+    more = between(higher, places.point_mm)[:, 1:].astype(np.float32)
+    whole = np.concatenate([places.shift_px, more], axis=1)
+    return Tabulated(
+        places=replace(places, shift_px=whole),
+        solves=solves,
+        bent=bent,
+        large=shell.solved,
+        unsure=unsure,
     )
-    return Tabulated(places=places, solves=len(solved), large=shell.solved, unsure=unsure)
 
 
-def _turned(motion: FloatArray, turn: FloatArray | None, times: int, columns: int) -> FloatArray:
-    """Motion (n, 6) of a load that is turned by some columns."""
+def between(places: Places, points_mm: FloatArray) -> FloatArray:
+    """Rows (m, k, 2n) at points (m, 3) of the surface: cubics about the nearest places."""
+    nearest = places.nearest(points_mm)
+    out = np.zeros((len(points_mm), *places.shift_px.shape[1:]))
+    for place in np.unique(nearest).tolist():
+        own = np.flatnonzero(nearest == place)
+        x, y = places.flat(place, points_mm[own]).T
+        powers = np.stack([x**a * y**b / (FACTORIALS[a] * FACTORIALS[b]) for a, b in TERMS])
+        out[own] = np.einsum("tm,tkr->mkr", powers, places.cubic(place))
+    return out
+
+
+def _markers_turn(markers: Markers, turn: FloatArray, step: int) -> bool:
+    """Whether markers land on those ``step`` columns on."""
+    if markers.lattice is None or markers.count % markers.lattice.columns:
+        return False
+    mid = markers.mid_mm.reshape(-1, markers.lattice.columns, 3)
+    gap = np.abs(mid @ turn.T - np.roll(mid, -step, axis=1)).max()
+    return bool(gap <= 1e-6 * np.abs(mid).max())
+
+
+def _turned(
+    motion: FloatArray, turn: FloatArray | None, times: int, columns: int, sectors: int
+) -> FloatArray:
+    """Motion (n, 6) of a load that is turned by some sectors."""
     if turn is None or times == 0:
         return motion
     power = np.linalg.matrix_power(turn, times)
     field = motion.reshape(-1, columns, 2, 3) @ power.T
-    return np.asarray(np.roll(field, times, axis=1).reshape(motion.shape))
+    return np.asarray(np.roll(field, times * (columns // sectors), axis=1).reshape(motion.shape))

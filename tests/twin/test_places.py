@@ -13,13 +13,14 @@ from phytac_design.optics.view import Readers, cameras_of
 from phytac_design.spec import Design
 from phytac_design.twin.contacts import Contacts
 from phytac_design.twin.places import Tabulated, make_places, rings
+from phytac_design.twin.pressed import Pressed, Seen
 from phytac_design.twin.response import turned_points
 from phytac_design.twin.scenario.scatter import draw_unit
 from phytac_design.twin.scenario.tables import UnitSection
 from phytac_design.twin.solver import Solver
 from phytac_design.twin.touch import flat_touches
 from shapes.arrays import FloatArray
-from tests.designs import drawn, small
+from tests.designs import drawn, of_shape, small
 
 DESIGN = small()
 SURFACE = DESIGN.surface()
@@ -105,6 +106,61 @@ def test_turned_copies_are_what_would_be_solved() -> None:
     own = done.places.shift_px[base, 0].reshape(-1, columns, 2) @ np.array([[c, s], [-s, c]])
     wanted = np.roll(own, 3, axis=1).ravel()
     assert off(done.places.shift_px[place, 0], wanted) < 1e-4
+
+
+def test_a_square_box_is_solved_on_one_side_in_four() -> None:
+    design = of_shape(
+        "cuboid",
+        {"width_mm": 40.0, "depth_mm": 40.0, "length_mm": 40.0, "edge_radius_mm": 8.0},
+        {"rows": 4, "columns": 12},
+    )
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    readers = Readers(
+        cameras=cameras_of(design, surface), read_by=np.zeros(markers.count, dtype=np.int64)
+    )
+    mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=3)
+    model = sensor_model(design, markers, mesh, receptors=True)
+    arm = markers.tip_mm - markers.mid_mm
+    done = make_places(
+        design,
+        surface,
+        markers,
+        mesh=mesh,
+        model=model,
+        readers=readers,
+        arm_mm=arm,
+        spacing_mm=7.0,
+        orders=4,
+    )
+    assert done.solves * 4 <= len(done.places.point_mm) + 4
+    assert done.bent < done.solves
+    ring = rings(surface, 7.0, 4)
+    shell = Pressed(design, surface, markers, mesh=mesh, model=model, orders=1)
+    for turns in (1, 3):
+        place = int(np.flatnonzero(ring.turns == turns)[7])
+        ((own,),) = shell.motions(ring.uv[[place]], done.places.radius_mm)
+        (wanted,) = Seen(readers, markers.mid_mm, arm).powers([own], shell.forces)
+        assert off(done.places.shift_px[place, 0], wanted) < 1e-3
+
+
+def test_higher_powers_between_places_are_those_that_would_be_solved() -> None:
+    """They stand farther apart than the places, and are interpolated."""
+    done = tabulated()
+    assert 2 * done.bent < done.solves
+    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=4)
+    model = sensor_model(DESIGN, MARKERS, mesh, receptors=True)
+    shell = Pressed(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=3)
+    columns = MARKERS.lattice.columns if MARKERS.lattice else 1
+    ring = rings(SURFACE, 3.0, columns)
+    force = DESIGN.training.force_max_N
+    gaps = []
+    for place in np.arange(0, len(ring.uv), len(ring.uv) // 12).tolist():
+        (motions,) = shell.motions(ring.uv[[place]], done.places.radius_mm)
+        rows = Seen(READERS, MARKERS.mid_mm, ARM).powers(motions, shell.forces)
+        gaps.append(off(told(done.places, place, force), force ** np.arange(1.0, 4.0) @ rows))
+    assert max(gaps) < 0.05
+    assert float(np.median(gaps)) < 0.01
 
 
 def test_linear_theory_alone_is_the_first_power() -> None:

@@ -14,13 +14,14 @@ from phytac_design.spec import Design
 from phytac_design.study.plan.counts import Counts
 from phytac_design.study.plan.scene import Scene
 from phytac_design.study.plan.units import MEMORY_MB, SECONDS, PROBE_s
+from phytac_design.twin.places import APART
 from shapes.arrays import FloatArray
 
 WITHIN = 2.0
 """Factor within which predicted and actual cost of a build lie; measured, see docs/plan.md."""
 PROBES = 3
 KOITER = 6.0
-"""Cost of the higher powers of a press, in linear solves."""
+"""Cost of all powers of a press, in linear solves."""
 PROBE_SIZE = 96
 
 Features = dict[str, float]
@@ -50,7 +51,7 @@ def features(
     nodes, truth = counts.nodes / 1e3, counts.truth_nodes / 1e3
     fine = n * float(np.sqrt(0.01 / accuracy.cad_tolerance_mm))
     solid = {"one": 1.0, "markers": n, "fine": fine}
-    orders = 1.0 if accuracy.place_orders == 1 else KOITER
+    orders = 1.0 if accuracy.place_orders == 1 else 1.0 + (KOITER - 1.0) / APART**2
     large = 0.0 if accuracy.press_tolerance >= 1.0 else 1.0
     trained = 1.0 if scene is None or scene.networks else 0.0
     judged = max(counts.contacts - counts.samples, 0)

@@ -20,7 +20,7 @@ from phytac_design.spec import Design
 from phytac_design.stages import STAGES
 from phytac_design.stages.twin import samples_of
 from phytac_design.study.trade.coefficients import COEFFICIENTS, PROBE_S
-from phytac_design.twin.places import rings
+from phytac_design.twin.places import APART, rings
 from phytac_design.twin.pressed import SOLVED_AT
 from phytac_design.twin.shell import truth_mesh
 from shapes.arrays import FloatArray
@@ -59,6 +59,20 @@ class Work:
         """Markers, hundreds."""
         return self.markers.count / 100.0
 
+    @cached_property
+    def sectors(self) -> int:
+        """Sectors of the tables' places that repeat themselves around; 1 where none do."""
+        if self.design.shape.kind != "cuboid" or self.markers.lattice is None:
+            return self.columns
+        columns = self.markers.lattice.columns
+        width, depth, _ = np.ptp(self.surface.bounds_mm(), axis=0)
+        square = abs(width - depth) < 1e-6 * width
+        wall = self.design.wall.thickness_mm
+        mesh = marker_mesh(self.surface, self.markers, thickness_mm=wall, refine=1)
+        if mesh.around is None:
+            return 1
+        return 4 if square and columns % 4 == 0 else 2 if columns % 2 == 0 else 1
+
     @property
     def columns(self) -> int:
         """Columns that repeat themselves around; 1 where none do."""
@@ -86,7 +100,7 @@ class Work:
         if share not in self._solves:
             training = self.design.training
             radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
-            ring = rings(self.surface, share * radius, self.columns)
+            ring = rings(self.surface, share * radius, self.sectors)
             self._solves[share] = (len(np.unique(ring.base)), len(ring.base))
         return self._solves[share]
 
@@ -96,6 +110,7 @@ def terms(work: Work, setting: Accuracy) -> dict[str, list[float]]:
     n, pixels = work.hundreds, work.megapixels
     nodes, truth = work.nodes(setting.refine), work.true_nodes(setting.truth_refine)
     solved, placed = work.places(setting.place_share)
+    bent, _ = work.places(APART * setting.place_share)
     large = setting.press_tolerance < 1.0
     presses = setting.press_places
     count = samples_of(work.design, setting.sample_share)
@@ -130,8 +145,8 @@ def terms(work: Work, setting: Accuracy) -> dict[str, list[float]]:
             1.0,
             nodes,
             nodes * solved / 100.0,
-            nodes * solved / 100.0 if setting.place_orders > 1 else 0.0,
-            nodes * solved / 100.0 if setting.place_orders in SOLVED_AT else 0.0,
+            nodes * bent / 100.0 if setting.place_orders > 1 else 0.0,
+            nodes * bent / 100.0 if setting.place_orders in SOLVED_AT else 0.0,
             placed * n / 100.0,
         ],
         "twin": [1.0, truth, truth * right, n * sum(count.values()) / 100.0],

@@ -18,7 +18,7 @@ import numpy as np
 from decoder.places import NEAR, Places
 from phytac_design.accuracy import Accuracy
 from phytac_design.layout import Markers, make_markers
-from phytac_design.mechanics.compliance import column_turn
+from phytac_design.mechanics.compliance import turns_of
 from phytac_design.mechanics.large.modified import Modified
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
 from phytac_design.mechanics.pressure import Holes, tangent_frame, touch_loads
@@ -217,9 +217,9 @@ class ForceError:
     def _interpolated(self, refine: int, share: float, *, receptors: bool) -> FloatArray:
         mesh, model = self.shell(refine, receptors=receptors)
         columns = self.markers.lattice.columns if self.markers.lattice else 1
-        repeats = column_turn(model, mesh, columns) is not None
+        sectors, _ = turns_of(model, mesh, columns)
         radius = self.contacts.radius_mm
-        ring = rings(self.surface, share * radius, columns if repeats else 1)
+        ring = rings(self.surface, share * radius, sectors)
         along, around = tangent_frame(self.surface, ring.uv)
         point = self.surface.point(ring.uv)
         wanted = self.surface.point(self.contacts.uv)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from phytac_design.accuracy import PRESETS, RANGES, Accuracy
-from phytac_design.mechanics.compliance import column_turn
+from phytac_design.mechanics.compliance import turns_of
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
 from phytac_design.stage import Stage
@@ -124,10 +124,11 @@ def test_tables_are_counted_as_the_build_solves_them(kind: str) -> None:
     mesh = marker_mesh(work.surface, work.markers, thickness_mm=wall, refine=2)
     model = sensor_model(design, work.markers, mesh, receptors=not unknown_receptors(design))
     columns = work.markers.lattice.columns if work.markers.lattice else 1
-    turns = column_turn(model, mesh, columns) is not None
-    assert (work.columns > 1) == turns
+    sectors, _ = turns_of(model, mesh, columns)
+    assert work.sectors == sectors
+    assert work.columns in {1, sectors}
     solved, placed = work.places(0.8)
-    assert solved < placed if turns else solved == placed
+    assert solved < placed if sectors > 1 else solved == placed
     assert work.nodes(2) == len(mesh.nodes_mm) / 1e3
 
 
