@@ -27,7 +27,7 @@ class Pressed:
     """Contacts of all frames, what they trip, and how every marker moves, (samples, n, 6).
 
     ``example`` is the frame with the most switches on, and ``shown`` (n, 6) how a sensor would move
-    there: with large displacements, where they can be solved.
+    there: with large displacements, where the decoder's tables know of them.
     """
 
     contacts: Contacts
@@ -72,7 +72,9 @@ def press(context: Context) -> Pressed:
     switching = switch_states(design, surface, markers, contacts)
     motion = superpose(responses, contacts)
     example = int(np.argmax(switching.bits.sum(axis=1)))
-    large = _large(context, mesh, model, contacts.of_sample(example))
+    large = None
+    if context.accuracy.place_orders > 1:
+        large = _large(context, mesh, model, contacts.of_sample(example))
     return Pressed(
         contacts=contacts,
         switching=switching,
@@ -205,7 +207,7 @@ def run(context: Context, folder: Path) -> None:
 FRAMES = Stage(
     name="frames",
     reads=(*MECHANICS, "markers", "bodies", "trips", "training", "camera.noise_pixel"),
-    knobs=("truth_refine", "frames"),
+    knobs=("truth_refine", "frames", "place_orders"),
     needs=("decoder",),
     seeded=True,
     scene=("regions", "reach_mm", "at_once"),
