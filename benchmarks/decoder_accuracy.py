@@ -90,7 +90,7 @@ class Bench:
 
 def bench(case: Case) -> Bench:
     """Make the decoder, and read or simulate the data."""
-    context = mechanics(case.job.design, case.job.accuracy)
+    context = mechanics(case.job.design, case.accuracy or case.job.accuracy)
     train, test = case.parts()
     return Bench(case=case, context=context, plain=by_design(context), train=train, test=test)
 

@@ -54,12 +54,15 @@ class Case:
     mixed : bool
         Draw them at random; otherwise they are the first. The rig goes column by column: where
         it has not been all around, the first ones leave a side out.
+    accuracy : str
+        Preset of the decoder's own mechanics, where it is not that of the data.
     """
 
     name: str
     job: Job
     train: int
     mixed: bool = True
+    accuracy: Preset | None = None
 
     def parts(self) -> tuple[DataSet, DataSet]:
         """What to learn from, and what is held out."""
@@ -206,7 +209,7 @@ def of_shape(name: str, *, quick: bool) -> Case:
     accuracy: Preset = "draft" if name in FLAT else "standard"
     train = count // 2
     job = job_of(load_design(name), unit=1, samples=count, accuracy=accuracy)
-    return Case(name=f"shape-{name}", job=job, train=train)
+    return Case(name=f"shape-{name}", job=job, train=train, accuracy="standard")
 
 
 def cycles(*, quick: bool) -> Case:
