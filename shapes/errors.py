@@ -37,6 +37,10 @@ class NumericalError(PhytacError):
     exit_code = 5
 
 
+class CadKernelError(NumericalError):
+    """A solid that the CAD kernel cannot make in one sound piece; printed meshes do not need it."""
+
+
 class MissingPartError(PhytacError):
     """An optional part (library or system package) that this work needs is not installed."""
 

@@ -16,7 +16,7 @@ from phytac_design.layout import Markers
 from phytac_design.spec import Design
 from shapes import Surface
 from shapes.arrays import FloatArray
-from shapes.errors import NumericalError, OutputError
+from shapes.errors import CadKernelError, NumericalError, OutputError
 
 __all__ = [
     "WALLS",
@@ -57,8 +57,8 @@ def shell_cad(design: Design, surface: Surface, markers: Markers) -> Any:
     ------
     DesignError
         If no CAD builder is registered for the surface family.
-    NumericalError
-        If OpenCASCADE does not return exactly one solid.
+    CadKernelError
+        If OpenCASCADE does not return exactly one sound solid.
     """
     cq = cadquery()
     wall = wall_cad(surface, design.wall)
@@ -68,9 +68,9 @@ def shell_cad(design: Design, surface: Surface, markers: Markers) -> Any:
     holes = _rods(cq, axes.hole_start_mm, axes.hole_end_mm, receptor.diameter_hole_mm / 2.0)
     solids = wall.fuse(*tubes).cut(*holes).Solids()
     if len(solids) != 1:
-        raise NumericalError(
-            f"the CAD shell falls into {len(solids)} solids instead of 1; "
-            "run `phytac check` on the design"
+        raise CadKernelError(
+            f"OpenCASCADE cannot fuse receptors and wall: {len(solids)} solids instead of 1; the "
+            "printed meshes are made without it"
         )
     return solids[0]
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from phytac_design.hardware_section import HardwareSection
 from phytac_design.stage import Context, Stage, export_path, write_facts
 from phytac_design.stages.switch import refusal, switches_of
-from shapes.errors import DesignError, MissingPartError, NumericalError
+from shapes.errors import CadKernelError, DesignError, MissingPartError, NumericalError
 
 if TYPE_CHECKING:
     from phytac_design.fabrication.hardware.parts import Kit
@@ -122,9 +122,14 @@ def _write_step(
     bodies = hardware_bodies(kit, shapes)
     if whole:
         context.progress("hardware: STEP of the whole sensor")
-        bodies = sensor_bodies(design, surface, markers, switches_of(context)) + bodies
-    else:
-        bodies = [wall_body(design, surface), *bodies]
+        try:
+            sensor = sensor_bodies(design, surface, markers, switches_of(context))
+        except CadKernelError as error:
+            context.progress(f"hardware: the assembly holds the wall without receptors ({error})")
+            whole = False
+    if not whole:
+        sensor = [wall_body(design, surface)]
+    bodies = sensor + bodies
     write_assembly(bodies, export_path(folder, "fixtures/assembly.step"), name=design.name)
     return {"bodies": len(bodies), "shell_with_receptors_and_switches": whole}
 

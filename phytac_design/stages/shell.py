@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from phytac_design.stage import Context, Stage, export_path, write_facts
-from shapes.errors import MissingPartError, NumericalError
+from shapes.errors import CadKernelError, MissingPartError, NumericalError
 
 VOLUME_TOL = 1e-3
 """Largest relative difference of the two kernels' volumes that a build accepts."""
@@ -35,25 +35,30 @@ def run_shell(context: Context, folder: Path) -> None:
 def run_step(context: Context, folder: Path) -> None:
     """Write ``shell/shell.step`` and compare its volume with the printed mesh.
 
-    On a machine without the graphics libraries that CadQuery links, the file is left out and the
-    report says so; the STL and the 3MF do not need them.
+    On a machine without the graphics libraries that CadQuery links, or where OpenCASCADE cannot
+    make the solid, the file is left out and the report says so; STL and 3MF need neither.
     """
     from phytac_design.fabrication.cad import cad_facts, shell_cad, write_step
 
+    reason = ""
     try:
         solid = shell_cad(context.design, context.surface, context.markers)
-    except MissingPartError as error:
-        context.progress(f"step: left out ({error})")
-        write_facts(folder, {"step_left_out": str(error)})
+        facts = cad_facts(solid)
+    except (MissingPartError, CadKernelError) as error:
+        reason = str(error)
+    else:
+        if not facts.valid or facts.solids != 1:
+            reason = f"OpenCASCADE's solid is not sound: {facts.solids} solids"
+    if reason:
+        context.progress(f"step: left out ({reason})")
+        write_facts(folder, {"step_left_out": reason})
         return
-    facts = cad_facts(solid)
     volume = float(context.facts("shell")["volume_mm3"])
     difference = volume / facts.volume_mm3 - 1.0
-    if not (facts.valid and facts.solids == 1 and abs(difference) <= VOLUME_TOL):
+    if not abs(difference) <= VOLUME_TOL:
         raise NumericalError(
-            f"the STEP shell is not sound: valid {facts.valid}, {facts.solids} solids, volume "
-            f"{facts.volume_mm3:.1f} mm³ against {volume:.1f} mm³ of the printed mesh; please "
-            "report this design"
+            f"two kernels do not make the same shell: {facts.volume_mm3:.1f} mm³ in STEP against "
+            f"{volume:.1f} mm³ of the printed mesh; please report this design"
         )
     write_step(solid, export_path(folder, "shell/shell.step"), name=context.design.name)
     write_facts(
