@@ -57,6 +57,12 @@ class BuildResult:
     seconds: float
     timing_s: dict[str, float]
 
+    def _repr_html_(self) -> str:
+        """Key figures, files and marker map, for notebooks."""
+        from phytac_design.notebook import build_html
+
+        return build_html(self)
+
 
 def select_stages(only: Sequence[str] | None) -> list[Stage]:
     """Stages in order: all, or the named ones with everything they need.

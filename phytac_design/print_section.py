@@ -1,6 +1,6 @@
 """The table ``[print_rules]`` of a design file: what the printer can make."""
 
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from pydantic import model_validator
@@ -56,11 +56,16 @@ PROCESSES: dict[str, dict[str, Any]] = {
 }
 """Numbers of each process, from makers' design guides; all may be set apart in the design."""
 
+if TYPE_CHECKING:
+    Process = str
+else:
+    Process = Literal[tuple(PROCESSES)]
+
 
 class PrintSection(Section):
     """Rules of the printer: a process sets all numbers that are not given."""
 
-    process: Literal["sla", "polyjet", "fdm"] = assumed("sla")
+    process: Process = assumed("sla")
     """How the part is printed: vat of resin, jetted resin, or molten filament."""
     wall_min_mm: float = assumed(0.4, ge=0.0, le=100.0)
     """Thinnest supported wall: held at two edges or more."""

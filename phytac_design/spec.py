@@ -68,6 +68,12 @@ else:
     AnyShape = Annotated[Union[tuple(SHAPE_MODELS.values())], Field(discriminator="kind")]  # noqa: UP007 - built at run time
 
 
+if TYPE_CHECKING:
+    LensModel = str
+else:
+    LensModel = Literal[tuple(LENSES)]
+
+
 class WallSection(Section):
     """The shell between the two rims."""
 
@@ -95,9 +101,7 @@ class CameraSection(Section):
 
     preset: Literal["custom", "paper_30fps", "paper_480fps"] = "custom"
     """Sets image size, frame rate and, unless given, focal length to those of a known camera."""
-    model: Literal["pinhole", "brown_conrady", "kannala_brandt", "omnidirectional"] = assumed(
-        "pinhole"
-    )
+    model: LensModel = assumed("pinhole")
     """Lens: none but perspective, barrel or pincushion distortion, fisheye, unified (Mei)."""
     width_px: int = Field(2592, ge=16, le=20000)
     """Image width."""
@@ -296,6 +300,12 @@ class Design(Section):
     def surface(self) -> Surface:
         """Build the sensing surface."""
         return self.shape.surface()
+
+    def _repr_html_(self) -> str:
+        """Key figures and marker map, for notebooks."""
+        from phytac_design.notebook import design_html
+
+        return design_html(self)
 
 
 __all__ = ["Design", "DesignError", "Section"]

@@ -1,6 +1,8 @@
-"""Surface families: pure geometry on numpy. A new shape is one file here and one line below."""
+"""Surface families: pure geometry on numpy. A new shape is one file here, with a ``FAMILY``."""
 
 from difflib import get_close_matches
+from importlib import import_module
+from pkgutil import iter_modules
 
 from shapes.cone import Cone
 from shapes.cuboid import Cuboid
@@ -12,9 +14,27 @@ from shapes.patch import Patch
 from shapes.plane import Plane
 from shapes.surface import Surface
 
-REGISTRY: dict[str, type[Surface]] = {
-    family.name: family for family in (Cylinder, Cone, Plane, Cuboid, Hemisphere, Grip, Patch)
-}
+SHIPPED = (Cylinder, Cone, Plane, Cuboid, Hemisphere, Grip, Patch)
+
+
+def _registered() -> dict[str, type[Surface]]:
+    """Shipped families, then those that further files of this folder register, by file name."""
+    found: dict[str, type[Surface]] = {family.name: family for family in SHIPPED}
+    for module in iter_modules(__path__):
+        own = getattr(import_module(f"{__name__}.{module.name}"), "FAMILY", None)
+        if own is None:
+            continue
+        if own.name in found:
+            raise DesignError(
+                f"shapes/{module.name}.py registers the shape {own.name!r}, which there is "
+                f"already ({found[own.name].__module__}); give it another name"
+            )
+        found[own.name] = own
+    return found
+
+
+REGISTRY: dict[str, type[Surface]] = _registered()
+"""Every surface family by its name, the ``kind`` of a design file."""
 
 
 def family(name: str) -> type[Surface]:

@@ -87,6 +87,12 @@ class Markers:
         """Whether rows and columns say where a marker is."""
         return self.lattice is not None or len(np.unique(self.row)) < self.count
 
+    def _repr_html_(self) -> str:
+        """Key figures and map, for notebooks."""
+        from phytac_design.notebook import markers_html
+
+        return markers_html(self)
+
     def name(self, marker: int) -> str:
         """Name of a marker in messages: ``(row 3, column 4)`` or its number."""
         if self.in_rows:

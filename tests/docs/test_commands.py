@@ -1,0 +1,125 @@
+"""Every command of README and docs: run on a small sensor, or held against the program's parser."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from phytac_design.build import BuildResult
+from phytac_design.cli import app
+from phytac_design.design_file import to_toml
+from tests.designs import small
+from tests.docs.pages import PAGES, Command, commands, inline
+from tests.docs.parser import OWN_SHAPES, fault, inline_fault
+
+ALL = commands(PAGES)
+RUN = {
+    "check", "new", "shapes", "press", "mesh", "decode", "scenarios", "plan", "cache",
+    "sweep", "optimise",
+}  # fmt: skip
+"""Commands that run here where their files are in the shop (below); all others are parsed only."""
+PARSED = {
+    "build": "minutes; tests/test_build.py, tests/test_cli_build.py",
+    "switch": "solves a bowl, a quarter of a minute; tests/mechanics/switch",
+    "compare": "needs two whole builds; tests/page",
+    "studio": "needs a browser; tests/studio",
+    "advise": "a minute; tests/study/advice",
+    "train": "needs data; tests/test_train.py",
+    "evaluate": "needs data; tests/test_evaluate.py",
+    "live": "needs a camera; tests/test_cli_live.py",
+    "serve": "needs a camera; tests/test_cli_serve.py",
+    "calibrate": "needs measurements; tests/test_calibrate_cli.py",
+    "simulate": "minutes; tests/test_simulate.py",
+    "tradeoff": "minutes; tests/study",
+    "stability": "minutes; tests/study/stability",
+    "import": "needs a decoder of the rig; tests/twin/test_rig.py",
+}
+"""Commands that are parsed only, why, and where they are tested."""
+FILE = re.compile(r"/|\.[A-Za-z]")
+"""A word that names a file or a folder."""
+DEVICES = ("0", "--serial", "--scheduler", "--workers", "--build", "--from-step")
+"""Words of lines that need a device, other processes or minutes."""
+
+
+@pytest.fixture(scope="module")
+def shop(tmp_path_factory: pytest.TempPathFactory, built: BuildResult) -> Path:
+    """A reader's folder: design, build, frames, by the names that the docs give them."""
+    folder = tmp_path_factory.mktemp("shop")
+    (folder / "mine.toml").write_text(to_toml(small(name="mine")))
+    shutil.copytree(built.out, folder / "exports" / "mine")
+    shutil.copytree(built.out / "decoder", folder / "my-decoder")
+    views = built.out / "views"
+    shutil.copyfile(views / "frame_pressed.png", folder / "frame.png")
+    shutil.copyfile(views / "frame_rest.png", folder / "rest.png")
+    (folder / "frames").mkdir()
+    for number, name in enumerate(["rest"] * 5 + ["pressed"]):
+        shutil.copyfile(views / f"frame_{name}.png", folder / "frames" / f"{number}.png")
+    return folder
+
+
+def runs(command: Command) -> bool:
+    """Whether a line is run here: a quick command, on files that the shop has."""
+    words = command.words
+    if words[0] != "phytac" or words[1] not in RUN or set(words) & {*DEVICES, *OWN_SHAPES}:
+        return False
+    # What the reader brings along and the shop has not; what is written (--out) need not be there.
+    had = {"mine.toml", "exports/mine/decoder", "my-decoder", "frame.png", "rest.png", "frames/"}
+    return all(
+        word in had or words[k] == "--out" for k, word in enumerate(words[1:]) if FILE.search(word)
+    ) and not (words[1] in {"sweep", "optimise"} and "--measures" not in words and len(words) > 2)
+
+
+@pytest.mark.parametrize("command", ALL, ids=str)
+def test_every_command_is_one(command: Command) -> None:
+    assert fault(command.words) == ""
+
+
+@pytest.mark.parametrize("command", inline(PAGES), ids=str)
+def test_commands_in_running_text_exist(command: Command) -> None:
+    assert inline_fault(command.words[1:]) == ""
+
+
+def test_every_command_is_run_or_has_a_reason_not_to_be() -> None:
+    named = {command.words[1] for command in ALL if command.words[0] == "phytac"}
+    assert named <= RUN | set(PARSED)
+    assert {command.words[1] for command in ALL if runs(command)} == RUN
+
+
+@pytest.mark.parametrize(
+    "words", sorted({command.words for command in ALL if runs(command)}), ids=" ".join
+)
+def test_quick_commands_run_as_they_stand(words: tuple[str, ...], shop: Path) -> None:
+    home = Path.cwd()
+    os.chdir(shop)
+    try:
+        # What `new` made the last time is in its way.
+        for made in ("--out", "new"):
+            if made in words:
+                name = words[words.index(made) + 1]
+                shutil.rmtree(shop / name, ignore_errors=True)
+                if name != "mine":
+                    (shop / f"{name}.toml").unlink(missing_ok=True)
+        if words[1] == "new" and words[2] == "mine":
+            words = (*words, "--out", "other.toml")
+            (shop / "other.toml").unlink(missing_ok=True)
+        done = CliRunner().invoke(app, list(words[1:]), catch_exceptions=False)
+    finally:
+        os.chdir(home)
+    assert done.exit_code == 0, done.output
+    assert done.stdout.strip()
+
+
+def test_help_imports_nothing_heavy() -> None:
+    """What keeps ``phytac --help`` quick: libraries are imported when a command needs them."""
+    code = (
+        "import sys\nimport phytac_design.cli\n"
+        "heavy = 'scipy numba cv2 pydantic matplotlib cadquery torch pyrender optuna distributed'\n"
+        "print(sorted(set(heavy.split()) & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
