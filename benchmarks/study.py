@@ -1,12 +1,19 @@
-"""Search of the design space: rate, ladder, optimiser, large studies, Dask, the densest sensor.
+"""Search: rate, ladder, optimiser, large studies, Dask, the densest sensor; advice for one.
 
-``python -m benchmarks.study [--quick] [--parts rate,ladder,optimiser,rows,dask,dense]``
+``python -m benchmarks.study [--quick] [--parts rate,ladder,optimiser,rows,dask,dense,advice]``
 """
 
 from collections.abc import Callable
 from functools import partial
 
-from benchmarks import study_dask, study_dense, study_optimiser, study_rate, study_rows
+from benchmarks import (
+    study_advice,
+    study_dask,
+    study_dense,
+    study_optimiser,
+    study_rate,
+    study_rows,
+)
 from benchmarks.harness import Table, run_parts
 
 
@@ -19,6 +26,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "rows": study_rows.rows,
         "dask": study_dask.dask,
         "dense": study_dense.dense,
+        "advice": study_advice.advice,
     }
     return {name: partial(work, quick=quick) for name, work in works.items()}
 

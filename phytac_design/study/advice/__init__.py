@@ -1,0 +1,1 @@
+"""Advice: what to change about one design, each piece tried before it is given."""

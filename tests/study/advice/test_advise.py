@@ -1,0 +1,187 @@
+"""Known defects get the advice that mends them, and it does; what breaks a rule is no advice."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phytac_design.check import check_design
+from phytac_design.design_file import load_design
+from phytac_design.layout import make_markers
+from phytac_design.study.advice import judge as judging
+from phytac_design.study.advice.advise import Advice, Trials, advise
+from phytac_design.study.advice.files import write_advice
+from phytac_design.study.advice.judge import faults_of, judge
+from phytac_design.study.advice.knobs import COUNT, knobs_of, with_fields
+from phytac_design.study.advice.moves import FAULTS, RULES, Move, broken, costs_of, gain_of
+from phytac_design.study.advice.rows import as_explicit, named_rows, row_knobs
+from phytac_design.study.advice.words import as_dict, text
+from shapes.errors import DesignError, OutputError
+from tests.study.advice.cases import DRAFT, ROWS, judged_tube, tube, with_long_row
+
+
+@pytest.fixture(scope="module")
+def of_thick_wall() -> Advice:
+    return advise(tube(wall={"thickness_mm": 1.4}), DRAFT, only=["wall", "camera"], checks=4)
+
+
+def test_a_wall_too_thick_is_to_be_thinned(of_thick_wall: Advice) -> None:
+    first = of_thick_wall.pieces[0]
+    assert first.move.knob.name == "wall.thickness_mm"
+    assert first.move.amount < 0.0
+    assert first.gain > 0.1
+    assert first.hit == pytest.approx(1.0, abs=0.25)
+    assert first.design is not None
+    before = judge(of_thick_wall.design, DRAFT).figures["force_middle_N"]
+    after = judge(first.design, DRAFT).figures["force_middle_N"]
+    assert 1.0 - after / before == pytest.approx(gain_of("force_middle_N", of_thick_wall.figures,
+                                                         first.achieved))  # fmt: skip
+    assert after < 0.9 * before
+
+
+def test_a_hidden_row_is_mended_at_the_row() -> None:
+    design = with_long_row(2, 3.5)
+    assert judge(design, DRAFT).figures["occluded"] == 8
+    found = advise(design, DRAFT, only=["rows"], checks=3)
+    names = [trial.move.knob.name for trial in found.pieces]
+    lower = [
+        trial
+        for trial in found.pieces
+        if trial.move.knob.name == "rows.row 2 height" and trial.move.amount < 0.0
+    ]
+    assert lower, names
+    assert lower[0].move.goal == FAULTS
+    assert lower[0].design is not None
+    after = judge(lower[0].design, DRAFT).figures
+    assert after["occluded"] == 0
+    assert faults_of(after) == 0
+    assert "row 2 height by -" in text(found)
+
+
+def test_a_camera_too_close_is_to_be_moved_back() -> None:
+    near = tube(camera={"stand_off_mm": 15.0})
+    with pytest.raises(DesignError, match="cannot see the near rim"):
+        check_design(near)
+    found = advise(near, DRAFT, only=["camera"], checks=2)
+    assert "cannot see the near rim" in found.refused
+    back = [trial for trial in found.pieces if trial.move.knob.name == "camera.stand_off_mm"]
+    assert back
+    assert back[0].move.amount > 0.0
+    assert back[0].move.goal == RULES
+    assert back[0].design is not None
+    assert judge(back[0].design, DRAFT).faults == 0
+
+
+def test_advice_breaks_nothing(of_thick_wall: Advice) -> None:
+    assert of_thick_wall.pieces
+    for trial in of_thick_wall.pieces:
+        assert trial.design is not None
+        check_design(trial.design)
+        assert not broken(of_thick_wall.figures, trial.achieved)
+        assert trial.gain > 0.0
+    for trial in of_thick_wall.tried:
+        assert trial.reason
+    # A spacer shorter than the image allows is tried and said to break that.
+    lost = [t for t in of_thick_wall.tried if t.move.knob.name == "camera.stand_off_mm"]
+    assert any("rim" in trial.reason for trial in lost)
+
+
+def test_a_move_that_hides_markers_is_no_advice() -> None:
+    base = judged_tube()
+    (knob,) = [k for k in row_knobs(base, base.markers.row, [2]) if k.name.endswith("height")]
+    move = Move(knob=knob, amount=3.5, goal="force_middle_N", predicted={}, gain=0.05)
+    trial = Trials(base=base, accuracy=DRAFT).one(move)
+    assert trial.achieved["occluded"] == 8
+    assert "hidden markers at rest 8 (at most 0)" in trial.reason
+
+
+def test_broken_compares_with_what_was() -> None:
+    good = dict(judged_tube().figures)
+    assert broken(good, good) == ""
+    assert "gap" in broken(good, good | {"gap_px": 2.9})
+    assert broken(good | {"gap_px": 2.0}, good | {"gap_px": 2.0}) == ""
+    assert "strain" in broken(good, good | {"strain": 0.03})
+    assert "disturbance" in broken(good, good | {"crosstalk_px": 0.2})
+    for name in ("occluded", "fused", "load_hidden", "load_fused"):
+        assert broken(good, good | {name: 1})
+        assert broken(good | {name: 2}, good | {name: 1}) == ""
+
+
+def test_conflicts_are_said() -> None:
+    good = dict(judged_tube().figures)
+    finer = good | {"force_middle_N": 0.5 * good["force_middle_N"], "gap_px": good["gap_px"] - 9.0}
+    (said,) = costs_of(good, finer)
+    assert "gap of one colour at rest" in said
+    assert costs_of(good, good) == ()
+    # Not a fault, as in a build, but said.
+    (said,) = costs_of(good, good | {"switch_unreadable": 1})
+    assert "switches that cannot be read 0 → 1" in said
+
+
+def test_faults_count_markers_and_crosstalk() -> None:
+    good = dict(judged_tube().figures)
+    assert faults_of(good) == 0
+    assert faults_of(good | {"occluded": 2, "load_fused": 3, "crosstalk_px": 0.2}) == 6
+
+
+def test_what_was_judged_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    base = judged_tube()
+
+    def again(*_: object, **__: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(judging, "check_visibility", again)
+    monkeypatch.setattr(judging, "see_pressed", again)
+    assert judge(base.design, DRAFT).figures == base.figures
+    # Another resin is seen as before, and pressed anew.
+    with pytest.raises(AssertionError):
+        judge(with_fields(base.design, {"material.modulus_MPa": 2000.0}), DRAFT)
+    monkeypatch.undo()
+    monkeypatch.setattr(judging, "check_visibility", again)
+    judge(with_fields(base.design, {"material.modulus_MPa": 2000.0}), DRAFT)
+
+
+def test_listed_markers_are_the_same() -> None:
+    design = tube(switch={"regions": [{"threshold_N": 0.8, "rows": [1, 2]}]})
+    markers = make_markers(design, design.surface())
+    same = as_explicit(design, markers)
+    listed = make_markers(same, same.surface())
+    assert np.array_equal(listed.colour, markers.colour)
+    assert listed.tip_mm == pytest.approx(markers.tip_mm, abs=1e-9)
+    assert same.switch.regions[0].markers == tuple(range(8, 24))
+    taller = knobs_of(same, listed, 20.0)[2].moved(same, 0.05)
+    assert taller.layout.position_heights_mm == pytest.approx(1.05 * markers.height_mm)
+
+
+@pytest.mark.parametrize("name", ["cylinder60", "hemisphere", "grip", "plane", "cuboid", "cone"])
+def test_knobs_move_what_they_say(name: str) -> None:
+    design = load_design(name)
+    markers = make_markers(design, design.surface())
+    knobs = knobs_of(design, markers, 30.0)
+    assert len({knob.name for knob in knobs}) == len(knobs) > 6
+    for knob in knobs:
+        for amount in (*knob.amounts(1.0), *knob.amounts(-1.0)):
+            assert abs(amount) <= max(knob.reach, knob.step) + 1e-9
+            assert amount / knob.step == pytest.approx(round(amount / knob.step))
+        moved = knob.moved(design, knob.step)
+        assert moved != design
+        if knob.kind != COUNT:
+            assert len(make_markers(moved, moved.surface()).uv) == markers.count
+
+
+def test_unknown_names_and_bad_folders_are_refused(of_thick_wall: Advice, tmp_path: Path) -> None:
+    with pytest.raises(DesignError, match=r"--only 'wal': no such knob .*wall.thickness_mm"):
+        advise(tube(), DRAFT, only=["wal"])
+    with pytest.raises(DesignError, match=r"rows\.9: this design has rows 0 to 4"):
+        advise(tube(), DRAFT, only=["rows.9"])
+    assert named_rows(["rows.3", "wall"], judged_tube().markers.row) == {3}
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="choose another --out"):
+        write_advice(of_thick_wall, tmp_path / "file")
+
+
+def test_files_rebuild_each_piece(of_thick_wall: Advice, tmp_path: Path) -> None:
+    write_advice(of_thick_wall, tmp_path)
+    assert load_design(str(tmp_path / "advice_1.toml")) == of_thick_wall.pieces[0].design
+    assert len(as_dict(of_thick_wall)["advice"]) == len(of_thick_wall.pieces)
+    assert len(as_dict(of_thick_wall)["rows"]) == ROWS

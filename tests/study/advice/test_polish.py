@@ -1,0 +1,95 @@
+"""Polishing gains, keeps margins, stops, and goes on from what was judged; the command."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from phytac_design.cli_advise import advise as command
+from phytac_design.design_file import load_design, to_toml
+from phytac_design.study.advice import judge as judging
+from phytac_design.study.advice.judge import GAP_PX, judge
+from phytac_design.study.advice.knobs import Knob
+from phytac_design.study.advice.moves import broken
+from phytac_design.study.advice.polish import GAIN_LEAST, GAP_ROOM_PX, Polished, polish, step_of
+from phytac_design.study.advice.slopes import SLOPED, Slope
+from shapes.errors import DesignError
+from tests.study.advice.cases import DRAFT, tube, with_long_row
+
+ONLY = ["wall", "layout.height_far_mm"]
+
+
+@pytest.fixture(scope="module")
+def done() -> Polished:
+    return polish(tube(), DRAFT, only=ONLY, rounds=2)
+
+
+def slope_of(name: str, *, force: float, gap: float, strain: float = 0.0) -> Slope:
+    knob = Knob(
+        name=name, unit="mm", value=1.0, step=0.1, reach=1.0, why="", kind="free",
+        fields=lambda _: {},
+    )  # fmt: skip
+    rate = dict.fromkeys(SLOPED, force) | {"gap_px": gap, "load_gap_px": gap, "strain": strain}
+    return Slope(knob=knob, rate=rate)
+
+
+def test_a_step_keeps_the_gap_and_the_strain() -> None:
+    figures = {"gap_px": 5.5, "load_gap_px": 5.5, "strain": 0.01, "force_middle_N": 1.0}
+    finer = slope_of("a", force=-0.1, gap=-4.0)
+    # Room of 5.5 - 3 - 0.5 px over 4 px/mm, in whole tenths.
+    assert step_of(figures, [finer], 1.0) == pytest.approx([0.5])
+    wider = slope_of("b", force=0.001, gap=10.0)
+    both = step_of(figures, [finer, wider], 1.0)
+    assert both[0] == pytest.approx(1.0)
+    assert 5.5 - 4.0 * both[0] + 10.0 * both[1] >= GAP_PX + GAP_ROOM_PX - 10.0 * 0.1
+    bent = slope_of("c", force=-0.1, gap=0.0, strain=2.0)
+    assert step_of(figures, [bent], 1.0) == pytest.approx([np.trunc(np.log(2.0) / 2.0 * 10) / 10])
+    assert step_of(figures, [finer], 0.25) == pytest.approx([0.2])
+
+
+def test_polish_gains_within_margins(done: Polished) -> None:
+    taken = [step for step in done.steps if not step.reason]
+    assert taken
+    assert all(step.gain >= GAIN_LEAST for step in taken)
+    assert done.figures["force_middle_N"] < 0.9 * done.before["force_middle_N"]
+    assert not broken(done.before, done.figures)
+    assert judge(done.design, DRAFT).figures == done.figures
+    assert done.design.name == f"{tube().name}-polished"
+
+
+def test_polish_goes_on_where_it_was(done: Polished, monkeypatch: pytest.MonkeyPatch) -> None:
+    def again(*_: object, **__: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(judging, "check_visibility", again)
+    monkeypatch.setattr(judging, "see_pressed", again)
+    assert polish(tube(), DRAFT, only=ONLY, rounds=2) == done
+
+
+def test_polish_asks_to_mend_first() -> None:
+    with pytest.raises(DesignError, match="nothing to polish before that is mended"):
+        polish(with_long_row(2, 3.5), DRAFT)
+
+
+def test_command(tmp_path: Path, done: Polished) -> None:
+    app = typer.Typer()
+    app.command()(command)
+    path = tmp_path / "tube.toml"
+    path.write_text(to_toml(tube()))
+    out = tmp_path / "out"
+    runner = CliRunner()
+    args = [str(path), "--only", "camera", "--checks", "1", "--out", str(out)]
+    plain = runner.invoke(app, args)
+    assert plain.exit_code == 0, plain.output
+    assert "Advice, each piece applied and judged again" in plain.output
+    machine = runner.invoke(app, [*args, "--json"])
+    assert json.loads(machine.stdout) == json.loads((out / "advice.json").read_text())
+    asked = [str(path), "--polish", "--only", ",".join(ONLY), "--rounds", "2", "--out", str(out)]
+    polished = runner.invoke(app, asked)
+    assert polished.exit_code == 0, polished.output
+    assert load_design(str(out / f"{done.design.name}.toml")) == done.design
+    bad = runner.invoke(app, [str(path), "--only", "wal"])
+    assert isinstance(bad.exception, DesignError)
