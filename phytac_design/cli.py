@@ -13,8 +13,10 @@ import typer
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from phytac_design import (
+    cli_advise,
     cli_build,
     cli_cache,
+    cli_compare,
     cli_decode,
     cli_import,
     cli_live,
@@ -23,6 +25,7 @@ from phytac_design import (
     cli_plan,
     cli_serve,
     cli_stability,
+    cli_studio,
     cli_study,
     cli_switch,
     cli_trade,
@@ -135,8 +138,10 @@ def shapes(
 
 
 for command in (
+    cli_advise.advise,
     cli_build.build,
     cli_cache.cache,
+    cli_compare.compare,
     cli_decode.decode,
     cli_mechanics.press,
     cli_mechanics.mesh,
@@ -146,6 +151,7 @@ for command in (
     cli_plan.plan,
     cli_trade.tradeoff,
     cli_stability.stability,
+    cli_studio.studio,
     cli_study.sweep,
     cli_study.optimise,
     cli_serve.serve,
