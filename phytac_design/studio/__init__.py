@@ -1,0 +1,1 @@
+"""The studio: a design with controls in a browser of this machine; a thin face of the library."""

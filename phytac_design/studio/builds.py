@@ -1,0 +1,190 @@
+"""A build that the studio starts: `phytac build` in a process of its own, told of line by line."""
+
+import asyncio
+import os
+import re
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from phytac_design.design_file import to_toml
+from phytac_design.spec import Design
+from shapes.errors import InputError, OutputError
+
+LINES_MAX = 2000
+LINE_BYTES = 64_000
+STEPS_S = (5.0, 5.0)
+"""A build that is stopped has so long to end by itself, and then after SIGTERM."""
+TURN = re.compile(r"\[(\d+)/(\d+)\] ([a-z-]+)( \d)?")
+"""A stage's number, of how many, its name, and a figure behind it if it has ended."""
+
+Json = dict[str, Any]
+
+
+class Builds:
+    """At most one build at a time, into ``exports/NAME`` of the workplace.
+
+    Parameters
+    ----------
+    root : Path
+        The workplace.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._process: asyncio.subprocess.Process | None = None
+        self._watch: asyncio.Task[None] | None = None
+        self._news = asyncio.Condition()
+        self._lines: list[str] = []
+        self._state: Json = {"state": "none"}
+        self._number = 0
+        self._start_s = 0.0
+        self._stopped = False
+
+    @property
+    def running(self) -> bool:
+        """Whether a build is under way."""
+        return self._watch is not None and not self._watch.done()
+
+    def state(self) -> Json:
+        """Where the build stands: its state, share done, stage, seconds, and its report."""
+        state = dict(self._state)
+        if self.running:
+            state["seconds"] = round(time.monotonic() - self._start_s, 1)
+        return state
+
+    async def start(self, design: Design, accuracy: str, *, force: bool) -> Json:
+        """Build a design; files that it named are part of it already.
+
+        Raises
+        ------
+        InputError
+            If a build runs already.
+        OutputError
+            If the process cannot be started.
+        """
+        if self.running:
+            raise InputError(
+                f"{self._state.get('name')} is being built; wait for it, or stop it first"
+            )
+        out = Path("exports") / design.name
+        folder = tempfile.mkdtemp(prefix="phytac-studio-")
+        path = Path(folder) / f"{design.name}.toml"
+        words = [sys.executable, "-m", "phytac_design", "build", str(path)]
+        words += ["--accuracy", accuracy, "--out", str(out), *["--force"] * force]
+        try:
+            path.write_text(to_toml(design), encoding="utf-8")
+            self._process = await asyncio.create_subprocess_exec(
+                *words,
+                cwd=self.root,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.STDOUT,
+                limit=LINE_BYTES,
+                # Of its own group, so that it ends with all that it starts, and only when told.
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise OutputError(f"cannot start a build: {error.strerror}; make room") from None
+        self._number += 1
+        self._lines, self._stopped, self._start_s = [], False, time.monotonic()
+        self._state = {
+            "state": "running",
+            "number": self._number,
+            "name": design.name,
+            "accuracy": accuracy,
+            "out": out.as_posix(),
+            "done": 0.0,
+            "stage": "starting",
+        }
+        self._watch = asyncio.create_task(self._follow(self._process, path, out))
+        return self.state()
+
+    async def _follow(self, process: asyncio.subprocess.Process, path: Path, out: Path) -> None:
+        """Take down the build's lines until it ends, then say how."""
+        try:
+            assert process.stdout is not None  # noqa: S101 - it is a pipe
+            while True:
+                try:
+                    line = await process.stdout.readline()
+                except ValueError:
+                    continue  # a line beyond the limit is dropped
+                if not line:
+                    break
+                await self._tell(line.decode("utf-8", "replace").rstrip())
+            code = await process.wait()
+        finally:
+            _remove(path)
+        page = out / "report" / "report.html"
+        seconds = round(time.monotonic() - self._start_s, 1)
+        if code == 0:
+            self._state |= {"state": "done", "done": 1.0, "stage": ""}
+            if (self.root / page).is_file():
+                self._state["report"] = page.as_posix()
+        elif self._stopped:
+            self._state |= {"state": "stopped", "stage": ""}
+        else:
+            errors = [line for line in self._lines if line.startswith("error: ")]
+            why = errors[-1] if errors else "".join(self._lines[-1:])
+            self._state |= {"state": "failed", "stage": "", "error": why or f"exit code {code}"}
+        self._state["seconds"] = seconds
+        await self._tell("")
+
+    async def _tell(self, line: str) -> None:
+        if line and len(self._lines) < LINES_MAX:
+            self._lines.append(line)
+        turn = TURN.match(line)
+        if turn:
+            ended = turn[4] is not None
+            self._state["done"] = round((int(turn[1]) - (not ended)) / max(int(turn[2]), 1), 3)
+            self._state["stage"] = turn[3]
+        async with self._news:
+            self._news.notify_all()
+
+    async def events(self) -> AsyncIterator[Json]:
+        """The build's state and new lines, again and again until it has ended."""
+        told = 0
+        while True:
+            running = self.running and self._state["state"] == "running"
+            fresh = self._lines[told:]
+            told = len(self._lines)
+            yield self.state() | {"lines": fresh}
+            if not running:
+                return
+            async with self._news:
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(self._news.wait(), 1.0)
+
+    async def stop(self) -> Json:
+        """End the build and all that it started; what it finished stays in the cache."""
+        process, watch = self._process, self._watch
+        if process is None or watch is None or watch.done():
+            return self.state()
+        self._stopped = True
+        # A build takes an interrupt as the user's wish and leaves its files whole.
+        for number, patience in zip((signal.SIGINT, signal.SIGTERM), STEPS_S, strict=True):
+            _signal(process.pid, number)
+            with suppress(TimeoutError):
+                await asyncio.wait_for(asyncio.shield(watch), patience)
+                break
+        _signal(process.pid, signal.SIGKILL)
+        with suppress(TimeoutError):
+            await asyncio.wait_for(asyncio.shield(watch), 5.0)
+        return self.state()
+
+
+def _remove(path: Path) -> None:
+    """Remove the design file that a build was given, and its folder."""
+    with suppress(OSError):
+        path.unlink(missing_ok=True)
+        path.parent.rmdir()
+
+
+def _signal(group: int, number: signal.Signals) -> None:
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(group, number)

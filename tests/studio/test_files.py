@@ -1,0 +1,193 @@
+"""Designs are saved where they may be, whole, with comments, and never over another unasked."""
+
+import os
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phytac_design.design_file import load_design, parse_design, shipped_designs
+from phytac_design.studio.files import AskError, Workplace, edited
+from shapes.errors import DesignError, InputError, OutputError
+from tests.studio.place import DESIGN, Client
+
+Json = dict[str, Any]
+
+
+@pytest.fixture
+def workplace(tmp_path: Path) -> Workplace:
+    (tmp_path / "short.toml").write_text(DESIGN)
+    return Workplace(tmp_path)
+
+
+def test_comments_stay_where_fields_stay(workplace: Workplace, data: Json) -> None:
+    data["layout"]["spiral_angle_deg"] = 44.5
+    data["layout"]["rows"] = 9
+    data["shape"]["diameter_outer_mm"] = 58.0
+    data["wall"] = {"thickness_mm": 1.0}
+    del data["camera"]["focal_px"]
+    workplace.save("short.toml", data, source="short.toml", force=True)
+    text = (workplace.root / "short.toml").read_text()
+    for line in (
+        "# A short sensor.",
+        'name = "short"        # in exports',
+        "diameter_outer_mm = 58.0   # as published",
+        "# Far ones are taller.",
+        "spiral_angle_deg = 44.5",
+        "rows = 9",
+    ):
+        assert line in text.splitlines()
+    assert "focal_px" not in text
+    assert tomllib.loads(text) == data
+
+
+@pytest.mark.parametrize("name", shipped_designs())
+def test_every_shipped_design_can_be_changed_and_saved(workplace: Workplace, name: str) -> None:
+    opened = workplace.open(name)
+    data = {**opened.data, "name": "mine", "wall": {"thickness_mm": 0.9}}
+    saved = workplace.save("mine.toml", data, source=name)
+    assert parse_design(saved.data, "") == parse_design(data, "")
+    assert load_design(str(workplace.root / "mine.toml")).wall.thickness_mm == 0.9
+    assert saved.text.count("#") >= opened.text.count("#")
+
+
+def test_another_family_takes_the_whole_table(workplace: Workplace, data: Json) -> None:
+    data["shape"] = load_design("plane").shape.model_dump(mode="json")
+    text = edited(DESIGN, data)
+    assert tomllib.loads(text) == data
+    assert "length_mm" not in text
+
+
+def test_text_that_cannot_be_kept_is_written_anew(workplace: Workplace, data: Json) -> None:
+    (workplace.root / "dotted.toml").write_text(
+        'name = "a"\nshape.kind = "cylinder"\nshape.diameter_outer_mm = 60\nshape.length_mm = 60\n'
+    )
+    opened = workplace.open("dotted.toml")
+    changed = {**opened.data, "regions": [{"name": "tip", "rows": [0, 3]}]}
+    saved = workplace.save("new.toml", changed, source="dotted.toml")
+    assert parse_design(saved.data, "") == parse_design(changed, "")
+
+
+def test_a_design_from_nowhere_gets_the_comments_of_the_model(
+    workplace: Workplace, data: Json
+) -> None:
+    saved = workplace.save("new.toml", data, source="")
+    assert parse_design(saved.data, "") == parse_design(data, "")
+    assert "# Angle α of a spiral" in saved.text
+
+
+def test_what_is_there_is_not_written_over_unasked(workplace: Workplace, data: Json) -> None:
+    path = workplace.root / "short.toml"
+    with pytest.raises(AskError, match="exists already"):
+        workplace.save("short.toml", data, source="short.toml")
+    with pytest.raises(AskError):
+        workplace.save("short.toml", data, source="short.toml", replace="0" * 64)
+    assert path.read_text() == DESIGN
+    digest = workplace.open("short.toml").digest
+    data["layout"]["rows"] = 9
+    workplace.save("short.toml", data, source="short.toml", replace=digest)
+    assert "rows = 9" in path.read_text()
+    with pytest.raises(AskError):  # it is another text by now
+        workplace.save("short.toml", data, source="short.toml", replace=digest)
+    workplace.save("short.toml", data, source="short.toml", force=True)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../out.toml", "/etc/out.toml", "link/out.toml", "a/../../out.toml", "a\x00.toml", "x.txt",
+     "", ".toml", "folder.toml", "a\n.toml", "x" * 5000 + ".toml"],
+)  # fmt: skip
+def test_nothing_is_written_elsewhere(workplace: Workplace, data: Json, name: str) -> None:
+    (workplace.root / "folder.toml").mkdir()
+    outside = workplace.root.parent / "outside"
+    outside.mkdir(exist_ok=True)
+    (workplace.root / "link").symlink_to(outside)
+    with pytest.raises((InputError, OutputError)):
+        workplace.save(name, data, source="short.toml", force=True)
+    assert not list(outside.iterdir())
+    assert not (workplace.root.parent / "out.toml").exists()
+
+
+def test_a_link_that_leads_out_is_not_followed(workplace: Workplace, data: Json) -> None:
+    target = workplace.root.parent / "target.toml"
+    target.write_text(DESIGN)
+    (workplace.root / "way.toml").symlink_to(target)
+    with pytest.raises(InputError):
+        workplace.save("way.toml", data, source="short.toml", force=True)
+    with pytest.raises(InputError):
+        workplace.open("way.toml")
+    assert target.read_text() == DESIGN
+
+
+def test_a_design_that_is_none_is_not_saved(workplace: Workplace, data: Json) -> None:
+    data["layout"]["rows"] = -1
+    with pytest.raises(DesignError, match=r"layout\.rows"):
+        workplace.save("short.toml", data, source="short.toml", force=True)
+    assert (workplace.root / "short.toml").read_text() == DESIGN
+
+
+def test_files_that_it_names_must_be_found_at_the_new_place(
+    workplace: Workplace, data: Json
+) -> None:
+    (workplace.root / "points.csv").write_text(
+        "u,v\n" + "\n".join(f"{k}.0,0.5" for k in range(5, 50))
+    )
+    data["layout"] = {"kind": "explicit", "positions_csv": "points.csv", "height_far_mm": 0.6}
+    workplace.save("beside.toml", data, source="short.toml")
+    assert 'positions_csv = "points.csv"' in (workplace.root / "beside.toml").read_text()
+    with pytest.raises(DesignError, match=r"points\.csv"):
+        workplace.save("below/it.toml", data, source="beside.toml")
+    assert not (workplace.root / "below").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_told(
+    workplace: Workplace, data: Json, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OutputError, match="No space left on device"):
+        workplace.save("short.toml", data, source="short.toml", force=True)
+    assert (workplace.root / "short.toml").read_text() == DESIGN
+    assert [path.name for path in workplace.root.iterdir()] == ["short.toml"]
+
+
+def test_a_file_keeps_its_rights(workplace: Workplace, data: Json) -> None:
+    path = workplace.root / "short.toml"
+    path.chmod(0o640)
+    workplace.save("short.toml", data, source="short.toml", force=True)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+    workplace.save("other.toml", data, source="short.toml")
+    mask = os.umask(0)
+    os.umask(mask)
+    assert stat.S_IMODE((workplace.root / "other.toml").stat().st_mode) == 0o666 & ~mask
+
+
+def test_designs_of_the_folder_are_found(workplace: Workplace, data: Json) -> None:
+    root = workplace.root
+    for name in ("b/c.toml", ".hidden/d.toml", "exports/x/design.toml", "1/2/3/4/5/deep.toml"):
+        (root / name).parent.mkdir(parents=True)
+        (root / name).write_text(DESIGN)
+    (root / "exports" / "x" / "manifest.json").write_text("{}")
+    (root / "other.toml").write_text("[study]\n")
+    assert workplace.designs() == ["b/c.toml", "short.toml"]
+
+
+def test_saving_over_the_wire(client: Client, place: Path, data: Json) -> None:
+    body = {"data": data, "source": "short.toml", "name": "wire.toml"}
+    status, opened = client.post("api/save", body)
+    assert status == 200
+    assert load_design(str(place / "wire.toml")).name == "short"
+    status, answer = client.post("api/save", body)
+    assert (status, answer) == (409, {"ask": "wire.toml exists already; write over it?"})
+    assert client.post("api/save", {**body, "replace": opened["digest"]})[0] == 200
+    assert client.post("api/save", {**body, "force": True})[0] == 200
+    assert client.post("api/save", {**body, "force": 1})[0] == 400
+    status, answer = client.post("api/open", {"name": "wire.toml"})
+    assert (status, answer["data"]) == (200, data)
+    assert "wire.toml" in client.get("api/start")[1]["files"]
+    text = client.post("api/text", {"data": data, "source": "short.toml"})[1]["text"]
+    assert text == DESIGN
