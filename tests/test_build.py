@@ -3,6 +3,7 @@
 import json
 import shutil
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,19 @@ from decoder.bundle import load_bundle
 from decoder.estimators import ESTIMATORS
 from decoder.run import measure_frame, read_image, rest_positions
 from phytac_design import cache
+from phytac_design.accuracy import PRESETS
 from phytac_design.build import BuildResult, build
 from phytac_design.design_file import load_design, parse_design, to_toml
 from phytac_design.layout import make_markers
 from phytac_design.stages import STAGES
-from shapes.errors import DesignError, InputError, MissingPartError, OutputError, PhytacError
+from shapes.errors import (
+    CadKernelError,
+    DesignError,
+    InputError,
+    MissingPartError,
+    OutputError,
+    PhytacError,
+)
 from tests.designs import changed, small
 
 CONTRACT = {
@@ -74,7 +83,16 @@ CONTRACT = {
     "switch/switches.json",
     "report/report.json",
     "report/report.html",
+    "report/viewer.json",
 }
+DRAWN = "camera camera_all_on frame_pressed frame_rest ids straight"
+PLOTTED = (
+    "crosstalk density estimators gap gap_under_load layout motion resolution_along "
+    "resolution_force shell softness visible_fraction"
+)
+CONTRACT |= {f"report/images/{name}.jpg" for name in DRAWN.split()}
+CONTRACT |= {f"report/images/{name}.png" for name in PLOTTED.split()}
+CONTRACT |= {f"report/images/pressed_{of}_{k}.jpg" for of in ("all", "close") for k in range(6)}
 
 
 def quiet(_: str) -> None:
@@ -266,6 +284,26 @@ def test_without_graphics_libraries_only_the_step_is_left_out(
     report = json.loads((result.out / "report" / "report.json").read_text())
     assert "libGL" in report["shell"]["step_left_out"]
     assert report["camera"]["picture"] == "rasteriser"
+
+
+def test_a_shell_that_the_cad_kernel_cannot_fuse_is_printed_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise CadKernelError("OpenCASCADE cannot fuse receptors and wall: 4 solids instead of 1")
+
+    monkeypatch.setattr("phytac_design.fabrication.cad.shell_cad", broken)
+    monkeypatch.setattr("phytac_design.fabrication.hardware.step.shell_cad", broken)
+    whole = replace(PRESETS["draft"], cad_tolerance_mm=0.02)
+    only = ["step", "hardware"]
+    said: list[str] = []
+    design = small(layout={"rows": 3, "columns": 4})
+    result = build(design, tmp_path / "x", accuracy=whole, only=only, progress=said.append)
+    assert any("the assembly holds the wall without receptors" in line for line in said)
+    assert any("step: left out (OpenCASCADE cannot fuse" in line for line in said)
+    assert (result.out / "shell" / "shell.stl").exists()
+    assert not (result.out / "shell" / "shell.step").exists()
+    assert (result.out / "fixtures" / "assembly.step").exists()
 
 
 def test_unwritable_folder(tmp_path: Path) -> None:

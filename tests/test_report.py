@@ -57,7 +57,17 @@ def a_report(**changes: Any) -> dict[str, Any]:
         },
         "limits": [],
         "shell": {"watertight": True},
-        "fabrication": {"print_violations": 0, "print_process": "sla", "interference_mm3": 0.0},
+        "switch": {
+            "refused": "",
+            "switches": [{"threshold_N": 0.5, "spread": {"low_N": 0.4, "high_N": 0.6}}],
+        },
+        "fabrication": {
+            "print_violations": 0,
+            "print_process": "sla",
+            "interference_mm3": 0.0,
+            "mold": {"cavities": 40, "undercut_rays": 0},
+            "mold_left_out": "",
+        },
         "frames": {"refused": 0, "frames": 5, "first_refusal": ""},
         "markers": {"count": 40, "density_per_cm2": 1.6, "surface_class": "parallel"},
         "decoder": table,
@@ -175,8 +185,23 @@ def test_verdict_of_a_sensor_without_fault() -> None:
     found = verdict.findings(a_report())
     assert {item.level for item in found} == {"good"}
     html = verdict.lead(a_report())
-    assert 'class="verdict good"' in html
+    assert html.count('class="verdict good"') == 5  # the whole, and each of four answers
+    for answer in ("Seen? yes", "Printed? yes", "Cast? yes", "Decoded? yes"):
+        assert f"<h2>{answer}</h2>" in html
+    assert "To change:</strong> nothing" in html
     assert "a &lt;b&gt;" in html
+
+
+def test_each_answer_is_to_its_own_question() -> None:
+    forced = {"forced": ["no bowl fits"], "switch": {"refused": "no bowl fits", "switches": []}}
+    html = verdict.lead(a_report(**forced, limits=["a limit"], changes=["make <it> wider"]))
+    for answer in ("Seen? yes", "Printed? yes", "Cast? no", "Decoded? with limits"):
+        assert f"<h2>{answer}</h2>" in html
+    assert html.count("no bowl fits") == 1  # said once: by what the build was forced past
+    assert "<li>Make &lt;it&gt; wider.</li>" in html
+    hidden = verdict.lead(a_report(forced=["2 markers hidden"]))
+    assert "<h2>Seen? no</h2>" in hidden
+    assert "<h2>Cast? yes</h2>" in hidden
 
 
 @pytest.mark.parametrize(
@@ -209,6 +234,22 @@ def test_verdict_of_a_sensor_without_fault() -> None:
             {"fabrication": a_report()["fabrication"] | {"interference_mm3": 2.0}},
             "bad",
             "overlap by 2 mm",
+        ),
+        (
+            {
+                "fabrication": a_report()["fabrication"]
+                | {"mold": {"cavities": 40, "undercut_rays": 3}}
+            },
+            "bad",
+            "the molds catch the switches (3 rays",
+        ),
+        (
+            {
+                "fabrication": a_report()["fabrication"]
+                | {"mold_left_out": "no bed is large enough"}
+            },
+            "odd",
+            "no molds: no bed is large enough",
         ),
         (
             {"frames": {"refused": 2, "frames": 5, "first_refusal": "too few blobs"}},

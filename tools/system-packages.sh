@@ -16,9 +16,13 @@ for package in $needed $checkers; do
         *) missing="$missing $package" ;;
     esac
 done
-[ -z "$missing" ] && exit 0
+# Any browser of the kind does for tests of the pages; not every Ubuntu has Debian's package.
+browser=""
+command -v chromium >/dev/null 2>&1 || command -v chromium-browser >/dev/null 2>&1 ||
+    command -v google-chrome >/dev/null 2>&1 || browser=" chromium"
+[ -z "$missing$browser" ] && exit 0
 if ! command -v apt-get >/dev/null 2>&1; then
-    echo "note: not a Debian/Ubuntu system; please install the equivalents of:$missing" >&2
+    echo "note: not a Debian/Ubuntu system; please install the equivalents of:$missing$browser" >&2
     exit 0
 fi
 if [ "$(id -u)" = 0 ]; then
@@ -26,12 +30,15 @@ if [ "$(id -u)" = 0 ]; then
 elif command -v sudo >/dev/null 2>&1 && sudo -n true 2>/dev/null; then
     as_root="sudo"
 else
-    echo "note: neither root nor sudo: going on without:$missing" >&2
+    echo "note: neither root nor sudo: going on without:$missing$browser" >&2
     exit 0
 fi
-echo "installing:$missing"
+echo "installing:$missing$browser"
 export DEBIAN_FRONTEND=noninteractive
-if ! { $as_root apt-get update -qq && $as_root apt-get install -y -qq --no-install-recommends $missing >/dev/null; }; then
-    echo "note: could not install:$missing; going on without them" >&2
-fi
+$as_root apt-get update -qq
+for group in "$missing" "$browser"; do
+    if [ -n "$group" ] && ! $as_root apt-get install -y -qq --no-install-recommends $group >/dev/null; then
+        echo "note: could not install:$group; going on without" >&2
+    fi
+done
 exit 0

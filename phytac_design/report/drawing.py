@@ -40,21 +40,32 @@ class Drawing:
         pixels = self.context.arrays("views")["rest_px"]
         return maps.picture_map(pixels, (camera.width_px, camera.height_px))
 
+    def layout_png(self) -> bytes:
+        """PNG of the receptors' heights on the surface's map."""
+        height = self.context.markers.height_mm
+        return figures.value_map(
+            self.flat, height, label="receptor height (mm)", colours=self.colours
+        )
+
     def on_surface(
         self,
         values: FloatArray,
         caption: str,
         label: str,
         *,
+        name: str = "",
         marked: BoolArray | None = None,
         cross: FloatArray | None = None,
     ) -> str:
-        """Figure of values (n,) on the surface's map; ``cross`` (u, v) is marked by a cross."""
+        """Figure of values (n,) on the surface's map; ``cross`` (u, v) is marked by a cross.
+
+        ``name`` is that of its file, without an ending; "" for none.
+        """
         at = None if cross is None else maps.flat_map(self.context.surface, cross[None]).points[0]
         data = figures.value_map(
             self.flat, values, label=label, colours=self.colours, marked=marked, cross=at
         )
-        return page.figure(data, f"{caption}; {self.flat.note}")
+        return page.figure(data, f"{caption}; {self.flat.note}", name=name and f"{name}.png")
 
     def both(
         self,
@@ -62,17 +73,19 @@ class Drawing:
         caption: str,
         label: str,
         *,
+        name: str = "",
         marked: BoolArray | None = None,
         cross: FloatArray | None = None,
     ) -> str:
         """Figures on the surface's map and, for shapes that face the camera, in its picture."""
-        surface = self.on_surface(values, caption, label, marked=marked, cross=cross)
+        surface = self.on_surface(values, caption, label, name=name, marked=marked, cross=cross)
         if self.picture is None:
             return surface
         data = figures.value_map(
             self.picture, values, label=label, colours=self.colours, marked=marked
         )
-        return surface + page.figure(data, f"{caption}; {self.picture.note}")
+        file = name and f"{name}_picture.png"
+        return surface + page.figure(data, f"{caption}; {self.picture.note}", name=file)
 
 
 def photo(context: Context, stage: str, name: str, caption: str) -> str:
@@ -80,7 +93,8 @@ def photo(context: Context, stage: str, name: str, caption: str) -> str:
     path = context.folders[stage] / EXPORT / "views" / name
     if not path.is_file():
         return ""
-    return page.figure(figures.thumbnail(read_image(path), 900), caption, "jpeg")
+    data = figures.thumbnail(read_image(path), 900)
+    return page.figure(data, caption, "jpeg", name=f"{path.stem}.jpg")
 
 
 def of_camera(report: Mapping[str, Any], number: int) -> str:

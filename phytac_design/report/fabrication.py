@@ -6,7 +6,11 @@ from typing import Any
 
 from phytac_design.report import page
 from phytac_design.report.verdict import sentence
+from phytac_design.stage import EXPORT, Context
 
+SHELL_FILE = "shell/shell.stl"
+LISTED = 40
+"""Broken rules that the page lists."""
 PAPERS = (
     ("bench/assembly.html", "assembly sheet"),
     ("bench/paint_map.pdf", "paint map, 1:1"),
@@ -59,7 +63,41 @@ def _left_out(hardware: Mapping[str, Any]) -> str:
     return "; ".join(reason for reason in reasons if reason)
 
 
-def fabrication_section(report: Mapping[str, Any]) -> str:
+def print_rules(context: Context) -> str:
+    """The shell as it would be printed, how to stand it, and every broken rule, as HTML."""
+    printed = context.facts("printing")
+    shell = printed["files"][SHELL_FILE]
+    drawn = context.folders["printing"] / EXPORT / "shell" / "print_report.svg"
+    standing = shell["orientation"]
+    broken = [
+        (
+            file,
+            item["rule"],
+            item["measured"],
+            item["asked"],
+            item["unit"],
+            item["point_mm"],
+            item["fix"],
+        )
+        for file, part in printed["files"].items()
+        for item in part["violations"]
+    ]
+    head = ("file", "rule", "measured", "asked", "unit", "place (mm)", "what to change")
+    listed = page.table(head, broken[:LISTED]) if broken else "<p>No print rule is broken.</p>"
+    if len(broken) > LISTED:
+        listed += f'<p class="foot">{LISTED} of {len(broken)}; shell/print_report.json has all.</p>'
+    said = (
+        f"<p>Rules of {escape(str(printed['process']))}; this way up (a direction in the sensor's "
+        f"frame): {page.number(standing['up'])}, {page.number(standing['height_mm'])} mm high, "
+        f"{page.number(standing['support_volume_mm3'])} mm³ of supports.</p>"
+    )
+    picture = drawn.read_text(encoding="utf-8") if drawn.is_file() else ""
+    shown = page.drawing(picture, "The shell as printed, with broken rules") if picture else ""
+    rules = page.facts(page.flatten(printed["rules"], "rules."))
+    return f"<h3>Print rules</h3>{said}{shown}{listed}" + page.folded("All rules", rules)
+
+
+def fabrication_section(context: Context, report: Mapping[str, Any]) -> str:
     """HTML of the section."""
     facts = report["fabrication"]
     papers = ", ".join(f'<a href="../{path}">{escape(name)}</a>' for path, name in PAPERS)
@@ -79,4 +117,4 @@ def fabrication_section(report: Mapping[str, Any]) -> str:
     if joints:
         out += page.table(("joint", "screw", "count", "head in", "thread in"), joints)
     plain = {key: value for key, value in facts.items() if key not in ("screws", "print_unchecked")}
-    return out + page.facts(plain, "fabrication")
+    return out + page.facts(plain, "fabrication") + print_rules(context)

@@ -2,15 +2,15 @@
 
 import math
 import re
-from base64 import b64encode
+from base64 import b64decode, b64encode
 from collections.abc import Mapping, Sequence
-from html import escape
+from html import escape, unescape
 from typing import Any
 
 from phytac_design.report.names import absent_why, name_of, place_of
 
 STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; margin: 0 auto; max-width: 60rem; padding: 1rem;
+body { font: 16px/1.5 system-ui, sans-serif; margin: 0 auto; max-width: 68rem; padding: 1rem;
        color: #1a1a1a; background: #fff; overflow-wrap: break-word; }
 h1 { margin-bottom: 0; line-height: 1.2; }
 h2 { margin-top: 2rem; border-bottom: 1px solid #ccc; }
@@ -18,31 +18,49 @@ table { border-collapse: collapse; margin: 0.5rem 0; display: block; overflow-x:
 th, td { border: 1px solid #ccc; padding: 0.2rem 0.6rem; text-align: right; vertical-align: top; }
 th { font-weight: 600; } tbody th { font-weight: 400; }
 th:first-child, td:first-child, td.text, .facts td, .facts th { text-align: left; }
-tr.weak th, tr.weak td { color: #666; background: #f5f5f5; }
+tr.weak th, tr.weak td { color: #595959; background: #f5f5f5; }
 img, svg { max-width: 100%; height: auto; }
-figure { margin: 0.5rem 0; } figcaption { color: #555; font-size: 0.9em; }
+figure { margin: 0.5rem 0; min-width: 0; } figcaption { color: #555; font-size: 0.9em; }
 .pair { display: grid; gap: 1rem; align-items: start;
         grid-template-columns: repeat(auto-fit, minmax(min(20rem, 100%), 1fr)); }
 .verdict { font-size: 1.1rem; padding: 0.6rem 1rem; border-left: 6px solid #18863a;
            background: #eef8f0; }
 .verdict p { margin: 0; } .verdict ul { margin: 0.4rem 0 0; padding: 0; list-style: none;
            font-size: 1rem; }
+.verdict h2 { margin: 0; border: 0; font-size: 1.15rem; }
 .verdict li { padding-left: 1.6rem; text-indent: -1.6rem; }
 .verdict li::before { display: inline-block; width: 1.6rem; text-indent: 0; font-weight: 700; }
 li.good::before { content: "✓"; color: #18863a; } li.odd::before { content: "!"; color: #9a6b00; }
 li.bad::before { content: "✗"; color: #b3261e; }
 .verdict.odd { border-color: #c08a00; background: #fff8e1; }
 .verdict.bad { border-color: #b3261e; background: #fbeeed; }
+.answers { display: grid; gap: 0.8rem; margin: 0.8rem 0;
+           grid-template-columns: repeat(auto-fit, minmax(min(24rem, 100%), 1fr)); }
+.answers .verdict { font-size: 1rem; }
+.contents { font-size: 0.95em; } .contents a { margin-right: 0.9em; white-space: nowrap;
+           display: inline-block; padding: 0.15rem 0; }
 .foot { color: #555; font-size: 0.9em; margin-top: 0; }
 .note { background: #f3f3f3; padding: 0.4rem 1rem; border-left: 6px solid #999; }
+.bar { display: inline-block; height: 0.7em; background: #1b6ca8; }
+pre { overflow: auto; max-height: 30rem; background: #f7f7f7; padding: 0.6rem; font-size: 0.85em; }
+details { margin: 0.5rem 0; } summary { cursor: pointer; padding: 0.3rem 0; }
+.press input { vertical-align: middle; width: min(20rem, 60%); }
+.press img { display: none; } .press img.ends { display: block; }
+.press.live img { display: none; } .press.live img.on { display: block; }
 @media (max-width: 30rem) { body { padding: 0.6rem; } table { font-size: 0.85rem; }
   th, td { padding: 0.2rem 0.35rem; } }
 @media print { body { max-width: none; font-size: 11px; padding: 0; }
   h2 { break-after: avoid; } figure, tr, .verdict { break-inside: avoid; }
-  table { display: table; font-size: 9px; } .verdict, li { font-size: 11px; }
-  .pair { grid-template-columns: 1fr 1fr; }
+  table { display: table; font-size: 9px; } .verdict, .answers .verdict, li { font-size: 11px; }
+  .pair, .answers { grid-template-columns: 1fr 1fr; }
+  .contents, .press .controls { display: none; }
+  details::details-content { content-visibility: visible; display: block; }
+  .press.live img.on { display: none; } .press.live img.ends { display: block; }
+  pre { max-height: none; white-space: pre-wrap; font-size: 8px; }
   * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
 """
+POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src {}"
+"""Content security: a page fetches nothing."""
 DASH = "–"
 SHOWN = 12
 """Items of a list that are shown."""
@@ -144,14 +162,27 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return out
 
 
-def figure(data: bytes, caption: str, kind: str = "png") -> str:
-    """Inline image with a caption that is also its alternative text."""
-    source = b64encode(data).decode()
-    text = escape(caption)
-    return (
-        f'<figure><img alt="{text}" src="data:image/{kind};base64,{source}">'
-        f"<figcaption>{text}</figcaption></figure>"
-    )
+def figure(data: bytes, caption: str, kind: str = "png", *, name: str = "") -> str:
+    """Inline image with a caption that is also its alternative text; ``name``: :func:`image`."""
+    shown = image(data, caption, kind, name=name)
+    return f"<figure>{shown}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def image(data: bytes, text: str, kind: str = "png", *, name: str = "", extra: str = "") -> str:
+    """Inline image with its alternative text.
+
+    ``name`` is that of the file which :func:`images_of` makes of it, "" for none; ``extra`` are
+    further attributes.
+    """
+    file = f' data-file="{escape(name)}"' if name else ""
+    source = f"data:image/{kind};base64,{b64encode(data).decode()}"
+    return f'<img alt="{escape(text)}"{file}{extra} src="{source}">'
+
+
+def images_of(html: str) -> dict[str, bytes]:
+    """Return the named images of a page, by file name."""
+    found = re.findall(r'<img [^>]*?data-file="([^"]+)"[^>]*? src="data:[^,]+,([^"]*)"', html)
+    return {unescape(name): b64decode(source) for name, source in found}
 
 
 def drawing(svg: str, caption: str) -> str:
@@ -167,12 +198,41 @@ def pair(*parts: str) -> str:
     return f'<div class="pair">{"".join(parts)}</div>'
 
 
-def page(title: str, sections: Sequence[tuple[str, str]], lead: str) -> str:
-    """Whole page from sections (heading, HTML)."""
-    body = "".join(f"<section><h2>{escape(head)}</h2>{html}</section>" for head, html in sections)
+def folded(summary: str, html: str) -> str:
+    """HTML that shows when its summary is chosen, and in print."""
+    return f"<details><summary>{escape(summary)}</summary>{html}</details>"
+
+
+def page(
+    title: str, sections: Sequence[tuple[str, str]], lead: str, *, style: str = "", tail: str = ""
+) -> str:
+    """Whole page from sections (heading, HTML).
+
+    Parameters
+    ----------
+    style : str
+        CSS beside the page's own.
+    tail : str
+        Data and scripts at its end; pages without any run none. With them come links to the
+        sections, as such pages are long.
+    """
+    body = "".join(
+        f'<section id="{slug(head)}"><h2>{escape(head)}</h2>{html}</section>'
+        for head, html in sections
+    )
+    links = "".join(f'<a href="#{slug(head)}">{escape(head)}</a>' for head, _ in sections)
+    contents = f'<nav class="contents" aria-label="Sections">{links}</nav>' if tail else ""
+    policy = POLICY.format("'unsafe-inline'" if tail else "'none'")
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{STYLE}</style></head>"
-        f"<body><h1>{escape(title)}</h1>{lead}{body}</body></html>\n"
+        f"<title>{escape(title)}</title><style>{STYLE}{style}</style></head>"
+        f"<body><header><h1>{escape(title)}</h1></header><main>{lead}{contents}{body}</main>"
+        f"{tail}</body></html>\n"
     )
+
+
+def slug(head: str) -> str:
+    """Heading as a name for links."""
+    return re.sub(r"[^a-z0-9]+", "-", head.lower()).strip("-")

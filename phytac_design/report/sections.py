@@ -11,13 +11,15 @@ from phytac_design.optics.separability import check_paints, separability_svg
 from phytac_design.optics.sharpness import DIRECTIONS
 from phytac_design.report import figures, maps, names, page, scores
 from phytac_design.report.drawing import MARKS, Drawing, of_camera, photo
+from phytac_design.report.explorer import GAP_PX, explorer_section
 from phytac_design.report.fabrication import fabrication_section
+from phytac_design.report.mechanics import mechanics_section
+from phytac_design.report.pressed import press_pictures, press_slider
+from phytac_design.report.provenance import provenance_section, time_section
 from phytac_design.report.switches import switch_section
 from phytac_design.stage import Context
 
 PAPER = "paper, on a real sensor: FEM 18 % (49 % below 5 N), FEM-NN 2.3 % and 0.11 N"
-GAP_PX = 60.0
-"""Gaps are shown up to this."""
 EACH_CAMERA = {
     "end": "camera",
     "read": "reads markers",
@@ -54,7 +56,7 @@ def visibility_table(report: Mapping[str, Any]) -> str:
         )
         for key in [*(key for key in known if key in report["visibility"]), *keys]
     ]
-    return page.table(("", *columns), rows)
+    return page.table(("figure", *columns), rows)
 
 
 def _or_why(path: str, value: Any) -> Any:
@@ -92,6 +94,7 @@ def camera_section(context: Context, report: Mapping[str, Any], draw: Drawing) -
                 arrays["visible_fraction"],
                 "Visible fraction of each marker (hidden ones ringed)",
                 "fraction",
+                name="visible_fraction",
                 marked=arrays["occluded"],
             ),
             draw.both(
@@ -99,6 +102,7 @@ def camera_section(context: Context, report: Mapping[str, Any], draw: Drawing) -
                 f"Gap to the nearest marker of the same colour ({GAP_PX:g} px and more alike; "
                 "fused ones ringed)",
                 "px",
+                name="gap",
                 marked=arrays["fused"],
             ),
         )
@@ -153,7 +157,7 @@ def lens_section(context: Context, report: Mapping[str, Any]) -> str:
             f"<p>In focus at {lens['focus_mm']:.1f} mm from the camera; images of points are no "
             f"wider than a pixel from {lens['depth_near_mm']:.1f} mm {reach}, and at most "
             f"{lens['max_blur_px']:.2g} px at the markers (thin lens, camera.f_number and "
-            "camera.pixel_um).</p>" + page.table(head, rows)
+            "camera.pixel_um).</p>" + page.folded("Each row", page.table(head, rows))
         )
         if any(page.missing(value) for row in rows for value in row):
             parts.append(
@@ -179,11 +183,13 @@ def under_load_section(context: Context, report: Mapping[str, Any], draw: Drawin
     )
     return (
         f"<p>{escape(load['sentence'])}</p>"
+        + slider_of(context, report)
         + page.pair(
             draw.both(
                 arrays["crosstalk_px"],
                 "Crosstalk: greatest shift of a centroid that is not its marker's own motion",
                 "px",
+                name="crosstalk",
                 cross=cross,
             ),
             draw.both(
@@ -191,12 +197,22 @@ def under_load_section(context: Context, report: Mapping[str, Any], draw: Drawin
                 f"Least gap to a marker of the same colour under any press ({GAP_PX:g} px and more "
                 f"alike{where})",
                 "px",
+                name="gap_under_load",
                 cross=cross,
             ),
         )
         + (by_camera if each else "")
         + page.facts(shown, "under_load")
     )
+
+
+def slider_of(context: Context, report: Mapping[str, Any]) -> str:
+    """Pictures of the press that tells most, with a slider; "" if none could be solved."""
+    pressed = press_pictures(context)
+    if pressed is None:
+        return ""
+    name = context.markers.name(pressed.marker)
+    return press_slider(pressed, name, of_camera(report, pressed.camera))
 
 
 def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
@@ -214,12 +230,16 @@ def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawin
         + page.table(("contact of", *head), rows)
         + page.pair(
             draw.on_surface(
-                arrays["force_N_10"], "Least standard deviation of a force of 10 N", "N"
+                arrays["force_N_10"],
+                "Least standard deviation of a force of 10 N",
+                "N",
+                name="resolution_force",
             ),
             draw.on_surface(
                 arrays["along_mm_10"],
                 f"Least standard deviation of its position {said.along}",
                 "mm",
+                name="resolution_along",
             ),
         )
         + page.facts({key: found[key] for key in found if key != "bound"}, "resolution")
@@ -233,6 +253,7 @@ def markers_section(context: Context, report: Mapping[str, Any], draw: Drawing) 
             density_map(context.surface, context.markers).per_cm2,
             "Local density: markers around each one over their area",
             "per cm²",
+            name="density",
         ),
         page.drawing(
             separability_svg(check_paints(context.design)),
@@ -274,25 +295,25 @@ def sections_of(context: Context, report: Mapping[str, Any]) -> list[tuple[str, 
 
     marks = scores.marks_of(limits, list(report["decoder"]))
     learnt = page.flatten({"training": report["training"], "twin": report["twin"]})
-    settings = page.flatten({key: report[key] for key in ("accuracy", "seed", "timing_s")})
     return [
+        ("Shell and markers", explorer_section(context, draw.layout_png())),
         ("Camera", camera_section(context, report, draw)),
-        ("Lens", lens_section(context, report)),
         ("Under load", under_load_section(context, report, draw)),
+        ("Lens", lens_section(context, report)),
         ("Predicted resolution", resolution_section(context, report, draw)),
-        ("Markers", markers_section(context, report, draw)),
-        ("Shell", page.facts(report["shell"], "shell")),
+        ("Markers and paints", markers_section(context, report, draw)),
+        ("Mechanics", mechanics_section(context, report, draw)),
         ("Switches", switch_section(context, report)),
-        ("Fabrication", fabrication_section(report)),
-        ("Mesh", page.facts(report["mesh"], "mesh")),
+        ("Molds, fixtures and print rules", fabrication_section(context, report)),
         ("Decoder: rendered frames", frames_section(context, report, table("decoder_frames"))),
         (
-            "Decoder: held-out contacts, points",
+            "Decoder: held-out contacts",
             table("decoder")
             + f"<p>({page.number(PAPER)}.)</p>"
             + page.figure(
                 figures.error_bars(report["decoder"], marks),
                 "Relative error of the estimators, contacts on receptors",
+                name="estimators.png",
             )
             + "<p>Contacts anywhere on the surface, between receptors too:</p>"
             + table("decoder_anywhere")
@@ -302,7 +323,9 @@ def sections_of(context: Context, report: Mapping[str, Any]) -> list[tuple[str, 
         (
             "Assumptions",
             "<p>Not stated by the paper; set these to your own parts. Names as in the design "
-            "file.</p>" + page.facts(report["assumptions"], "assumptions"),
+            "file.</p>"
+            + page.folded("All of them", page.facts(report["assumptions"], "assumptions")),
         ),
-        ("Settings and time", page.facts(settings)),
+        ("Time and plan", time_section(context, report)),
+        ("Provenance", provenance_section(context, report)),
     ]

@@ -35,7 +35,8 @@ def switch_section(context: Context, report: Mapping[str, Any]) -> str:
     rows = [(ROWS[key], *(item.get(key) for item in made)) for key in keys]
     minded = dict.fromkeys(text for item in made for text in item.get("warnings", ()))
     curves = sorted((context.folders["switch"] / EXPORT / "switch").glob("*.svg"))
-    red = {key: value for key, value in report["switch"].items() if key != "switches"}
+    left_out = {"switches", "refused"}  # shown above, and in the verdict
+    red = {key: value for key, value in report["switch"].items() if key not in left_out}
     return (
         page.table(head, rows)
         + "".join(f'<p class="foot">{escape(sentence(text))}</p>' for text in minded)

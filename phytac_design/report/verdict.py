@@ -1,14 +1,38 @@
-"""What the page says first: is the sensor seen, readable and printable, and how well it decodes."""
+"""What the page says first: is it seen, can it be printed, cast and decoded; what to change."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from phytac_design.report.page import DASH, missing, number
 
 Level = Literal["good", "odd", "bad"]
 LEVELS: tuple[Level, ...] = ("good", "odd", "bad")
+Matter = Literal["seen", "printed", "cast", "decoded"]
+ANSWERS: dict[Matter, dict[Level, str]] = {
+    "seen": {
+        "good": "Every marker can be seen",
+        "odd": "It can be seen, with limits",
+        "bad": "It cannot be seen as it is",
+    },
+    "printed": {
+        "good": "It can be printed",
+        "odd": "It can be printed, with care",
+        "bad": "It cannot be printed as it is",
+    },
+    "cast": {
+        "good": "Its switches can be cast",
+        "odd": "Its switches: not all is made",
+        "bad": "Its switches cannot be cast",
+    },
+    "decoded": {
+        "good": "Its forces can be decoded",
+        "odd": "Its forces are decoded, with limits",
+        "bad": "Its forces cannot be decoded",
+    },
+}
+WORDS: dict[Level, str] = {"good": "yes", "odd": "with limits", "bad": "no"}
 SIMULATED = (
     "All decoder figures are in simulation: contacts are solved with a linear shell model (on a "
     "finer mesh than the decoder's own), projected through the camera, and given pixel noise. "
@@ -26,35 +50,98 @@ class Finding:
         ``good``; ``odd``, of which the user should know; or ``bad``, which makes the sensor fail.
     text : str
         Without a full stop at its end.
+    matter : str
+        The question that it answers.
     """
 
     level: Level
     text: str
+    matter: Matter = "seen"
 
 
 def findings(report: Mapping[str, Any]) -> list[Finding]:
     """What holds and what does not, most serious things first within each matter."""
-    out = [
-        Finding(level="bad", text=f"built with --force though {text}") for text in report["forced"]
+    refused = report["switch"].get("refused")
+    return [
+        *(
+            Finding(
+                level="bad",
+                text=f"built with --force though {text}",
+                matter="cast" if text == refused else "seen",
+            )
+            for text in report["forced"]
+        ),
+        _at_rest(report),
+        *_under_load(report["under_load"]),
+        *_printed(report["shell"], report["fabrication"]),
+        *_cast(report["switch"], report["fabrication"]),
+        *_decoded(report),
     ]
-    out.append(_at_rest(report))
-    out.extend(_under_load(report["under_load"]))
-    out.extend(_readable(report))
-    shell = report["shell"]
+
+
+def _printed(shell: Mapping[str, Any], facts: Mapping[str, Any]) -> list[Finding]:
+    """What the printer and the bench would find."""
+    out = []
     if shell["watertight"]:
-        out.append(Finding(level="good", text="the shell is one watertight body"))
+        out.append(Finding(level="good", text="the shell is one watertight body", matter="printed"))
     else:
-        out.append(Finding(level="bad", text="the shell is NOT watertight"))
+        out.append(Finding(level="bad", text="the shell is NOT watertight", matter="printed"))
+    if facts["print_violations"]:
+        text = (
+            f"{facts['print_violations']} places break the rules of the printer "
+            f"({facts['print_process']}): see shell/print_report.json"
+        )
+        out.append(Finding(level="odd", text=text, matter="printed"))
+    else:
+        text = f"no rule of the printer ({facts['print_process']}) is broken"
+        out.append(Finding(level="good", text=text, matter="printed"))
+    if facts["interference_mm3"]:
+        text = f"parts of the assembly overlap by {facts['interference_mm3']:.3g} mm³"
+        out.append(Finding(level="bad", text=text, matter="printed"))
     if not missing(shell.get("step_left_out")):
-        out.append(Finding(level="odd", text=f"no STEP file: {shell['step_left_out']}"))
-    out.extend(_made(report["fabrication"]))
+        text = f"no STEP file: {shell['step_left_out']}"
+        out.append(Finding(level="odd", text=text, matter="printed"))
+    return out
+
+
+def _cast(switch: Mapping[str, Any], facts: Mapping[str, Any]) -> list[Finding]:
+    """Switches and their molds."""
+    if not missing(switch.get("refused")):
+        return []  # among what the build was forced past
+    out = []
+    made = switch.get("switches", ())
+    if made:
+        each = ", ".join(
+            f"{item['threshold_N']:.3g} N ({item['spread']['low_N']:.2g} to "
+            f"{item['spread']['high_N']:.2g} N in a batch)"
+            for item in made
+        )
+        out.append(Finding(level="good", text=f"bowls snap at {each}", matter="cast"))
+    mold = facts["mold"]
+    if not missing(facts["mold_left_out"]):
+        text = f"no molds: {facts['mold_left_out']}"
+        out.append(Finding(level="odd", text=text, matter="cast"))
+    elif mold.get("undercut_rays"):
+        text = f"the molds catch the switches ({mold['undercut_rays']} rays along the pull)"
+        out.append(Finding(level="bad", text=text, matter="cast"))
+    elif not missing(mold.get("cavities")):
+        text = f"the molds ({mold['cavities']} cavities) open without undercut"
+        out.append(Finding(level="good", text=text, matter="cast"))
+    return out
+
+
+def _decoded(report: Mapping[str, Any]) -> list[Finding]:
+    out = [Finding(level="odd", text=text, matter="decoded") for text in report["limits"]]
+    if not out:
+        text = "every switch can be read, and the force on every marker"
+        out = [Finding(level="good", text=text, matter="decoded")]
     frames = report["frames"]
     if frames["refused"]:
         said = (
             f"{frames['refused']} of {frames['frames']} rendered frames could not be decoded, the "
             f"first because {frames['first_refusal']}"
         )
-        out.append(Finding(level="odd", text=said))
+        out.append(Finding(level="odd", text=said, matter="decoded"))
     return out
 
 
@@ -93,29 +180,6 @@ def _under_load(load: Mapping[str, Any]) -> list[Finding]:
     return out
 
 
-def _readable(report: Mapping[str, Any]) -> list[Finding]:
-    limits = report["limits"]
-    if limits:
-        return [Finding(level="odd", text=text) for text in limits]
-    text = "every switch can be read, and the force on every marker"
-    return [Finding(level="good", text=text)]
-
-
-def _made(facts: Mapping[str, Any]) -> list[Finding]:
-    """What the printer and the bench would find."""
-    out = []
-    if facts["print_violations"]:
-        text = (
-            f"{facts['print_violations']} places break the rules of the printer "
-            f"({facts['print_process']}): see shell/print_report.json"
-        )
-        out.append(Finding(level="odd", text=text))
-    if facts["interference_mm3"]:
-        text = f"parts of the assembly overlap by {facts['interference_mm3']:.3g} mm³"
-        out.append(Finding(level="bad", text=text))
-    return out
-
-
 def sentence(text: str) -> str:
     """Text with a capital letter and a full stop."""
     return f"{text[:1].upper()}{text[1:]}."
@@ -133,14 +197,11 @@ def percent(score: Mapping[str, Any]) -> str:
 
 
 def lead(report: Mapping[str, Any]) -> str:
-    """Verdict at the top of the page, as HTML."""
+    """Verdict at the top of the page, as HTML: four answers, and what to change."""
     found = findings(report)
     markers = report["markers"]
-    best = "auto" if "auto" in report["decoder"] else "koi_inverse"
+    best = best_of(report)
     frames, points = report["decoder_frames"][best], report["decoder"][best]
-    lines = "".join(
-        f'<li class="{item.level}">{escape(sentence(item.text))}</li>' for item in found
-    )
     decoded = (
         f"Simulated contacts decode to {percent(points)} and {points['mae_N']:.2f} N (mean "
         f"errors of {points['samples']} held-out ones), through rendered frames to "
@@ -148,10 +209,40 @@ def lead(report: Mapping[str, Any]) -> str:
         if points["samples"]
         else "No simulated contact tripped a switch, so none could be decoded"
     )
+    answers = "".join(
+        answer(matter, [item for item in found if item.matter == matter])
+        for matter in get_args(Matter)
+    )
     return (
         f"<p>{escape(report['description'])}</p>"
         f'<div class="verdict {worst(found)}"><p>{markers["count"]} markers, '
         f"{markers['density_per_cm2']:.2f} per cm² of a surface {escape(markers['surface_class'])} "
-        f"to the optical axis. {decoded}.</p><ul>{lines}</ul></div>"
+        f"to the optical axis. {decoded}.</p></div>"
+        f'<div class="answers">{answers}</div>{change_list(report.get("changes", []))}'
         f'<p class="note">{SIMULATED}</p>'
     )
+
+
+def best_of(report: Mapping[str, Any]) -> str:
+    """Name of the estimator that the page leads with."""
+    return "auto" if "auto" in report["decoder"] else "koi_inverse"
+
+
+def answer(matter: Matter, found: list[Finding]) -> str:
+    """One of the four answers, as HTML."""
+    level = worst(found)
+    lines = "".join(
+        f'<li class="{item.level}">{escape(sentence(item.text))}</li>' for item in found
+    )
+    return (
+        f'<div class="verdict {level}"><h2>{matter.capitalize()}? {WORDS[level]}</h2>'
+        f"<p>{ANSWERS[matter][level]}.</p><ul>{lines}</ul></div>"
+    )
+
+
+def change_list(texts: Sequence[str]) -> str:
+    """What to change, as HTML."""
+    if not texts:
+        return "<p><strong>To change:</strong> nothing that these checks know of.</p>"
+    lines = "".join(f"<li>{escape(sentence(text))}</li>" for text in texts)
+    return f'<div class="change"><strong>To change or to mind:</strong><ul>{lines}</ul></div>'

@@ -11,7 +11,7 @@ from decoder.estimators import ForceModel
 from decoder.network import Activation
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.spec import Design
-from phytac_design.stage import EXPORT, Context, Stage, write_facts
+from phytac_design.stage import EXPORT, Context, Stage, write_arrays, write_facts
 from phytac_design.stages.places import locator_of
 from phytac_design.stages.twin import TOUCH, readers_of
 from phytac_design.study.plan.scope import scope_of
@@ -150,7 +150,8 @@ def run(context: Context, folder: Path) -> None:
     training: dict[str, Any] = {"key_nodes": 0, "samples": 0}
     if context.scene is None or context.scene.networks:
         training = train_networks(context, model, Dataset.from_arrays(twin, "train"))
-    scores = judged(context, model, twin)
+    scores, arrays = judged(context, model, twin)
+    write_arrays(folder, arrays)
     bundle = assemble(
         context,
         model,
@@ -205,11 +206,14 @@ def train_networks(context: Context, model: ForceModel, data: Dataset) -> dict[s
     return training
 
 
-def judged(context: Context, model: ForceModel, twin: dict[str, Any]) -> dict[str, Any]:
-    """Scores of every estimator on both held-out sets."""
-    from phytac_design.twin.judge import judge
+def judged(
+    context: Context, model: ForceModel, twin: dict[str, Any]
+) -> tuple[dict[str, Any], dict[str, FloatArray]]:
+    """Scores of every estimator on both held-out sets, and the forces (c,) that each decoded, N."""
+    from phytac_design.twin.judge import contact_forces, judge
 
     scores: dict[str, Any] = {}
+    arrays: dict[str, FloatArray] = {}
     for name in ("test", "anywhere"):
         held_out = Dataset.from_arrays(twin, name)
         height = along_mm(context, held_out.contacts.uv)
@@ -218,6 +222,9 @@ def judged(context: Context, model: ForceModel, twin: dict[str, Any]) -> dict[st
             start = time.perf_counter()
             forces = decode_points(model.linear, held_out, estimator)
             seconds = time.perf_counter() - start
+            arrays[f"{name}.{estimator}"] = contact_forces(
+                forces, held_out.contacts, held_out.switching
+            )
             scores[name][estimator] = judge(
                 forces,
                 held_out.contacts,
@@ -225,7 +232,7 @@ def judged(context: Context, model: ForceModel, twin: dict[str, Any]) -> dict[st
                 height_mm=height,
                 middle_mm=middle_mm(context),
             ) | {"milliseconds_per_frame": 1e3 * seconds / held_out.contacts.samples}
-    return scores
+    return scores, arrays
 
 
 def limits_of(bundle: "Bundle") -> dict[str, Any]:

@@ -10,10 +10,14 @@ from phytac_design import cache
 from phytac_design.design_file import assumptions
 from phytac_design.finite import finite
 from phytac_design.optics.separability import check_paints
+from phytac_design.report.changes import changes_of
+from phytac_design.report.explorer import DATA_ID, explorer_data
 from phytac_design.report.fabrication import fabrication_facts
-from phytac_design.report.page import page
+from phytac_design.report.page import images_of, page
+from phytac_design.report.provenance import provenance_of
 from phytac_design.report.sections import sections_of
-from phytac_design.report.verdict import SIMULATED, lead
+from phytac_design.report.verdict import SIMULATED, best_of, lead
+from phytac_design.report.viewer.assets import PAGE_SCRIPTS, data_tag, script_tags, style
 from phytac_design.spec import Design
 from phytac_design.stage import Context, Stage, export_path, write_facts
 from phytac_design.stages.switch import SWITCH
@@ -51,9 +55,10 @@ def gather(context: Context) -> dict[str, Any]:
     views, shell, step = (context.facts(name) for name in ("views", "shell", "step"))
     decoder, frames, twin = (context.facts(name) for name in ("decoder", "frames", "twin"))
     density = views["density"]
+    reasons = forced_past(context)
     timing = {name: cache.record(context.folders[name])["seconds"] for name in NEEDS}
     return {
-        "schema_version": "1.2",
+        "schema_version": "1.3",
         "design": design.name,
         "description": design.description,
         "simulated": SIMULATED,
@@ -72,7 +77,8 @@ def gather(context: Context) -> dict[str, Any]:
             "height_greatest_mm": float(markers.height_mm.max()),
             "colours": check_paints(design).summary(),
         },
-        "forced": forced_past(context),
+        "forced": reasons,
+        "changes": changes_of(context, reasons),
         "visibility": views["visibility"],
         "straight": context.facts("compare")["straight"],
         "under_load": context.facts("underload"),
@@ -96,11 +102,13 @@ def gather(context: Context) -> dict[str, Any]:
         "limit_figures": {k: v for k, v in decoder["limits"].items() if k != "sentences"},
         "twin": twin,
         "condition_compliance": context.facts("response")["condition"],
+        "response": {k: v for k, v in context.facts("response").items() if k != "condition"},
         "frames": {key: value for key, value in frames.items() if key != "estimators"},
         "decoder_frames": frames["estimators"],
         "assumptions": assumptions(design),
         "accuracy": context.accuracy.as_dict(),
         "seed": context.seed,
+        "provenance": provenance_of(context),
         "timing_s": timing | {"total": round(sum(timing.values()), 3)},
     }
 
@@ -112,14 +120,26 @@ def forced_past(context: Context) -> list[str]:
 
 
 def run(context: Context, folder: Path) -> None:
-    """Write ``report/report.json`` and ``report/report.html``."""
+    """Write ``report/report.{json,html}``, ``report/viewer.json`` and ``report/images/…``."""
     report = gather(context)
-    text = json.dumps(finite(report), indent=1, ensure_ascii=False)
-    export_path(folder, "report/report.json").write_text(text + "\n", encoding="utf-8")
-    title = f"{report['design']}: camera-based force sensor"
-    html = page(title, sections_of(context, report), lead(report))
-    export_path(folder, "report/report.html").write_text(html, encoding="utf-8")
-    write_facts(folder, {"page_bytes": len(html)})
+    _write(folder, "report/report.json", json.dumps(finite(report), indent=1, ensure_ascii=False))
+    data = explorer_data(context, best_of(report))
+    _write(folder, "report/viewer.json", json.dumps(data, ensure_ascii=False, allow_nan=False))
+    html = page(
+        f"{report['design']}: camera-based force sensor",
+        sections_of(context, report),
+        lead(report),
+        style=style(),
+        tail=data_tag(DATA_ID, data) + script_tags(PAGE_SCRIPTS),
+    )
+    _write(folder, "report/report.html", html)
+    for name, image in images_of(html).items():
+        export_path(folder, f"report/images/{name}").write_bytes(image)
+    write_facts(folder, {"page_bytes": len(html.encode())})
+
+
+def _write(folder: Path, name: str, text: str) -> None:
+    export_path(folder, name).write_text(text.rstrip("\n") + "\n", encoding="utf-8")
 
 
 REPORT = Stage(

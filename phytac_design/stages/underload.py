@@ -1,7 +1,7 @@
 """What the camera sees when the sensor is pressed."""
 
 import os
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -89,9 +89,45 @@ def theory_facts(samples: list[Any], tolerance: float) -> dict[str, Any]:
     }
 
 
+@dataclass(frozen=True, kw_only=True)
+class Presses:
+    """Presses at p places, each alone, and what the camera sees.
+
+    Attributes
+    ----------
+    uv : (p, 2) float
+        Places that were solved.
+    motion : (p, n, 6) float
+        Motion of the wall under every marker at the full force: mm, rad.
+    found : UnderLoad
+        What the camera sees.
+    facts : dict
+        How it was found; with two cameras also what each of them loses.
+    """
+
+    uv: FloatArray
+    motion: FloatArray
+    found: "UnderLoad"
+    facts: dict[str, Any]
+
+    def telling(self) -> int:
+        """Press where something happens first; the one that moves markers most if nothing does."""
+        if np.isfinite(self.found.first_force_N).any():
+            return self.found.worst
+        return int(self.found.shift_px.argmax())
+
+
 def see_pressed(
     context: Context, gap_px: FloatArray, camera_number: IntArray | None = None
 ) -> tuple[FloatArray, "UnderLoad", dict[str, Any]]:
+    """Places, what is seen, and how it was found, of :func:`press_and_see`."""
+    done = press_and_see(context, gap_px, camera_number)
+    return done.uv, done.found, done.facts
+
+
+def press_and_see(
+    context: Context, gap_px: FloatArray, camera_number: IntArray | None = None
+) -> Presses:
     """Press all over the surface and look.
 
     All places are pressed with the full force; those where something hides or fuses also with the
@@ -103,15 +139,6 @@ def see_pressed(
         Least gap of each marker at rest: where to press first.
     camera_number : (n,) int, optional
         Camera that each marker is read through; the first by default.
-
-    Returns
-    -------
-    uv : (p, 2) float
-        Places that were solved.
-    found : UnderLoad
-        What the camera sees.
-    facts : dict
-        How it was found; with two cameras also what each of them loses.
     """
     from phytac_design.optics.scene import build_scene
     from phytac_design.optics.underload import press_all
@@ -170,11 +197,8 @@ def see_pressed(
             for number, end in enumerate(design.camera.end_numbers)
         ]
     inward = -np.einsum("pni,ni->pn", full[:, -1, :, :3], markers.normal)
-    return (
-        uv,
-        found,
-        facts | {"sector_only": shell.repeats, "dent_mm": float(inward.max(initial=0.0))},
-    )
+    facts |= {"sector_only": shell.repeats, "dent_mm": float(inward.max(initial=0.0))}
+    return Presses(uv=uv, motion=full[:, -1], found=found, facts=facts)
 
 
 def together(each: dict[int, "UnderLoad"]) -> "UnderLoad":
@@ -200,8 +224,12 @@ def run_underload(context: Context, folder: Path) -> None:
     markers, training = context.markers, context.design.training
     views = context.arrays("views")
     gap = np.minimum(views["gap_same_colour_px"], views["gap_other_colour_px"])
-    uv, found, how = see_pressed(context, gap, views["camera"])
-    write_arrays(folder, {"uv": uv, **asdict(found)})
+    done = press_and_see(context, gap, views["camera"])
+    uv, found, how = done.uv, done.found, done.facts
+    shown = done.telling() if len(uv) else 0
+    # One press, for the report's pictures; a slice: empty where none was solved.
+    picture = {"shown_uv": uv[shown : shown + 1], "shown_motion": done.motion[shown : shown + 1]}
+    write_arrays(folder, {"uv": uv, **asdict(found), **picture})
     facts: dict[str, Any] = {
         "presses": len(uv),
         "force_N": training.force_max_N,

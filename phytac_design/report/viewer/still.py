@@ -1,0 +1,67 @@
+"""A still picture of the shell, cut open, for print and for browsers without WebGL."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from decoder.camera import Camera, pinhole
+from phytac_design.layout import Markers
+from phytac_design.optics.frame import render_frame
+from phytac_design.optics.paint import BACKGROUND
+from phytac_design.optics.scene import SHELL, Scene, build_scene
+from phytac_design.report.maps import family
+from phytac_design.report.viewer.data import eye_of
+from phytac_design.spec import Design
+from shapes import Surface
+from shapes.arrays import FloatArray
+
+WIDTH_PX, HEIGHT_PX = 1800, 1400
+FINER = 2
+"""How much finer than the picture it is rendered, along both sides."""
+FIELD_DEG = 28.0
+FILL = 0.92
+"""Share of the picture that the shell fills, along its longer side."""
+TOLERANCE_mm = 0.1
+
+
+def still_picture(design: Design, surface: Surface, markers: Markers) -> bytes:
+    """PNG of the shell as the viewer first shows it; tubes are cut open towards the eye."""
+    eye = eye_of(surface, markers)
+    scene = cut_open(
+        build_scene(design, surface, markers, tolerance_mm=TOLERANCE_mm), surface, markers, eye
+    )
+    shown = scene.vertices[np.unique(scene.triangles)]
+    image = render_frame(scene, camera_at(eye, shown), samples=1)
+    # Nothing in the scene is black but the background, which paper should not be.
+    image[(image <= max(BACKGROUND)).all(axis=2)] = 255
+    small = cv2.resize(image, (WIDTH_PX // FINER, HEIGHT_PX // FINER), interpolation=cv2.INTER_AREA)
+    return bytes(cv2.imencode(".png", small)[1])
+
+
+def cut_open(scene: Scene, surface: Surface, markers: Markers, eye: FloatArray) -> Scene:
+    """Scene of a tube without the wall and the receptors whose outer side faces the eye."""
+    if family(surface) != "tube":
+        return scene
+    middle = scene.vertices[scene.triangles].mean(axis=1)
+    keep = np.ones(len(middle), dtype=np.bool_)
+    wall = scene.part == SHELL
+    keep[wall] = surface.normal(surface.chart(middle[wall])) @ eye <= 0.0
+    owner = scene.triangle_owner
+    keep[owner >= 0] = (markers.normal @ eye <= 0.0)[owner[owner >= 0]]
+    return replace(scene, triangles=scene.triangles[keep], part=scene.part[keep])
+
+
+def camera_at(eye: FloatArray, points_mm: FloatArray) -> Camera:
+    """Camera in direction ``eye`` (3,) from points (n, 3) that sees them all; z points up."""
+    right = np.cross(eye, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    axes = np.stack([-right, np.cross(eye, right), -eye])
+    low, high = points_mm.min(axis=0), points_mm.max(axis=0)
+    middle = (low + high) / 2.0
+    focal = HEIGHT_PX / 2.0 / np.tan(np.deg2rad(FIELD_DEG) / 2.0)
+    local = (points_mm - middle) @ axes.T
+    half = np.array([WIDTH_PX, HEIGHT_PX]) * FILL / 2.0
+    away = float((focal * np.abs(local[:, :2]) / half - local[:, 2:]).max())
+    lens = pinhole(width_px=WIDTH_PX, height_px=HEIGHT_PX, focal_px=float(focal))
+    return Camera(lens=lens, position_mm=middle + away * eye, rotation=axes)
