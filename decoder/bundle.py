@@ -17,6 +17,7 @@ from safetensors.numpy import load_file, save_file
 from decoder.bundle_camera import camera_from, camera_table
 from decoder.bundle_check import (
     check_arrays,
+    check_count,
     check_indices,
     check_shown,
     fault_of,
@@ -34,10 +35,14 @@ from decoder.segmentation import ColourModel
 from decoder.switches import TipModel
 from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import InputError
+from shapes.reading import check_file, read_text
 
 SCHEMA = (1, 5)
 FORMAT = "phytac-decoder-bundle"
 ENDS = ("near", "far")
+META_BYTES_MAX = 1 << 26
+ARRAYS_BYTES_MAX = 1 << 33
+"""Largest files of a bundle that are read; that of a thousand markers has some 100 MB."""
 """Ends of a sensor with two cameras, in their order."""
 
 
@@ -227,13 +232,15 @@ def load_bundle(folder: Path) -> Bundle:
     """
     meta = _read_meta(folder)
     try:
+        check_file(folder / "bundle.safetensors", bytes_max=ARRAYS_BYTES_MAX)
         arrays = load_file(folder / "bundle.safetensors")
-    except (OSError, SafetensorError) as error:
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
             f"{folder}/bundle.safetensors cannot be read ({error}); rebuild the decoder"
         ) from error
     try:
         count = int(meta["markers"])
+        check_count(arrays, count, folder)
         # Up to schema 1.2 there was one camera and one threshold.
         tables = meta.get("cameras", [meta["camera"]])
         arrays.setdefault("read_by", np.zeros(count, dtype=np.int64))
@@ -265,7 +272,7 @@ def load_bundle(folder: Path) -> Bundle:
 def _read_meta(folder: Path) -> dict[str, Any]:
     path = folder / "bundle.json"
     try:
-        meta = json.loads(path.read_text(encoding="utf-8"), parse_constant=no_number)
+        meta = json.loads(read_text(path, bytes_max=META_BYTES_MAX), parse_constant=no_number)
     except OSError as error:
         raise InputError(
             f"no decoder bundle in {folder} ({error.strerror}); give the folder that holds "

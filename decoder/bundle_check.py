@@ -46,6 +46,24 @@ def check_arrays(arrays: dict[str, Any], count: int, networks: list[str], folder
     _check(arrays, expected, n, folder)
 
 
+def check_count(arrays: dict[str, Any], count: int, folder: Path) -> None:
+    """Check the number of markers, before any array is made of that size.
+
+    Raises
+    ------
+    InputError
+        If the arrays are of another number.
+    """
+    if "rest_px" not in arrays:
+        raise InputError(f"{folder}/bundle.safetensors lacks 'rest_px'; rebuild the decoder")
+    found = len(np.atleast_1d(arrays["rest_px"]))
+    if count != found:
+        raise InputError(
+            f"{folder}/bundle.safetensors: rest_px has {found} rows, expected {count} for {count} "
+            "markers; the two files are of different builds"
+        )
+
+
 def check_shown(arrays: dict[str, Any], count: int, cameras: int, folder: Path) -> None:
     """Check what a bundle of several cameras has besides: what each of them shows.
 

@@ -1,7 +1,6 @@
 """Named regions of a surface (fingers, a palm) and the force on each."""
 
 import json
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +11,7 @@ import numpy as np
 
 from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import InputError
+from shapes.reading import read_text, toml_table
 
 REGIONS_MAX = 64
 NAME_MAX = 40
@@ -124,7 +124,7 @@ def load_regions(
     unknown = sorted(set(data) - {"regions"})
     tables = data.get("regions")
     if unknown or not isinstance(tables, list) or not tables:
-        got = f"unknown key {unknown[0]!r}" if unknown else "no list of regions"
+        got = f"unknown key {_short(unknown[0])}" if unknown else "no list of regions"
         raise InputError(f"{path}: {got}; write one or more [[regions]] and nothing else")
     return regions_of(tables, f"{path}: ", position_mm, chart)
 
@@ -183,12 +183,12 @@ def regions_from(table: object, count: int) -> tuple[Region, ...]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"no regions at {path} ({reason}); give a TOML or JSON file") from None
     try:
-        data = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
+        data = json.loads(text) if path.suffix.lower() == ".json" else toml_table(text)
     except (ValueError, RecursionError) as error:
         kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
         raise InputError(f"{path} is no {kind}: {error}") from None
@@ -199,13 +199,15 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _name(table: object, where: str) -> str:
     if not isinstance(table, dict):
-        raise InputError(f"{where}: a region is a table (got {table!r})")
+        raise InputError(f"{where}: a region is a table (got {_short(table)})")
     unknown = sorted(set(table) - set(KEYS))
     if unknown:
-        raise InputError(f"{where}: unknown key {unknown[0]!r}; known: {', '.join(KEYS)}")
+        raise InputError(f"{where}: unknown key {_short(unknown[0])}; known: {', '.join(KEYS)}")
     name = table.get("name")
     if not isinstance(name, str) or not 1 <= len(name) <= NAME_MAX or not name.isprintable():
-        raise InputError(f"{where}: name must be 1 to {NAME_MAX} printable letters (got {name!r})")
+        raise InputError(
+            f"{where}: name must be 1 to {NAME_MAX} printable letters (got {_short(name)})"
+        )
     if name != name.strip():
         raise InputError(f"{where}: name {name!r} begins or ends with a space; take it away")
     return name

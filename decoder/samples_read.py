@@ -4,6 +4,7 @@ import io
 import json
 import lzma
 import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -48,6 +49,7 @@ from decoder.samples_write import (
     table_hash,
 )
 from shapes.errors import InputError
+from shapes.reading import read_bytes, read_text
 
 TABLE_BYTES_MAX = 2**28
 BYTES_MAX = 2**34
@@ -65,6 +67,7 @@ BROKEN = (
     OverflowError,
     RuntimeError,
     SyntaxError,
+    tokenize.TokenError,
     TypeError,
     ValueError,
 )
@@ -142,9 +145,7 @@ def read_samples(
 def _read_table(folder: Path) -> dict[str, Any]:
     path = folder / TABLE
     try:
-        if path.stat().st_size > TABLE_BYTES_MAX:
-            raise InputError(f"{path} is no data set's: it is larger than {TABLE_BYTES_MAX} bytes")
-        table = json.loads(path.read_text(encoding="utf-8"))
+        table = json.loads(read_text(path, bytes_max=TABLE_BYTES_MAX))
     except OSError as error:
         raise InputError(
             f"no data set in {folder} ({TABLE}: {error.strerror}); give the folder that "
@@ -226,7 +227,7 @@ def _read_file(folder: Path, table: Mapping[str, Any]) -> bytes:
         found = path.stat().st_size
         if found != size:
             raise InputError(f"{path} has {found} bytes, expected {size}: truncated; {AGAIN}")
-        data = path.read_bytes()
+        data = read_bytes(path, bytes_max=BYTES_MAX)
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}); {AGAIN}") from None
     except (KeyError, TypeError, ValueError) as error:

@@ -1,10 +1,12 @@
 """A build: which stages, in which order, from the cache where it can, into an exports folder."""
 
+import fcntl
 import json
+import os
 import shutil
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from importlib import metadata
@@ -20,8 +22,11 @@ from phytac_design.spec import Design
 from phytac_design.stage import EXPORT, Context, Stage, array_hashes
 from phytac_design.stages import STAGES
 from shapes.errors import DesignError, OutputError
+from shapes.reading import read_text
 
 MANIFEST = "manifest.json"
+OLD_MANIFEST = f".{MANIFEST}.old"
+"""Where it stands while files change: what is half-written never looks finished."""
 PARTS = (
     "numpy",
     "scipy",
@@ -123,7 +128,14 @@ def build(
             if not any(out.iterdir()):
                 out.rmdir()
             raise
-        _export(out, design, stages, context)
+        try:
+            with _alone_in(out):
+                _export(out, design, stages, context)
+        except OSError as error:
+            raise OutputError(
+                f"cannot write {out}: {error.strerror or error}; make room, or choose another "
+                "--out, and run the same command again: what was computed is kept"
+            ) from None
         if ran:
             prune(limit_bytes=limit)
     return BuildResult(
@@ -224,15 +236,12 @@ class Work:
 
 def _claim(out: Path, design: Design, *, force: bool) -> None:
     """Make the folder ours, before any long work: refuse another design's or an unwritable one."""
-    manifest = out / MANIFEST
-    if manifest.is_file():
-        try:
-            other = json.loads(manifest.read_text(encoding="utf-8")).get("design", {})
-        except (ValueError, OSError):
-            other = {}
-        if other.get("name") != design.name and not force:
+    if (out / MANIFEST).is_file() or (out / OLD_MANIFEST).is_file():
+        other = _old_manifest(out).get("design")
+        name = other.get("name") if isinstance(other, dict) else None
+        if name != design.name and not force:
             raise OutputError(
-                f"{out} holds the design {other.get('name')!r}, not {design.name!r}; "
+                f"{out} holds the design {name!r}, not {design.name!r}; "
                 "choose another --out, or overwrite it with --force"
             )
     elif out.is_dir() and any(out.iterdir()) and not (out / "design.toml").is_file() and not force:
@@ -243,9 +252,45 @@ def _claim(out: Path, design: Design, *, force: bool) -> None:
         out.mkdir(parents=True, exist_ok=True)
         probe = out / ".writable"
         probe.write_text("")
-        probe.unlink()
+        # Another build may have just taken it away.
+        probe.unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"cannot write {out}: {error.strerror}; choose another --out") from None
+
+
+@contextmanager
+def _alone_in(out: Path) -> Iterator[None]:
+    """Wait until no other build writes into the folder; sweep what a killed one left there."""
+    handle = os.open(out, os.O_RDONLY)
+    try:
+        # Some network disks have no locks; there the user sees to it.
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        try:
+            _sweep(out)
+            yield
+        except OSError:
+            _sweep(out)
+            raise
+    finally:
+        os.close(handle)
+
+
+def _sweep(out: Path) -> None:
+    for path in out.rglob(".*.part"):
+        path.unlink(missing_ok=True)
+
+
+def _old_manifest(out: Path) -> dict[str, Any]:
+    """Manifest of the build before, finished or not; empty if there is none that can be read."""
+    for name in (MANIFEST, OLD_MANIFEST):
+        try:
+            found = json.loads(read_text(out / name))
+        except (OSError, ValueError, RecursionError):
+            continue
+        if isinstance(found, dict):
+            return found
+    return {}
 
 
 def _export(
@@ -255,6 +300,8 @@ def _export(
     context: Context,
 ) -> None:
     """Copy the stages' files, the resolved design and the manifest; drop stale files of ours."""
+    if (out / MANIFEST).is_file():
+        (out / MANIFEST).replace(out / OLD_MANIFEST)
     (out / "design.toml").write_text(to_toml(design), encoding="utf-8")
     files = [_entry(out, Path("design.toml"), "design", 0.0)]
     for stage in stages:
@@ -289,6 +336,7 @@ def _export(
     partial = out / f".{MANIFEST}.part"
     partial.write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     partial.replace(out / MANIFEST)
+    (out / OLD_MANIFEST).unlink(missing_ok=True)
 
 
 def _settle_old_files(
@@ -299,10 +347,13 @@ def _settle_old_files(
     A file of an earlier build stays only if that build was of the same design, accuracy and seed
     and this build did not run its stage: no two files in a folder may disagree.
     """
+    old = _old_manifest(out)
     try:
-        old = json.loads((out / MANIFEST).read_text(encoding="utf-8"))
         entries = [item for item in old["files"] if item["path"] not in kept]
-    except (OSError, ValueError, KeyError, TypeError):
+        named = all(isinstance(item[key], str) for item in entries for key in ("path", "stage"))
+    except (KeyError, TypeError):
+        return []
+    if not named:
         return []
     same = all(old.get(name) == value for name, value in identity.items())
     staying = []
@@ -311,7 +362,8 @@ def _settle_old_files(
         if same and item["stage"] not in stages and path.is_file():
             staying.append(item)
         elif path.resolve().is_relative_to(out.resolve()):
-            path.unlink(missing_ok=True)
+            if path.is_file() or path.is_symlink():
+                path.unlink(missing_ok=True)
             if path.parent != out and path.parent.is_dir() and not any(path.parent.iterdir()):
                 path.parent.rmdir()
     return staying

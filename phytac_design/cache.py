@@ -21,6 +21,8 @@ from typing import IO, Any
 from shapes.errors import OutputError
 
 RECORD = "stage.json"
+SOURCES = {".py", ".js", ".css", ".html"}
+"""Suffixes of the program's own files: pages are made of more than Python."""
 LOCK = ".lock"
 """What the file ends in that is locked while a result of its key is made."""
 
@@ -44,7 +46,7 @@ def code_hash() -> str:
     digest = sha256()
     for package in (shapes, decoder, phytac_design):
         for folder in package.__path__:
-            for path in sorted(Path(folder).rglob("*.py")):
+            for path in sorted(p for p in Path(folder).rglob("*") if p.suffix in SOURCES):
                 digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()
 
@@ -144,7 +146,7 @@ def publish(
             (scratch / RECORD).write_text(json.dumps(made, sort_keys=True))
             scratch.rename(final)
         except OSError as error:
-            if error.errno in {errno.ENOSPC, errno.EDQUOT}:
+            if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS}:
                 raise _unwritable(error) from None
             raise
         finally:

@@ -1,7 +1,6 @@
 """Design files: TOML in, typed design out; the resolved and the commented file back."""
 
 import json
-import tomllib
 from collections.abc import Sequence
 from difflib import get_close_matches
 from hashlib import sha256
@@ -17,6 +16,7 @@ from phytac_design.fixture_section import BoxFixture, CylinderFixture, MeshFixtu
 from phytac_design.regions_section import RegionSection
 from phytac_design.spec import SHAPE_MODELS, Design
 from shapes.errors import DesignError, OutputError
+from shapes.reading import joined, read_text, toml_table
 
 SHOWN = 120
 """Characters of a refused value that its message shows."""
@@ -43,15 +43,10 @@ def load_design(name_or_path: str) -> Design:
     """
     text, where = _read(name_or_path)
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        data = toml_table(text)
+    except ValueError as error:
         raise DesignError(
             f"{where} is not TOML: {error}; see `phytac new` for a template"
-        ) from None
-    except RecursionError:
-        raise DesignError(
-            f"{where} is no design: its lists are nested too deeply; `phytac new NAME` writes one "
-            "to edit"
         ) from None
     return parse_design(data, where, folder=Path(where).parent)
 
@@ -72,8 +67,7 @@ def parse_design(data: dict[str, Any], where: str, *, folder: Path = Path()) -> 
             # An item that is refused makes its list too short as well: once is enough.
             if not any(place[: len(item["loc"])] == item["loc"] != place for place in places)
         ]
-        lines = list(dict.fromkeys(lines))
-        raise DesignError(f"{where}: " + "; ".join(lines)) from None
+        raise DesignError(f"{where}: {joined(lines)}") from None
 
 
 def _read(name_or_path: str) -> tuple[str, str]:
@@ -82,7 +76,7 @@ def _read(name_or_path: str) -> tuple[str, str]:
         source = resources.files("phytac_design") / "designs" / f"{name_or_path}.toml"
         return source.read_text(encoding="utf-8"), name_or_path
     try:
-        return path.read_text(encoding="utf-8"), str(path)
+        return read_text(path), str(path)
     except UnicodeDecodeError:
         raise DesignError(
             f"{path} is not TOML: it is not even text; `phytac new NAME` writes a design to edit"

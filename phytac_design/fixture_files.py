@@ -7,10 +7,13 @@ import numpy as np
 
 from shapes.arrays import FloatArray
 from shapes.errors import DesignError
+from shapes.reading import read_bytes
 
 TRIANGLES_MAX = 5000
 """A fixture becomes part of the design file; more would make that unwieldy."""
 HEADER_BYTES = 84
+BYTES_MAX = 1 << 24
+"""Enough for fifty times as many triangles, written as text."""
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
 
 
@@ -23,7 +26,7 @@ def read_stl(path: Path) -> dict[str, Any]:
         If the file cannot be read, is not STL, holds no triangle or too many.
     """
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, bytes_max=BYTES_MAX)
     except OSError as error:
         raise DesignError(
             f"cannot read the fixture {path}: {error.strerror}; file is relative to the design file"

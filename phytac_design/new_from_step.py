@@ -8,12 +8,15 @@ import numpy as np
 from phytac_design.fabrication.step_surface import surface_from_step
 from shapes import Patch
 from shapes.errors import InputError
+from shapes.reading import check_file
 
 PITCH_MM = 6.0
 """Distance between receptors that a new design starts with."""
 DECIMALS = 6
 STEP_MARK = b"ISO-10303-21"
 SIZE_MAX_MM = 1000.0
+BYTES_MAX = 1 << 28
+"""Larger parts take minutes to read: one face is all that is wanted of them."""
 
 
 def patch_changes(
@@ -39,8 +42,10 @@ def patch_changes(
         If the file is not usable, or the face is larger than a metre.
     """
     # OpenCASCADE prints complaints of its own about other files.
-    if not path.is_file():
-        raise InputError(f"no STEP file at {path}")
+    try:
+        check_file(path, bytes_max=BYTES_MAX)
+    except OSError as error:
+        raise InputError(f"no STEP file at {path} ({error.strerror})") from None
     with path.open("rb") as file:
         if STEP_MARK not in file.read(1024):
             raise InputError(

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from shapes.errors import DesignError
+from shapes.reading import read_text
 
 CHART, SPACE = ("u", "v"), ("x_mm", "y_mm", "z_mm")
 FURTHER = ("colour", "height_mm")
@@ -27,7 +28,7 @@ def read_positions(path: Path) -> dict[str, Any]:
         If the file cannot be read or a line is not acceptable, with the line's number.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path, encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise DesignError(f"{path} is not a CSV file: it is not text; save it as UTF-8") from None
     except OSError as error:

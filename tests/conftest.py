@@ -28,6 +28,7 @@ def built(tmp_path_factory: pytest.TempPathFactory, own_cache: None) -> BuildRes
 
 NEEDS_CAD = (
     "tests/fabrication/test_cad.py",
+    "tests/fuzz/test_step.py::test_damaged_files_are_refused_in_words",
     "tests/test_build.py::test_folder_is_the_contract",
     "tests/test_build.py::test_report_holds_the_figures",
 )

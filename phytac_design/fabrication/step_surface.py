@@ -1,5 +1,12 @@
-"""A user's own face from a STEP file, as the grid of points that a ``patch`` takes."""
+"""A user's own face from a STEP file, as the grid of points that a ``patch`` takes.
 
+OpenCASCADE reads it in a process of its own: files that are damaged make it crash or hang.
+"""
+
+import multiprocessing
+import os
+import resource
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -7,10 +14,16 @@ import numpy as np
 
 from phytac_design.fabrication.cad_kernel import cadquery
 from shapes.arrays import FloatArray
-from shapes.errors import InputError
+from shapes.errors import InputError, PhytacError
 
 COVERED = 1e-6
 """Relative area by which a face may miss its parameter rectangle and still count as untrimmed."""
+
+SECONDS_MAX = 120.0
+MEMORY_MAX = 4 << 30
+"""Time and bytes that reading a file may take."""
+STATM = Path("/proc/self/statm")
+AGAIN = "export the one face again, as a STEP file of its own"
 
 
 def surface_from_step(
@@ -38,6 +51,60 @@ def surface_from_step(
     """
     if min(rows, columns) < 2:
         raise InputError(f"a patch needs at least 2 x 2 points (got {rows} x {columns})")
+    # A fork has the libraries that are loaded here: others take seconds to start.
+    fork = multiprocessing.get_context("fork")
+    mine, its = fork.Pipe(duplex=False)
+    child = fork.Process(target=_tell, args=(its, path, rows, columns, face), daemon=True)
+    child.start()
+    its.close()
+    try:
+        answer = mine.recv() if mine.poll(SECONDS_MAX) else None
+    except EOFError:
+        child.join()
+        raise InputError(
+            f"cannot read STEP file {path}: OpenCASCADE crashed on it (exit code "
+            f"{child.exitcode}); {AGAIN}"
+        ) from None
+    finally:
+        mine.close()
+        child.kill()
+        child.join()
+    if answer is None:
+        raise InputError(f"cannot read STEP file {path}: no end within {SECONDS_MAX:g} s; {AGAIN}")
+    if isinstance(answer, PhytacError):
+        raise answer
+    return np.asarray(answer, dtype=np.float64)
+
+
+def _tell(pipe: Connection, path: Path, rows: int, columns: int, face: int | None) -> None:
+    """Send the grid, or the error that it ends in; OpenCASCADE's own complaints go nowhere."""
+    silent = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silent, 1)
+    os.dup2(silent, 2)
+    if STATM.is_file():
+        pages = int(STATM.read_text().split()[0])
+        limit = pages * resource.getpagesize() + MEMORY_MAX
+        resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
+    answer: FloatArray | PhytacError
+    try:
+        answer = read_surface(path, rows, columns, face)
+    except PhytacError as error:
+        answer = error
+    except Exception as error:  # noqa: BLE001 - the kernel's own errors have no common class
+        answer = InputError(
+            f"cannot read STEP file {path}: {str(error)[:200] or 'damaged'}; {AGAIN}"
+        )
+    pipe.send(answer)
+
+
+def read_surface(path: Path, rows: int, columns: int, face: int | None) -> FloatArray:
+    """Read the grid in this very process.
+
+    Raises
+    ------
+    InputError
+        See :func:`surface_from_step`; of files that are damaged OpenCASCADE raises anything else.
+    """
     chosen = _face(path, face)
     surface, (u0, u1, v0, v1) = _untrimmed(chosen, path)
     points = np.array(
@@ -46,6 +113,8 @@ def surface_from_step(
             for u in np.linspace(u0, u1, rows)
         ]
     )
+    if not np.isfinite(points).all():
+        raise InputError(f"the face of {path} has points that are not finite; {AGAIN}")
     size = float(np.ptp(points.reshape(-1, 3), axis=0).max())
     for axis in (0, 1):
         ends = np.take(points, [0, -1], axis=axis)

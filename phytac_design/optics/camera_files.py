@@ -13,6 +13,7 @@ import yaml
 
 from decoder.lens import LENSES, Lens
 from shapes.errors import DesignError, InputError, OutputError
+from shapes.reading import read_text
 
 FileFormat = Literal["opencv", "ros", "kalibr"]
 ROS_MODELS = {
@@ -24,9 +25,22 @@ ROS_MODELS = {
 KNOWN = "OpenCV (camera_matrix), ROS camera_info (camera_matrix, distortion_model), Kalibr (cam0)"
 
 
+BROKEN = (
+    KeyError,
+    TypeError,
+    ValueError,
+    IndexError,
+    OverflowError,
+    SystemError,
+    yaml.YAMLError,
+    cv2.error,
+)
+"""What OpenCV's and Python's readers of YAML raise; the first makes SystemErrors of some."""
 AGAIN = "export it again from the calibration tool, as one of the kinds in docs/formats.md"
 SHOWN = 300
 """Letters of a fault that a message shows."""
+BYTES_MAX = 1 << 17
+"""A calibration has a few hundred bytes, and YAML takes its time."""
 
 
 def read_lens(path: Path) -> Lens:
@@ -38,7 +52,7 @@ def read_lens(path: Path) -> Lens:
         If the file is missing, is none of the three kinds, or lacks or garbles a number.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, bytes_max=BYTES_MAX)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
             f"camera calibration {path} cannot be read ({error}); give the path of a YAML file"
@@ -55,7 +69,7 @@ def read_lens(path: Path) -> Lens:
         raise InputError(
             f"camera calibration {path} is not usable: nested too deeply; {AGAIN}"
         ) from None
-    except (KeyError, TypeError, ValueError, IndexError, yaml.YAMLError, cv2.error) as error:
+    except BROKEN as error:
         what = (
             f"{error} is missing" if isinstance(error, KeyError) else " ".join(str(error).split())
         )

@@ -28,7 +28,8 @@ SHARPNESS = ("camera.f_number", "camera.pixel_um", "camera.focus_mm", "camera.no
 
 def write_image(path: Path, image: ImageArray) -> None:
     """Write a PNG (BGR)."""
-    cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 6])
+    # OpenCV's own writing says nothing of a full disk and leaves half a picture.
+    path.write_bytes(bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1]))
 
 
 def png_bytes(image: ImageArray) -> bytes:

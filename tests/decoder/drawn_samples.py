@@ -81,7 +81,7 @@ def drawn(seed: int, count: int = 7, markers: int = 9, *, keep: str = "all") -> 
         truth=truth,
         key_nodes=nodes,
     )
-    points = {"bits": None, "bits_read": None, "shift_px": None}
+    points: dict[str, Any] = {"bits": None, "bits_read": None, "shift_px": None}
     if keep == "inputs":
         return replace(made, **points, touches=None, truth=None)
     return replace(made, key_nodes=None) if keep == "points" else made

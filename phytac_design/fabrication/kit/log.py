@@ -4,6 +4,7 @@ Its columns are those of ``phytac calibrate``, which reads it as it is; the step
 time of each reading stand in a comment line before it.
 """
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,8 +15,13 @@ import numpy as np
 from phytac_design.fabrication.kit.program import Program
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import InputError
+from shapes.reading import read_text
 
 COLUMNS = ("contact_marker", "patch_radius_mm", "force_N", "displacement_mm")
+NUMBER_MAX = 2.0**53
+SHOWN = 120
+BYTES_MAX = 1 << 28
+"""A log of days; a larger one is something else."""
 NOTE = re.compile(r"#\s*step\s+(\d+)\s*,\s*frame\s+(\d+)\s*,\s*([-+.\deE]+)\s*s\s*$")
 
 
@@ -75,7 +81,7 @@ def read_log(path: Path) -> Log:
         If it cannot be read, or a line is not what it should be.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(path, encoding="utf-8-sig", bytes_max=BYTES_MAX).splitlines()
     except UnicodeDecodeError:
         raise InputError(f"{path} is not a log: it is not even text; export it as CSV") from None
     except OSError as error:
@@ -86,7 +92,7 @@ def read_log(path: Path) -> Log:
     for number, line in enumerate(map(str.strip, lines), start=1):
         if line.startswith("#"):
             found = NOTE.match(line)
-            note = [float(word) for word in found.groups()] if found else note
+            note = _numbers_of(path, number, found) if found else note
         elif line and not names:
             names = [word.strip() for word in line.split(",")]
             if sorted(names) != sorted(COLUMNS):
@@ -99,6 +105,19 @@ def read_log(path: Path) -> Log:
     if not rows:
         raise InputError(f"{path} holds no readings; run the program and write a line per step")
     return _log(np.array(rows))
+
+
+def _numbers_of(path: Path, number: int, found: re.Match[str]) -> list[float]:
+    try:
+        values = [float(word) for word in found.groups()]
+    except ValueError:
+        values = [math.nan]
+    if not all(abs(value) <= NUMBER_MAX for value in values):
+        raise InputError(
+            f"{path} line {number}: step, frame and seconds must be numbers (got "
+            f"{found[0][:SHOWN]!r}); correct the line"
+        )
+    return values
 
 
 def _noted(path: Path, number: int, note: Sequence[float]) -> Sequence[float]:
@@ -120,7 +139,7 @@ def _values(path: Path, number: int, line: str, names: list[str]) -> list[float]
             "correct the line or remove it"
         ) from None
     out = [values[name] for name in COLUMNS]
-    if not np.all(np.isfinite(out)) or out[0] != int(out[0]) or out[0] < 0:
+    if not np.all(np.isfinite(out)) or out[0] != int(out[0]) or not 0 <= out[0] <= NUMBER_MAX:
         raise InputError(
             f"{path} line {number}: the marker must be a whole number and all values finite "
             f"(got {line!r}); correct the line or remove it"

@@ -11,14 +11,17 @@ from phytac_design.layout import Markers
 from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import InputError
+from shapes.reading import read_text
 
 PLACES = {"marker": ("marker",), "chart": ("u", "v"), "point": ("x_mm", "y_mm", "z_mm")}
 """The three ways to state a position, each a set of columns behind ``contact_`` or ``probe_``."""
 VALUES = ("patch_radius_mm", "force_N", "displacement_mm")
 KNOWN = [f"{what}_{name}" for what in ("contact", "probe") for c in PLACES.values() for name in c]
+TABLE_BYTES_MAX = 1 << 26
 OFF_SURFACE_MM = 0.5
 """Farthest that a measured point may lie from the wall: a reading error, not another frame."""
 ROWS_SHOWN = 5
+SHOWN = 120
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +90,7 @@ def read_measurements(
 def _columns(path: Path) -> dict[str, FloatArray]:
     """Columns of numbers by name, and ``line``, the line of the file that each row stands on."""
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(path, encoding="utf-8-sig", bytes_max=TABLE_BYTES_MAX).splitlines()
     except UnicodeDecodeError:
         raise InputError(
             f"{path} is not a CSV file: it is not even text; save it as UTF-8"
@@ -132,7 +135,7 @@ def _check_names(path: Path, names: list[str]) -> None:
         if name not in known:
             near = get_close_matches(name, known, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
-            raise InputError(f"{path}: unknown column {name!r}; {hint}")
+            raise InputError(f"{path}: unknown column {name[:SHOWN]!r}; {hint}")
         if names.count(name) > 1:
             raise InputError(f"{path}: column {name!r} stands there twice; keep one")
     missing = [name for name in VALUES if name not in names]
@@ -147,7 +150,7 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
         value = np.nan
     if not np.isfinite(value):
         raise InputError(
-            f"{path} line {line}: {name} is not a finite number (got {text.strip()!r}); "
+            f"{path} line {line}: {name} is not a finite number (got {text.strip()[:SHOWN]!r}); "
             "correct the value or remove the line"
         )
     return value

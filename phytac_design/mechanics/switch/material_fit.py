@@ -10,6 +10,7 @@ import numpy as np
 from phytac_design.mechanics.switch.materials import Material, Ogden, Yeoh, bulk_of
 from shapes.arrays import FloatArray
 from shapes.errors import InputError
+from shapes.reading import read_text
 
 Law = Literal["neo-hookean", "yeoh", "ogden"]
 TERMS = {"neo-hookean": 1, "yeoh": 3, "ogden": 3}
@@ -88,7 +89,7 @@ def read_test(path: Path) -> tuple[FloatArray, FloatArray]:
         If it cannot be read as that.
     """
     try:
-        head, *rows = path.read_text(encoding="utf-8-sig").strip().splitlines()
+        head, *rows = read_text(path, encoding="utf-8-sig").strip().splitlines()
         names = [name.strip() for name in head.split(",")]
         data = np.array([[float(x) for x in row.split(",")] for row in rows if row.strip()])
         return data[:, names.index("stretch")], data[:, names.index("stress_MPa")]

@@ -1,6 +1,5 @@
 """Scene files: what matters of a sensor, in TOML; a build then models that and no more."""
 
-import tomllib
 from contextlib import contextmanager
 from contextvars import ContextVar
 from difflib import get_close_matches
@@ -12,6 +11,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from phytac_design.section import Section
 from shapes.errors import DesignError
+from shapes.reading import joined, read_text, toml_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -177,8 +177,8 @@ def load_scene(name_or_path: str) -> Scene:
     """
     text, where = _read(name_or_path)
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        data = toml_table(text)
+    except ValueError as error:
         raise DesignError(
             f"{where} is not TOML: {error}; start from a shipped scene "
             f"({', '.join(shipped_scenes())})"
@@ -197,8 +197,8 @@ def parse_scene(data: dict[str, Any], where: str) -> Scene:
     try:
         return Scene.model_validate(data)
     except ValidationError as error:
-        lines = dict.fromkeys(_explain(item) for item in error.errors())
-        raise DesignError(f"scene {where}: " + "; ".join(lines)) from None
+        lines = joined(_explain(item) for item in error.errors())
+        raise DesignError(f"scene {where}: {lines}") from None
 
 
 def _read(name_or_path: str) -> tuple[str, str]:
@@ -207,7 +207,7 @@ def _read(name_or_path: str) -> tuple[str, str]:
         source = resources.files("phytac_design") / "scenes" / f"{name_or_path}.toml"
         return source.read_text(encoding="utf-8"), name_or_path
     try:
-        return path.read_text(encoding="utf-8"), str(path)
+        return read_text(path), str(path)
     except UnicodeDecodeError:
         raise DesignError(f"{path} is not TOML: it is not even text; give a scene file") from None
     except OSError as error:

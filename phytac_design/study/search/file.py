@@ -1,7 +1,6 @@
 """Study files: what may vary, what must hold, what is striven for, and how much that may cost."""
 
 import json
-import tomllib
 from collections.abc import Iterator
 from difflib import get_close_matches
 from hashlib import sha256
@@ -14,6 +13,7 @@ from pydantic import Field, ValidationError, model_validator
 from phytac_design.section import Section
 from phytac_design.study.search.measures import MEASURES, RUNGS, measure_of, measures_up_to
 from shapes.errors import DesignError
+from shapes.reading import joined, read_text, toml_table
 
 Value = int | float | str
 Text = Annotated[str, Field(min_length=1, max_length=200)]
@@ -198,7 +198,7 @@ def load_study(name_or_path: str) -> tuple[Study, Path]:
         source = resources.files("phytac_design") / "studies" / f"{name_or_path}.toml"
         return parse_study(source.read_text(encoding="utf-8"), name_or_path), Path()
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         near = get_close_matches(name_or_path, shipped_studies(), n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
@@ -213,14 +213,14 @@ def load_study(name_or_path: str) -> tuple[Study, Path]:
 def parse_study(text: str, where: str) -> Study:
     """Validate the text of a study file; every problem of its form is in the one error."""
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        data = toml_table(text)
+    except ValueError as error:
         raise DesignError(f"{where} is not TOML: {error}; docs/study.md shows one") from None
     try:
         study = Study.model_validate(data)
     except ValidationError as error:
-        lines = dict.fromkeys(_explain(item, data) for item in error.errors())
-        raise DesignError(f"{where}: " + "; ".join(lines)) from None
+        lines = joined(_explain(item, data) for item in error.errors())
+        raise DesignError(f"{where}: {lines}") from None
     _check_measures(study, where)
     _check_ladder(study, where)
     return study
@@ -296,11 +296,11 @@ def _explain(item: Any, data: dict[str, Any]) -> str:
     got = item["input"]
     shown = "" if isinstance(got, dict | list) else f" (got {got!r})"
     number = item["loc"][1] if len(item["loc"]) > 1 and isinstance(item["loc"][1], int) else None
-    if item["loc"][0] == "variable" and number is not None:
+    if item["loc"][:1] == ("variable",) and number is not None:
         named = data["variable"][number]
         if isinstance(named, dict):
             place += f" ({named.get('field', '?')})"
-    return f"{place}: {message.removeprefix('value error, ')}{shown}"
+    return f"{place or 'study'}: {message.removeprefix('value error, ')}{shown}"
 
 
 def _known(place: tuple[Any, ...]) -> Iterator[str]:

@@ -11,6 +11,7 @@ import numpy as np
 from phytac_design.twin.touch import INDENTERS
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import InputError
+from shapes.reading import read_text
 
 PLACES = (("x_mm", "y_mm", "z_mm"), ("u", "v"), ("marker",), ("row", "column"))
 """Ways to state a position, each a set of columns."""
@@ -31,6 +32,8 @@ BENCH = {
 }
 """Columns of ``phytac calibrate`` and of the bench's log, and what they are called here."""
 SHOWN = 10
+BYTES_MAX = 1 << 28
+"""A log of days; a larger one is something else."""
 SPLIT = "fields are separated by commas, decimals by a point"
 
 
@@ -166,7 +169,7 @@ def _rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]], tupl
     The comment before a row becomes its field ``#``.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(path, encoding="utf-8-sig", bytes_max=BYTES_MAX).splitlines()
     except UnicodeDecodeError:
         raise InputError(f"{path} is not a CSV file: it is not even text") from None
     except OSError as error:

@@ -1,7 +1,6 @@
 """Scenario files: what is done to a sensor, in TOML; read, checked, named and hashed."""
 
 import json
-import tomllib
 import types
 from difflib import get_close_matches
 from hashlib import sha256
@@ -23,6 +22,7 @@ from phytac_design.twin.scenario.tables import (
     UnitSection,
 )
 from shapes.errors import DesignError
+from shapes.reading import joined, read_text, toml_table
 
 
 class Scenario(Table):
@@ -108,8 +108,8 @@ def load_scenario(name_or_path: str) -> Scenario:
     """
     text, where = _read(name_or_path)
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        data = toml_table(text)
+    except ValueError as error:
         raise DesignError(
             f"{where} is not TOML: {error}; start from a shipped scenario "
             f"({', '.join(shipped_scenarios())})"
@@ -135,8 +135,7 @@ def parse_scenario(data: dict[str, Any], where: str) -> Scenario:
             # An item that is refused makes its list too short as well: once is enough.
             if not any(place[: len(item["loc"])] == item["loc"] != place for place in places)
         ]
-        lines = list(dict.fromkeys(lines))
-        raise DesignError(f"scenario {where}: " + "; ".join(lines)) from None
+        raise DesignError(f"scenario {where}: {joined(lines)}") from None
 
 
 def scenario_hash(scenario: Scenario) -> str:
@@ -151,7 +150,7 @@ def _read(name_or_path: str) -> tuple[str, str]:
         source = resources.files("phytac_design") / "scenarios" / f"{name_or_path}.toml"
         return source.read_text(encoding="utf-8"), name_or_path
     try:
-        return path.read_text(encoding="utf-8"), str(path)
+        return read_text(path), str(path)
     except UnicodeDecodeError:
         raise DesignError(
             f"{path} is not TOML: it is not even text; give a scenario file"

@@ -1,0 +1,166 @@
+"""Spoilt files of every kind: only ``PhytacError`` comes out, soon and in little memory."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from benchmarks.page_fuzz import Place, Tally, fault_of, input_of, little_memory, run, tried
+from benchmarks.page_fuzz_change import json_text, toml_text
+from benchmarks.page_fuzz_readers import READERS, Reader, shipped
+from decoder.bundle import load_bundle, save_bundle
+from decoder.regions import load_regions
+from decoder.wire import Splitter
+from phytac_design.design_file import load_design
+from phytac_design.study.plan.scene import load_scene
+from phytac_design.study.search.file import load_study
+from phytac_design.study.stability.rooms.readers import bundle
+from phytac_design.twin.scenario.file import load_scenario
+from shapes.errors import InputError
+
+TABLES = {
+    "designs": load_design,
+    "studies": load_study,
+    "scenes": load_scene,
+    "scenarios": load_scenario,
+}
+VALUES = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=20)
+    | st.sampled_from([10**400, "../x", "/dev/zero", "a\0b", "x" * 400]),
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+ONCE = {"dataset": (166, 230), "calibration": (2427,), "regions": (1404,), "logs": (60,)}
+"""Inputs of the long run that were faults once."""
+QUIET = settings(
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_spoilt_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
+    """The first inputs of the long run (``python -m benchmarks.page --parts fuzz``)."""
+    reader, place = READERS[name](), Place(tmp_path)
+    tally = tried(name, reader, range(120), place)
+    for number in ONCE.get(name, ()):
+        tally.add(tried(name, reader, range(number, number + 1), place))
+    assert tally.faults == []
+    assert min(tally.read, tally.refused) >= 5
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_any_value_at_any_key(kind: str, tmp_path: Path) -> None:
+    import tomllib
+
+    tables = [tomllib.loads(seed.decode()) for seed in shipped(kind) if len(seed) < 20_000]
+    path = tmp_path / "x.toml"
+
+    @settings(QUIET, max_examples=25)
+    @given(data=st.data())
+    def check(data: st.DataObject) -> None:
+        table = json.loads(json.dumps(data.draw(st.sampled_from(tables))))
+        at: Any = table
+        while isinstance(at, dict | list) and at:
+            key = data.draw(st.sampled_from(list(at) if isinstance(at, dict) else range(len(at))))
+            if not isinstance(at[key], dict | list) or not at[key] or data.draw(st.booleans()):
+                at[key] = data.draw(VALUES)
+                break
+            at = at[key]
+        path.write_bytes(toml_text(table))
+        with little_memory():
+            fault, _, _ = fault_of(lambda: TABLES[kind](str(path)))
+        assert fault is None
+
+    check()
+
+
+def test_any_value_in_a_bundle(tmp_path: Path) -> None:
+    save_bundle(bundle(), tmp_path)
+    whole = json.loads((tmp_path / "bundle.json").read_text())
+
+    @settings(QUIET, max_examples=100)
+    @given(key=st.sampled_from(sorted(whole)), value=VALUES)
+    def check(key: str, value: Any) -> None:
+        (tmp_path / "bundle.json").write_bytes(json_text(whole | {key: value}))
+        with little_memory():
+            fault, _, _ = fault_of(lambda: load_bundle(tmp_path))
+        assert fault is None
+
+    check()
+
+
+@settings(QUIET, max_examples=100)
+@given(data=st.binary(max_size=200), framing=st.sampled_from(["lines", "length"]))
+def test_any_bytes_on_the_wire(data: bytes, framing: str) -> None:
+    fault, _, _ = fault_of(lambda: Splitter(framing).feed(data))
+    assert fault is None
+
+
+@settings(QUIET, max_examples=60)
+@given(tables=VALUES)
+def test_any_table_of_regions(tables: Any, tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_bytes(json_text({"regions": tables}))
+    fault, _, _ = fault_of(lambda: load_regions(path, bundle().position_mm))
+    assert fault is None
+
+
+def test_what_a_reader_must_not_do_is_found(tmp_path: Path) -> None:
+    """The judge itself: a traceback, a blow-up, a hang, and a message without end are faults."""
+    hoard: list[bytes] = []
+
+    def blow_up() -> None:
+        hoard.append(b"x" * (600 << 20))
+
+    def spin() -> None:
+        while True:
+            pass
+
+    def talk() -> None:
+        raise InputError("x" * 30_000)
+
+    with little_memory():
+        assert str(fault_of(blow_up)[0]).startswith("MemoryError")
+    assert "KeyError" in str(fault_of(lambda: {"a": 1}["x"])[0])
+    assert fault_of(talk)[0] == "a message of 30000 letters"
+    assert fault_of(lambda: None)[:2] == (None, True)
+    assert str(fault_of(spin, seconds=0.05)[0]).startswith("no end")
+
+
+def test_a_stopped_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def read(at: Path) -> None:
+        if b"3" in (at / "x").read_bytes():
+            raise KeyError("three")
+
+    numbers: list[int] = []
+
+    def make(rng: Any) -> dict[str, bytes]:
+        numbers.append(1)
+        return {"x": str(rng.randrange(10)).encode()}
+
+    monkeypatch.setitem(READERS, "toy", lambda: Reader(make=make, read=read, weight=1))
+    monkeypatch.setattr("benchmarks.page_fuzz.SLICE", 10)
+    journal = tmp_path / "toy.jsonl"
+    whole = run("toy", 60, None)
+    assert run("toy", 20, journal).inputs == 20
+    with journal.open("a") as file:
+        file.write('{"first": 20, "read": 1')
+    numbers.clear()
+    again = run("toy", 60, journal)
+    assert len(numbers) == 40
+    assert isinstance(again, Tally)
+    assert again.faults == whole.faults != []
+    assert (again.inputs, again.read) == (60, whole.read)
+    assert input_of("toy", READERS["toy"](), 7) == input_of("toy", READERS["toy"](), 7)

@@ -1,0 +1,57 @@
+"""Hostile STEP files: OpenCASCADE may crash or hang, the program may not."""
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from phytac_design.fabrication import step_surface
+from phytac_design.new_from_step import patch_changes
+from shapes.errors import InputError, MissingPartError
+
+HEAD = b"ISO-10303-21;\nHEADER;\nENDSEC;\nDATA;\n"
+
+
+def test_damaged_files_are_refused_in_words(tmp_path: Path) -> None:
+    path = tmp_path / "x.step"
+    path.write_bytes(HEAD + b"#1=CARTESIAN_POINT('',(1E999,NAN,#1));\n" * 1000 + b"\xff\0")
+    with pytest.raises(InputError, match=r"x\.step"):
+        patch_changes(path)
+
+
+def stand_in(monkeypatch: pytest.MonkeyPatch, work: Callable[[], object]) -> None:
+    """Something else in the place of OpenCASCADE."""
+    monkeypatch.setattr(step_surface, "read_surface", lambda *_: work())
+
+
+def test_a_crash_is_an_error_of_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stand_in(monkeypatch, lambda: os.kill(os.getpid(), signal.SIGSEGV))
+    with pytest.raises(InputError, match=r"OpenCASCADE crashed on it \(exit code -11\)"):
+        step_surface.surface_from_step(tmp_path / "x.step")
+
+
+def test_a_hang_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stand_in(monkeypatch, lambda: time.sleep(60.0))
+    monkeypatch.setattr(step_surface, "SECONDS_MAX", 0.3)
+    with pytest.raises(InputError, match="no end within"):
+        step_surface.surface_from_step(tmp_path / "x.step")
+    assert multiprocessing.active_children() == []
+
+
+def test_memory_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stand_in(monkeypatch, lambda: bytearray(1 << 33))
+    with pytest.raises(InputError, match=r"x\.step: damaged"):
+        step_surface.surface_from_step(tmp_path / "x.step")
+
+
+def test_other_errors_stay_what_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing() -> None:
+        raise MissingPartError("no CadQuery")
+
+    stand_in(monkeypatch, missing)
+    with pytest.raises(MissingPartError, match="no CadQuery"):
+        step_surface.surface_from_step(tmp_path / "x.step")
