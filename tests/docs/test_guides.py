@@ -28,8 +28,8 @@ FIGURES = (
     ("0.22 N, 2.1 %", "decoder", "cylinder60 unit 1, frames: auto, middle heights (651 contacts)"),
     ("0.65 N, 4.9 %", "decoder", "cylinder60 unit 1, frames: auto, all heights (991 contacts)"),
     ("0.36 N, 3.7 %", "decoder", "cone unit 1, points: auto, middle heights (81 contacts)"),
-    ("0.73 N, 6.2 %", "decoder", "hemisphere unit 1, points: auto, middle heights (120 contacts)"),
-    ("2.5 N, 19 %", "decoder", "plane unit 1, points: auto, middle heights (35 contacts)"),
+    ("0.71 N, 6.1 %", "decoder", "hemisphere unit 1, points: auto, middle heights (120 contacts)"),
+    ("2.3 N, 18 %", "decoder", "plane unit 1, points: auto, middle heights (35 contacts)"),
 )
 """What the comparison says of this project, and the cases it comes from."""
 
