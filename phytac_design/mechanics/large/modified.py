@@ -32,8 +32,6 @@ from shapes.errors import NumericalError
 
 CONVERGED = 1e-4
 """Error of the motion, over its peak, that the iteration ends at."""
-ROUGH, ROUGH_MOST = 1e-3, 5e-3
-"""The same where nothing is vouched for, and what is still taken when the iteration stalls."""
 LAST_GAIN = 4.0
 """Least factor that the last step, which is not looked at again, gains; 5 … 50 are common."""
 ITERATIONS = 40
@@ -87,7 +85,7 @@ class Found:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Expansion:
+class Expansion:
     """Motion (6N,) to third order, the second part's image, and how soft the shell gets."""
 
     first: FloatArray
@@ -148,34 +146,12 @@ class Modified:
             expansion = self._expanded(first, force)
         return expansion.second, expansion.third
 
-    def gap(self, load: FloatArray, motion: FloatArray, linear: FloatArray) -> float:
-        """How far a motion is from equilibrium, over linear motion, in the norm of K₀.
-
-        About the relative error of the motion where the shell neither softens nor stiffens much.
-
-        Parameters
-        ----------
-        load : (6N,) float
-            Nodal forces (N) and moments (N mm).
-        motion, linear : (6N,) float
-            The motion that is judged, and that of linear theory.
-
-        Raises
-        ------
-        NumericalError
-            If an element is distorted beyond what it can describe.
-        """
-        residual = np.where(self._shell.held, 0.0, load) - self._shell.internal(motion)
-        g = self._shell.solved(residual[:, None])[:, 0]
-        return float(np.sqrt(max(float(g @ residual), 0.0) / float(linear @ load)))
-
     def solve(
         self,
         load: Any,
         *,
         tolerance: float | None = None,
         linear: FloatArray | None = None,
-        vouch: bool = True,
     ) -> Found:
         """Motion under a dead load, whatever becomes of it; never an exception.
 
@@ -188,9 +164,6 @@ class Modified:
             always large displacements.
         linear : (6N,) float, optional
             Linear motion, where it is known already.
-        vouch : bool
-            Whether stability is looked at, and hard cases go to the guarded method. Without it the
-            motion is known to ``ROUGH`` and may be one that a shell snaps to: for tables.
         """
         try:
             force = dense_vector(load, self.model.fixed.size, "force")
@@ -213,15 +186,13 @@ class Modified:
                         linear_error=linear_error,
                         softest=expansion.soft.least,
                     )
-                return self._iterated(expansion, force, vouch=vouch)
+                return self._iterated(expansion, force)
         except (ArithmeticError, NumericalError, np.linalg.LinAlgError) as error:
-            if not vouch:
-                return _failed(error)
             return self._guarded(force, linear_error, str(error) or type(error).__name__)
         except MemoryError as error:
             return _failed(error)
 
-    def _linear_will_do(self, expansion: _Expansion, tolerance: float | None) -> bool:
+    def _linear_will_do(self, expansion: Expansion, tolerance: float | None) -> bool:
         if tolerance is None or not SAFETY * expansion.error <= tolerance:
             return False
         return expansion.soft.sure >= FIRM
@@ -236,7 +207,7 @@ class Modified:
             guarded=reason,
         )
 
-    def _expanded(self, first: FloatArray, force: FloatArray) -> _Expansion:
+    def _expanded(self, first: FloatArray, force: FloatArray) -> Expansion:
         """Koiter's expansion, with the least eigenvalue of K₀ + K_σ(x₁) on the way."""
         shell = self._shell
         e = PROBE_RAD / shell.reach(first)
@@ -255,7 +226,7 @@ class Modified:
         third = self._beside(soft, -(odd - e * force) / e**3)
         soft.measure(product)
         off = float(_lengths(second + third).max())
-        return _Expansion(
+        return Expansion(
             first=first,
             second=second,
             third=third,
@@ -271,7 +242,7 @@ class Modified:
         soft.close_in(both[:, 1].copy(), residual)
         return both[:, 0].copy()
 
-    def _start(self, expansion: _Expansion, force: FloatArray) -> FloatArray:
+    def _start(self, expansion: Expansion, force: FloatArray) -> FloatArray:
         """Of a few extrapolations the one with the least residual."""
         first, second, third = expansion.first, expansion.second, expansion.third
         found = [first + second + third]
@@ -284,7 +255,7 @@ class Modified:
             grown = float((second + third) @ force) / float(first @ force)
             if grown < 0.0:
                 found.append(first / (1.0 - grown))
-        found = [one for one in found if _turn(one) <= TURNED]
+        found = [one for one in found if turn_of(one) <= TURNED]
         if not found:
             raise NotConvergedError("the motion is too far from linear")
         if len(found) == 1:
@@ -292,7 +263,7 @@ class Modified:
         gaps = [self._shell.weighted(force - self._shell.internal(one)) for one in found]
         return found[int(np.argmin(gaps))]
 
-    def _iterated(self, expansion: _Expansion, force: FloatArray, *, vouch: bool) -> Found:
+    def _iterated(self, expansion: Expansion, force: FloatArray) -> Found:
         """Large displacements from the expansion.
 
         Raises
@@ -305,9 +276,9 @@ class Modified:
         x = self._start(expansion, force)
         soft: Softest | None = None
         begun, least, damping = expansion.soft, expansion.soft.least, 1.0
-        best, best_at, nearest = np.inf, 0, x
+        best, best_at = np.inf, 0
         for iteration in range(1, ITERATIONS + 1):
-            if _turn(x) > TURNED:
+            if turn_of(x) > TURNED:
                 raise NotConvergedError("the shell turns far")
             internal = shell.internal(x)
             residual = force - internal
@@ -315,14 +286,12 @@ class Modified:
                 g = shell.solved(residual[:, None])[:, 0]
             else:
                 self._measure(soft, x, internal)
-                least, damping = soft.least, _damping(soft)
+                least, damping = soft.least, damping_of(soft)
                 g = self._beside(soft, residual)
             away = float(np.sqrt(max(float(g @ residual), 0.0) / size))
             x = history.next(x, g, residual, damping)
             if away < best:
-                best, best_at, nearest = away, iteration, x
-                if not vouch and away <= ROUGH:
-                    break
+                best, best_at = away, iteration
             elif iteration - best_at > STALLED:
                 break
             if soft is None and away < NEAR:
@@ -338,20 +307,13 @@ class Modified:
                     softest=self._vouched(x, expansion, force, soft),
                     iterations=iteration,
                 )
-        if not vouch and best <= ROUGH_MOST:
-            return Found(
-                sample=_ok(nearest, large=True),
-                error=best,
-                linear_error=expansion.error,
-                iterations=best_at,
-            )
         raise NotConvergedError(f"the iteration with the stiffness at rest stops at {best:.2g}")
 
     def _measure(self, soft: Softest, x: FloatArray, internal: FloatArray) -> None:
         soft.measure(lambda vector, _: self._shell.product(x, internal, vector))
 
     def _vouched(
-        self, x: FloatArray, expansion: _Expansion, force: FloatArray, soft: Softest
+        self, x: FloatArray, expansion: Expansion, force: FloatArray, soft: Softest
     ) -> float:
         """Least Ritz value at the end.
 
@@ -384,13 +346,14 @@ class Modified:
         raise NotConvergedError(f"the shell is soft here (least Ritz value {soft.least:.2g})")
 
 
-def _damping(soft: Softest) -> float:
+def damping_of(soft: Softest) -> float:
     """Share of a step that suits the middle of the tangent's range, where that is wide."""
     largest = soft.largest
     return 1.0 if largest < 2.0 else 2.0 / (max(soft.least, 0.0) + largest)
 
 
-def _turn(motion: FloatArray) -> float:
+def turn_of(motion: FloatArray) -> float:
+    """Largest rotation of a node, rad."""
     return float(np.abs(motion.reshape(-1, 6)[:, 3:]).max())
 
 
