@@ -26,15 +26,19 @@ if TYPE_CHECKING:
 class Pressed:
     """Contacts of all frames, what they trip, and how every marker moves, (samples, n, 6).
 
-    ``example`` is the frame with the most switches on, and ``shown`` (n, 6) how a sensor would move
-    there: with large displacements, where the decoder's tables know of them.
+    ``shown`` (n, 6) is how a sensor would move in the example: with large displacements, where the
+    decoder's tables know of them.
     """
 
     contacts: Contacts
     switching: Switching
     motion: FloatArray
-    example: int
-    shown: FloatArray
+    shown: FloatArray | None = None
+
+    @property
+    def example(self) -> int:
+        """The sample with the most switches on."""
+        return int(np.argmax(self.switching.bits.sum(axis=1)))
 
 
 @dataclass(kw_only=True)
@@ -71,17 +75,11 @@ def press(context: Context) -> Pressed:
     )
     switching = switch_states(design, surface, markers, contacts)
     motion = superpose(responses, contacts)
-    example = int(np.argmax(switching.bits.sum(axis=1)))
-    large = None
-    if context.accuracy.place_orders > 1:
-        large = _large(context, mesh, model, contacts.of_sample(example))
-    return Pressed(
-        contacts=contacts,
-        switching=switching,
-        motion=motion,
-        example=example,
-        shown=motion[example] if large is None else large,
-    )
+    pressed = Pressed(contacts=contacts, switching=switching, motion=motion)
+    if context.accuracy.place_orders == 1:
+        return pressed
+    example = contacts.of_sample(pressed.example)
+    return replace(pressed, shown=_large(context, mesh, model, example))
 
 
 def _large(
