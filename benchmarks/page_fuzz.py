@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -150,7 +151,7 @@ def tried(name: str, reader: Reader, numbers: range, place: Place) -> Tally:
     with little_memory():
         for number in numbers:
             at = place.put(input_of(name, reader, number))
-            fault, done, seconds = fault_of(lambda at=at: reader.read(at))  # type: ignore[misc]
+            fault, done, seconds = fault_of(partial(reader.read, at))
             out.slowest_s = max(out.slowest_s, seconds)
             if fault is not None:
                 out.faults.append(f"{name} {number}: {fault}")

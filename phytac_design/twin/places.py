@@ -204,10 +204,14 @@ def make_places(
         )
         return places, len(solved), shell, unsure
 
-    places, solves, shell, unsure = table(1, spacing)
+    places, solves, _, _ = table(1, spacing)
     if orders == 1:
         return Tabulated(places=places, solves=solves, bent=0, large=0, unsure=0)
-    higher, bent, shell, unsure = table(orders, APART * spacing)
+    apart = APART * spacing
+    # A small part of the surface holds too few places so far apart.
+    if near is not None and near(apart, rings(surface, apart, sectors).uv).sum() < LEAST_PLACES:
+        apart = spacing
+    higher, bent, shell, unsure = table(orders, apart)
     more = between(higher, places.point_mm)[:, 1:].astype(np.float32)
     whole = np.concatenate([places.shift_px, more], axis=1)
     return Tabulated(

@@ -19,7 +19,7 @@ from phytac_design.twin.scenario.scatter import draw_unit
 from phytac_design.twin.scenario.tables import UnitSection
 from phytac_design.twin.solver import Solver
 from phytac_design.twin.touch import flat_touches
-from shapes.arrays import FloatArray
+from shapes.arrays import BoolArray, FloatArray
 from tests.designs import drawn, of_shape, small
 
 DESIGN = small()
@@ -200,3 +200,27 @@ def test_tables_that_would_fill_the_memory_are_coarser(monkeypatch: pytest.Monke
         orders=1,
     )
     assert done.places.shift_px.nbytes < 4e5
+
+
+def test_a_small_part_has_places_enough_for_the_higher_powers() -> None:
+    middle = SURFACE.point(np.array([SURFACE.domain.mean(axis=1)]))[0]
+
+    def near(spacing_mm: float, uv: FloatArray) -> BoolArray:
+        del spacing_mm
+        return np.asarray(np.linalg.norm(SURFACE.point(uv) - middle, axis=1) < 5.0)
+
+    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=3)
+    done = make_places(
+        DESIGN,
+        SURFACE,
+        MARKERS,
+        mesh=mesh,
+        model=sensor_model(DESIGN, MARKERS, mesh, receptors=True),
+        readers=READERS,
+        arm_mm=ARM,
+        spacing_mm=3.0,
+        orders=3,
+        near=near,
+    )
+    assert done.places.orders == 3
+    assert done.bent == done.solves

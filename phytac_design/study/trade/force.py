@@ -28,7 +28,7 @@ from phytac_design.optics.view import Readers, cameras_of
 from phytac_design.spec import Design
 from phytac_design.study.trade.contacts import StandardContacts, standard_contacts
 from phytac_design.twin.feet import Feet
-from phytac_design.twin.places import rings
+from phytac_design.twin.places import between, rings
 from phytac_design.twin.pressed import Pressed, Seen
 from phytac_design.twin.response import turned_points
 from phytac_design.twin.shell import truth_shell
@@ -234,7 +234,7 @@ class ForceError:
                 radius_mm=radius,
             )
             at = int(bare.nearest(target[None])[0])
-            local.append((near, at, bare))
+            local.append((near, bare))
             base.append(near[bare.fits[0][at]])
         needed = np.unique(np.concatenate(base))
         shell = self._pressed(mesh, model, 1)
@@ -242,7 +242,7 @@ class ForceError:
         motions = shell.motions(ring.uv[needed], radius)
         solved[needed] = [self.see.powers(own, shell.forces)[0] for own in motions]
         out = np.zeros((len(wanted), 2 * self.markers.count))
-        for k, (near, at, bare) in enumerate(local):
+        for k, (near, bare) in enumerate(local):
             filled = Places(
                 point_mm=bare.point_mm,
                 along=bare.along,
@@ -250,10 +250,7 @@ class ForceError:
                 shift_px=solved[near][:, None],
                 radius_mm=radius,
             )
-            x, y = filled.flat(at, wanted[k][None])[0]
-            terms = np.array([1.0, x, y, x * x / 2, x * y, y * y / 2])
-            cubic = np.array([x**3 / 6, x * x * y / 2, x * y * y / 2, y**3 / 6])
-            out[k] = np.append(terms, cubic) @ filled.cubic(at)[:, 0]
+            out[k] = between(filled, wanted[k][None])[0, 0]
         return out
 
     @cached_property
