@@ -113,7 +113,7 @@ def studio(table: Table, quick: bool) -> None:
                 reference=0,
                 source="project target",
                 target="== 0",
-                note="; ".join(found[:3]),
+                note="; ".join(list(dict.fromkeys(found))[:3]),
             )
         _axe(table, page)
         browser.close()

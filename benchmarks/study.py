@@ -3,6 +3,10 @@
 ``python -m benchmarks.study [--quick] [--parts rate,ladder,optimiser,rows,dask,dense,advice]``
 """
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the program itself does
+
 from collections.abc import Callable
 from functools import partial
 

@@ -297,7 +297,8 @@ SURPRISE = 500
 def failure(error: Exception, paths: list[str]) -> tuple[int, Json]:
     """Status and body of an answer that could not be given."""
     if isinstance(error, StaleError):
-        return 409, {"stale": True}
+        # Nothing went wrong, and a browser would write any other status on its console.
+        return 200, {"stale": True}
     if isinstance(error, AskError):
         return 409, {"ask": str(error)}
     if isinstance(error, RefusedError):

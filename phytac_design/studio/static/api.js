@@ -14,7 +14,7 @@ async function answer(path, options) {
   const reply = await fetch(path, { cache: "no-store", ...options });
   const type = reply.headers.get("content-type") || "";
   const body = type.startsWith("application/json") ? await reply.json() : { error: await reply.text() };
-  if (!reply.ok) throw new Refused(reply.status, body);
+  if (!reply.ok || body.stale) throw new Refused(reply.status, body);
   return body;
 }
 

@@ -10,7 +10,7 @@ from shapes.errors import DesignError
 Quantity = Literal["force", "visibility", "volume", "score"]
 QUANTITIES: dict[Quantity, str] = {
     "force": "root mean square of the relative error of the force read, standard contacts",
-    "visibility": "least fraction of a marker that is still visible under load, as a difference",
+    "visibility": "least visible fraction of each marker under load, greatest difference",
     "volume": "relative error of the printed shell's volume",
     "score": "relative error of what the report says of the decoder: 1/√n of n contacts, and the "
     "force error of the simulated sensor's own mesh",

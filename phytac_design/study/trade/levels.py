@@ -17,6 +17,7 @@ from phytac_design.spec import Design
 from phytac_design.stages.twin import samples_of
 from phytac_design.study.trade.front import Measured
 from phytac_design.study.trade.points import Point, Points
+from phytac_design.study.trade.room import visibility_error
 
 Settings = Mapping[str, Any]
 FIXED = ("views", "switch", "compare", "step", "decoder", "report")
@@ -34,19 +35,22 @@ MECHANICS: tuple[Settings, ...] = tuple(
     for refine, orders, share in (
         (3, 1, 0.8),
         (4, 1, 0.8),
-        (3, 3, 0.8),
-        (4, 3, 0.8),
+        (3, 4, 0.8),
+        (4, 4, 0.8),
         (4, 4, 0.55),
         (6, 4, 0.55),
         (6, 5, 0.4),
     )
 )
+"""Two and three powers are left out: Koiter's expansion, which flat faces (none is among the
+designs of the presets' fronts) leave far behind."""
 LOAD: tuple[Settings, ...] = (
     {"press_places": 8, "press_tolerance": 1.0},
+    {"press_places": 20, "press_tolerance": 1.0},
     {"press_places": 40, "press_tolerance": 0.05},
     {"press_places": 120, "press_tolerance": 0.02},
 )
-LOAD_REFINE = (2, 4, 6)
+LOAD_REFINE = (2, 2, 4, 4)
 """Least mesh that each of these is measured with: many presses on a coarse one are of no use."""
 SCORE: tuple[Settings, ...] = (
     {"truth_refine": 5, "sample_share": 0.3, "frames": 5},
@@ -126,7 +130,7 @@ class Joint:
                     peak_MB=max(part.peak_MB for part in parts),
                     errors={
                         "force": mechanics[m][1],
-                        "visibility": abs(pressed[1] - clearest),
+                        "visibility": visibility_error(pressed[1], clearest),
                         "volume": abs(cad[c][1] / finest - 1.0),
                         "score": score[s][1],
                     },
@@ -145,9 +149,9 @@ class Joint:
         found = self.points.get(Point(kind=kind, name=kind, settings={"each": each}))
         return [float(error) for error in found["errors"]]
 
-    def _load(self, settings: Settings) -> tuple[Part, float]:
+    def _load(self, settings: Settings) -> tuple[Part, list[float]]:
         found = self._ran(("underload",), settings)
-        return _spent(found), float(found["facts"]["underload"]["least_visible_fraction"])
+        return _spent(found), found["room"]
 
     def _scores(self) -> list[tuple[Part, float]]:
         group = self.groups[3]

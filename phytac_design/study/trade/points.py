@@ -215,6 +215,7 @@ def prepare(design: Design, point: Point) -> None:
 
 def _stages(design: Design, point: Point) -> dict[str, Any]:
     from phytac_design import cache
+    from phytac_design.study.trade.room import room_left
 
     before = time.process_time()
     context, ran = _ran(design, list(point.stages), point)
@@ -227,7 +228,8 @@ def _stages(design: Design, point: Point) -> dict[str, Any]:
         context, _ = _ran(design, list(point.stages), point)
     folders = {name: context.folders[name] for name in point.stages}
     seconds = {name: float(cache.record(folder)["seconds"]) for name, folder in folders.items()}
-    return {
+    room = {"room": room_left(context).tolist()} if "underload" in folders else {}
+    return room | {
         "seconds": sum(seconds.values()),
         "cpu_s": time.process_time() - before,
         "stages": seconds,

@@ -1,9 +1,12 @@
 """The visibility error of a setting: how wrongly its mechanics hide markers from the camera.
 
-Each standard contact presses alone; the figure is the least visible fraction of any marker then,
-and the error its greatest difference, over the contacts, from the reference's. In it: mesh and
-theory of the stage ``underload``. Not in it: how many places that stage presses.
+Each standard contact presses alone; the figure is the room that each marker keeps then
+(:mod:`room`), and the error its greatest difference, over contacts and markers, from the
+reference's. In it: mesh and theory of the stage ``underload``. Not in it: how many places that
+stage presses.
 """
+
+from functools import partial
 
 import numpy as np
 
@@ -13,6 +16,7 @@ from phytac_design.optics.scene import build_scene
 from phytac_design.optics.underload import press_all
 from phytac_design.optics.view import tolerance_mm
 from phytac_design.study.trade.force import REFERENCE, ForceError
+from phytac_design.study.trade.room import room_between
 from shapes.arrays import FloatArray
 from shapes.errors import NumericalError
 
@@ -48,10 +52,10 @@ class SightPilot:
     def _differences(self, setting: Accuracy, *, extrapolated: bool) -> float:
         if extrapolated not in self._true:
             true = self.error.reference if extrapolated else self.error.truth(REFERENCE[0])
-            self._true[extrapolated] = self.least(true.motion)
+            self._true[extrapolated] = self.room(true.motion)
         key = (setting.refine, setting.receptors, setting.press_tolerance)
         if key not in self._own:
-            self._own[key] = self.least(self.motion(setting))
+            self._own[key] = self.room(self.motion(setting))
         gap = np.abs(self._own[key] - self._true[extrapolated])
         if not np.isfinite(gap).any():
             raise NumericalError(
@@ -76,25 +80,26 @@ class SightPilot:
                 out[k] = found.reshape(-1, 6)[mesh.marker_nodes]
         return out
 
-    def least(self, motion: FloatArray) -> FloatArray:
-        """Least visible fraction (c,) of any marker under each contact; NaN where not solved."""
+    def room(self, motion: FloatArray) -> FloatArray:
+        """Room (c, n) that each marker keeps under each contact; NaN where not solved."""
         error = self.error
         markers, readers = error.markers, error.see.readers
-        out = np.full(len(motion), np.nan)
+        out = np.full((len(motion), markers.count), np.nan)
         for number, camera in enumerate(readers.cameras):
             own = readers.read_by == number
             if not own.any():
                 continue
             tolerance = tolerance_mm(camera, markers)
-            scene = build_scene(error.design, error.surface, markers, tolerance_mm=tolerance)
+            look = partial(
+                press_all,
+                build_scene(error.design, error.surface, markers, tolerance_mm=tolerance),
+                camera,
+                pivots_mm=markers.mid_mm,
+                counted=own,
+            )
+            forces = error.contacts.force_N
+            rest = look(motions=motion[:0, None], forces_N=forces[:1])
             for k in np.flatnonzero(np.isfinite(motion).all(axis=(1, 2))).tolist():
-                seen = press_all(
-                    scene,
-                    camera,
-                    pivots_mm=markers.mid_mm,
-                    motions=motion[k][None, None],
-                    forces_N=error.contacts.force_N[k : k + 1],
-                    counted=own,
-                )
-                out[k] = np.fmin(out[k], float(seen.least_fraction[own].min()))
+                loaded = look(motions=motion[k][None, None], forces_N=forces[k : k + 1])
+                out[k, own] = room_between(loaded, rest)[own]
         return out

@@ -7,12 +7,7 @@ from phytac_design.study.trade.front import Measured
 from phytac_design.study.trade.knobs import Knob
 from phytac_design.study.trade.levels import score_error
 from phytac_design.study.trade.points import Point, Points
-
-WHERE = {
-    "volume": ("shell", "volume_mm3"),
-    "visibility": ("underload", "least_visible_fraction"),
-}
-"""Stage and figure that an error is taken from."""
+from phytac_design.study.trade.room import visibility_error
 
 
 def measure_knob(points: Points, knob: Knob) -> list[Measured]:
@@ -48,11 +43,11 @@ def _errors(
     if knob.quantity == "force":
         found = points.get(Point(kind="alone", name=knob.name, settings={"each": each}))
         return [float(error) for error in found["errors"]]
-    if knob.quantity in WHERE:
-        stage, figure = WHERE[knob.quantity]
-        got = [float(run["facts"][stage][figure]) for run in runs]
-        scale = got[-1] if knob.quantity == "volume" else 1.0
-        return [abs(value - got[-1]) / scale for value in got]
+    if knob.quantity == "volume":
+        got = [float(run["facts"]["shell"]["volume_mm3"]) for run in runs]
+        return [abs(value / got[-1] - 1.0) for value in got]
+    if knob.quantity == "visibility":
+        return [visibility_error(run["room"], runs[-1]["room"]) for run in runs]
     if knob.name == "truth_refine":
         found = points.get(Point(kind="truth", name="truth", settings={"each": each}))
         return [float(error) for error in found["errors"]]

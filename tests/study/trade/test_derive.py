@@ -26,7 +26,7 @@ def front(speed: float) -> list[Measured]:
                 "score": 0.4 / 2.0**s,
             },
         )
-        for c, m, k, s in product(range(len(CAD)), range(len(MECHANICS)), range(3), range(4))
+        for c, m, k, s in product(*map(range, map(len, (CAD, MECHANICS, LOAD, SCORE))))
     ]
 
 

@@ -133,7 +133,6 @@ def test_tradeoff_writes_json_tables_and_pictures(
         size = float(sum(float(v) for v in point.settings.values() if not isinstance(v, str)))
         facts = {
             "shell": {"volume_mm3": 1000.0 + size},
-            "underload": {"least_visible_fraction": 0.5 + 0.001 * size},
         }
         return {
             "seconds": 1.0 + size,
@@ -141,6 +140,7 @@ def test_tradeoff_writes_json_tables_and_pictures(
             "peak_MB": 9.0,
             "error": 1.0 / (1.0 + size),
             "facts": facts,
+            "room": [1.0, 0.5 + 0.001 * size],
         }
 
     monkeypatch.setattr(points_module.Points, "_asked", answer)
