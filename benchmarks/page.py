@@ -1,6 +1,6 @@
 """Pages that people read: the report, comparisons, the studio, hardening of the readers, the wheel.
 
-``python -m benchmarks.page [--quick] [--parts report,compare,help,studio,fuzz,wheel]``
+``python -m benchmarks.page [--quick] [--parts report,compare,help,studio,fuzz,faults,wheel]``
 """
 
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from benchmarks import page_report
 from benchmarks.harness import Table, run_parts
 
-OTHERS = ("studio", "fuzz", "wheel")
+OTHERS = ("studio", "fuzz", "faults", "wheel")
 """Parts that are in modules of their own, ``page_NAME.NAME(table, quick)``."""
 
 

@@ -7,6 +7,7 @@ one.
 """
 
 import json
+import math
 import os
 import random
 import resource
@@ -36,6 +37,8 @@ MEMORY_MAX = 500 << 20
 """Bytes that the process may grow by."""
 MESSAGE_MAX = 20_000
 SLICE = 2_000
+TURNS = 3
+"""Times that an input is read until it is called slow: a busy machine lends its time to others."""
 STEPS, STEPS_QUICK = (2_000, 400.0), (30, 20.0)
 """STEP files, and the seconds that they may take together."""
 SHOWN = 300
@@ -101,7 +104,21 @@ def little_time(seconds: float) -> Iterator[None]:
 def fault_of(
     work: Callable[[], Any], *, seconds: float = ENDED_S
 ) -> tuple[str | None, bool, float]:
-    """What is wrong with how a reader ended (None for nothing), whether it read, and seconds."""
+    """What is wrong with how a reader ended (None for nothing), whether it read, and seconds.
+
+    What was slow is tried again; the quickest turn counts.
+    """
+    slow: tuple[str | None, bool, float] = (None, False, math.inf)
+    for _ in range(TURNS):
+        fault, done, spent = _ended(work, seconds)
+        if fault is not None or spent <= SECONDS_MAX:
+            return fault, done, spent
+        slow = min(slow, (f"{spent:.1f} s of processor time", done, spent), key=lambda one: one[2])
+    return slow
+
+
+def _ended(work: Callable[[], Any], seconds: float) -> tuple[str | None, bool, float]:
+    """The same of one turn, however long it took."""
     begin = time.process_time()
     fault, done = None, False
     try:
@@ -115,10 +132,7 @@ def fault_of(
         fault = f"no end within {seconds:g} s"
     except Exception as error:  # noqa: BLE001 - every other one is what is looked for
         fault = f"{type(error).__name__}: {error}"[:SHOWN]
-    spent = time.process_time() - begin
-    if fault is None and spent > SECONDS_MAX:
-        fault = f"{spent:.1f} s of processor time"
-    return fault, done, spent
+    return fault, done, time.process_time() - begin
 
 
 class Place:

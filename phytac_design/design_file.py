@@ -60,12 +60,13 @@ def parse_design(data: dict[str, Any], where: str, *, folder: Path = Path()) -> 
     try:
         return Design.model_validate(data, context={"folder": folder})
     except ValidationError as error:
-        places = [item["loc"] for item in error.errors()]
+        problems = error.errors()
+        above = {item["loc"][:n] for item in problems for n in range(len(item["loc"]))}
         lines = [
             _explain(item, data)
-            for item in error.errors()
+            for item in problems
             # An item that is refused makes its list too short as well: once is enough.
-            if not any(place[: len(item["loc"])] == item["loc"] != place for place in places)
+            if item["loc"] not in above
         ]
         raise DesignError(f"{where}: {joined(lines)}") from None
 

@@ -1,7 +1,6 @@
 """Reading whole builds back: what a comparison asks of each, checked when it is read."""
 
 import json
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any, Literal
 
 from phytac_design.report import page, verdict
 from shapes.errors import InputError
+from shapes.reading import read_bytes, toml_table
 
 PICTURES = (("camera.jpg", "The camera's view at rest"), ("pressed_close_5.jpg", "Pressed"))
 """Images of each build that are shown side by side."""
@@ -16,6 +16,8 @@ STILLS = ("shell.png", "layout.png")
 """Images that stand for what scripts draw, where they cannot, and in print."""
 LETTERS = 80
 """Of a message that are shown."""
+FILE_BYTES_MAX = 1 << 26
+"""Largest file of a build that is read."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,10 +205,10 @@ def _read(
     try:
         report = _json(folder / "report" / "report.json")
         viewer = _json(folder / "report" / "viewer.json")
-        design = tomllib.loads((folder / "design.toml").read_text(encoding="utf-8"))
+        design = toml_table(_bytes(folder / "design.toml").decode("utf-8"))
         _check(report, viewer)
         images = {
-            name: path.read_bytes()
+            name: _bytes(path)
             for name in (*STILLS, *(name for name, _ in PICTURES))
             if (path := folder / "report" / "images" / name).is_file()
         }
@@ -223,13 +225,21 @@ def _read(
     return report, page.flatten(design), viewer, images
 
 
+def _bytes(path: Path) -> bytes:
+    """Bytes of a regular file; what is wrong with another names it."""
+    try:
+        return read_bytes(path, bytes_max=FILE_BYTES_MAX)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
 def _json(path: Path) -> Any:
     """JSON without NaN and infinities, which no page could hold."""
 
     def refuse(name: str) -> Any:
         raise ValueError(f"{path.name} holds {name}")
 
-    return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+    return json.loads(_bytes(path), parse_constant=refuse)
 
 
 def _check(report: Mapping[str, Any], viewer: Mapping[str, Any]) -> None:

@@ -2,7 +2,6 @@
 
 import os
 import tempfile
-import tomllib
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,7 +14,8 @@ import tomlkit
 
 from phytac_design.design_file import design_hash, parse_design, shipped_designs, to_toml
 from phytac_design.spec import Design
-from shapes.errors import InputError, OutputError
+from shapes.errors import InputError, OutputError, PhytacError
+from shapes.reading import read_text, toml_table
 
 FILES_MAX = 500
 DEPTH_MAX = 4
@@ -95,7 +95,7 @@ class Workplace:
             if (path.parent / "manifest.json").is_file():
                 continue
             with suppress(OSError, UnicodeDecodeError):
-                if path.stat().st_size <= BYTES_MAX and "[shape]" in path.read_text("utf-8"):
+                if "[shape]" in read_text(path, bytes_max=BYTES_MAX):
                     found.append(path.relative_to(self.root).as_posix())
         return sorted(found)
 
@@ -111,16 +111,14 @@ class Workplace:
             text = (resources.files("phytac_design") / "designs" / f"{name}.toml").read_text(
                 "utf-8"
             )
-            return Opened(name=name, text=text, data=tomllib.loads(text), folder=Path())
+            return Opened(name=name, text=text, data=toml_table(text), folder=Path())
         path = Path(name).resolve() if self._is_given(name) else self.within(name)
         try:
-            if path.stat().st_size > BYTES_MAX:
-                raise InputError(f"{name} is larger than any design file ({BYTES_MAX} bytes)")
-            text = path.read_text("utf-8")
-            data = tomllib.loads(text)
+            text = read_text(path, bytes_max=BYTES_MAX)
+            data = toml_table(text)
         except OSError as error:
             raise InputError(f"no design {name!r} ({error.strerror}); open another one") from None
-        except (ValueError, RecursionError) as error:
+        except ValueError as error:
             raise InputError(f"{name} is not TOML: {error}; open another file") from None
         return Opened(name=name, text=text, data=data, folder=path.parent)
 
@@ -188,7 +186,7 @@ class Workplace:
                 raise AskError(f"{name} exists already; write over it?")
         text = self.text_of(data, after, source)
         write_whole(path, text)
-        return Opened(name=name, text=text, data=tomllib.loads(text), folder=path.parent)
+        return Opened(name=name, text=text, data=toml_table(text), folder=path.parent)
 
     def text_of(self, data: Json, design: Design, source: str) -> str:
         """TOML of a design's tables, in the text that it came from where that still holds."""
@@ -197,10 +195,11 @@ class Workplace:
             base = self.open(source).text if source else ""
         if not base:
             return to_toml(design)
-        text = edited(base, data)
         try:
-            same = parse_design(tomllib.loads(text), "", folder=self.folder_of(source)) == design
-        except (ValueError, InputError):
+            text = edited(base, data)
+            same = parse_design(toml_table(text), "", folder=self.folder_of(source)) == design
+        except (ValueError, LookupError, TypeError, AttributeError, PhytacError):
+            # What the text was, or its new values, the editor of texts cannot hold.
             same = False
         return text if same else to_toml(design)
 
@@ -208,7 +207,7 @@ class Workplace:
 def edited(text: str, data: Json) -> str:
     """TOML text with its values made those of ``data``; comments and order of the rest stay."""
     document = tomlkit.parse(text)
-    _edit(document, tomllib.loads(text), data)
+    _edit(document, toml_table(text), data)
     return tomlkit.dumps(document)
 
 
@@ -228,7 +227,7 @@ def _edit(table: Any, old: Json, new: Json) -> None:
 
 def _text(path: Path) -> str | None:
     try:
-        return path.read_text("utf-8") if path.stat().st_size <= BYTES_MAX else None
+        return read_text(path, bytes_max=BYTES_MAX)
     except (OSError, UnicodeDecodeError):
         return None
 

@@ -7,6 +7,7 @@ a name that it makes point here is no host of ours) nor post (its Origin is not 
 import asyncio
 import hmac
 from collections.abc import Awaitable, Callable, MutableMapping
+from contextlib import suppress
 from typing import Any
 
 Scope = MutableMapping[str, Any]
@@ -76,7 +77,9 @@ class Guard:
         except RefusedError as refused:
             await _plain(self._patient(send), refused.status, str(refused))
             return
-        await self.app(inner, self._bounded(receive), self._patient(send))
+        # Whoever takes nothing is gone by now: there is nobody to tell.
+        with suppress(TimeoutError):
+            await self.app(inner, self._bounded(receive), self._patient(send))
 
     def _admit(self, scope: Scope) -> Scope:
         """Request without its token.
@@ -139,7 +142,8 @@ class Guard:
                 more = [*HEADERS, (b"content-security-policy", POLICY)]
                 own += [(name, value) for name, value in more if name not in have]
                 message = {**message, "headers": own}
-            await asyncio.wait_for(send(message), self.patience_s)
+            # The connection itself ends sooner; this is for servers that do not look.
+            await asyncio.wait_for(send(message), 2.0 * self.patience_s)
 
         return patient
 

@@ -26,15 +26,17 @@ GRACE_S = 3
 
 
 class Patient(H11Protocol):
-    """A connection that is closed if no whole request has come on it for a while."""
+    """A connection that ends if for a while no whole request comes, or no answer is taken."""
 
     patience_s = PATIENCE_S
     since_s: float | None = None
+    moved_s = 0.0
+    waiting_bytes = 0
 
     def connection_made(self, transport: Any) -> None:
         """Begin to wait."""
         super().connection_made(transport)
-        self.since_s = self.loop.time()
+        self.since_s = self.moved_s = self.loop.time()
         self._look()
 
     def data_received(self, data: bytes) -> None:
@@ -45,17 +47,30 @@ class Patient(H11Protocol):
         if not self._between:
             self.since_s = None
 
+    def resume_writing(self) -> None:
+        """Note that the client has taken something."""
+        self.moved_s = self.loop.time()
+        super().resume_writing()
+
     @property
     def _between(self) -> bool:
         """Whether no request is being answered."""
         return self.cycle is None or self.cycle.response_complete
 
     def _look(self) -> None:
-        if self.transport.is_closing():
+        waiting, before = self.transport.get_write_buffer_size(), self.waiting_bytes
+        self.waiting_bytes = waiting
+        if not waiting or waiting < before:
+            self.moved_s = self.loop.time()
+        elif self.loop.time() - self.moved_s >= self.patience_s:
+            # Closing would wait for ever until the rest is taken.
+            self.transport.abort()
+            return
+        if self.transport.is_closing() and not waiting:
             return
         if self.since_s is not None and self.loop.time() - self.since_s >= self.patience_s:
+            self.since_s = None
             self.transport.close()
-            return
         self.loop.call_later(self.patience_s / 4.0, self._look)
 
 

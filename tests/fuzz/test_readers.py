@@ -1,6 +1,7 @@
 """Spoilt files of every kind: only ``PhytacError`` comes out, soon and in little memory."""
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -137,6 +138,26 @@ def test_what_a_reader_must_not_do_is_found(tmp_path: Path) -> None:
     assert fault_of(talk)[0] == "a message of 30000 letters"
     assert fault_of(lambda: None)[:2] == (None, True)
     assert str(fault_of(spin, seconds=0.05)[0]).startswith("no end")
+
+
+def test_what_was_slow_once_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("benchmarks.page_fuzz.SECONDS_MAX", 0.1)
+    turns: list[int] = []
+
+    def slow() -> None:
+        turns.append(1)
+        until = time.process_time() + 0.15
+        while time.process_time() < until:
+            pass
+
+    def slow_once() -> None:
+        if not turns:
+            slow()
+
+    fault, read, _ = fault_of(slow_once)
+    assert (fault, read, len(turns)) == (None, True, 1)
+    assert "of processor time" in str(fault_of(slow)[0])
+    assert len(turns) == 4
 
 
 def test_a_stopped_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

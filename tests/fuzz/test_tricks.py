@@ -21,6 +21,8 @@ from phytac_design.mechanics.switch.material_fit import read_test
 from phytac_design.new_from_step import patch_changes
 from phytac_design.optics.camera_files import read_lens
 from phytac_design.positions import read_positions
+from phytac_design.report.builds import read_builds
+from phytac_design.studio.files import Workplace
 from phytac_design.study.plan.scene import load_scene
 from phytac_design.study.search.file import load_study
 from phytac_design.study.stability.rooms.readers import bundle
@@ -43,6 +45,7 @@ READ: dict[str, Callable[[Path], Any]] = {
     "tensile test": read_test,
     "regions": lambda path: load_regions(path, np.zeros((3, 3))),
     "step": patch_changes,
+    "studio": lambda path: Workplace(path.parent).open(str(path)),
 }
 
 
@@ -188,13 +191,36 @@ TOML = {
 
 
 @pytest.mark.parametrize("case", TOML)
-@pytest.mark.parametrize("reader", ["design", "study", "scene", "scenario", "regions"])
+@pytest.mark.parametrize("reader", ["design", "study", "scene", "scenario", "regions", "studio"])
 def test_toml_that_breaks_parsers(case: str, reader: str, tmp_path: Path) -> None:
     path = tmp_path / "x.toml"
     path.write_text(TOML[case])
     with little_memory():
         fault, read, _ = fault_of(lambda: READ[reader](path))
     assert (fault, read) == (None, False)
+
+
+@pytest.mark.parametrize("case", TOML)
+def test_toml_of_a_build(case: str, tmp_path: Path) -> None:
+    (tmp_path / "report").mkdir()
+    for name in ("report", "viewer"):
+        (tmp_path / "report" / f"{name}.json").write_text("{}")
+    (tmp_path / "design.toml").write_text(TOML[case])
+    with little_memory():
+        fault, read, _ = fault_of(lambda: read_builds([tmp_path]))
+    assert (fault, read) == (None, False)
+
+
+@pytest.mark.parametrize("name", ["report/report.json", "report/viewer.json", "design.toml"])
+@pytest.mark.parametrize("trick", ["a pipe nobody writes to", "a terabyte of zeros"])
+def test_files_of_a_build_that_are_none(name: str, trick: str, tmp_path: Path) -> None:
+    folder = tmp_path / "x"
+    (folder / "report").mkdir(parents=True)
+    for other in ("report/report.json", "report/viewer.json", "design.toml"):
+        (folder / other).write_text("{}" if other.endswith("json") else "a = 1")
+    (folder / name).unlink()
+    TRICKS[trick](tmp_path).rename(folder / name)
+    assert str(folder / name) in refused(lambda: read_builds([folder]))
 
 
 def test_toml_with_points_is_read() -> None:
@@ -234,6 +260,23 @@ def test_many_problems_make_a_short_message(tmp_path: Path) -> None:
         assert 200 < len(message) < 20_000
     assert joined(["a", "a", "b"]) == "a; b"
     assert len(joined(["x" * 10**6])) == LETTERS_MAX + 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "".join(f"diametr_{number} = 1\n" for number in range(5000)),
+        f'[shape]\nkind = "patch"\npoints_mm = [{"0.0," * 5000}]\n',
+        '[[fixtures]]\nkind = "box"\nnam = 1\n' * 2000,
+    ],
+    ids=["keys", "points", "fixtures"],
+)
+@pytest.mark.parametrize("reader", ["design", "study", "scene", "scenario"])
+def test_thousands_of_problems_take_no_time(reader: str, text: str, tmp_path: Path) -> None:
+    path = tmp_path / "x.toml"
+    path.write_text(text)
+    fault, read, _ = fault_of(lambda: READ[reader](path))
+    assert (fault, read) == (None, False)
 
 
 def test_a_study_that_is_wrong_as_a_whole(tmp_path: Path) -> None:

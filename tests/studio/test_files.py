@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from benchmarks.page_fuzz import little_time
 from phytac_design.design_file import load_design, parse_design, shipped_designs
 from phytac_design.studio.files import AskError, Workplace, edited
 from shapes.errors import DesignError, InputError, OutputError
@@ -68,6 +69,31 @@ def test_text_that_cannot_be_kept_is_written_anew(workplace: Workplace, data: Js
     changed = {**opened.data, "regions": [{"name": "tip", "rows": [0, 3]}]}
     saved = workplace.save("new.toml", changed, source="dotted.toml")
     assert parse_design(saved.data, "") == parse_design(changed, "")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"a = {'[' * 200}{']' * 200}\n{DESIGN}",
+        f"[layout.x]\n[z]\n[layout.y]\n{DESIGN.replace('[layout]', '[layout.z]')}",
+    ],
+)
+def test_text_that_cannot_be_edited_is_written_anew(
+    workplace: Workplace, data: Json, text: str
+) -> None:
+    """Read as TOML, but more than its editor holds."""
+    (workplace.root / "odd.toml").write_text(text)
+    assert workplace.open("odd.toml").data != data
+    saved = workplace.save("new.toml", data, source="odd.toml")
+    assert parse_design(saved.data, "") == parse_design(data, "")
+
+
+def test_a_pipe_among_the_designs_stops_nobody(workplace: Workplace, data: Json) -> None:
+    os.mkfifo(workplace.root / "pipe.toml")
+    with little_time(5.0):
+        assert workplace.designs() == ["short.toml"]
+        with pytest.raises(AskError):
+            workplace.save("pipe.toml", data, source="short.toml", replace="0" * 64)
 
 
 def test_a_design_from_nowhere_gets_the_comments_of_the_model(

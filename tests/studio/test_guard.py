@@ -148,6 +148,56 @@ def test_who_is_slow_is_let_go(tmp_path: Path) -> None:
             line.close()
 
 
+def test_who_asks_and_takes_nothing_is_let_go(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Though closing such a line would wait for its last byte to be taken."""
+    with studio(tmp_path, patience_s=0.5) as running:
+        ask = (
+            f"GET /{running.token}/viewer/three.bundle.min.js HTTP/1.1\r\n"
+            f"Host: 127.0.0.1:{running.port}\r\n\r\n"
+        )
+        lines = []
+        for _ in range(3):
+            line = socket.socket()
+            line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            line.connect(("127.0.0.1", running.port))
+            line.sendall(ask.encode() * 40)
+            lines.append(line)
+        there = running.server.server_state.connections
+        until = time.monotonic() + 20.0
+        while len(there) < 3 and time.monotonic() < until:
+            time.sleep(0.01)
+        assert len(there) == 3
+        while there and time.monotonic() < until:
+            time.sleep(0.05)
+        assert not there
+        assert alive(Client(running))
+        for line in lines:
+            line.close()
+    assert "Traceback" not in caplog.text
+
+
+def test_who_is_slow_but_takes_it_gets_all(tmp_path: Path) -> None:
+    with studio(tmp_path, patience_s=0.5) as running, socket.socket() as line:
+        path = f"/{running.token}/viewer/three.bundle.min.js"
+        size = len(Client(running).ask("GET", "viewer/three.bundle.min.js")[2])
+        line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
+        line.settimeout(30.0)
+        line.connect(("127.0.0.1", running.port))
+        count = 20
+        line.sendall(
+            f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{running.port}\r\n\r\n".encode() * count
+        )
+        taken = 0
+        begin = time.monotonic()
+        while taken < count * size and (piece := line.recv(size)):
+            taken += len(piece)
+            # As a line of some megabytes a second.
+            time.sleep(max(0.0, begin + 2.0 * taken / (count * size) - time.monotonic()))
+        assert taken >= count * size > 10_000_000
+
+
 def test_many_who_say_nothing_keep_nobody_out(client: Client) -> None:
     lines = [socket.create_connection(("127.0.0.1", client.port)) for _ in range(60)]
     try:
