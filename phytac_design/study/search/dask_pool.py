@@ -3,11 +3,16 @@
 Results are content-addressed and only the driver writes, so that a task may run twice: a worker
 that dies has its tasks run again by Dask; when the scheduler is lost, the driver waits for it to
 come back and gives out again what it has no result of.
+
+Candidates that take less time than Dask needs for a task of its own are given out several at once.
 """
 
 import time
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from ctypes import CDLL
+from functools import cache
 from typing import Any
 
 from phytac_design.cache import code_hash
@@ -15,8 +20,10 @@ from phytac_design.kernels import THREADS
 from phytac_design.study.search.ladder import FAILED, Outcome, Task
 from shapes.errors import InputError, MissingPartError
 
-AHEAD = 4
-"""Tasks per worker that are given out ahead, so that none waits for the driver."""
+AHEAD = 2
+"""Pieces per worker that are given out ahead, so that none waits for the driver."""
+PIECE_S = 0.4
+"""Processor time that a piece should hold: some ten times what Dask needs for it."""
 CONNECT_S = 10.0
 RETURN_S = 120.0
 """How long a lost scheduler may take to come back."""
@@ -26,6 +33,9 @@ COUNT_S = 5.0
 """How often workers are counted."""
 DEATHS = 10
 """Workers that may die over one task before it is given up."""
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+"""Parameters of ``mallopt`` (GNU C library)."""
+KEPT_BYTES, MAPPED_BYTES = 256 << 20, 32 << 20
 
 
 def _library() -> Any:
@@ -37,6 +47,64 @@ def _library() -> Any:
             "'phytac-design[study]'"
         ) from None
     return distributed
+
+
+@cache
+def keep_memory() -> None:
+    """Keep freed memory in this process for what comes next; once.
+
+    Dask's nanny sets ``MALLOC_TRIM_THRESHOLD_`` to 64 KiB, so that each array of a megabyte is
+    memory new from the system: candidates then take 1.6 times their processor time.
+    """
+    with suppress(OSError, AttributeError):  # another C library than GNU's
+        library = CDLL(None)
+        library.mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
+        library.mallopt(M_MMAP_THRESHOLD, MAPPED_BYTES)
+
+
+def climb_some(tasks: tuple[Task, ...]) -> list[dict[str, Any]]:
+    """Results of a piece, on a worker."""
+    keep_memory()
+    return [task.run() for task in tasks]
+
+
+class Pieces:
+    """Tasks in pieces of about ``PIECE_S``, by what such tasks took so far; small ones at the end.
+
+    Parameters
+    ----------
+    tasks : iterable of Task
+        All of them.
+    spent : dict
+        Seconds and number of tasks so far, by their rungs; added to by :meth:`took`.
+    """
+
+    def __init__(
+        self, tasks: Iterable[Task], spent: defaultdict[tuple[str, ...], list[float]]
+    ) -> None:
+        self.left, self.alone, self.spent = deque(tasks), deque[Task](), spent
+
+    def take(self, workers: int) -> tuple[Task, ...]:
+        """Next piece; () if nothing is left."""
+        if self.alone:
+            return (self.alone.popleft(),)
+        if not self.left:
+            return ()
+        seconds, number = self.spent[self.left[0].rungs]
+        fit = PIECE_S * number / seconds if seconds > 0.0 else 1.0
+        share = -(-len(self.left) // (2 * workers))
+        count = max(1, min(int(fit), share))
+        return tuple(self.left.popleft() for _ in range(count))
+
+    def took(self, task: Task, outcome: Outcome) -> None:
+        """Learn from a result."""
+        spent = self.spent[task.rungs]
+        spent[0] += sum(outcome.seconds.values())
+        spent[1] += 1.0
+
+    def back(self, piece: tuple[Task, ...]) -> None:
+        """Tasks of a piece that failed as a whole: each is to run alone."""
+        self.alone.extend(piece)
 
 
 class DaskPool:
@@ -65,6 +133,7 @@ class DaskPool:
         self.cluster: Any = None
         self.address = address
         self._counted = (0.0, 1)
+        self._spent: defaultdict[tuple[str, ...], list[float]] = defaultdict(lambda: [0.0, 0.0])
         if not address:
             environment = dict.fromkeys(
                 ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", THREADS), "1"
@@ -148,25 +217,31 @@ class DaskPool:
     def _once(self, tasks: list[Task]) -> Iterator[tuple[Task, Outcome]]:
         """Results until all are there or the scheduler is lost."""
         library = self.library
-        source = iter(tasks)
-        running: dict[str, tuple[Task, Any]] = {}
+        pieces = Pieces(tasks, self._spent)
+        running: dict[str, tuple[tuple[Task, ...], Any]] = {}
         done = library.as_completed(loop=self.client.loop)
 
         def more() -> None:
-            room = AHEAD * self.workers + 1 - len(running)
-            for _, task in zip(range(room), source, strict=False):
-                future = self.client.submit(task.run, key=f"phytac-{task.key}", pure=False)
-                running[future.key] = task, future
+            workers = self.workers
+            while len(running) <= AHEAD * workers and (piece := pieces.take(workers)):
+                key = f"phytac-{piece[0].key}-{len(piece)}"
+                future = self.client.submit(climb_some, piece, key=key, pure=False)
+                running[future.key] = piece, future
                 done.add(future)
 
         try:
             more()
             while running:
                 future = next(done)
-                task, _ = running.pop(future.key)
+                piece, _ = running.pop(future.key)
                 if future.status in {"cancelled", "lost"}:
                     return
-                yield task, _outcome(future)
+                if future.status != "finished" and len(piece) > 1:
+                    pieces.back(piece)
+                else:
+                    for task, outcome in zip(piece, _outcomes(future), strict=True):
+                        pieces.took(task, outcome)
+                        yield task, outcome
                 more()
         except (OSError, library.comm.core.CommClosedError, StopIteration):
             return
@@ -202,9 +277,10 @@ class DaskPool:
             self.cluster.close()
 
 
-def _outcome(future: Any) -> Outcome:
-    """What a task came to; one that its worker did not survive is a failed candidate."""
+def _outcomes(future: Any) -> list[Outcome]:
+    """What a piece came to; one task that its worker did not survive is a failed candidate."""
     if future.status == "finished":
-        return Outcome(**future.result())
+        return [Outcome(**found) for found in future.result()]
     error = future.exception()
-    return Outcome(status=FAILED, reason=f"{type(error).__name__}: {error}"[:500], violation=1e3)
+    said = f"{type(error).__name__}: {error}"[:500]
+    return [Outcome(status=FAILED, reason=said, violation=1e3)]

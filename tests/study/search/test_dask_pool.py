@@ -7,19 +7,27 @@ import subprocess
 import sys
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from phytac_design.study.search.drive import run_study
 from phytac_design.study.search.file import Study
+from phytac_design.study.search.ladder import FAILED, OK, Outcome, Task
 from phytac_design.study.search.store import RESULTS, parquet_library
 from tests.study.search.studies import space_of, tiny
 
 distributed = pytest.importorskip("distributed")
 
-from phytac_design.study.search.dask_pool import DaskPool  # noqa: E402 - after the skip
+from phytac_design.study.search.dask_pool import (  # noqa: E402 - after the skip
+    PIECE_S,
+    DaskPool,
+    Pieces,
+)
 
 # Dask's own threads and sockets end a little after what started them.
 pytestmark = [
@@ -48,6 +56,42 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, object]
     return rows(out)
 
 
+class Bad(Task):
+    """A task whose program is broken."""
+
+    def run(self) -> dict[str, Any]:
+        raise RuntimeError("broken")
+
+
+def made(kind: type[Task], order: int) -> Task:
+    return kind(order=order, key=str(order), spec="", params={}, rungs=("rules",))
+
+
+class Fine(Task):
+    """A task that comes to nothing, at once."""
+
+    def run(self) -> dict[str, Any]:
+        return asdict(Outcome(seconds={"rules": PIECE_S / 8.0}))
+
+
+def test_pieces_hold_as_much_as_they_should_and_shrink_towards_the_end() -> None:
+    spent: defaultdict[tuple[str, ...], list[float]] = defaultdict(lambda: [0.0, 0.0])
+    tasks = [made(Fine, k) for k in range(40)]
+    pieces = Pieces(tasks, spent)
+    first = pieces.take(2)
+    assert len(first) == 1
+    pieces.took(first[0], Outcome(seconds={"rules": PIECE_S / 8.0}))
+    found = [first]
+    while piece := pieces.take(2):
+        found.append(piece)
+    assert [len(piece) for piece in found] == [1, 8, 8, 6, 5, 3, 3, 2, 1, 1, 1, 1]
+    assert [task for piece in found for task in piece] == tasks
+    pieces.back(found[1])
+    assert [pieces.take(2) for _ in range(9)] == [(task,) for task in found[1]] + [()]
+    slow = Pieces(tasks, defaultdict(lambda: [100.0, 10.0]))
+    assert len(slow.take(1)) == 1
+
+
 def test_a_worker_that_is_killed_loses_nothing(
     expected: list[dict[str, object]], tmp_path: Path
 ) -> None:
@@ -59,10 +103,15 @@ def test_a_worker_that_is_killed_loses_nothing(
         killer.start()
         done = run_study(study(), space_of(study()), tmp_path, kind="sweep", pool=pool)
         killer.join()
+        # One that is broken takes none of its piece with it.
+        tasks = [made(Bad if k == 11 else Fine, k) for k in range(30)]
+        found = {task.order: outcome for task, outcome in pool.run(tasks)}
     finally:
         pool.close()
     assert done.new == 40
     assert rows(tmp_path) == expected
+    assert {k for k, outcome in found.items() if outcome.status == OK} == {*range(30)} - {11}
+    assert (found[11].status, found[11].reason) == (FAILED, "RuntimeError: broken")
 
 
 class Cluster:
