@@ -13,6 +13,7 @@ No step is taken on trust. Beside the iteration the least eigenvalue of K₀⁻�
 :func:`path.solve_large`.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -94,6 +95,27 @@ class Expansion:
     bent: FloatArray
     error: float
     soft: Softest
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """An iteration: the motion (6N,) after it, and what was known of the one before.
+
+    Attributes
+    ----------
+    away : float
+        Residual, in the norm of K₀ and over the linear motion.
+    least : float
+        Least Ritz value of K₀⁻¹K_t.
+    soft : Softest or None
+        Stability there; None while the motion is too far off to look at it.
+    """
+
+    number: int
+    motion: FloatArray
+    away: float
+    least: float
+    soft: Softest | None
 
 
 class Modified:
@@ -263,21 +285,22 @@ class Modified:
         gaps = [self._shell.weighted(force - self._shell.internal(one)) for one in found]
         return found[int(np.argmin(gaps))]
 
-    def _iterated(self, expansion: Expansion, force: FloatArray) -> Found:
-        """Large displacements from the expansion.
+    def steps(self, expansion: Expansion, force: FloatArray) -> Iterator[Step]:
+        """Iterations from the expansion, one after the other, until they gain nothing.
 
         Raises
         ------
         NumericalError
-            If the end is not reached, or cannot be vouched for.
+            If there is nothing to start from, the shell turns far, or an element is distorted
+            beyond what it can describe.
         """
-        first, shell, history = expansion.first, self._shell, Anderson()
-        size = float(first @ force)
+        shell, history = self._shell, Anderson()
+        size = float(expansion.first @ force)
         x = self._start(expansion, force)
         soft: Softest | None = None
-        begun, least, damping = expansion.soft, expansion.soft.least, 1.0
+        least, damping = expansion.soft.least, 1.0
         best, best_at = np.inf, 0
-        for iteration in range(1, ITERATIONS + 1):
+        for number in range(1, ITERATIONS + 1):
             if turn_of(x) > TURNED:
                 raise NotConvergedError("the shell turns far")
             internal = shell.internal(x)
@@ -291,21 +314,34 @@ class Modified:
             away = float(np.sqrt(max(float(g @ residual), 0.0) / size))
             x = history.next(x, g, residual, damping)
             if away < best:
-                best, best_at = away, iteration
-            elif iteration - best_at > STALLED:
+                best, best_at = away, number
+            elif number - best_at > STALLED:
                 break
             if soft is None and away < NEAR:
-                soft = begun.afresh()
+                soft = expansion.soft.afresh()
             elif soft is not None and away > 2.0 * NEAR:
                 soft = None
-            gap = away / max(least, SOFT)
-            if soft is not None and gap <= LAST_GAIN * CONVERGED:
+            yield Step(number=number, motion=x, away=away, least=least, soft=soft)
+
+    def _iterated(self, expansion: Expansion, force: FloatArray) -> Found:
+        """Large displacements from the expansion.
+
+        Raises
+        ------
+        NumericalError
+            If the end is not reached, or cannot be vouched for.
+        """
+        best = np.inf
+        for step in self.steps(expansion, force):
+            best = min(best, step.away)
+            gap = step.away / max(step.least, SOFT)
+            if step.soft is not None and gap <= LAST_GAIN * CONVERGED:
                 return Found(
-                    sample=_ok(x, large=True),
+                    sample=_ok(step.motion, large=True),
                     error=gap / LAST_GAIN,
                     linear_error=expansion.error,
-                    softest=self._vouched(x, expansion, force, soft),
-                    iterations=iteration,
+                    softest=self._vouched(step.motion, expansion, force, step.soft),
+                    iterations=step.number,
                 )
         raise NotConvergedError(f"the iteration with the stiffness at rest stops at {best:.2g}")
 

@@ -6,18 +6,8 @@ snaps to; what does not converge is left to the caller.
 
 import numpy as np
 
-from phytac_design.mechanics.large.anderson import Anderson
-from phytac_design.mechanics.large.modified import (
-    ITERATIONS,
-    NEAR,
-    STALLED,
-    TURNED,
-    Expansion,
-    Modified,
-    damping_of,
-    turn_of,
-)
-from phytac_design.mechanics.large.softest import Softest
+from phytac_design.mechanics.large.modified import Modified
+from phytac_design.mechanics.large.newton import NotConvergedError
 from shapes.arrays import FloatArray
 from shapes.errors import NumericalError
 
@@ -66,44 +56,16 @@ class Rough(Modified):
             None where the iteration does not come within ``ROUGH_MOST``.
         """
         force = np.where(self._shell.held, 0.0, load)
+        least, nearest = np.inf, None
         try:
             with np.errstate(over="raise", invalid="raise", divide="raise"):
-                expansion = self._expanded(linear, force)
-                away, motion = self._settled(expansion, force)
+                for step in self.steps(self._expanded(linear, force), force):
+                    if step.away < least:
+                        least, nearest = step.away, step.motion
+                    if least <= ROUGH:
+                        break
+        except NotConvergedError:
+            pass  # what is nearest may do
         except (ArithmeticError, NumericalError, np.linalg.LinAlgError):
             return None
-        return motion if away <= ROUGH_MOST else None
-
-    def _settled(self, expansion: Expansion, force: FloatArray) -> tuple[float, FloatArray]:
-        """Least residual (in the norm of K₀, over the linear motion) found, and the step from it.
-
-        Raises
-        ------
-        NumericalError
-            If an element is distorted beyond what it can describe.
-        """
-        shell, history = self._shell, Anderson()
-        size = float(expansion.first @ force)
-        x = self._start(expansion, force)
-        soft: Softest | None = None
-        damping, best, best_at, nearest = 1.0, np.inf, 0, x
-        for iteration in range(ITERATIONS):
-            internal = shell.internal(x)
-            residual = force - internal
-            if soft is None:
-                g = shell.solved(residual[:, None])[:, 0]
-            else:
-                self._measure(soft, x, internal)
-                damping = damping_of(soft)
-                g = self._beside(soft, residual)
-            away = float(np.sqrt(max(float(g @ residual), 0.0) / size))
-            x = history.next(x, g, residual, damping)
-            if away < best:
-                best, best_at, nearest = away, iteration, x
-            if best <= ROUGH or iteration - best_at > STALLED or turn_of(x) > TURNED:
-                break
-            if away > 2.0 * NEAR:
-                soft = None
-            elif soft is None and away < NEAR:
-                soft = expansion.soft.afresh()
-        return best, nearest
+        return nearest if least <= ROUGH_MOST else None
