@@ -28,6 +28,7 @@ from decoder.contact_fit import (
 from decoder.contacts import contact_groups
 from decoder.correct import Correction
 from decoder.nonnegative import nonnegative_least_squares
+from decoder.pairs import mixed_off_N
 from decoder.places import Places
 from shapes.arrays import FloatArray, IntArray
 from shapes.discs import disc_overlap_share
@@ -148,7 +149,7 @@ class Locator:
     def linear(self) -> "Locator":
         """The same with its tables' first power alone, for a shell that is linear."""
         first = np.ascontiguousarray(self.places.shift_px[:, :1])
-        return replace(self, places=replace(self.places, shift_px=first))
+        return replace(self, places=replace(self.places, shift_px=first, pairs=None))
 
     @cached_property
     def _columns(self) -> FloatArray:
@@ -279,6 +280,10 @@ class Locator:
         points = np.stack([point_of(self.places, state) for state in best.states])
         radius = self._radii(best.states)
         raw = np.array([state.x[0] for state in best.states])
+        if self.places.pairs is not None:
+            raw = raw - mixed_off_N(
+                self.places.pairs, self.places, best.states, self.noise.centroid_px
+            )
         owner = self._owners(points, radius, raw, best.states, koi)
         signal = np.array([signal_of(state) for state in best.states])
         force, spread_N = raw, sd[:, 0]

@@ -16,12 +16,15 @@ so that one table serves discs, balls and edges of any size and turn (derived he
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from shapes.arrays import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from decoder.pairs import Pairs
 
 NEAR = 20
 """Places that a cubic is fitted to: twice its ten coefficients."""
@@ -50,6 +53,8 @@ class Places:
         S₁ … S_k: px per N, N², …, as (x0, y0, x1, y1, …).
     radius_mm : float
         Of the disc.
+    pairs : Pairs, optional
+        What contacts at once do to each other.
     """
 
     point_mm: FloatArray
@@ -57,6 +62,7 @@ class Places:
     around: FloatArray
     shift_px: NDArray[np.float32]
     radius_mm: float
+    pairs: "Pairs | None" = None
 
     @property
     def orders(self) -> int:
@@ -75,7 +81,11 @@ class Places:
     def scaled(self, stiffness: float) -> "Places":
         """Tables of a sensor that is stiffer by a factor: d(f) becomes d(f / stiffness)."""
         powers = stiffness ** -np.arange(1.0, self.orders + 1.0)
-        return replace(self, shift_px=self.shift_px * powers.astype(np.float32)[:, None])
+        return replace(
+            self,
+            shift_px=self.shift_px * powers.astype(np.float32)[:, None],
+            pairs=self.pairs.scaled(stiffness) if self.pairs else None,
+        )
 
     def nearest(self, point_mm: FloatArray) -> IntArray:
         """Number (m,) of the place nearest to each of points (m, 3)."""
@@ -128,6 +138,14 @@ class Places:
         scale = np.array([FACTORIALS[a] * FACTORIALS[b] for a, b in TERMS])
         powers = size[:, None] ** np.array([a + b for a, b in TERMS])
         return near, fit * (scale / powers)[:, :, None]
+
+    def shares(self, point_mm: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Places (q,) around a point (3,), and what each one's rows count in the cubic there."""
+        place = int(self.nearest(point_mm[None])[0])
+        x, y = self.flat(place, point_mm[None])[0]
+        near, weights = self.fits
+        powers = [x**a * y**b / (FACTORIALS[a] * FACTORIALS[b]) for a, b in TERMS]
+        return near[place], np.array(powers) @ weights[place]
 
     def cubic(self, place: int) -> Any:
         """Derivatives (10, k, 2n) float32 of the rows at a place; see :attr:`fits`."""

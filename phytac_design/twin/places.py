@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from decoder.bundle_locator import LEAST_PLACES
+from decoder.pairs import Pairs
 from decoder.places import FACTORIALS, TERMS, Places
 from phytac_design.layout import Markers
 from phytac_design.mechanics.compliance import turns_of
@@ -19,6 +20,7 @@ from phytac_design.mechanics.pressure import tangent_frame
 from phytac_design.mechanics.solve import ShellModel
 from phytac_design.optics.view import Readers
 from phytac_design.spec import Design
+from phytac_design.twin.pairs import make_pairs, pair_spacing_mm
 from phytac_design.twin.pressed import Pressed, Seen
 from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray, IntArray
@@ -52,6 +54,27 @@ class Rings:
     uv: FloatArray
     base: IntArray
     turns: IntArray
+
+    def turned_back(self, wanted: BoolArray) -> IntArray:
+        """Which of the wanted places (p,) each is, once row i has turned place i to its base.
+
+        Returns
+        -------
+        (q, q) int
+            Places counted among the wanted ones.
+        """
+        count, sectors = len(self.base), int(self.turns.max()) + 1
+        at = np.full((count, sectors), -1)
+        at[self.base, self.turns] = np.arange(count)
+        # What lies on the axis stays where it is.
+        alone = at[:, 1:].max(axis=1, initial=-1) < 0
+        at[alone] = at[alone, :1]
+        turn = (self.turns[None] - self.turns[:, None]) % sectors
+        back = at[self.base[None], turn]
+        number = np.cumsum(wanted) - 1
+        back = back[np.ix_(wanted, wanted)]
+        ok = (back >= 0) & wanted[back]
+        return np.where(ok.all(axis=1)[:, None], number[back], np.arange(int(wanted.sum())))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,13 +237,39 @@ def make_places(
     higher, bent, shell, unsure = table(orders, apart)
     more = between(higher, places.point_mm)[:, 1:].astype(np.float32)
     whole = np.concatenate([places.shift_px, more], axis=1)
+    progress("places: pairs of contacts")
+    # Where single discs are beyond the expansion, pairs are.
+    holds = unsure == 0 and shell.solved == 0
+    pairs = _pairs(shell, see, places, sectors, near, holds=holds)
     return Tabulated(
-        places=replace(places, shift_px=whole),
+        places=replace(places, shift_px=whole, pairs=pairs),
         solves=solves,
         bent=bent,
         large=shell.solved,
         unsure=unsure,
     )
+
+
+def _pairs(
+    shell: Pressed,
+    see: Seen,
+    places: Places,
+    sectors: int,
+    near: Callable[[float, FloatArray], BoolArray] | None,
+    *,
+    holds: bool,
+) -> Pairs | None:
+    """Tables of pairs of places; None where no expansion holds, or too few places are wanted."""
+    if not holds:
+        return None
+    apart = pair_spacing_mm(shell.surface.area_mm2(), places.radius_mm)
+    ring = rings(shell.surface, apart, sectors)
+    wanted = np.ones(len(ring.uv), dtype=np.bool_)
+    if near is not None:
+        wanted = near(apart, ring.uv)
+    if wanted.sum() < LEAST_PLACES:
+        return None
+    return make_pairs(shell, see, places, uv=ring.uv[wanted], turned=ring.turned_back(wanted))
 
 
 def between(places: Places, points_mm: FloatArray) -> FloatArray:

@@ -85,6 +85,17 @@ class Pressed:
         NumericalError
             If linear theory fails.
         """
+        loads, linear = self.linear(uv, radius_mm)
+        return [self._motions(loads[:, k], linear[:, k].copy()) for k in range(len(uv))]
+
+    def linear(self, uv: FloatArray, radius_mm: float) -> tuple[FloatArray, FloatArray]:
+        """Loads (6N, c) of a newton on discs at places (c, 2), and their linear motions (6N, c).
+
+        Raises
+        ------
+        NumericalError
+            If linear theory fails.
+        """
         count = len(uv)
         touches = flat_touches(
             Contacts(
@@ -96,8 +107,7 @@ class Pressed:
             )
         )
         loads = touch_loads(self.mesh, self.surface, touches, holes=self.holes).toarray()
-        linear = self.model.solve(loads).motion.reshape(loads.shape)
-        return [self._motions(loads[:, k], linear[:, k].copy()) for k in range(count)]
+        return loads, self.model.solve(loads).motion.reshape(loads.shape)
 
     def _motions(self, load: FloatArray, first: FloatArray) -> list[FloatArray]:
         out = [self.feet.linear(first)]
@@ -176,6 +186,11 @@ class Seen:
         ]
         powers = forces[:, None] ** np.arange(len(forces))
         return np.concatenate([first[None], np.linalg.solve(powers, np.stack(rest))])
+
+    def pull(self, row: FloatArray) -> FloatArray:
+        """Force and moment (n, 6) on each receptor whose work is ``row`` (2n,) times its shifts."""
+        force = np.einsum("nij,ni->nj", self.slope, row.reshape(-1, 2))
+        return np.concatenate([force, np.cross(self.arm_mm, force)], axis=1)
 
     def _shift(self, motion: FloatArray) -> FloatArray:
         moved = self.watched + turned_points(motion, self.arm_mm)

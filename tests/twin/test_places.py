@@ -12,7 +12,7 @@ from phytac_design.mechanics.receptors import sensor_model
 from phytac_design.optics.view import Readers, cameras_of
 from phytac_design.spec import Design
 from phytac_design.twin.contacts import Contacts
-from phytac_design.twin.places import Tabulated, make_places, rings
+from phytac_design.twin.places import Tabulated, between, make_places, rings
 from phytac_design.twin.pressed import Pressed, Seen
 from phytac_design.twin.response import turned_points
 from phytac_design.twin.scenario.scatter import draw_unit
@@ -49,18 +49,28 @@ def tabulated(orders: int = 3, spacing_mm: float = 3.0, refine: int = 4) -> Tabu
 
 def truth(place: int, places: Places, force_N: float) -> FloatArray:
     """Shifts (2n,) px of a disc there, by the simulated sensor."""
+    return true_shifts(SURFACE.chart(places.point_mm[[place]]), places.radius_mm, force_N)
+
+
+@cache
+def solver() -> Solver:
     unit = draw_unit(DESIGN, SURFACE, MARKERS, UnitSection(), 0)
-    solver = Solver(DESIGN, SURFACE, unit, refine=9, displacement="large")
+    return Solver(DESIGN, SURFACE, unit, refine=9, displacement="large")
+
+
+def true_shifts(uv: FloatArray, radius_mm: float, force_N: float) -> FloatArray:
+    """Shifts (2n,) px of discs at places (c, 2) at once, each of that force."""
+    count = len(uv)
     touch = flat_touches(
         Contacts(
-            sample=np.zeros(1, dtype=np.int64),
-            uv=SURFACE.chart(places.point_mm[[place]]),
-            radius_mm=np.array([places.radius_mm]),
-            force_N=np.array([force_N]),
+            sample=np.zeros(count, dtype=np.int64),
+            uv=uv,
+            radius_mm=np.full(count, radius_mm),
+            force_N=np.full(count, force_N),
             samples=1,
         )
     )
-    motion = solver.solve(touch, np.array([force_N])).motion
+    motion = solver().solve(touch, np.full(count, force_N)).motion
     assert motion is not None
     watched = MARKERS.mid_mm + ARM
     moved = READERS.project(watched + turned_points(motion, ARM))
@@ -161,6 +171,49 @@ def test_higher_powers_between_places_are_those_that_would_be_solved() -> None:
         gaps.append(off(told(done.places, place, force), force ** np.arange(1.0, 4.0) @ rows))
     assert max(gaps) < 0.05
     assert float(np.median(gaps)) < 0.01
+
+
+def test_pairs_of_contacts_tell_what_both_do_beyond_their_sum() -> None:
+    """On the simulated sensor's shell, with large displacements."""
+    places = tabulated().places
+    assert places.pairs is not None
+    grid = places.pairs.grid
+    # A place that is a turned copy: what was solved was turned the right way.
+    one = int(grid.nearest(SURFACE.point(np.array([[30.0, 2.0]])))[0])
+    gap = np.linalg.norm(grid.point_mm - grid.point_mm[one], axis=1)
+    two = int(np.argmax(np.where(gap > 11.0, np.abs(grid.shift_px[one, 0]), 0.0)))
+    uv = SURFACE.chart(grid.point_mm[[one, two]])
+    force, radius = 2.0, places.radius_mm
+    alone = [true_shifts(uv[[k]], radius, force) for k in (0, 1)]
+    beyond = true_shifts(uv, radius, force) - alone[0] - alone[1]
+    first = between(places, grid.point_mm[[one]])[0, 0]
+    wanted = float(first @ beyond) / float(first @ first) / force**2
+    told = float(places.pairs.between(grid.point_mm[[one, two]])[0, 1, 0])
+    # The simulated sensor's mesh is twice as fine.
+    assert told == pytest.approx(wanted, rel=0.3)
+
+
+@pytest.mark.parametrize(("kind", "sectors"), [("hemisphere", 6), ("cylinder", 5), ("plane", 1)])
+def test_pairs_turn_with_the_sensor(kind: str, sectors: int) -> None:
+    """Also where a place lies on the axis: it turns into itself."""
+    surface = drawn(kind, 3).surface()
+    ring = rings(surface, 0.12 * float(np.ptp(surface.bounds_mm(), axis=0).max()), sectors)
+    point = surface.point(ring.uv)
+    every = np.ones(len(point), dtype=np.bool_)
+    back = ring.turned_back(every)
+    np.testing.assert_array_equal(np.diagonal(back), ring.base)
+    assert all(len(np.unique(row)) == len(row) for row in back)
+    gap = np.linalg.norm(point[:, None] - point[None], axis=2)
+    for row in back:
+        np.testing.assert_allclose(gap[row][:, row], gap, atol=1e-6 * gap.max())
+        np.testing.assert_allclose(point[row][:, 2], point[:, 2], atol=1e-6 * gap.max())
+    # Of a part of the surface each place stands for itself wherever its copies are not all there.
+    some = np.arange(len(point)) % 4 != 1
+    part = ring.turned_back(some)
+    assert part.shape == (some.sum(), some.sum())
+    kept = gap[np.ix_(some, some)]
+    for row in part:
+        np.testing.assert_allclose(kept[row][:, row], kept, atol=1e-6 * gap.max())
 
 
 def test_linear_theory_alone_is_the_first_power() -> None:
