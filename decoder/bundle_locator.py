@@ -9,11 +9,12 @@ import numpy as np
 from decoder.contact_fit import Noise, Prior
 from decoder.correct import Correction
 from decoder.locate import Locator
+from decoder.pairs import ROWS, Pairs
 from decoder.places import Places
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import InputError
 
-PREFIX = "places."
+PREFIX, PAIR = "places.", "pair_"
 LEAST_PLACES = 4
 
 
@@ -54,6 +55,14 @@ def locator_arrays(locator: Locator) -> dict[str, Any]:
         "around": places.around,
         "shift_px": places.shift_px,
     }
+    if places.pairs is not None:
+        grid = places.pairs.grid
+        arrays |= {
+            "pair_point_mm": grid.point_mm,
+            "pair_along": grid.along,
+            "pair_around": grid.around,
+            "pair_rows": grid.shift_px,
+        }
     if learnt is not None:
         arrays |= {"centre": learnt.centre, "weight": learnt.weight}
     return {PREFIX + name: value for name, value in arrays.items()}
@@ -95,6 +104,18 @@ def locator_from(
             spread=_positive(said["spread"]),
             spread_share=float(_numbers([said["spread_share"]], 1)[0]),
         )
+    radius_mm = _positive(table["radius_mm"])
+    pairs = None
+    if "pair_rows" in own:
+        pairs = Pairs(
+            grid=Places(
+                point_mm=own["pair_point_mm"],
+                along=own["pair_along"],
+                around=own["pair_around"],
+                shift_px=own["pair_rows"],
+                radius_mm=radius_mm,
+            )
+        )
     prior, noise = table["prior"], table["noise"]
     mean, sd = _numbers(prior["moments_mm2"], 3), _numbers(prior["moments_sd_mm2"], 3)
     return Locator(
@@ -103,7 +124,8 @@ def locator_from(
             along=own["along"],
             around=own["around"],
             shift_px=own["shift_px"],
-            radius_mm=_positive(table["radius_mm"]),
+            radius_mm=radius_mm,
+            pairs=pairs,
         ),
         position_mm=position_mm,
         neighbours=neighbours,
@@ -125,6 +147,9 @@ def locator_from(
 
 def _check(own: Mapping[str, Any], columns: int, *, learnt: bool, folder: Path) -> None:
     wanted = ["point_mm", "along", "around", "shift_px", *(["centre", "weight"] if learnt else [])]
+    paired = any(name.startswith(PAIR) for name in own)
+    if paired:
+        wanted += [PAIR + name for name in ("point_mm", "along", "around", "rows")]
     where = f"{folder}/bundle.safetensors"
     for name in wanted:
         if name not in own:
@@ -133,10 +158,15 @@ def _check(own: Mapping[str, Any], columns: int, *, learnt: bool, folder: Path) 
     orders = own["shift_px"].shape[1] if own["shift_px"].ndim == 3 else 0
     shapes = dict.fromkeys(("point_mm", "along", "around"), (count, 3))
     expected: dict[str, tuple[int, ...]] = shapes | {"shift_px": (count, max(orders, 1), columns)}
+    if paired:
+        pairs = len(own[PAIR + "point_mm"])
+        expected |= dict.fromkeys((PAIR + n for n in ("point_mm", "along", "around")), (pairs, 3))
+        expected |= {PAIR + "rows": (pairs, ROWS, pairs)}
     if learnt:
         expected |= {"weight": (len(own["weight"]),), "centre": (len(own["weight"]), 5)}
     for name, shape in expected.items():
-        value, kind = own[name], np.float32 if name == "shift_px" else np.float64
+        single = name in ("shift_px", PAIR + "rows")
+        value, kind = own[name], np.float32 if single else np.float64
         if value.shape != shape or value.dtype != kind:
             raise InputError(
                 f"{where}: {PREFIX}{name} is {value.dtype} {value.shape}, expected "

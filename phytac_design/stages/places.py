@@ -43,15 +43,21 @@ def run_places(context: Context, folder: Path) -> None:
         progress=context.progress,
     )
     places = done.places
-    write_arrays(
-        folder,
-        {
-            "point_mm": places.point_mm,
-            "along": places.along,
-            "around": places.around,
-            "shift_px": places.shift_px,
-        },
-    )
+    arrays = {
+        "point_mm": places.point_mm,
+        "along": places.along,
+        "around": places.around,
+        "shift_px": places.shift_px,
+    }
+    if places.pairs is not None:
+        grid = places.pairs.grid
+        arrays |= {
+            "pair_point_mm": grid.point_mm,
+            "pair_along": grid.along,
+            "pair_around": grid.around,
+            "pair_rows": grid.shift_px,
+        }
+    write_arrays(folder, arrays)
     write_facts(
         folder,
         {
@@ -61,6 +67,7 @@ def run_places(context: Context, folder: Path) -> None:
             "large": done.large,
             "unsure": done.unsure,
             "orders": places.orders,
+            "pairs": len(places.pairs.grid.point_mm) if places.pairs else 0,
             "radius_mm": places.radius_mm,
             "spacing_mm": places.spacing_mm,
         },
@@ -71,6 +78,7 @@ def locator_of(context: Context) -> "Locator":
     """The estimator ``auto`` by design alone: no sample of the sensor has been seen."""
     from decoder.contact_fit import Noise, Prior
     from decoder.locate import Locator
+    from decoder.pairs import Pairs
     from decoder.places import Places
     from phytac_design.twin.bound import cell_prior
 
@@ -83,15 +91,28 @@ def locator_of(context: Context) -> "Locator":
         training.patch_radius_min_mm,
         training.patch_radius_max_mm,
     )
+    radius = float(facts["radius_mm"])
+    pairs = None
+    if "pair_rows" in arrays:
+        pairs = Pairs(
+            grid=Places(
+                point_mm=arrays["pair_point_mm"],
+                along=arrays["pair_along"],
+                around=arrays["pair_around"],
+                shift_px=arrays["pair_rows"],
+                radius_mm=radius,
+            )
+        )
     # A disc's second moment is a quarter of its squared radius.
-    spread = float(facts["radius_mm"]) / 2.0 * prior.radius_mm
+    spread = radius / 2.0 * prior.radius_mm
     return Locator(
         places=Places(
             point_mm=arrays["point_mm"],
             along=arrays["along"],
             around=arrays["around"],
             shift_px=arrays["shift_px"],
-            radius_mm=float(facts["radius_mm"]),
+            radius_mm=radius,
+            pairs=pairs,
         ),
         position_mm=surface.point(markers.uv),
         neighbours=markers.neighbours,

@@ -14,6 +14,7 @@ from decoder.bundle import Bundle, load_bundle, save_bundle
 from decoder.contact_fit import Noise, Prior
 from decoder.correct import Correction
 from decoder.locate import Locator
+from decoder.pairs import ROWS, Pairs
 from decoder.places import Places
 from shapes.errors import InputError
 from tests.decoder.toy_sensor import toy_bundle
@@ -32,6 +33,15 @@ def bundle() -> Bundle:
             around=ones * [0.0, 1.0, 0.0],
             shift_px=rng.normal(size=(len(points), 3, 2 * count)).astype(np.float32),
             radius_mm=4.0,
+            pairs=Pairs(
+                grid=Places(
+                    point_mm=points[:9],
+                    along=ones[:9] * [0.0, 1.0, 0.0],
+                    around=ones[:9] * [-1.0, 0.0, 0.0],
+                    shift_px=1e-3 * rng.normal(size=(9, ROWS, 9)).astype(np.float32),
+                    radius_mm=4.0,
+                )
+            ),
         ),
         position_mm=points,
         neighbours=plain.model.neighbours,
@@ -68,6 +78,10 @@ def test_bundle_keeps_it_whole(tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(one.correction, name), getattr(two.correction, name))
     for name in ("point_mm", "along", "around", "shift_px", "radius_mm"):
         np.testing.assert_array_equal(getattr(one.places, name), getattr(two.places, name))
+        assert one.places.pairs is not None
+        assert two.places.pairs is not None
+        own, kept = one.places.pairs.grid, two.places.pairs.grid
+        np.testing.assert_array_equal(getattr(own, name), getattr(kept, name))
     shift = np.random.default_rng(1).normal(size=(30, 2))
     koi = np.array([7, 8, 20])
     np.testing.assert_array_equal(
@@ -104,6 +118,18 @@ def _unlearnt(arrays: dict[str, Any]) -> None:
     del arrays["places.weight"]
 
 
+def _pairs_cut(arrays: dict[str, Any]) -> None:
+    arrays["places.pair_rows"] = np.ascontiguousarray(arrays["places.pair_rows"][:, :, :-1])
+
+
+def _pairs_nan(arrays: dict[str, Any]) -> None:
+    arrays["places.pair_rows"][3, 1, 4] = np.nan
+
+
+def _pairs_gone(arrays: dict[str, Any]) -> None:
+    del arrays["places.pair_rows"]
+
+
 def _few(arrays: dict[str, Any]) -> None:
     for name in ("point_mm", "along", "around", "shift_px"):
         arrays[f"places.{name}"] = np.ascontiguousarray(arrays[f"places.{name}"][:2])
@@ -118,6 +144,9 @@ def _few(arrays: dict[str, Any]) -> None:
         (_gone, "lacks 'places.along'"),
         (_unlearnt, "lacks 'places.weight'"),
         (_few, "2 places"),
+        (_pairs_cut, "different builds"),
+        (_pairs_nan, "not finite"),
+        (_pairs_gone, "lacks 'places.pair_rows'"),
     ],
 )
 def test_damaged_tables_are_refused(
