@@ -239,7 +239,7 @@ def make_places(
     whole = np.concatenate([places.shift_px, more], axis=1)
     progress("places: pairs of contacts")
     # Where single discs are beyond the expansion, pairs are.
-    holds = unsure == 0 and shell.solved == 0
+    holds = unsure == 0 and shell.beyond == 0
     pairs = _pairs(shell, see, places, sectors, near, holds=holds)
     return Tabulated(
         places=replace(places, shift_px=whole, pairs=pairs),

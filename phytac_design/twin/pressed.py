@@ -27,6 +27,8 @@ SOLVED_AT = {4: 0.06, 5: 0.005}
 """Error of the expansion at the greatest force, in the norm of the stiffness, from which on
 large displacements are solved, by the powers of the force that are kept. With fewer powers none
 are."""
+BEYOND = 0.06
+"""The same from which on a sensor is beyond the expansion."""
 
 
 class Pressed:
@@ -45,8 +47,8 @@ class Pressed:
     ----------
     forces : (orders - 1,) float
         Forces (N) that motions are known at, besides the first newton.
-    solved : int
-        Discs so far that large displacements were solved for.
+    solved, beyond : int
+        Discs so far that large displacements were solved for; that are beyond the expansion.
     """
 
     def __init__(
@@ -66,7 +68,7 @@ class Pressed:
         self.shell = Rough(model)
         most = design.training.force_max_N
         self.forces = most * np.arange(1, orders) / max(orders - 1, 1)
-        self.solved = 0
+        self.solved = self.beyond = 0
 
     def motions(self, uv: FloatArray, radius_mm: float) -> list[list[FloatArray]]:
         """For each place the motion (n, 6) per newton, then that under each of the forces.
@@ -114,7 +116,9 @@ class Pressed:
         if self.orders == 1:
             return out
         series = self._series(load, first)
-        if self.orders in SOLVED_AT and not self._holds(load, first, series):
+        gap = self._gap(load, first, series) if self.orders in SOLVED_AT else 0.0
+        self.beyond += gap > BEYOND
+        if self.orders in SOLVED_AT and gap > SOLVED_AT[self.orders]:
             large = self._large(load, first)
             if large:
                 self.solved += 1
@@ -134,15 +138,15 @@ class Pressed:
             return []
         return [f * first + f**2 * second + f**3 * third for f in self.forces]
 
-    def _holds(self, load: FloatArray, first: FloatArray, series: list[FloatArray]) -> bool:
+    def _gap(self, load: FloatArray, first: FloatArray, series: list[FloatArray]) -> float:
+        """Error of the expansion at the greatest force; inf where it says nothing."""
         if not series:
-            return False
+            return float("inf")
         most = float(self.forces[-1])
         try:
-            gap = self.shell.gap(most * load, series[-1], most * first)
+            return self.shell.gap(most * load, series[-1], most * first)
         except (ArithmeticError, NumericalError):
-            return False
-        return gap <= SOLVED_AT[self.orders]
+            return float("inf")
 
     def _large(self, load: FloatArray, first: FloatArray) -> list[FloatArray]:
         """The same by large displacements; none where one of them cannot be solved."""

@@ -16,7 +16,7 @@ No step is taken on trust. Beside the iteration the least eigenvalue of K₀⁻�
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -97,24 +97,13 @@ class Expansion:
     soft: Softest
 
 
-@dataclass(frozen=True, kw_only=True)
-class Step:
-    """An iteration: the motion (6N,) after it, and what was known of the one before.
-
-    Attributes
-    ----------
-    away : float
-        Residual, in the norm of K₀ and over the linear motion.
-    least : float
-        Least Ritz value of K₀⁻¹K_t.
-    soft : Softest or None
-        Stability there; None while the motion is too far off to look at it.
-    """
+class Step(NamedTuple):
+    """An iteration: the motion (6N,) after it, and what was found before it."""
 
     number: int
     motion: FloatArray
-    away: float
-    least: float
+    away: float  # residual, in the norm of K₀, over the linear motion
+    least: float  # Ritz value of K₀⁻¹K_t
     soft: Softest | None
 
 
@@ -321,7 +310,7 @@ class Modified:
                 soft = expansion.soft.afresh()
             elif soft is not None and away > 2.0 * NEAR:
                 soft = None
-            yield Step(number=number, motion=x, away=away, least=least, soft=soft)
+            yield Step(number, x, away, least, soft)
 
     def _iterated(self, expansion: Expansion, force: FloatArray) -> Found:
         """Large displacements from the expansion.
