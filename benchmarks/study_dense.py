@@ -19,7 +19,7 @@ from phytac_design.study.search.rebuild import rebuild
 from phytac_design.study.search.report import read_results
 from phytac_design.study.search.space import make_space
 
-STUDIES = {"dense-cylinder": (64, 1000), "dense-cone": (32, None), "dense-hemisphere": (32, None)}
+STUDIES = {"dense-cylinder": (32, 1000), "dense-cone": (16, None), "dense-hemisphere": (16, None)}
 """Candidates of each study, and the count that is asked for."""
 WHOLE = ("dense-cylinder", "cylinder60")
 """Built at standard accuracy; the others as drafts."""

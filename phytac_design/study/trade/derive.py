@@ -13,11 +13,12 @@ from phytac_design.study.trade.levels import accuracy_of
 from shapes.errors import NumericalError
 
 WANTED: dict[str, dict[str, float]] = {
-    "draft": {"force": 0.20, "visibility": 0.20, "volume": 0.01, "score": 0.50},
+    "draft": {"force": 0.20, "visibility": 0.25, "volume": 0.01, "score": 0.50},
     "standard": {"force": 0.05, "visibility": 0.10, "volume": 0.001, "score": 0.15},
 }
-"""Errors that a preset may have. 20 % shows whether a sensor works; 5 % of force and a tenth of a
-gap are beside what prints scatter by; a score of 50 contacts is sure to a seventh."""
+"""Errors that a preset may have. 20 % of force and a quarter of a gap (linear presses on thin
+walls) show whether a sensor works; 5 % and a tenth of a gap are beside what prints scatter by; a
+score of 50 contacts is sure to a seventh."""
 CHECKED = ("standard", "fine")
 """Presets with every part held against the print rules."""
 FINE_s = 600.0
