@@ -74,6 +74,24 @@ def test_a_preset_that_is_beaten_is_told_of() -> None:
     assert set(most_beaten(PRESETS, fronts)) == {(name, "a") for name in PRESETS}
 
 
+def test_a_setting_that_checks_less_is_no_rival() -> None:
+    fronts = {"a": front(1.0)}
+    checked = next(p for p in fronts["a"] if p.settings["print_tools"])
+    careless = Measured(
+        settings={**checked.settings, "print_tools": False},
+        seconds=0.5 * checked.seconds,
+        cpu_s=1.0,
+        peak_MB=1.0,
+        errors=checked.errors,
+    )
+    own = accuracy_of(checked.settings)
+    before = most_beaten({"x": own}, fronts)["x", "a"]
+    assert most_beaten({"x": own}, {"a": [*fronts["a"], careless]})["x", "a"] == before < 0.5
+    assert most_beaten({"x": accuracy_of(careless.settings)}, {"a": [careless, checked]}) == {
+        ("x", "a"): 0.0
+    }
+
+
 def test_a_rule_that_nothing_meets_is_refused() -> None:
     poor = [
         Measured(settings=p.settings, seconds=1.0, cpu_s=1.0, peak_MB=1.0,
