@@ -7,10 +7,10 @@ from benchmarks.harness import RESULTS, Table
 from benchmarks.tradeoff_journal import folder
 from phytac_design.accuracy import PRESETS
 from phytac_design.design_file import load_design
-from phytac_design.study.trade.derive import derive, most_beaten
-from phytac_design.study.trade.front import Measured, knee
-from phytac_design.study.trade.levels import accuracy_of
-from phytac_design.study.trade.run import tradeoff
+from phytac_design.study.trade.derive import derive
+from phytac_design.study.trade.front import Measured, beaten_by, knee
+from phytac_design.study.trade.plots import whole_front
+from phytac_design.study.trade.run import presets_of, tradeoff
 
 DESIGNS = ("cylinder60", "hemisphere", "grip")
 FRONTS = RESULTS / "tradeoff_fronts.json"
@@ -21,7 +21,7 @@ PICTURES = RESULTS.parents[1] / "docs" / "images"
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
-    """Measure the fronts; add each preset's place on them."""
+    """Measure the fronts."""
     fronts: dict[str, list[Measured]] = {}
     for name in DESIGNS[1:2] if quick else DESIGNS:
         out = folder() / name
@@ -38,20 +38,6 @@ def add_rows(table: Table, *, quick: bool) -> None:
                 note=f"error {100.0 * at.errors[quantity]:.3g} %; "
                 + ", ".join(f"{k} {v}" for k, v in at.settings.items()),
             )
-        for preset, point in done.presets.items():
-            errors = "; ".join(f"{q} {100.0 * e:.3g} %" for q, e in point.errors.items())
-            table.add(
-                f"{name}, {preset}: whole build, sum of stages",
-                point.seconds,
-                "s",
-                reference="-",
-                source="each stage in a process of its own",
-                note=f"errors: {errors}; peak {point.peak_MB:.0f} MB",
-            )
-        if not quick:
-            for picture in ("front",):
-                png = (out / f"{picture}.png").read_bytes()
-                (PICTURES / f"tradeoff-{picture}-{name}.png").write_bytes(png)
     if not quick:
         FRONTS.write_text(json.dumps(compact(fronts), separators=(",", ":")) + "\n")
 
@@ -96,8 +82,7 @@ def committed_fronts() -> dict[str, list[Measured]]:
 
 
 def add_presets(table: Table, *, quick: bool) -> None:
-    """Add what the rule makes of the committed fronts, and by how much a preset is beaten."""
-    del quick
+    """Add what the rule makes of the committed fronts, and where presets are on them."""
     fronts = committed_fronts()
     derived = derive(fronts)
     for name, preset in PRESETS.items():
@@ -113,13 +98,26 @@ def add_presets(table: Table, *, quick: bool) -> None:
             target="== 1",
             note="" if same else f"the rule gives {other}",
         )
-    for (name, design), share in most_beaten(PRESETS, fronts).items():
-        best = next(p for p in fronts[design] if accuracy_of(p.settings) == PRESETS[name])
-        table.add(
-            f"{design}, {name}: time saved by a setting that is worse in nothing",
-            100.0 * share,
-            "%",
-            reference=best.seconds,
-            source=f"{len(fronts[design])} joint settings; reference: its own seconds",
-            target=f"<= {100.0 * DOMINATED:g}",
-        )
+    for design, points in fronts.items():
+        found = presets_of(points)
+        for name, point in found.items():
+            errors = "; ".join(f"{q} {100.0 * e:.3g} %" for q, e in point.errors.items())
+            table.add(
+                f"{design}, {name}: whole build, sum of stages",
+                point.seconds,
+                "s",
+                reference="-",
+                source="each stage in a process of its own",
+                note=f"errors: {errors}; peak {point.peak_MB:.0f} MB",
+            )
+            table.add(
+                f"{design}, {name}: time saved by a setting that is worse in nothing",
+                100.0 * beaten_by(point, points),
+                "%",
+                reference=point.seconds,
+                source=f"{len(points)} joint settings; reference: its own seconds",
+                target=f"<= {100.0 * DOMINATED:g}",
+            )
+        if not quick:
+            picture = whole_front(design, points, found)
+            (PICTURES / f"tradeoff-front-{design}.png").write_bytes(picture)

@@ -67,16 +67,9 @@ def derive(fronts: Fronts) -> dict[str, Accuracy]:
 
 
 def most_beaten(presets: Mapping[str, Accuracy], fronts: Fronts) -> dict[tuple[str, str], float]:
-    """Share of its seconds that each preset is beaten by, by (preset, design).
-
-    A setting that leaves out a check of the preset's (``print_tools``) is no rival: what it does
-    not find is in none of the errors.
-    """
+    """Share of its seconds that each preset is beaten by, by (preset, design)."""
     return {
-        (name, design): beaten_by(
-            point,
-            [p for p in points if p.settings["print_tools"] >= point.settings["print_tools"]],
-        )
+        (name, design): beaten_by(point, points)
         for design, points in fronts.items()
         for name, preset in presets.items()
         for point in points

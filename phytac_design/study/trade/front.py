@@ -40,8 +40,14 @@ def pareto(points: Sequence[Measured], quantity: str) -> list[Measured]:
 
 
 def no_worse(one: Measured, other: Measured) -> bool:
-    """Whether no error of ``one`` is larger than the other's."""
-    return all(one.errors[name] <= error for name, error in other.errors.items())
+    """Whether no error of ``one`` is larger than the other's, and no check of it left out.
+
+    What a check (``print_tools``) does not find is in none of the errors.
+    """
+    checks = [bool(point.settings.get("print_tools", True)) for point in (one, other)]
+    return checks[0] >= checks[1] and all(
+        one.errors[name] <= error for name, error in other.errors.items()
+    )
 
 
 def beaten_by(point: Measured, points: Sequence[Measured]) -> float:

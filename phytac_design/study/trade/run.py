@@ -21,6 +21,16 @@ JOINT = "joint"
 """Name of the joint fronts beside those of the knobs."""
 
 
+def presets_of(joint: Sequence[Measured]) -> dict[str, Measured]:
+    """Presets among joint settings."""
+    return {
+        name: point
+        for name, preset in PRESETS.items()
+        for point in joint
+        if accuracy_of(point.settings) == preset
+    }
+
+
 @dataclass(frozen=True, kw_only=True)
 class Tradeoff:
     """What was measured.
@@ -42,12 +52,7 @@ class Tradeoff:
     @property
     def presets(self) -> dict[str, Measured]:
         """Presets among the joint settings."""
-        return {
-            name: point
-            for name, preset in PRESETS.items()
-            for point in self.joint
-            if accuracy_of(point.settings) == preset
-        }
+        return presets_of(self.joint)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON."""
