@@ -1,0 +1,49 @@
+"""The STEP's volume against the printed mesh's, whose facets may be coarse."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from phytac_design.fabrication import cad
+from phytac_design.fabrication.solid_mesh import shell_manifold
+from phytac_design.layout import make_markers
+from phytac_design.stage import Context
+from phytac_design.stages.shell import VOLUME_TOL, FINE_mm, run_step
+from shapes.errors import NumericalError
+from tests.designs import drawn
+
+DESIGN = drawn("hemisphere", 1)
+SURFACE = DESIGN.surface()
+MARKERS = make_markers(DESIGN, SURFACE)
+COARSE_mm = 0.3
+
+
+def volume(tolerance_mm: float) -> float:
+    return float(shell_manifold(DESIGN, SURFACE, MARKERS, tolerance_mm=tolerance_mm).volume())
+
+
+@pytest.mark.parametrize(("share", "same"), [(1.0, True), (1.01, False)])
+def test_coarse_facets_are_no_other_shell(
+    share: float, same: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    true, printed = volume(FINE_mm), volume(COARSE_mm)
+    assert abs(printed / true - 1.0) > VOLUME_TOL
+    facts = SimpleNamespace(valid=True, solids=1, volume_mm3=share * true)
+    monkeypatch.setattr(cad, "shell_cad", lambda *_: None)
+    monkeypatch.setattr(cad, "cad_facts", lambda _: facts)
+    monkeypatch.setattr(cad, "write_step", lambda _, path, **__: path.write_text("STEP"))
+    context: Any = SimpleNamespace(
+        design=DESIGN,
+        surface=SURFACE,
+        markers=MARKERS,
+        facts=lambda _: {"volume_mm3": printed},
+        progress=lambda _: None,
+    )
+    if same:
+        run_step(cast("Context", context), tmp_path)
+        assert list(tmp_path.rglob("*.step"))
+    else:
+        with pytest.raises(NumericalError, match="two kernels"):
+            run_step(cast("Context", context), tmp_path)
