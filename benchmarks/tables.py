@@ -55,6 +55,12 @@ SHORT: tuple[tuple[str, str], ...] = (
     ("stability", "wrong"),
     ("tradeoff", "scene fingertip on cylinder60, standard: times cheaper than the whole"),
     ("tradeoff", "scene fingertip on cylinder60, standard: force by its decoder against the whole"),
+    ("tradeoff", "cylinder60, standard: time saved by a setting"),
+    ("study", "cylinder: designs a second and core"),
+    ("study", "dense-cylinder trial"),
+    ("study", "rows equal to the undisturbed ones"),
+    ("page", "studio: cylinder60, from a control's change to all views drawn, p95"),
+    ("page", "report of cylinder60-dense, 744 markers: first contentful paint"),
 )
 """Rows of the README: benchmark and how the case begins; the first that matches is shown."""
 
