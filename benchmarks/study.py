@@ -1,6 +1,6 @@
 """Search: rate, ladder, optimiser, large studies, Dask, the densest sensor; advice for one.
 
-``python -m benchmarks.study [--quick] [--parts rate,ladder,optimiser,rows,dask,dense,advice]``
+``python -m benchmarks.study [--quick] [--parts rate,ladder,optimiser,rows,dask,…]``
 """
 
 import os
@@ -23,13 +23,13 @@ from benchmarks.harness import Table, run_parts
 
 def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     """Parts by name, in order."""
-    works = {
+    works: dict[str, Callable[..., None]] = {
         "rate": study_rate.rate,
         "ladder": study_rate.ladder,
         "optimiser": study_optimiser.optimiser,
         "rows": study_rows.rows,
         "dask": study_dask.dask,
-        "dense": study_dense.dense,
+        **{name: partial(study_dense.dense, name=name) for name in study_dense.STUDIES},
         "advice": study_advice.advice,
     }
     return {name: partial(work, quick=quick) for name, work in works.items()}

@@ -26,32 +26,33 @@ WHOLE = ("dense-cylinder", "cylinder60")
 WORKERS = 2
 
 
-def dense(table: Table, *, quick: bool) -> None:
+def dense(table: Table, *, name: str, quick: bool) -> None:
     """Search, then build the one with the most markers; what a build says of it counts."""
-    for name, (candidates, asked) in STUDIES.items():
-        study, folder = load_study(name)
-        number = 6 if quick else candidates
-        study = study.model_copy(update={"budget": Budget(candidates=number)})
-        out = data_folder() / "study" / f"{name}-{code_hash()[:16]}"
-        with closing(DaskPool(workers=WORKERS, say=print)) as pool:
-            space = make_space(study, folder)
-            run_study(study, space, out, kind="optimise", pool=pool, progress=print)
-        results = read_results(out)
-        if not results.ok.any():
-            table.add(
-                f"{name}: markers of the densest that meets all",
-                0,
-                "markers",
-                reference="",
-                source=f"{number} candidates",
-                target=f">= {asked or 1}",
-                note="none of the candidates met all constraints",
-            )
-            continue
-        counts = np.where(results.ok, results.columns["marker_count"], 0.0)
-        best = int(results.columns["trial"][int(counts.argmax())])
-        _built(table, rebuild(out, best), f"{name} trial {best}", asked, number, quick=quick)
-    _built(table, load_design("cylinder60"), "cylinder60", None, 0, quick=quick)
+    candidates, asked = STUDIES[name]
+    study, folder = load_study(name)
+    number = 6 if quick else candidates
+    study = study.model_copy(update={"budget": Budget(candidates=number)})
+    out = data_folder() / "study" / f"{name}-{code_hash()[:16]}"
+    with closing(DaskPool(workers=WORKERS, say=print)) as pool:
+        space = make_space(study, folder)
+        run_study(study, space, out, kind="optimise", pool=pool, progress=print)
+    results = read_results(out)
+    if not results.ok.any():
+        table.add(
+            f"{name}: markers of the densest that meets all",
+            0,
+            "markers",
+            reference="",
+            source=f"{number} candidates",
+            target=f">= {asked or 1}",
+            note="none of the candidates met all constraints",
+        )
+        return
+    counts = np.where(results.ok, results.columns["marker_count"], 0.0)
+    best = int(results.columns["trial"][int(counts.argmax())])
+    _built(table, rebuild(out, best), f"{name} trial {best}", asked, number, quick=quick)
+    if name == WHOLE[0]:
+        _built(table, load_design(WHOLE[1]), WHOLE[1], None, 0, quick=quick)
 
 
 def _built(
