@@ -46,23 +46,45 @@ def locator_table(locator: Locator) -> dict[str, Any]:
     return table
 
 
-def locator_arrays(locator: Locator) -> dict[str, Any]:
-    """What stands in ``bundle.safetensors``."""
-    places, learnt = locator.places, locator.correction
-    arrays = {
+def places_arrays(places: Places) -> dict[str, Any]:
+    """Arrays of tables, and of those of pairs if there are any, by name."""
+    arrays: dict[str, Any] = _arrays(places, "shift_px")
+    if places.pairs is not None:
+        own = _arrays(places.pairs.grid, "rows")
+        arrays |= {PAIR + name: value for name, value in own.items()}
+    return arrays
+
+
+def _arrays(places: Places, rows: str) -> dict[str, Any]:
+    return {
         "point_mm": places.point_mm,
         "along": places.along,
         "around": places.around,
-        "shift_px": places.shift_px,
+        rows: places.shift_px,
     }
-    if places.pairs is not None:
-        grid = places.pairs.grid
-        arrays |= {
-            "pair_point_mm": grid.point_mm,
-            "pair_along": grid.along,
-            "pair_around": grid.around,
-            "pair_rows": grid.shift_px,
-        }
+
+
+def places_from(arrays: Mapping[str, Any], radius_mm: float) -> Places:
+    """Tables of :func:`places_arrays` for a disc of a radius."""
+
+    def made(prefix: str, rows: str, pairs: Pairs | None = None) -> Places:
+        return Places(
+            point_mm=arrays[prefix + "point_mm"],
+            along=arrays[prefix + "along"],
+            around=arrays[prefix + "around"],
+            shift_px=arrays[prefix + rows],
+            radius_mm=radius_mm,
+            pairs=pairs,
+        )
+
+    paired = PAIR + "rows" in arrays
+    return made("", "shift_px", Pairs(grid=made(PAIR, "rows")) if paired else None)
+
+
+def locator_arrays(locator: Locator) -> dict[str, Any]:
+    """What stands in ``bundle.safetensors``."""
+    places, learnt = locator.places, locator.correction
+    arrays = places_arrays(places)
     if learnt is not None:
         arrays |= {"centre": learnt.centre, "weight": learnt.weight}
     return {PREFIX + name: value for name, value in arrays.items()}
@@ -105,28 +127,10 @@ def locator_from(
             spread_share=float(_numbers([said["spread_share"]], 1)[0]),
         )
     radius_mm = _positive(table["radius_mm"])
-    pairs = None
-    if "pair_rows" in own:
-        pairs = Pairs(
-            grid=Places(
-                point_mm=own["pair_point_mm"],
-                along=own["pair_along"],
-                around=own["pair_around"],
-                shift_px=own["pair_rows"],
-                radius_mm=radius_mm,
-            )
-        )
     prior, noise = table["prior"], table["noise"]
     mean, sd = _numbers(prior["moments_mm2"], 3), _numbers(prior["moments_sd_mm2"], 3)
     return Locator(
-        places=Places(
-            point_mm=own["point_mm"],
-            along=own["along"],
-            around=own["around"],
-            shift_px=own["shift_px"],
-            radius_mm=radius_mm,
-            pairs=pairs,
-        ),
+        places=places_from(own, radius_mm),
         position_mm=position_mm,
         neighbours=neighbours,
         footprint_mm=_positive(table["footprint_mm"]),

@@ -17,6 +17,7 @@ NOISE_FACTOR = 1.4
 
 def run_places(context: Context, folder: Path) -> None:
     """Tabulate linear and large-displacement shifts over the surface."""
+    from decoder.bundle_locator import places_arrays
     from phytac_design.mechanics.meshing.mesh import marker_mesh
     from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
     from phytac_design.twin.places import make_places
@@ -43,21 +44,7 @@ def run_places(context: Context, folder: Path) -> None:
         progress=context.progress,
     )
     places = done.places
-    arrays = {
-        "point_mm": places.point_mm,
-        "along": places.along,
-        "around": places.around,
-        "shift_px": places.shift_px,
-    }
-    if places.pairs is not None:
-        grid = places.pairs.grid
-        arrays |= {
-            "pair_point_mm": grid.point_mm,
-            "pair_along": grid.along,
-            "pair_around": grid.around,
-            "pair_rows": grid.shift_px,
-        }
-    write_arrays(folder, arrays)
+    write_arrays(folder, places_arrays(places))
     write_facts(
         folder,
         {
@@ -76,10 +63,9 @@ def run_places(context: Context, folder: Path) -> None:
 
 def locator_of(context: Context) -> "Locator":
     """The estimator ``auto`` by design alone: no sample of the sensor has been seen."""
+    from decoder.bundle_locator import places_from
     from decoder.contact_fit import Noise, Prior
     from decoder.locate import Locator
-    from decoder.pairs import Pairs
-    from decoder.places import Places
     from phytac_design.twin.bound import cell_prior
 
     design, surface, markers = context.design, context.surface, context.markers
@@ -92,28 +78,10 @@ def locator_of(context: Context) -> "Locator":
         training.patch_radius_max_mm,
     )
     radius = float(facts["radius_mm"])
-    pairs = None
-    if "pair_rows" in arrays:
-        pairs = Pairs(
-            grid=Places(
-                point_mm=arrays["pair_point_mm"],
-                along=arrays["pair_along"],
-                around=arrays["pair_around"],
-                shift_px=arrays["pair_rows"],
-                radius_mm=radius,
-            )
-        )
     # A disc's second moment is a quarter of its squared radius.
     spread = radius / 2.0 * prior.radius_mm
     return Locator(
-        places=Places(
-            point_mm=arrays["point_mm"],
-            along=arrays["along"],
-            around=arrays["around"],
-            shift_px=arrays["shift_px"],
-            radius_mm=radius,
-            pairs=pairs,
-        ),
+        places=places_from(arrays, radius),
         position_mm=surface.point(markers.uv),
         neighbours=markers.neighbours,
         footprint_mm=design.switch.footprint_diameter_mm / 2.0,
