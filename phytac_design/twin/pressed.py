@@ -27,7 +27,7 @@ SOLVED_AT = {4: 0.06, 5: 0.005}
 """Error of the expansion at the greatest force, in the norm of the stiffness, from which on
 large displacements are solved, by the powers of the force that are kept. With fewer powers none
 are."""
-BEYOND = 0.06
+BEYOND = SOLVED_AT[4]
 """The same from which on a sensor is beyond the expansion."""
 
 
@@ -117,8 +117,9 @@ class Pressed:
             return out
         series = self._series(load, first)
         gap = self._gap(load, first, series) if self.orders in SOLVED_AT else 0.0
-        self.beyond += gap > BEYOND
-        if self.orders in SOLVED_AT and gap > SOLVED_AT[self.orders]:
+        # A gap that is no number holds nowhere.
+        self.beyond += not gap <= BEYOND
+        if self.orders in SOLVED_AT and not gap <= SOLVED_AT[self.orders]:
             large = self._large(load, first)
             if large:
                 self.solved += 1

@@ -118,6 +118,17 @@ def test_what_cannot_be_solved_is_left_to_the_series(monkeypatch: pytest.MonkeyP
     assert len(motions) in {1, 4}
 
 
+def test_a_gap_that_is_no_number_holds_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    shell = Pressed(
+        DESIGN, SURFACE, MARKERS, mesh=pressed(4).mesh, model=pressed(4).model, orders=4
+    )
+    monkeypatch.setattr(shell.shell, "gap", lambda *_: float("nan"))
+    for name in ("_series", "_large"):
+        monkeypatch.setattr(shell, name, lambda _, first: [first] * 3)
+    shell.motions(MIDDLE, RADIUS_mm)
+    assert shell.solved == shell.beyond == len(MIDDLE)
+
+
 def test_gap_is_about_the_error_of_the_motion() -> None:
     shell = pressed(4)
     load = 0.2 * DESIGN.training.force_max_N * one_newton()
