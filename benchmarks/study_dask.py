@@ -222,9 +222,10 @@ def dask(table: Table, *, quick: bool) -> None:
                 f"{said[case]}; driver and scheduler on the same cores",
             )
         with pool_of(LOCAL) as pool:
-            _overhead_row(table, pool, 100 if quick else 2000)
             more = 24 if quick else KILLED
             expected = rows_of(pooled(pool, more, Path(name) / "undisturbed").folder)
+            # After a study, since how many candidates travel at once is learnt from it.
+            _overhead_row(table, pool, 100 if quick else 2000)
         with closing(Cluster(2)) as cluster:
             cluster.pool().close()
             _killed(table, cluster, Path(name) / "killed", expected)

@@ -11,13 +11,12 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from ctypes import CDLL
-from functools import cache
 from typing import Any
 
 from phytac_design.cache import code_hash
 from phytac_design.kernels import THREADS
 from phytac_design.study.search.ladder import FAILED, Outcome, Task
+from phytac_design.study.search.pool import keep_memory
 from shapes.errors import InputError, MissingPartError
 
 AHEAD = 2
@@ -33,9 +32,6 @@ COUNT_S = 5.0
 """How often workers are counted."""
 DEATHS = 10
 """Workers that may die over one task before it is given up."""
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
-"""Parameters of ``mallopt`` (GNU C library)."""
-KEPT_BYTES, MAPPED_BYTES = 256 << 20, 32 << 20
 
 
 def _library() -> Any:
@@ -47,19 +43,6 @@ def _library() -> Any:
             "'phytac-design[study]'"
         ) from None
     return distributed
-
-
-@cache
-def keep_memory() -> None:
-    """Keep freed memory in this process for what comes next; once.
-
-    Dask's nanny sets ``MALLOC_TRIM_THRESHOLD_`` to 64 KiB, so that each array of a megabyte is
-    memory new from the system: candidates then take 1.6 times their processor time.
-    """
-    with suppress(OSError, AttributeError):  # another C library than GNU's
-        library = CDLL(None)
-        library.mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
-        library.mallopt(M_MMAP_THRESHOLD, MAPPED_BYTES)
 
 
 def climb_some(tasks: tuple[Task, ...]) -> list[dict[str, Any]]:

@@ -1,9 +1,30 @@
 """Where candidates are climbed: in this process, or (``dask_pool``) in others, here or far away."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from ctypes import CDLL
+from functools import cache
 from typing import Protocol
 
 from phytac_design.study.search.ladder import Outcome, Task
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+"""Parameters of ``mallopt`` (GNU C library)."""
+KEPT_BYTES, MAPPED_BYTES = 256 << 20, 32 << 20
+
+
+@cache
+def keep_memory() -> None:
+    """Keep freed memory in this process for what comes next; once.
+
+    Otherwise an array of megabytes may be memory new from the system each time: candidates then
+    take 1.1 times their processor time, and 1.6 times where Dask's nanny sets
+    ``MALLOC_TRIM_THRESHOLD_`` to 64 KiB.
+    """
+    with suppress(OSError, AttributeError):  # another C library than GNU's
+        library = CDLL(None)
+        library.mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
+        library.mallopt(M_MMAP_THRESHOLD, MAPPED_BYTES)
 
 
 class Pool(Protocol):
@@ -33,6 +54,7 @@ class OwnProcess:
 
     def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Outcome]]:
         """Results in the order of the tasks."""
+        keep_memory()
         for task in tasks:
             yield task, Outcome(**task.run())
 
