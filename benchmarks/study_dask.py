@@ -23,7 +23,7 @@ from benchmarks.harness import Table
 from benchmarks.study_cases import drawn, one_thread, study_of
 from phytac_design.kernels import THREADS
 from phytac_design.recording import parquet_library
-from phytac_design.study.search.dask_pool import DaskPool
+from phytac_design.study.search.dask_pool import WORKERS, DaskPool
 from phytac_design.study.search.drive import Done, run_study
 from phytac_design.study.search.file import Study
 from phytac_design.study.search.ladder import Outcome, Task, climb, spec_of, task_of
@@ -133,7 +133,7 @@ class Cluster:
     def _start(self, part: str, *words: str) -> "subprocess.Popen[bytes]":
         command = [sys.executable, "-m", f"distributed.cli.dask_{part}", *words, "--no-dashboard"]
         quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        environment = os.environ | ALONE | {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "50"}
+        environment = os.environ | WORKERS | {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "50"}
         return subprocess.Popen(command, env=environment, **quiet)
 
     def _scheduler(self) -> "subprocess.Popen[bytes]":

@@ -9,7 +9,7 @@ Candidates that take less time than Dask needs for a task of its own are given o
 
 import time
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -32,17 +32,24 @@ COUNT_S = 5.0
 """How often workers are counted."""
 DEATHS = 10
 """Workers that may die over one task before it is given up."""
+QUIET = {"distributed.admin.tick.interval": "500ms", "distributed.worker.profile.enabled": False}
+"""Looks at itself less often: Dask's own settings take some 3 % of each process's time."""
+WORKERS = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", THREADS), "1"
+) | {f"DASK_{name.upper().replace('.', '__')}": str(value) for name, value in QUIET.items()}
+"""Environment of workers."""
 
 
-def _library() -> Any:
+def _libraries() -> tuple[Any, Any]:
     try:
+        import dask
         import distributed
     except ImportError:
         raise MissingPartError(
             "--workers and --scheduler need dask; install it with: pip install "
             "'phytac-design[study]'"
         ) from None
-    return distributed
+    return dask, distributed
 
 
 def climb_some(tasks: tuple[Task, ...]) -> list[dict[str, Any]]:
@@ -68,16 +75,19 @@ class Pieces:
         self.left, self.alone, self.spent = deque(tasks), deque[Task](), spent
 
     def take(self, workers: int) -> tuple[Task, ...]:
-        """Next piece; () if nothing is left."""
+        """Next piece, of tasks with the same rungs; () if nothing is left."""
         if self.alone:
             return (self.alone.popleft(),)
         if not self.left:
             return ()
-        seconds, number = self.spent[self.left[0].rungs]
+        rungs = self.left[0].rungs
+        seconds, number = self.spent[rungs]
         fit = PIECE_S * number / seconds if seconds > 0.0 else 1.0
         share = -(-len(self.left) // (2 * workers))
-        count = max(1, min(int(fit), share))
-        return tuple(self.left.popleft() for _ in range(count))
+        piece = [self.left.popleft()]
+        while len(piece) < min(int(fit), share) and self.left[0].rungs == rungs:
+            piece.append(self.left.popleft())
+        return tuple(piece)
 
     def took(self, task: Task, outcome: Outcome) -> None:
         """Learn from a result."""
@@ -112,25 +122,25 @@ class DaskPool:
     def __init__(
         self, *, workers: int = 0, address: str = "", say: Callable[[str], None] = lambda _: None
     ) -> None:
-        self.library, self.say = _library(), say
+        (self.dask, self.library), self.say = _libraries(), say
         self.cluster: Any = None
         self.address = address
         self._counted = (0.0, 1)
         self._spent: defaultdict[tuple[str, ...], list[float]] = defaultdict(lambda: [0.0, 0.0])
+        self._running: dict[str, tuple[tuple[Task, ...], Any]] = {}
+        self._early: dict[str, Outcome] = {}
         if not address:
-            environment = dict.fromkeys(
-                ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", THREADS), "1"
-            )
             try:
-                self.cluster = self.library.LocalCluster(
-                    n_workers=workers,
-                    threads_per_worker=1,
-                    processes=True,
-                    dashboard_address=None,
-                    silence_logs="ERROR",
-                    env=environment,
-                    scheduler_kwargs={"allowed_failures": DEATHS},
-                )
+                with self.dask.config.set(QUIET):
+                    self.cluster = self.library.LocalCluster(
+                        n_workers=workers,
+                        threads_per_worker=1,
+                        processes=True,
+                        dashboard_address=None,
+                        silence_logs="ERROR",
+                        env=WORKERS,
+                        scheduler_kwargs={"allowed_failures": DEATHS},
+                    )
             except (RuntimeError, OSError, TimeoutError) as error:
                 raise InputError(
                     f"{workers} workers could not be started ({error}); take fewer, or none"
@@ -146,13 +156,17 @@ class DaskPool:
 
     def _connect(self, seconds: float) -> Any:
         try:
-            return self.library.Client(self.address, timeout=seconds, set_as_default=False)
+            with self.dask.config.set(QUIET):
+                client = self.library.Client(self.address, timeout=seconds, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             said = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError(
                 f"no scheduler at {self.address} ({said}); start one with `dask scheduler`, or "
                 "use --workers. What was done is kept"
             ) from None
+        self._ends = self.library.as_completed(loop=client.loop)
+        self._running = {}
+        return client
 
     def _check_workers(self) -> None:
         """Wait for a first worker, and refuse those that run another program."""
@@ -185,38 +199,42 @@ class DaskPool:
             self._counted = time.monotonic(), count
         return count
 
-    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Outcome]]:
-        """Results as they come; every task once, however often a worker dies."""
-        waiting = list(tasks)
-        while waiting:
-            left = {task.key: task for task in waiting}
-            for task, outcome in self._once(waiting):
-                del left[task.key]
-                yield task, outcome
-            waiting = list(left.values())
-            if waiting:
+    def run(
+        self, tasks: Iterable[Task], following: Iterable[Task] = ()
+    ) -> Iterator[tuple[Task, Outcome]]:
+        """Results as they come; every task once, however often a worker dies.
+
+        Workers that would wait for the last of the ``tasks`` begin with those ``following``; what
+        becomes of these is given when they are asked for.
+        """
+        wanted, later = {task.key: task for task in tasks}, list(following)
+        while wanted:
+            for key in [key for key in wanted if key in self._early]:
+                yield wanted.pop(key), self._early.pop(key)
+            for key, outcome in self._results(wanted, later):
+                yield wanted.pop(key), outcome
+            if wanted:
                 self._come_back()
 
-    def _once(self, tasks: list[Task]) -> Iterator[tuple[Task, Outcome]]:
-        """Results until all are there or the scheduler is lost."""
-        library = self.library
-        pieces = Pieces(tasks, self._spent)
-        running: dict[str, tuple[tuple[Task, ...], Any]] = {}
-        done = library.as_completed(loop=self.client.loop)
+    def _results(
+        self, wanted: Mapping[str, Task], later: Sequence[Task]
+    ) -> Iterator[tuple[str, Outcome]]:
+        """Results of those wanted, until all are there or the scheduler is lost."""
+        pieces = Pieces(self._not_begun([*wanted.values(), *later]), self._spent)
 
         def more() -> None:
             workers = self.workers
-            while len(running) <= AHEAD * workers and (piece := pieces.take(workers)):
+            while len(self._running) <= AHEAD * workers and (piece := pieces.take(workers)):
                 key = f"phytac-{piece[0].key}-{len(piece)}"
                 future = self.client.submit(climb_some, piece, key=key, pure=False)
-                running[future.key] = piece, future
-                done.add(future)
+                self._running[future.key] = piece, future
+                self._ends.add(future)
 
         try:
             more()
-            while running:
-                future = next(done)
-                piece, _ = running.pop(future.key)
+            while wanted and self._running:
+                future = next(self._ends)
+                piece, _ = self._running.pop(future.key)
                 if future.status in {"cancelled", "lost"}:
                     return
                 if future.status != "finished" and len(piece) > 1:
@@ -224,10 +242,21 @@ class DaskPool:
                 else:
                     for task, outcome in zip(piece, _outcomes(future), strict=True):
                         pieces.took(task, outcome)
-                        yield task, outcome
+                        if task.key in wanted:
+                            yield task.key, outcome
+                        else:
+                            self._early[task.key] = outcome
                 more()
-        except (OSError, library.comm.core.CommClosedError, StopIteration):
+        except (OSError, self.library.comm.core.CommClosedError, StopIteration):
             return
+
+    def _not_begun(self, tasks: Iterable[Task]) -> list[Task]:
+        """Those that are neither under way nor done, each once."""
+        known = {task.key for piece, _ in self._running.values() for task in piece}
+        known |= self._early.keys()
+        return [
+            task for task in {task.key: task for task in tasks}.values() if task.key not in known
+        ]
 
     def _come_back(self) -> None:
         """Wait for a lost scheduler.

@@ -132,18 +132,20 @@ def run_study(
             source = Cover(study, space)
         done.rows = store.rows
         clock = _Clock(progress, done, source.total)
-        while not (study.budget.seconds and time.monotonic() - start > study.budget.seconds):
-            batch = source.ask(store.rows, study.sampling.batch)
-            if not batch:
-                break
+        size = study.sampling.batch
+        batch = source.ask(store.rows, size)
+        while batch and not _over(study, start):
             first = store.rows
-            outcomes = _climb_batch(study, store, batch, pool or OwnProcess(), clock)
+            # What depends on this batch cannot be begun before it is done.
+            following = source.ask(first + len(batch), size) if source.steady else []
+            outcomes = _climb_batch(study, store, batch, following, pool or OwnProcess(), clock)
             rows = [
                 store.row(first + order, params, outcomes[order])
                 for order, params in enumerate(batch)
             ]
             store.close_batch(rows)
             source.tell(batch, rows)
+            batch = following if source.steady else source.ask(store.rows, size)
             done.rows, done.new = store.rows, done.new + len(rows)
             done.statuses.update(row["status"] for row in rows)
         store.join()
@@ -151,6 +153,11 @@ def run_study(
         store.close()
     done.seconds = time.monotonic() - start
     return done
+
+
+def _over(study: Study, start: float) -> bool:
+    """Whether the study has had its time."""
+    return bool(study.budget.seconds) and time.monotonic() - start > study.budget.seconds
 
 
 def _catch_up(store: Store, source: Search, space: Space) -> None:
@@ -162,19 +169,25 @@ def _catch_up(store: Store, source: Search, space: Space) -> None:
 
 
 def _climb_batch(
-    study: Study, store: Store, batch: list[Params], pool: Pool, clock: _Clock
+    study: Study,
+    store: Store,
+    batch: list[Params],
+    following: list[Params],
+    pool: Pool,
+    clock: _Clock,
 ) -> dict[int, Outcome]:
     """Have a batch climb, group of rungs by group; those with equal values climb once."""
     outcomes: dict[int, Outcome] = {}
     climbing = list(range(len(batch)))
     groups = study.groups()
+    later = [task_of(k, store.spec, params, groups[0]) for k, params in enumerate(following)]
     for number, rungs in enumerate(groups):
         last = number == len(groups) - 1
         tasks = {order: task_of(order, store.spec, batch[order], rungs) for order in climbing}
         firsts = {task.key: task for task in reversed(tasks.values())}
         wanted = [task for task in firsts.values() if task.key not in store.open_results]
         alike = Counter(task.key for task in tasks.values())
-        for task, outcome in pool.run(wanted):
+        for task, outcome in pool.run(wanted, later):
             store.keep(task, outcome)
             if last or outcome.status != OK:
                 clock.tick(outcome.status, alike[task.key])

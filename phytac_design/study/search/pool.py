@@ -35,8 +35,18 @@ class Pool(Protocol):
         """How many run at once."""
         ...
 
-    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Outcome]]:
-        """Results as they come, in any order; every task once."""
+    def run(
+        self, tasks: Iterable[Task], following: Iterable[Task] = ()
+    ) -> Iterator[tuple[Task, Outcome]]:
+        """Results as they come, in any order; every task once.
+
+        Parameters
+        ----------
+        tasks : iterable of Task
+            Those whose results are given.
+        following : iterable of Task
+            Those that will be asked for next: begun where there is room.
+        """
         ...
 
     def close(self) -> None:
@@ -52,8 +62,11 @@ class OwnProcess:
         """One."""
         return 1
 
-    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Outcome]]:
-        """Results in the order of the tasks."""
+    def run(
+        self, tasks: Iterable[Task], following: Iterable[Task] = ()
+    ) -> Iterator[tuple[Task, Outcome]]:
+        """Results in the order of the tasks; nothing has room beside the one that runs."""
+        del following
         keep_memory()
         for task in tasks:
             yield task, Outcome(**task.run())

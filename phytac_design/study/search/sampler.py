@@ -27,6 +27,9 @@ Row = Mapping[str, Any]
 class Source(Protocol):
     """Gives candidates and hears what became of them."""
 
+    steady: bool
+    """Whether what it gives does not depend on what it hears."""
+
     def ask(self, first: int, count: int) -> list[Params]:
         """Values of the candidates from number ``first`` on, ``count`` at most."""
         ...
@@ -47,6 +50,8 @@ def sobol(dimensions: int, seed: int, first: int, count: int) -> FloatArray:
 
 class Cover:
     """Candidates of a sweep: a grid, a Sobol sequence or a Latin hypercube."""
+
+    steady = True
 
     def __init__(self, study: Study, space: Space) -> None:
         self.study, self.space = study, space
@@ -103,6 +108,8 @@ def optuna_library() -> Any:
 
 class Search:
     """Candidates of `phytac optimise`: Optuna's, after a start that is spread evenly."""
+
+    steady = False
 
     def __init__(self, study: Study, space: Space, storage: str) -> None:
         if not study.objective:

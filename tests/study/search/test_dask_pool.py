@@ -9,7 +9,7 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,7 @@ pytestmark = [
 
 
 def study() -> Study:
-    return tiny(budget={"candidates": 40}, sampling={"batch": 40, "start": 8})
+    return tiny(budget={"candidates": 40}, sampling={"batch": 16, "start": 8})
 
 
 def rows(folder: Path) -> list[dict[str, object]]:
@@ -54,6 +54,13 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, object]
     out = tmp_path_factory.mktemp("expected")
     run_study(study(), space_of(study()), out, kind="sweep")
     return rows(out)
+
+
+@pytest.fixture(scope="module")
+def pool() -> Iterator[DaskPool]:
+    made = DaskPool(workers=2)
+    yield made
+    made.close()
 
 
 class Bad(Task):
@@ -74,6 +81,33 @@ class Fine(Task):
         return asdict(Outcome(seconds={"rules": PIECE_S / 8.0}))
 
 
+class Noted(Task):
+    """A task that says in a file, its ``spec``, that it ran."""
+
+    def run(self) -> dict[str, Any]:
+        with Path(self.spec).open("a") as file:
+            file.write(f"{self.key}\n")
+        return asdict(Outcome(seconds={"rules": PIECE_S / 4.0}))
+
+
+def test_what_follows_is_begun_early_and_run_once(pool: DaskPool, tmp_path: Path) -> None:
+    log = tmp_path / "ran"
+    tasks = [
+        Noted(order=k, key=f"noted-{k}", spec=str(log), params={}, rungs=(f"rung {k // 8}",))
+        for k in range(24)
+    ]
+    for first in range(0, 24, 8):
+        batch, later = tasks[first : first + 8], tasks[first + 8 : first + 16]
+        found = list(pool.run(batch, later))
+        assert sorted(task.order for task, _ in found) == [task.order for task in batch]
+        if later:
+            end = time.monotonic() + 20.0
+            while not set(log.read_text().split()) & {task.key for task in later}:
+                assert time.monotonic() < end
+                time.sleep(0.02)
+    assert sorted(log.read_text().split()) == sorted(task.key for task in tasks)
+
+
 def test_pieces_hold_as_much_as_they_should_and_shrink_towards_the_end() -> None:
     spent: defaultdict[tuple[str, ...], list[float]] = defaultdict(lambda: [0.0, 0.0])
     tasks = [made(Fine, k) for k in range(40)]
@@ -88,26 +122,24 @@ def test_pieces_hold_as_much_as_they_should_and_shrink_towards_the_end() -> None
     assert [task for piece in found for task in piece] == tasks
     pieces.back(found[1])
     assert [pieces.take(2) for _ in range(9)] == [(task,) for task in found[1]] + [()]
+    mixed = Pieces([made(Fine, 1), replace(made(Fine, 2), rungs=("exact",))], pieces.spent)
+    assert [len(mixed.take(1)) for _ in range(3)] == [1, 1, 0]
     slow = Pieces(tasks, defaultdict(lambda: [100.0, 10.0]))
     assert len(slow.take(1)) == 1
 
 
 def test_a_worker_that_is_killed_loses_nothing(
-    expected: list[dict[str, object]], tmp_path: Path
+    pool: DaskPool, expected: list[dict[str, object]], tmp_path: Path
 ) -> None:
-    pool = DaskPool(workers=2)
-    try:
-        pids = list(pool.client.run(os.getpid).values())
-        assert len(pids) == len(set(pids)) == pool.workers == 2
-        killer = threading.Timer(0.3, os.kill, (pids[0], signal.SIGKILL))
-        killer.start()
-        done = run_study(study(), space_of(study()), tmp_path, kind="sweep", pool=pool)
-        killer.join()
-        # One that is broken takes none of its piece with it.
-        tasks = [made(Bad if k == 11 else Fine, k) for k in range(30)]
-        found = {task.order: outcome for task, outcome in pool.run(tasks)}
-    finally:
-        pool.close()
+    pids = list(pool.client.run(os.getpid).values())
+    assert len(pids) == len(set(pids)) == pool.workers == 2
+    killer = threading.Timer(0.3, os.kill, (pids[0], signal.SIGKILL))
+    killer.start()
+    done = run_study(study(), space_of(study()), tmp_path, kind="sweep", pool=pool)
+    killer.join()
+    # One that is broken takes none of its piece with it.
+    tasks = [made(Bad if k == 11 else Fine, k) for k in range(30)]
+    found = {task.order: outcome for task, outcome in pool.run(tasks)}
     assert done.new == 40
     assert rows(tmp_path) == expected
     assert {k for k, outcome in found.items() if outcome.status == OK} == {*range(30)} - {11}

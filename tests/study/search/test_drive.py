@@ -51,8 +51,10 @@ class Killed(OwnProcess):
     def __init__(self, after: int) -> None:
         self.left = after
 
-    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Outcome]]:
-        for result in super().run(tasks):
+    def run(
+        self, tasks: Iterable[Task], following: Iterable[Task] = ()
+    ) -> Iterator[tuple[Task, Outcome]]:
+        for result in super().run(tasks, following):
             if self.left == 0:
                 raise KilledError
             self.left -= 1
@@ -62,8 +64,10 @@ class Killed(OwnProcess):
 class Backwards(OwnProcess):
     """A pool whose results come in another order."""
 
-    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Outcome]]:
-        yield from super().run(reversed(list(tasks)))
+    def run(
+        self, tasks: Iterable[Task], following: Iterable[Task] = ()
+    ) -> Iterator[tuple[Task, Outcome]]:
+        yield from super().run(reversed(list(tasks)), following)
 
 
 def run(study: Study, folder: Path, kind: Kind = "sweep", pool: Pool | None = None) -> Done:
@@ -113,8 +117,10 @@ class Counted(OwnProcess):
 
     climbed = 0
 
-    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Outcome]]:
-        for result in super().run(tasks):
+    def run(
+        self, tasks: Iterable[Task], following: Iterable[Task] = ()
+    ) -> Iterator[tuple[Task, Outcome]]:
+        for result in super().run(tasks, following):
             self.climbed += 1
             yield result
 
