@@ -6,7 +6,7 @@ truth is the twin's: large displacements, receptors, print scatter; what is lear
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,10 @@ from benchmarks.decoder_rows import (
     MIDDLE,
     PAPER,
     RELATIVE,
+    RIMS,
+    SEVERAL,
     SHORT,
+    SINGLE,
     TARGETS,
     TWIN,
     WORDS,
@@ -111,6 +114,8 @@ def add_rows_accuracy(table: Table, *, quick: bool) -> None:
         if here.test.meta.route == "frames":
             add_switches(table, here.head, judged)
         _time_rows(table, here, facts, target=full)
+        if number == 0:
+            _pairs_rows(table, here, judged)
         each.append(judged)
     _spread_rows(table, each)
 
@@ -128,6 +133,33 @@ def _count_row(table: Table, here: Bench, judged: Verdict, *, target: bool) -> N
         note=f"{here.note}; {count - judged_ones} of them tripped no switch and are apart; the "
         f"{'first samples train' if not here.case.mixed else 'parts are drawn at random'}",
     )
+
+
+def _pairs_rows(table: Table, here: Bench, judged: Verdict) -> None:
+    """The same decoder without its tables of pairs: contacts that stiffen or soften each other."""
+    model = here.plain.model
+    locator = model.locator
+    assert locator is not None
+    alone = replace(locator, places=replace(locator.places, pairs=None))
+    plain = replace(here.plain, model=replace(model, locator=alone))
+    bundle, _ = taught(plain, here.train, names=("auto",))
+    without = here.judged(bundle, names=("auto",))
+    for group in (MIDDLE, SINGLE, SEVERAL, RIMS):
+        mask = judged.group(*group)
+        if not mask.any():
+            continue
+        now, then = (
+            100.0 * one.score("auto", mask)[RELATIVE]["value"] for one in (judged, without)
+        )
+        table.add(
+            f"{here.head}: auto, {WORDS[group]}, mean relative error without tables of pairs over "
+            "that with them",
+            then / now,
+            "ratio",
+            reference=now,
+            source="with them, %",
+            note=f"{then:.3g} % without",
+        )
 
 
 def _time_rows(

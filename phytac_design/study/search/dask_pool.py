@@ -21,8 +21,8 @@ from shapes.errors import InputError, MissingPartError
 
 AHEAD = 2
 """Pieces per worker that are given out ahead, so that none waits for the driver."""
-PIECE_S = 0.4
-"""Processor time that a piece should hold: some ten times what Dask needs for it."""
+PIECE_S = 1.0
+"""Processor time that a piece should hold: some hundred times what Dask needs for it."""
 CONNECT_S = 10.0
 RETURN_S = 120.0
 """How long a lost scheduler may take to come back."""
@@ -139,7 +139,11 @@ class DaskPool:
                         dashboard_address=None,
                         silence_logs="ERROR",
                         env=WORKERS,
-                        scheduler_kwargs={"allowed_failures": DEATHS},
+                        # Any free port: another study may have the usual one.
+                        scheduler_kwargs={
+                            "allowed_failures": DEATHS,
+                            "dashboard_address": "127.0.0.1:0",
+                        },
                     )
             except (RuntimeError, OSError, TimeoutError) as error:
                 raise InputError(
