@@ -34,7 +34,7 @@ from decoder.regions import Region, regions_from, regions_table
 from decoder.segmentation import ColourModel
 from decoder.switches import TipModel
 from shapes.arrays import BoolArray, FloatArray, IntArray
-from shapes.errors import InputError
+from shapes.errors import InputError, cause_of
 from shapes.reading import check_file, read_text
 
 SCHEMA = (1, 5)
@@ -236,7 +236,7 @@ def load_bundle(folder: Path) -> Bundle:
         arrays = load_file(folder / "bundle.safetensors")
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
-            f"{folder}/bundle.safetensors cannot be read ({error}); rebuild the decoder"
+            f"{folder}/bundle.safetensors cannot be read ({cause_of(error)}); rebuild the decoder"
         ) from error
     try:
         count = int(meta["markers"])
@@ -279,7 +279,7 @@ def _read_meta(folder: Path) -> dict[str, Any]:
             "bundle.json, such as exports/cylinder60/decoder"
         ) from error
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not JSON ({error}); rebuild the decoder") from error
+        raise InputError(f"{path} is not JSON ({cause_of(error)}); rebuild the decoder") from error
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise InputError(
             f"{path} is not a decoder bundle (format is not {FORMAT!r}); give the folder of a "

@@ -48,7 +48,7 @@ from decoder.samples_write import (
     file_hash,
     table_hash,
 )
-from shapes.errors import InputError
+from shapes.errors import InputError, cause_of
 from shapes.reading import read_bytes, read_text
 
 TABLE_BYTES_MAX = 2**28
@@ -117,7 +117,8 @@ def read_samples(
         memory = sum(8 * int(np.prod(shape_of(name, counts), dtype=object)) for name in names)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
-            f"{folder / TABLE} is not a data set's: {type(error).__name__} {error}; {AGAIN}"
+            f"{folder / TABLE} is not a data set's: {type(error).__name__} {cause_of(error)}; "
+            f"{AGAIN}"
         ) from None
     if memory > bytes_max:
         raise InputError(
@@ -129,7 +130,7 @@ def read_samples(
         arrays = _unpacked(data, names, counts, bytes_max)
     except BROKEN as error:
         raise InputError(
-            f"{folder / FILE} cannot be read ({type(error).__name__}: {error}); {AGAIN}"
+            f"{folder / FILE} cannot be read ({type(error).__name__}: {cause_of(error)}); {AGAIN}"
         ) from None
     check_values(arrays, counts | {"reasons": len(reasons)}, str(folder))
     for name in meta.frames:
@@ -139,7 +140,9 @@ def read_samples(
     try:
         return _samples(arrays, table, counts, reasons), meta
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{folder / TABLE}: {type(error).__name__} {error}; {AGAIN}") from None
+        raise InputError(
+            f"{folder / TABLE}: {type(error).__name__} {cause_of(error)}; {AGAIN}"
+        ) from None
 
 
 def _read_table(folder: Path) -> dict[str, Any]:
@@ -152,7 +155,7 @@ def _read_table(folder: Path) -> dict[str, Any]:
             "`phytac simulate` or `phytac import` wrote"
         ) from None
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not JSON ({error}); {AGAIN}") from None
+        raise InputError(f"{path} is not JSON ({cause_of(error)}); {AGAIN}") from None
     if not isinstance(table, dict) or table.get("format") != FORMAT:
         raise InputError(f"{path} is not a data set's (format is not {FORMAT!r})")
     version = str(table.get("schema_version")).split(".")
@@ -231,7 +234,7 @@ def _read_file(folder: Path, table: Mapping[str, Any]) -> bytes:
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}); {AGAIN}") from None
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{folder / TABLE}: file: {error}; {AGAIN}") from None
+        raise InputError(f"{folder / TABLE}: file: {cause_of(error)}; {AGAIN}") from None
     if sha256(data).hexdigest() != expected:
         raise InputError(f"{path} was altered: its checksum is not that of {TABLE}; {AGAIN}")
     return data

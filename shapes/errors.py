@@ -1,5 +1,13 @@
 """The error tree shared by all rooms: every message says what failed, what was got, and the fix."""
 
+CAUSE_MAX = 2000
+
+
+def cause_of(error: Exception) -> str:
+    """Text of another library's error, cut short: it may quote all of a spoilt file."""
+    text = str(error)
+    return text if len(text) <= CAUSE_MAX else text[:CAUSE_MAX] + " …"
+
 
 class PhytacError(Exception):
     """Base of every error a user can cause; the command line prints its text and exits.

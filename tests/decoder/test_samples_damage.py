@@ -232,3 +232,14 @@ def test_missing_arrays_file(whole: tuple[Path, Samples], tmp_path: Path) -> Non
 def test_another_design_is_refused(whole: tuple[Path, Samples]) -> None:
     with pytest.raises(InputError, match="of the design 'none' with hash abababababab…, expected"):
         read_samples(whole[0], expect_design_hash="12" * 32)
+
+
+def test_a_refusal_quotes_no_more_of_a_file_than_one_can_read(
+    whole: tuple[Path, Samples], tmp_path: Path
+) -> None:
+    for name in ("dataset.json", "samples.npz"):
+        (tmp_path / name).write_bytes((whole[0] / name).read_bytes())
+    sign(tmp_path, theories=["rest"] * 50_000)
+    with pytest.raises(InputError, match=r"theories are .* …; copy it again") as caught:
+        read_samples(tmp_path)
+    assert len(str(caught.value)) < 3000
