@@ -14,7 +14,7 @@ from decoder.places import Places
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import InputError
 
-PREFIX, PAIR = "places.", "pair_"
+PREFIX, PAIR, RATIO = "places.", "pair_", "noise_ratio"
 LEAST_PLACES = 4
 
 
@@ -85,6 +85,8 @@ def locator_arrays(locator: Locator) -> dict[str, Any]:
     """What stands in ``bundle.safetensors``."""
     places, learnt = locator.places, locator.correction
     arrays = places_arrays(places)
+    if locator.noise.ratio is not None:
+        arrays[RATIO] = locator.noise.ratio
     if learnt is not None:
         arrays |= {"centre": learnt.centre, "weight": learnt.weight}
     return {PREFIX + name: value for name, value in arrays.items()}
@@ -144,31 +146,19 @@ def locator_from(
             centroid_px=_positive(noise["centroid_px"]),
             share=float(_numbers([noise["share"]], 1)[0]),
             switched_px=float(_numbers([noise["switched_px"]], 1)[0]),
+            # Up to schema 1.5 there was none.
+            ratio=own.get(RATIO),
         ),
         correction=correction,
     )
 
 
 def _check(own: Mapping[str, Any], columns: int, *, learnt: bool, folder: Path) -> None:
-    wanted = ["point_mm", "along", "around", "shift_px", *(["centre", "weight"] if learnt else [])]
-    paired = any(name.startswith(PAIR) for name in own)
-    if paired:
-        wanted += [PAIR + name for name in ("point_mm", "along", "around", "rows")]
     where = f"{folder}/bundle.safetensors"
-    for name in wanted:
+    for name in _wanted(own, learnt=learnt):
         if name not in own:
             raise InputError(f"{where} lacks '{PREFIX}{name}'; rebuild the decoder")
-    count = len(own["point_mm"])
-    orders = own["shift_px"].shape[1] if own["shift_px"].ndim == 3 else 0
-    shapes = dict.fromkeys(("point_mm", "along", "around"), (count, 3))
-    expected: dict[str, tuple[int, ...]] = shapes | {"shift_px": (count, max(orders, 1), columns)}
-    if paired:
-        pairs = len(own[PAIR + "point_mm"])
-        expected |= dict.fromkeys((PAIR + n for n in ("point_mm", "along", "around")), (pairs, 3))
-        expected |= {PAIR + "rows": (pairs, ROWS, pairs)}
-    if learnt:
-        expected |= {"weight": (len(own["weight"]),), "centre": (len(own["weight"]), 5)}
-    for name, shape in expected.items():
+    for name, shape in _expected(own, columns, learnt=learnt).items():
         single = name in ("shift_px", PAIR + "rows")
         value, kind = own[name], np.float32 if single else np.float64
         if value.shape != shape or value.dtype != kind:
@@ -178,8 +168,44 @@ def _check(own: Mapping[str, Any], columns: int, *, learnt: bool, folder: Path) 
             )
         if not np.isfinite(value).all():
             raise InputError(f"{where}: {PREFIX}{name} holds numbers that are not finite")
+    count = len(own["point_mm"])
     if count < LEAST_PLACES:
         raise InputError(f"{where}: {PREFIX}point_mm has {count} places; rebuild the decoder")
+    if RATIO in own and not (own[RATIO] > 0.0).all():
+        raise InputError(
+            f"{where}: {PREFIX}{RATIO} holds {own[RATIO].min():g}, expected numbers above zero; "
+            "rebuild the decoder"
+        )
+
+
+def _paired(own: Mapping[str, Any]) -> bool:
+    """Whether there are tables of pairs, or parts of them."""
+    return any(name.startswith(PAIR) for name in own)
+
+
+def _wanted(own: Mapping[str, Any], *, learnt: bool) -> list[str]:
+    """Names of all arrays that must be there."""
+    wanted = ["point_mm", "along", "around", "shift_px", *(["centre", "weight"] if learnt else [])]
+    if _paired(own):
+        wanted += [PAIR + name for name in ("point_mm", "along", "around", "rows")]
+    return wanted
+
+
+def _expected(own: Mapping[str, Any], columns: int, *, learnt: bool) -> dict[str, tuple[int, ...]]:
+    """Shapes of all arrays, by name."""
+    count = len(own["point_mm"])
+    orders = own["shift_px"].shape[1] if own["shift_px"].ndim == 3 else 0
+    shapes = dict.fromkeys(("point_mm", "along", "around"), (count, 3))
+    expected: dict[str, tuple[int, ...]] = shapes | {"shift_px": (count, max(orders, 1), columns)}
+    if _paired(own):
+        pairs = len(own[PAIR + "point_mm"])
+        expected |= dict.fromkeys((PAIR + n for n in ("point_mm", "along", "around")), (pairs, 3))
+        expected |= {PAIR + "rows": (pairs, ROWS, pairs)}
+    if RATIO in own:
+        expected[RATIO] = (columns,)
+    if learnt:
+        expected |= {"weight": (len(own["weight"]),), "centre": (len(own["weight"]), 5)}
+    return expected
 
 
 def _numbers(values: Any, count: int) -> FloatArray:

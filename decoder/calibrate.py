@@ -6,16 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from decoder.contact_fit import Noise, Prior
+from decoder.contact_fit import Prior
 from decoder.correct import Correction, learn_correction
 from decoder.locate import Found, Located, Locator
-from decoder.samples import FAILED, Samples
+from decoder.marker_gain import gains, noise_px, shown, switched_px, with_gain
+from decoder.samples import FAILED, Samples, TouchRows
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import InputError
 
 SCALE_SAMPLES = 200
 """Samples that stiffness and noise are found with; more change them by less than their spread."""
-SCALE_ROUNDS = 2
+FIRST_SAMPLES, SCALE_ROUNDS = 100, 2
+"""Samples and rounds of a first look; gains of markers make up for what is left."""
 PLACE_LEAST_MM = 0.3
 """No place is known better beforehand."""
 NOISE_CHANGE = (0.25, 4.0)
@@ -58,16 +60,7 @@ def match(locator: Locator, samples: Samples, chosen: IntArray) -> Matches:
 
     A contact that was found as two, or two that were found as one, are no match.
     """
-    touches, truth, shift, bits = (
-        samples.touches,
-        samples.truth,
-        samples.shift_px,
-        samples.bits_read,
-    )
-    if touches is None or truth is None or shift is None or bits is None:
-        raise InputError(
-            "the samples hold no shifts, switches, contacts or truth; make them with --keep points"
-        )
+    touches, truth, shift, bits = samples.points()
     start = np.searchsorted(truth.sample, np.arange(samples.count + 1))
     rows: list[tuple[int, Located]] = []
     misfit = []
@@ -138,19 +131,10 @@ def calibrated(
     if len(chosen) > SCALE_SAMPLES:
         few = np.random.default_rng(seed).permutation(chosen)[:SCALE_SAMPLES]
     plain = replace(locator, correction=None, prior=learnt_prior(locator, samples, chosen))
-    stiffness, noise = 1.0, plain.noise
-    matches = match(plain, samples, few)
-    for _ in range(SCALE_ROUNDS):
-        factor = weighted_median(matches.truth_N / matches.force_N, matches.force_N / matches.sd_N)
-        stiffness *= factor
-        change = float(np.clip(np.sqrt(np.median(matches.misfit)), *NOISE_CHANGE))
-        noise = Noise(
-            centroid_px=noise.centroid_px * change, share=noise.share, switched_px=noise.switched_px
-        )
-        plain = replace(plain, places=plain.places.scaled(factor), noise=noise)
-        matches = match(plain, samples, few)
-    if len(few) < len(chosen):
-        matches = match(plain, samples, chosen)
+    plain, first = _scaled(plain, samples, few[:FIRST_SAMPLES], rounds=SCALE_ROUNDS)
+    plain, gain = _shown(plain, samples, chosen)
+    plain, second = _scaled(plain, samples, few, rounds=1)
+    matches = match(plain, samples, chosen)
     box = plain.position_mm
     empty = Correction(
         centre=np.zeros((0, 5)),
@@ -171,13 +155,64 @@ def calibrated(
         )
     facts = {
         "contacts": len(matches.force_N),
-        "stiffness": stiffness,
-        "noise_px": noise.centroid_px,
+        "stiffness": first * second,
+        "gain": float(np.sqrt(np.mean(gain**2))),
+        "noise_px": plain.noise.centroid_px,
+        "switched_px": plain.noise.switched_px,
         "place_mm": plain.prior.place_mm,
         "spread": correction.spread,
         "spread_share": correction.spread_share,
     }
     return replace(plain, correction=correction), facts
+
+
+def _scaled(
+    plain: Locator, samples: Samples, chosen: IntArray, *, rounds: int
+) -> tuple[Locator, float]:
+    """Locator as stiff and as noisy as samples (k,) say, and its stiffness over the one given."""
+    stiffness = 1.0
+    for _ in range(rounds):
+        matches = match(plain, samples, chosen)
+        factor = weighted_median(matches.truth_N / matches.force_N, matches.force_N / matches.sd_N)
+        stiffness *= factor
+        change = float(np.clip(np.sqrt(np.median(matches.misfit)), *NOISE_CHANGE))
+        noise = replace(plain.noise, centroid_px=plain.noise.centroid_px * change)
+        plain = replace(plain, places=plain.places.scaled(factor), noise=noise)
+    return plain, stiffness
+
+
+def _shown(plain: Locator, samples: Samples, chosen: IntArray) -> tuple[Locator, FloatArray]:
+    """Locator that knows how this print's markers show motion, and their gains (n, 2, 2)."""
+    touches, *_ = samples.points()
+    moments = np.tile(plain.prior.moments_mm2, (len(touches.force_N), 1))
+    sized = np.flatnonzero(touches.radius_mm > 0.0)
+    moments[sized] = _moments_over_disc(plain, touches, sized)
+    seen = shown(plain, samples, chosen, moments)
+    gain = gains(seen)
+    each = noise_px(seen, gain)
+    usual = float(np.sqrt(np.mean(each**2)))
+    on = switched_px(seen, gain)
+    noise = replace(
+        plain.noise,
+        centroid_px=usual,
+        ratio=each / usual,
+        switched_px=plain.noise.switched_px if on is None else on,
+    )
+    return replace(plain, places=with_gain(plain.places, gain), noise=noise), gain
+
+
+def _moments_over_disc(locator: Locator, touches: TouchRows, rows: IntArray) -> FloatArray:
+    """Second moments (k, 3) mm² of contacts' pressures, less those of the tables' disc."""
+    moments = second_moments(
+        {
+            "indenter": touches.indenter[rows],
+            "radius_mm": touches.radius_mm[rows],
+            "length_mm": touches.length_mm[rows],
+            "turn_rad": touches.turn_rad[rows],
+        }
+    )
+    moments[:, [0, 2]] -= locator.places.radius_mm**2 / 4.0
+    return moments
 
 
 def weighted_median(values: FloatArray, weights: FloatArray) -> float:
@@ -203,15 +238,7 @@ def learnt_prior(locator: Locator, samples: Samples, chosen: IntArray) -> Prior:
         prior = replace(prior, place_mm=max(each, PLACE_LEAST_MM))
     sized = np.flatnonzero(np.isin(touches.sample, chosen) & (touches.radius_mm > 0.0))
     if len(sized) >= CORRECTION_LEAST:
-        moments = second_moments(
-            {
-                "indenter": touches.indenter[sized],
-                "radius_mm": touches.radius_mm[sized],
-                "length_mm": touches.length_mm[sized],
-                "turn_rad": touches.turn_rad[sized],
-            }
-        )
-        moments[:, [0, 2]] -= locator.places.radius_mm**2 / 4.0
+        moments = _moments_over_disc(locator, touches, sized)
         mean, sd = moments.mean(axis=0), np.maximum(moments.std(axis=0), 0.5)
         prior = replace(
             prior,

@@ -49,16 +49,24 @@ class Noise:
     Attributes
     ----------
     centroid_px : float
-        Of each coordinate.
+        Of a coordinate, as a rule.
     share : float
         Of the explained shift besides: the tables are not exact.
     switched_px : float
         Of receptors whose red tip is out besides: how much paint it covers changes with the load.
+    ratio : (2n,) float, optional
+        Of each coordinate (x0, y0, x1, …), over ``centroid_px``; 1 if not given.
     """
 
     centroid_px: float
     share: float = 0.01
     switched_px: float = 0.5
+    ratio: FloatArray | None = None
+
+    @property
+    def each_px(self) -> FloatArray | float:
+        """Of each coordinate, (2n,) or one for all."""
+        return self.centroid_px if self.ratio is None else self.centroid_px * self.ratio
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,7 +199,7 @@ def fit(places: Places, states: list[State], seen: Seen, *, prior: Prior, noise:
         parts = [explain(state, places.orders) for state in states]
         total = np.sum([part[0] for part in parts], axis=0)
         slope = np.concatenate([part[1] for part in parts])
-        spread = noise.centroid_px**2 + (noise.share * total) ** 2
+        spread = noise.each_px**2 + (noise.share * total) ** 2
         spread[switched] += noise.switched_px**2
         inverse = np.where(seen.found, 1.0 / spread, 0.0)
         left = seen.shift_px - total

@@ -333,7 +333,7 @@ class Locator:
 
 def _nothing(seen: Seen, noise: Noise) -> Found:
     """No contact."""
-    square = float(np.sum(seen.shift_px**2)) / noise.centroid_px**2
+    square = float(np.sum((seen.shift_px / noise.each_px) ** 2))
     return Found(
         contacts=[],
         misfit=square / max(int(seen.found.sum()), 1),

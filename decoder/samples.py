@@ -175,6 +175,22 @@ class Samples:
         """Why a sample is not ok, each as a sentence; empty for one that is."""
         return [self.reasons[i] for i in self.reason_index[self.reason_sample == sample]]
 
+    def points(self) -> tuple[TouchRows, TruthRows, FloatArray, BoolArray]:
+        """Contacts, truth, shifts and switches read, of samples that hold them.
+
+        Raises
+        ------
+        InputError
+            If one is missing.
+        """
+        touches, truth, shift, bits = self.touches, self.truth, self.shift_px, self.bits_read
+        if touches is None or truth is None or shift is None or bits is None:
+            raise InputError(
+                "the samples hold no shifts, switches, contacts or truth; make them with --keep "
+                "points"
+            )
+        return touches, truth, shift, bits
+
 
 @dataclass(frozen=True, kw_only=True)
 class Meta:

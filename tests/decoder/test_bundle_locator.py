@@ -48,7 +48,12 @@ def bundle() -> Bundle:
         footprint_mm=2.0,
         threshold_N=plain.threshold_N,
         prior=Prior(place_mm=1.0, moments_mm2=(0.1, 0.2, 0.3), moments_sd_mm2=(1.0, 2.0, 3.0)),
-        noise=Noise(centroid_px=0.05, share=0.01, switched_px=0.4),
+        noise=Noise(
+            centroid_px=0.05,
+            share=0.01,
+            switched_px=0.4,
+            ratio=rng.uniform(0.5, 2.0, 2 * count),
+        ),
         correction=Correction(
             centre=rng.normal(size=(7, 5)),
             weight=rng.normal(size=7),
@@ -71,7 +76,9 @@ def test_bundle_keeps_it_whole(tmp_path: Path) -> None:
     assert loaded.locator is not None
     assert saved.model.locator is not None
     one, two = saved.model.locator, loaded.locator
-    assert (one.prior, one.noise, one.footprint_mm) == (two.prior, two.noise, two.footprint_mm)
+    assert (one.prior, one.footprint_mm) == (two.prior, two.footprint_mm)
+    assert replace(one.noise, ratio=None) == replace(two.noise, ratio=None)
+    np.testing.assert_array_equal(one.noise.each_px, two.noise.each_px)
     assert one.correction is not None
     assert two.correction is not None
     for name in ("centre", "weight", "low_mm", "size_mm", "force_max_N", "spread", "spread_share"):
@@ -130,6 +137,14 @@ def _pairs_gone(arrays: dict[str, Any]) -> None:
     del arrays["places.pair_rows"]
 
 
+def _noise_cut(arrays: dict[str, Any]) -> None:
+    arrays["places.noise_ratio"] = arrays["places.noise_ratio"][1:]
+
+
+def _noise_none(arrays: dict[str, Any]) -> None:
+    arrays["places.noise_ratio"][5] = 0.0
+
+
 def _few(arrays: dict[str, Any]) -> None:
     for name in ("point_mm", "along", "around", "shift_px"):
         arrays[f"places.{name}"] = np.ascontiguousarray(arrays[f"places.{name}"][:2])
@@ -144,6 +159,8 @@ def _few(arrays: dict[str, Any]) -> None:
         (_gone, "lacks 'places.along'"),
         (_unlearnt, "lacks 'places.weight'"),
         (_few, "2 places"),
+        (_noise_cut, "different builds"),
+        (_noise_none, "holds 0, expected numbers above zero"),
         (_pairs_cut, "different builds"),
         (_pairs_nan, "not finite"),
         (_pairs_gone, "lacks 'places.pair_rows'"),

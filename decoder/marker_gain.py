@@ -1,0 +1,126 @@
+"""How the markers of one print show the wall's motion: each one's own gain and noise.
+
+A receptor that stands a little aside or is a little longer than designed, before a camera that
+stands a little aside, shows a motion of the wall by another 2×2 matrix than the design's, and so
+moves in the image by ``(1 + G) e`` where the tables say ``e``. Contacts of known force, place and
+size tell G of every marker by ridge regression (Hoerl and Kennard 1970): with few samples it stays
+near 0. What is left then is its noise.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from decoder.contact_fit import explain, start
+from decoder.locate import Locator
+from decoder.places import Places
+from decoder.samples import FAILED, Samples
+from shapes.arrays import BoolArray, FloatArray, IntArray
+
+GAIN_SD = 0.02
+"""Presumed standard deviation of G's entries."""
+MOVED_px = 0.2
+"""Markers that should move by more tell their gain."""
+LITTLE_px = 1.0
+"""Markers that should move by less tell their noise, that of pixels they move over with it."""
+SWITCHED_LEAST = 10
+"""Fewer markers with a switch that is on tell nothing of their noise."""
+PRESUMED = 10.0
+"""Measurements that what is presumed of a marker's noise counts for."""
+PASSES = 2
+"""Of gain and spread in turns."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """What the tables say of contacts of known force, place and size, and what is left of it.
+
+    Attributes
+    ----------
+    explained_px : (s, n, 2) float
+        Shifts by the tables.
+    left_px : (s, n, 2) float
+        Measured shifts less these; NaN where a marker was not found.
+    on : (s, n) bool
+        Switches that are on: how much paint a tip covers changes with the load.
+    """
+
+    explained_px: FloatArray
+    left_px: FloatArray
+    on: BoolArray
+
+    def after(self, gain: FloatArray) -> FloatArray:
+        """What is left (s, n, 2) px once markers have their gain (n, 2, 2)."""
+        return np.asarray(self.left_px - np.einsum("kab,skb->ska", gain, self.explained_px))
+
+
+def shown(locator: Locator, samples: Samples, chosen: IntArray, moments_mm2: FloatArray) -> Shown:
+    """Look at samples (k,), whose contacts have second moments (c, 3) less those of the disc.
+
+    Without any contact that pressed, or that failed, a sample is left out.
+    """
+    touches, _, shift, bits = samples.points()
+    first = np.searchsorted(touches.sample, np.arange(samples.count + 1))
+    explained: list[FloatArray] = []
+    used: list[int] = []
+    for sample in chosen:
+        rows = np.arange(first[sample], first[sample + 1])
+        rows = rows[touches.force_N[rows] > 0.0]
+        if samples.status[sample] == FAILED or len(rows) == 0:
+            continue
+        total = np.zeros(2 * samples.markers)
+        for row in rows:
+            force = float(touches.force_N[row])
+            state = start(locator.places, locator.prior, touches.point_mm[row], force)
+            state.x[3:] = moments_mm2[row]
+            total += explain(state, locator.places.orders)[0]
+        explained.append(total.reshape(-1, 2))
+        used.append(int(sample))
+    e = np.array(explained).reshape(-1, samples.markers, 2)
+    return Shown(explained_px=e, left_px=shift[used] - e, on=bits[used])
+
+
+def gains(seen: Shown) -> FloatArray:
+    """G (n, 2, 2) of every marker."""
+    known = np.isfinite(seen.left_px[:, :, 0]) & ~seen.on
+    e = np.where(known[:, :, None], seen.explained_px, 0.0)
+    r = np.where(known[:, :, None], seen.left_px, 0.0)
+    square = np.einsum("ska,skb->kab", e, e)
+    both = np.einsum("ska,skb->kab", r, e)
+    moved = known & (np.linalg.norm(e, axis=2) > MOVED_px)
+    usual = float(np.mean(r[moved] ** 2)) if moved.any() else 1.0
+    variance = np.full(e.shape[1], usual)
+    gain = np.zeros_like(square)
+    for _ in range(PASSES):
+        ridge = (variance / GAIN_SD**2)[:, None, None] * np.eye(2)
+        # Both are symmetric: G A = B.
+        gain = np.swapaxes(np.linalg.solve(square + ridge, np.swapaxes(both, 1, 2)), 1, 2)
+        after = (r - np.einsum("kab,skb->ska", gain, e)) * moved[:, :, None]
+        spent = np.sum(after**2, axis=(0, 2)) + PRESUMED * usual
+        variance = spent / (2.0 * moved.sum(axis=0) + PRESUMED)
+    return np.asarray(gain)
+
+
+def noise_px(seen: Shown, gain: FloatArray) -> FloatArray:
+    """Standard deviation (2n,) px of shifts, as x0, y0, x1, …, of markers that move little."""
+    after = seen.after(gain)
+    little = np.linalg.norm(seen.explained_px, axis=2) < LITTLE_px
+    known = np.isfinite(after) & (little & ~seen.on)[:, :, None]
+    square = np.sum(np.where(known, after, 0.0) ** 2, axis=0)
+    number = known.sum(axis=0)
+    usual = float(np.median(square[number > 0] / number[number > 0]))
+    return np.asarray(np.sqrt((square + PRESUMED * usual) / (number + PRESUMED)).reshape(-1))
+
+
+def switched_px(seen: Shown, gain: FloatArray) -> float | None:
+    """Standard deviation of the shifts of markers whose switch is on; None if too few are."""
+    after = seen.after(gain)[seen.on]
+    after = after[np.isfinite(after[:, 0])]
+    return float(np.sqrt(np.mean(after**2))) if len(after) >= SWITCHED_LEAST else None
+
+
+def with_gain(places: Places, gain: FloatArray) -> Places:
+    """Tables of a sensor whose markers show motion by ``1 + gain`` (n, 2, 2)."""
+    rows = places.shift_px.reshape(*places.shift_px.shape[:2], -1, 2)
+    more = np.einsum("pkna,nba->pknb", rows, gain.astype(np.float32))
+    return replace(places, shift_px=(rows + more).reshape(places.shift_px.shape))
