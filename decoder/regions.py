@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from shapes.arrays import BoolArray, FloatArray, IntArray
-from shapes.errors import InputError
+from shapes.errors import InputError, cause_of
 from shapes.reading import read_text, toml_table
 
 REGIONS_MAX = 64
@@ -191,7 +191,7 @@ def _read(path: Path) -> dict[str, Any]:
         data = json.loads(text) if path.suffix.lower() == ".json" else toml_table(text)
     except (ValueError, RecursionError) as error:
         kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
-        raise InputError(f"{path} is no {kind}: {error}") from None
+        raise InputError(f"{path} is no {kind}: {cause_of(error)}") from None
     if not isinstance(data, dict):
         raise InputError(f"{path}: no table of regions; see docs/streaming.md")
     return data

@@ -18,7 +18,7 @@ from decoder.contacts import Contact, ContactFinder
 from decoder.limits import named
 from decoder.regions import Region, RegionForces
 from shapes.arrays import FloatArray, IntArray
-from shapes.errors import InputError
+from shapes.errors import InputError, cause_of
 
 FORMAT = "phytac-stream"
 VERSION = "1.1"
@@ -356,7 +356,7 @@ def _parsed(text: bytes) -> Message:
     try:
         message = json.loads(text, parse_constant=_refuse)
     except ValueError as error:
-        raise InputError(f"not a message of a stream: {error}; {ASK}") from None
+        raise InputError(f"not a message of a stream: {cause_of(error)}; {ASK}") from None
     except RecursionError:
         raise InputError(f"not a message of a stream: nested too deeply; {ASK}") from None
     if not isinstance(message, dict) or not isinstance(message.get("type"), str):

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from shapes.errors import InputError, MissingPartError, OutputError
+from shapes.errors import InputError, MissingPartError, OutputError, cause_of
 
 WHOLE = ("sequence", "contacts", "contact", "id")
 """Columns of whole numbers; empty where a frame has no contact."""
@@ -103,5 +103,5 @@ def _read(arrow: Any, recording: Path) -> Any:
             each = arrow.compute.split_pattern(table["markers"], " ")
             table = table.set_column(place, "markers", each.cast(arrow.list_(arrow.int32())))
         except arrow.ArrowInvalid as error:
-            raise InputError(f"{recording} is no recording: markers: {error}") from None
+            raise InputError(f"{recording} is no recording: markers: {cause_of(error)}") from None
     return table

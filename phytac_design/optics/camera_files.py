@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from decoder.lens import LENSES, Lens
-from shapes.errors import DesignError, InputError, OutputError
+from shapes.errors import DesignError, InputError, OutputError, cause_of
 from shapes.reading import read_text
 
 FileFormat = Literal["opencv", "ros", "kalibr"]
@@ -55,7 +55,8 @@ def read_lens(path: Path) -> Lens:
         text = read_text(path, bytes_max=BYTES_MAX)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
-            f"camera calibration {path} cannot be read ({error}); give the path of a YAML file"
+            f"camera calibration {path} cannot be read ({cause_of(error)}); give the path of a "
+            "YAML file"
         ) from error
     try:
         if text.lstrip().startswith("%YAML:1.0") or "!!opencv-matrix" in text:
@@ -71,7 +72,9 @@ def read_lens(path: Path) -> Lens:
         ) from None
     except BROKEN as error:
         what = (
-            f"{error} is missing" if isinstance(error, KeyError) else " ".join(str(error).split())
+            f"{error} is missing"
+            if isinstance(error, KeyError)
+            else " ".join(cause_of(error).split())
         )
         raise InputError(
             f"camera calibration {path} is not usable: {what[:SHOWN]}; {AGAIN}"

@@ -9,7 +9,7 @@ import numpy as np
 
 from phytac_design.mechanics.switch.materials import Material, Ogden, Yeoh, bulk_of
 from shapes.arrays import FloatArray
-from shapes.errors import InputError
+from shapes.errors import InputError, cause_of
 from shapes.reading import read_text
 
 Law = Literal["neo-hookean", "yeoh", "ogden"]
@@ -95,7 +95,7 @@ def read_test(path: Path) -> tuple[FloatArray, FloatArray]:
         return data[:, names.index("stretch")], data[:, names.index("stress_MPa")]
     except (OSError, ValueError, IndexError) as error:
         raise InputError(
-            f"{path} is not a tensile test ({error}); write a CSV with the header "
+            f"{path} is not a tensile test ({cause_of(error)}); write a CSV with the header "
             "'stretch,stress_MPa' and one line per reading"
         ) from None
 

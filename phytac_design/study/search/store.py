@@ -19,7 +19,7 @@ from phytac_design.study.search.file import Study
 from phytac_design.study.search.ladder import Outcome, Task, spec_of
 from phytac_design.study.search.measures import measures_up_to
 from phytac_design.study.search.space import Params, Space
-from shapes.errors import InputError, OutputError
+from shapes.errors import InputError, OutputError, cause_of
 
 STUDY, RESULTS, PARTS, OPEN = "study.json", "results.parquet", "parts", "open.jsonl"
 GROUP_ROWS = 4096
@@ -238,8 +238,8 @@ def read_study(folder: Path) -> tuple[Study, dict[str, Any], str]:
         return Study.model_validate(data["study"]), data["base"], data["kind"]
     except (OSError, ValueError, KeyError) as error:
         raise InputError(
-            f"{folder} holds no study ({error}); give the folder that `phytac sweep` or `phytac "
-            "optimise` wrote"
+            f"{folder} holds no study ({cause_of(error)}); give the folder that `phytac sweep` or "
+            "`phytac optimise` wrote"
         ) from None
 
 
