@@ -1,15 +1,17 @@
 """What one sensor's own samples tell its locator: stiffness, priors, noise, correction, spread."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
-from decoder.contact_fit import Prior
+from decoder.contact_fit import Noise, Prior
 from decoder.correct import Correction, learn_correction
 from decoder.locate import Found, Located, Locator
-from decoder.marker_gain import gains, noise_px, shown, switched_px, with_gain
+from decoder.marker_gain import Shown, gains, noise_px, shown, switched_px, with_gain
+from decoder.places import Places
 from decoder.samples import FAILED, Samples, TouchRows
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import InputError
@@ -20,6 +22,8 @@ FIRST_SAMPLES, SCALE_ROUNDS = 100, 2
 """Samples and rounds of a first look; gains of markers make up for what is left."""
 PLACE_LEAST_MM = 0.3
 """No place is known better beforehand."""
+FOLDS = 3
+"""Parts of the samples: each is read with gains that the others told."""
 NOISE_CHANGE = (0.25, 4.0)
 CORRECTION_LEAST = 10
 """Fewer contacts tell a stiffness, and no more."""
@@ -132,9 +136,11 @@ def calibrated(
         few = np.random.default_rng(seed).permutation(chosen)[:SCALE_SAMPLES]
     plain = replace(locator, correction=None, prior=learnt_prior(locator, samples, chosen))
     plain, first = _scaled(plain, samples, few[:FIRST_SAMPLES], rounds=SCALE_ROUNDS)
-    plain, gain = _shown(plain, samples, chosen)
+    seen = shown(plain, samples, chosen, _moments(plain, samples))
+    gain, design = gains(seen), plain.places
+    plain = replace(plain, places=with_gain(design, gain), noise=_noise(plain.noise, seen, gain))
     plain, second = _scaled(plain, samples, few, rounds=1)
-    matches = match(plain, samples, chosen)
+    matches = _left_out(plain, design.scaled(second), seen, samples, chosen)
     box = plain.position_mm
     empty = Correction(
         centre=np.zeros((0, 5)),
@@ -181,24 +187,49 @@ def _scaled(
     return plain, stiffness
 
 
-def _shown(plain: Locator, samples: Samples, chosen: IntArray) -> tuple[Locator, FloatArray]:
-    """Locator that knows how this print's markers show motion, and their gains (n, 2, 2)."""
+def _moments(plain: Locator, samples: Samples) -> FloatArray:
+    """Second moments (c, 3) mm² of all contacts less the disc's; of unknown ones the usual."""
     touches, *_ = samples.points()
     moments = np.tile(plain.prior.moments_mm2, (len(touches.force_N), 1))
     sized = np.flatnonzero(touches.radius_mm > 0.0)
     moments[sized] = _moments_over_disc(plain, touches, sized)
-    seen = shown(plain, samples, chosen, moments)
-    gain = gains(seen)
-    each = noise_px(seen, gain)
+    return moments
+
+
+def _noise(before: Noise, seen: Shown, gain: FloatArray) -> Noise:
+    """Noise of each marker, and of those whose switch is on."""
+    each, on = noise_px(seen, gain), switched_px(seen, gain)
     usual = float(np.sqrt(np.mean(each**2)))
-    on = switched_px(seen, gain)
-    noise = replace(
-        plain.noise,
+    return replace(
+        before,
         centroid_px=usual,
         ratio=each / usual,
-        switched_px=plain.noise.switched_px if on is None else on,
+        switched_px=before.switched_px if on is None else on,
     )
-    return replace(plain, places=with_gain(plain.places, gain), noise=noise), gain
+
+
+def _left_out(
+    plain: Locator, design: Places, seen: Shown, samples: Samples, chosen: IntArray
+) -> Matches:
+    """Contacts of all samples, each found with gains that other samples told.
+
+    With gains of its own a sample would be read better than a new one is.
+    """
+    fold = np.arange(len(chosen)) % min(FOLDS, len(chosen))
+    parts = []
+    for number in range(int(fold.max()) + 1):
+        gain = gains(seen.pick(fold != number))
+        others = replace(plain, places=with_gain(design, gain))
+        with suppress(InputError):
+            parts.append(match(others, samples, chosen[fold == number]))
+    if not parts:
+        return match(plain, samples, chosen)
+    return Matches(
+        **{
+            field.name: np.concatenate([getattr(part, field.name) for part in parts])
+            for field in fields(Matches)
+        }
+    )
 
 
 def _moments_over_disc(locator: Locator, touches: TouchRows, rows: IntArray) -> FloatArray:

@@ -7,7 +7,7 @@ size tell G of every marker by ridge regression (Hoerl and Kennard 1970): with f
 near 0. What is left then is its noise.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -49,6 +49,12 @@ class Shown:
     left_px: FloatArray
     on: BoolArray
 
+    def pick(self, rows: BoolArray) -> "Shown":
+        """Some samples (s,) of these."""
+        return Shown(
+            explained_px=self.explained_px[rows], left_px=self.left_px[rows], on=self.on[rows]
+        )
+
     def after(self, gain: FloatArray) -> FloatArray:
         """What is left (s, n, 2) px once markers have their gain (n, 2, 2)."""
         return np.asarray(self.left_px - np.einsum("kab,skb->ska", gain, self.explained_px))
@@ -57,13 +63,13 @@ class Shown:
 def shown(locator: Locator, samples: Samples, chosen: IntArray, moments_mm2: FloatArray) -> Shown:
     """Look at samples (k,), whose contacts have second moments (c, 3) less those of the disc.
 
-    Without any contact that pressed, or that failed, a sample is left out.
+    Of a sample that failed, or that nothing pressed, nothing is explained and nothing left.
     """
     touches, _, shift, bits = samples.points()
     first = np.searchsorted(touches.sample, np.arange(samples.count + 1))
-    explained: list[FloatArray] = []
-    used: list[int] = []
-    for sample in chosen:
+    explained = np.zeros((len(chosen), samples.markers, 2))
+    left = np.full(explained.shape, np.nan)
+    for number, sample in enumerate(chosen):
         rows = np.arange(first[sample], first[sample + 1])
         rows = rows[touches.force_N[rows] > 0.0]
         if samples.status[sample] == FAILED or len(rows) == 0:
@@ -74,10 +80,9 @@ def shown(locator: Locator, samples: Samples, chosen: IntArray, moments_mm2: Flo
             state = start(locator.places, locator.prior, touches.point_mm[row], force)
             state.x[3:] = moments_mm2[row]
             total += explain(state, locator.places.orders)[0]
-        explained.append(total.reshape(-1, 2))
-        used.append(int(sample))
-    e = np.array(explained).reshape(-1, samples.markers, 2)
-    return Shown(explained_px=e, left_px=shift[used] - e, on=bits[used])
+        explained[number] = total.reshape(-1, 2)
+        left[number] = shift[sample] - explained[number]
+    return Shown(explained_px=explained, left_px=left, on=bits[chosen])
 
 
 def gains(seen: Shown) -> FloatArray:
@@ -123,4 +128,4 @@ def with_gain(places: Places, gain: FloatArray) -> Places:
     """Tables of a sensor whose markers show motion by ``1 + gain`` (n, 2, 2)."""
     rows = places.shift_px.reshape(*places.shift_px.shape[:2], -1, 2)
     more = np.einsum("pkna,nba->pknb", rows, gain.astype(np.float32))
-    return replace(places, shift_px=(rows + more).reshape(places.shift_px.shape))
+    return places.with_rows((rows + more).reshape(places.shift_px.shape), places.pairs)
