@@ -93,6 +93,8 @@ def _row(path: Path, number: int, names: list[str], cells: list[str]) -> dict[st
             value = np.nan
         if not np.isfinite(value) or (name == "height_mm" and value <= 0.0):
             wanted = "a height above 0" if name == "height_mm" else "a number"
-            raise DesignError(f"{path}, line {number}: {name} must be {wanted} (got {cell!r})")
+            raise DesignError(
+                f"{path}, line {number}: {name} must be {wanted} (got {cell[:SHOWN]!r})"
+            )
         row[name] = value
     return row

@@ -304,3 +304,20 @@ def test_files_are_read_as_they_are(tmp_path: Path) -> None:
     assert read_bytes(link) == path.read_bytes()
     with pytest.raises(InputError):
         read_test(path)
+
+
+@pytest.mark.parametrize(
+    ("read", "text"),
+    [
+        (read_positions, "u,v\n1,{}\n"),
+        (read_test, "stretch,stress_MPa\n1,{}\n"),
+    ],
+)
+def test_a_message_quotes_little_of_a_cell(
+    read: Callable[[Path], Any], text: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "x.csv"
+    path.write_text(text.format("9" * 40_000 + "x"))
+    with pytest.raises(PhytacError) as caught:
+        read(path)
+    assert len(str(caught.value)) < 3_000

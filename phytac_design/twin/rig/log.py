@@ -32,6 +32,7 @@ BENCH = {
 }
 """Columns of ``phytac calibrate`` and of the bench's log, and what they are called here."""
 SHOWN = 10
+CELL_SHOWN = 100
 BYTES_MAX = 1 << 28
 """A log of days; a larger one is something else."""
 SPLIT = "fields are separated by commas, decimals by a point"
@@ -290,7 +291,7 @@ def _numbers(
         problems.add(
             sample[bad],
             (
-                f"line {line[k]}: {name} is not a {_kind(name)} (got {cells[k]!r})"
+                f"line {line[k]}: {name} is not a {_kind(name)} (got {cells[k][:CELL_SHOWN]!r})"
                 for k in np.flatnonzero(bad)
             ),
         )
@@ -330,6 +331,7 @@ def _indenters(
         else:
             problems.add(
                 int(sample[k]),
-                f"line {line[k]}: indenter must be one of {', '.join(INDENTERS)} (got {cell!r})",
+                f"line {line[k]}: indenter must be one of {', '.join(INDENTERS)} (got "
+                f"{cell[:CELL_SHOWN]!r})",
             )
     return out
