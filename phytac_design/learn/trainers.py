@@ -92,7 +92,7 @@ def rmse_N(network: CascadeNetwork, rows: KeyNodeData) -> float:
 
 
 def calibrate_auto(lesson: Lesson) -> tuple[ForceModel, dict[str, Any]]:
-    """Let the estimator ``auto`` know its sensor: stiffness, noise, priors, correction, spread.
+    """Let ``auto`` know its sensor: stiffness, markers' gains, noise, priors, correction, spread.
 
     Where all samples are of linear theory, its tables are cut to that too.
 
