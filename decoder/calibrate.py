@@ -16,13 +16,13 @@ from decoder.samples import FAILED, Samples, TouchRows
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import InputError
 
-SCALE_SAMPLES = 200
+SCALE_SAMPLES = 100
 """Samples that stiffness and noise are found with; more change them by less than their spread."""
-FIRST_SAMPLES, SCALE_ROUNDS = 100, 2
+FIRST_SAMPLES, SCALE_ROUNDS = 50, 2
 """Samples and rounds of a first look; gains of markers make up for what is left."""
 PLACE_LEAST_MM = 0.3
 """No place is known better beforehand."""
-FOLDS = 3
+FOLDS = 10
 """Parts of the samples: each is read with gains that the others told."""
 NOISE_CHANGE = (0.25, 4.0)
 CORRECTION_LEAST = 10
