@@ -10,7 +10,7 @@ import numpy as np
 from decoder.contact_fit import Noise, Prior
 from decoder.correct import Correction, learn_correction
 from decoder.locate import Found, Located, Locator
-from decoder.marker_gain import Shown, gains, noise_px, shown, switched_px, with_gain
+from decoder.marker_gain import LeftOut, gains, left_out, noise_of, shown, with_gain
 from decoder.places import Places
 from decoder.samples import FAILED, Samples, TouchRows
 from shapes.arrays import FloatArray, IntArray
@@ -22,8 +22,8 @@ FIRST_SAMPLES, SCALE_ROUNDS = 50, 2
 """Samples and rounds of a first look; gains of markers make up for what is left."""
 PLACE_LEAST_MM = 0.3
 """No place is known better beforehand."""
-FOLDS = 10
-"""Parts of the samples: each is read with gains that the others told."""
+PARTS = 10
+"""Of the samples: each is read with gains that the others told."""
 NOISE_CHANGE = (0.25, 4.0)
 CORRECTION_LEAST = 10
 """Fewer contacts tell a stiffness, and no more."""
@@ -137,10 +137,11 @@ def calibrated(
     plain = replace(locator, correction=None, prior=learnt_prior(locator, samples, chosen))
     plain, first = _scaled(plain, samples, few[:FIRST_SAMPLES], rounds=SCALE_ROUNDS)
     seen = shown(plain, samples, chosen, _moments(plain, samples))
-    gain, design = gains(seen), plain.places
-    plain = replace(plain, places=with_gain(design, gain), noise=_noise(plain.noise, seen, gain))
+    gain, parts, design = gains(seen), left_out(seen, PARTS), plain.places
+    noise = _noise(plain.noise, *noise_of(seen, parts))
+    plain = replace(plain, places=with_gain(design, gain), noise=noise)
     plain, second = _scaled(plain, samples, few, rounds=1)
-    matches = _left_out(plain, design.scaled(second), seen, samples, chosen)
+    matches = _left_out(plain, design.scaled(second), parts, samples, chosen)
     box = plain.position_mm
     empty = Correction(
         centre=np.zeros((0, 5)),
@@ -196,40 +197,30 @@ def _moments(plain: Locator, samples: Samples) -> FloatArray:
     return moments
 
 
-def _noise(before: Noise, seen: Shown, gain: FloatArray) -> Noise:
+def _noise(before: Noise, each_px: FloatArray, switched_px: float | None) -> Noise:
     """Noise of each marker, and of those whose switch is on."""
-    each, on = noise_px(seen, gain), switched_px(seen, gain)
-    usual = float(np.sqrt(np.mean(each**2)))
+    usual = float(np.sqrt(np.mean(each_px**2)))
     return replace(
         before,
         centroid_px=usual,
-        ratio=each / usual,
-        switched_px=before.switched_px if on is None else on,
+        ratio=each_px / usual,
+        switched_px=before.switched_px if switched_px is None else switched_px,
     )
 
 
 def _left_out(
-    plain: Locator, design: Places, seen: Shown, samples: Samples, chosen: IntArray
+    plain: Locator, design: Places, parts: list[LeftOut], samples: Samples, chosen: IntArray
 ) -> Matches:
-    """Contacts of all samples, each found with gains that other samples told.
-
-    With gains of its own a sample would be read better than a new one is.
-    """
-    fold = np.arange(len(chosen)) % min(FOLDS, len(chosen))
-    parts = []
-    for number in range(int(fold.max()) + 1):
-        gain = gains(seen.pick(fold != number))
-        others = replace(plain, places=with_gain(design, gain))
-        with suppress(InputError):
-            parts.append(match(others, samples, chosen[fold == number]))
-    if not parts:
+    """Contacts of all samples, each found with gains that other samples told."""
+    found = []
+    for part in parts:
+        others = replace(plain, places=with_gain(design, part.gain))
+        with suppress(InputError):  # none of a few samples may be found again
+            found.append(match(others, samples, chosen[part.rows]))
+    if not found:
         return match(plain, samples, chosen)
-    return Matches(
-        **{
-            field.name: np.concatenate([getattr(part, field.name) for part in parts])
-            for field in fields(Matches)
-        }
-    )
+    columns = {f.name: np.concatenate([getattr(m, f.name) for m in found]) for f in fields(Matches)}
+    return Matches(**columns)
 
 
 def _moments_over_disc(locator: Locator, touches: TouchRows, rows: IntArray) -> FloatArray:

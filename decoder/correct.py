@@ -24,6 +24,8 @@ PASSES = 3
 """Rounds of weighing contacts by how well they turn out to be known."""
 FACTORS = np.geomspace(0.5, 4.0, 25)
 """Factors on standard deviations that are looked at."""
+LAPLACE = 2.0**0.5
+"""Standard deviation of a Laplace distribution, over its mean absolute deviation."""
 QUANTILE_90 = 1.6449
 """Half-width of a normal distribution's central 90 %, in standard deviations."""
 
@@ -137,22 +139,17 @@ def calibrated_spread(
 ) -> tuple[float, float]:
     """Factor on standard deviations, and share of the force, for 90 % of errors within 90 %.
 
-    Of all such pairs the one that does so best among contacts that are known well, and among
-    those that are not, apart.
+    Of all such pairs the likeliest, with errors as Laplace has them: some are far larger than
+    most.
     """
-    ratio = sd_N / force_N
-    known = ratio <= np.median(ratio)
     best = (np.inf, 1.0, 0.0)
     for factor in FACTORS:
         scale = _share_for(error_N, factor * sd_N, force_N)
         if scale is None:
             continue
-        inside = error_N <= QUANTILE_90 * np.hypot(factor * sd_N, scale * force_N)
-        uneven = abs(
-            float(inside[known].mean())
-            - float(inside[~known].mean() if len(inside[~known]) else 0.9)
-        )
-        best = min(best, (uneven, float(factor), scale))
+        total = np.hypot(factor * sd_N, scale * force_N)
+        score = float(np.mean(np.log(total) + LAPLACE * error_N / total))
+        best = min(best, (score, float(factor), scale))
     if np.isinf(best[0]):
         # Errors are below the least noise looked at.
         return float(np.quantile(error_N / sd_N, 0.9)) / QUANTILE_90, 0.0
@@ -161,9 +158,11 @@ def calibrated_spread(
 
 def _share_for(error_N: FloatArray, sd_N: FloatArray, force_N: FloatArray) -> float | None:
     """Share of the force that makes up for what noise does not; None where noise is too much."""
+    # So that a new one lies within as often (conformal prediction, Vovk et al. 2005).
+    level = min(0.9 * (len(error_N) + 1) / len(error_N), 1.0)
 
     def quantile(share: float) -> float:
-        return float(np.quantile(error_N / np.hypot(sd_N, share * force_N), 0.9))
+        return float(np.quantile(error_N / np.hypot(sd_N, share * force_N), level))
 
     if quantile(0.0) < QUANTILE_90:
         return None

@@ -7,6 +7,7 @@ size tell G of every marker by ridge regression (Hoerl and Kennard 1970): with f
 near 0. What is left then is its noise.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,22 +107,57 @@ def gains(seen: Shown) -> FloatArray:
     return np.asarray(gain)
 
 
-def noise_px(seen: Shown, gain: FloatArray) -> FloatArray:
-    """Standard deviation (2n,) px of shifts, as x0, y0, x1, …, of markers that move little."""
-    after = seen.after(gain)
+@dataclass(frozen=True, kw_only=True)
+class LeftOut:
+    """Gains that a part of the samples is looked at with: those that all others told.
+
+    With gains of its own a sample looks better than a new one does.
+
+    Attributes
+    ----------
+    rows : (s,) bool
+        The part.
+    gain : (n, 2, 2) float
+        Gains.
+    """
+
+    rows: BoolArray
+    gain: FloatArray
+
+
+def left_out(seen: Shown, parts: int) -> list[LeftOut]:
+    """Samples in so many parts."""
+    count = len(seen.left_px)
+    part = np.arange(count) % min(parts, count)
+    return [
+        LeftOut(rows=part == k, gain=gains(seen.pick(part != k)))
+        for k in range(int(part.max()) + 1)
+    ]
+
+
+def noise_of(seen: Shown, parts: Sequence[LeftOut]) -> tuple[FloatArray, float | None]:
+    """Noise of markers, by what is left of samples with gains that the others told.
+
+    Returns
+    -------
+    each_px : (2n,) float
+        Standard deviation of shifts, as x0, y0, x1, …, of markers that move little.
+    switched_px : float or None
+        Standard deviation of those of markers whose switch is on; None if too few are.
+    """
+    after = np.empty_like(seen.left_px)
+    for part in parts:
+        after[part.rows] = seen.pick(part.rows).after(part.gain)
+    found = np.isfinite(after)
     little = np.linalg.norm(seen.explained_px, axis=2) < LITTLE_px
-    known = np.isfinite(after) & (little & ~seen.on)[:, :, None]
+    known = found & (little & ~seen.on)[:, :, None]
     square = np.sum(np.where(known, after, 0.0) ** 2, axis=0)
     number = known.sum(axis=0)
     usual = float(np.median(square[number > 0] / number[number > 0]))
-    return np.asarray(np.sqrt((square + PRESUMED * usual) / (number + PRESUMED)).reshape(-1))
-
-
-def switched_px(seen: Shown, gain: FloatArray) -> float | None:
-    """Standard deviation of the shifts of markers whose switch is on; None if too few are."""
-    after = seen.after(gain)[seen.on]
-    after = after[np.isfinite(after[:, 0])]
-    return float(np.sqrt(np.mean(after**2))) if len(after) >= SWITCHED_LEAST else None
+    each = np.sqrt((square + PRESUMED * usual) / (number + PRESUMED))
+    on = after[seen.on[:, :, None] & found]
+    few = len(on) < 2 * SWITCHED_LEAST
+    return each.reshape(-1), None if few else float(np.sqrt(np.mean(on**2)))
 
 
 def with_gain(places: Places, gain: FloatArray) -> Places:
