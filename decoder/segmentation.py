@@ -14,6 +14,10 @@ from shapes.errors import InputError
 
 COSINE_MIN = 0.80
 """Chroma within about 37 degrees of a paint's own hue belongs to that paint."""
+RAMP = 0.2
+"""Chroma over the floor, as a fraction of the full one, from which on a pixel counts in full."""
+LEAST = 1e-6
+"""Of a painted pixel: none counts for nothing."""
 LABELS_MAX = 65000
 """Most labels that 16-bit labelling is trusted with."""
 
@@ -33,11 +37,23 @@ class ColourModel:
         (Cr - 128, Cb - 128) of each paint under full light.
     floor : float
         Least chroma of a painted pixel, as a fraction of its paint's full chroma.
+    ramp : float
+        Pixels count for their share of full chroma; from the floor on so much higher up less than
+        that, down to nothing: one that is about to fall below it does not pull the centroid, and
+        brightness moves none, as it would if all counted for what they have above the floor.
     """
 
     names: tuple[str, ...]
     chroma: FloatArray
     floor: float = 0.3
+    ramp: float = RAMP
+
+    def counts(self, share: FloatArray) -> FloatArray:
+        """What pixels with a share of their paint's full chroma count; 0 below the floor."""
+        whole = np.clip(share, 0.0, 1.0)
+        if self.ramp > 0.0:
+            whole = whole * np.clip((share - self.floor) / self.ramp, LEAST, 1.0)
+        return np.where(share >= self.floor, whole, 0.0)
 
     @classmethod
     def from_rgb(cls, paints: Mapping[str, tuple[int, int, int]]) -> "ColourModel":
@@ -58,8 +74,7 @@ class ColourModel:
         picked = along[np.arange(len(best)), best]
         ok = (picked >= COSINE_MIN * size) & (picked >= self.floor * full[best])
         table = np.where(ok, best + 1, 0).astype(np.uint8)
-        coverage = np.clip(along / full, 0.0, 1.0)
-        return table, coverage
+        return table, self.counts(along / full)
 
     def classify(self, image_bgr: ImageArray) -> tuple[ImageArray, NDArray[np.uint16]]:
         """Class of each pixel (h, w) uint8 and its flat index into the (Cr, Cb) tables."""

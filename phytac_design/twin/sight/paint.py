@@ -67,7 +67,7 @@ class PaintPoints:
         self.owner, self.camera, self.count = owner[own], camera, scene.count
         self.strip, self.paint = strip, paint
         self.chroma = colours.chroma[colour[self.owner]]
-        self.floor = colours.floor
+        self.counts = colours.counts
         self.pivots_mm = markers.mid_mm
         corners = self.scene.vertices[self.scene.triangles]
         # The end face looks along the axis, the band away from it.
@@ -112,13 +112,13 @@ class PaintPoints:
         return np.where(inside[:, None], found, np.nan)
 
     def _seen_chroma(self, light: FloatArray) -> FloatArray:
-        """Share (T,) of its paint's full chroma that each triangle shows; 0 below the floor."""
+        """What each triangle (T,) counts for by its share of its paint's full chroma."""
         srgb = to_srgb(light)
         luma = srgb @ LUMA
         chroma = CHROMA * (srgb[:, [0, 2]] - luma[:, None])
         size = np.linalg.norm(self.chroma, axis=1)
         share = np.sum(chroma * self.chroma, axis=1) / size**2
-        return np.where(share >= self.floor, np.minimum(share, 1.0), 0.0)
+        return self.counts(share)
 
 
 def _normals(corners: FloatArray) -> FloatArray:
