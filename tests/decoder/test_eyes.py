@@ -43,6 +43,35 @@ def test_centroids_are_sub_pixel() -> None:
     assert np.sqrt((error**2).mean()) < 0.04
 
 
+def test_pixels_at_the_floor_do_not_pull_centroids() -> None:
+    """Small discs at many places on the pixels, against pixels that count from the floor on."""
+    rng = np.random.default_rng(8)
+    centres = [
+        (10.0 + 20 * i + rng.uniform(), 10 + 20 * j + rng.uniform())
+        for i in range(7)
+        for j in range(5)
+    ]
+    hard = ColourModel(names=MODEL.names, chroma=MODEL.chroma, ramp=0.0)
+    image = cv2.GaussianBlur(
+        discs(centres, ["blue", "green", "red", "blue", "green"] * 7, radius=3.0), (0, 0), 1.0
+    )
+    spread = []
+    for model in (MODEL, hard):
+        found = [
+            segment(np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8), model)
+            for _ in range(4)
+        ]
+        error = [
+            np.linalg.norm(blobs.centroid_px[:, None] - np.array(centres)[None], axis=2).min(axis=1)
+            for blobs in found
+        ]
+        spread.append(float(np.sqrt(np.mean(np.concatenate(error) ** 2))))
+    assert spread[0] < 0.7 * spread[1]
+    share = np.array([0.2, 0.3, 0.4, 0.5, 0.9, 1.2])
+    np.testing.assert_allclose(MODEL.counts(share), [0, 0, 0.2, 0.5, 0.9, 1], atol=1e-6)
+    np.testing.assert_allclose(hard.counts(share), [0, 0.3, 0.4, 0.5, 0.9, 1])
+
+
 @pytest.mark.parametrize("gain", [0.35, 0.6, 1.0])
 def test_colour_survives_shade(gain: float) -> None:
     image = discs([(30, 30), (60, 30), (90, 30)], ["blue", "green", "red"])
