@@ -26,6 +26,8 @@ LITTLE_px = 1.0
 """Markers that should move by less tell their noise, that of pixels they move over with it."""
 SWITCHED_LEAST = 10
 """Fewer markers with a switch that is on tell nothing of their noise."""
+LEAST_px = 1e-4
+"""No marker is less noisy."""
 PRESUMED = 10.0
 """Measurements that what is presumed of a marker's noise counts for."""
 PASSES = 2
@@ -94,12 +96,12 @@ def gains(seen: Shown) -> FloatArray:
     square = np.einsum("ska,skb->kab", e, e)
     both = np.einsum("ska,skb->kab", r, e)
     moved = known & (np.linalg.norm(e, axis=2) > MOVED_px)
-    usual = float(np.mean(r[moved] ** 2)) if moved.any() else 1.0
+    usual = max(float(np.mean(r[moved] ** 2)), LEAST_px**2) if moved.any() else 1.0
     variance = np.full(e.shape[1], usual)
     gain = np.zeros_like(square)
     for _ in range(PASSES):
         ridge = (variance / GAIN_SD**2)[:, None, None] * np.eye(2)
-        # Both are symmetric: G A = B.
+        # A is symmetric: G A = B.
         gain = np.swapaxes(np.linalg.solve(square + ridge, np.swapaxes(both, 1, 2)), 1, 2)
         after = (r - np.einsum("kab,skb->ska", gain, e)) * moved[:, :, None]
         spent = np.sum(after**2, axis=(0, 2)) + PRESUMED * usual
@@ -151,10 +153,14 @@ def noise_of(seen: Shown, parts: Sequence[LeftOut]) -> tuple[FloatArray, float |
     found = np.isfinite(after)
     little = np.linalg.norm(seen.explained_px, axis=2) < LITTLE_px
     known = found & (little & ~seen.on)[:, :, None]
+    if not known.any():  # a small sensor, pressed hard
+        known = found
     square = np.sum(np.where(known, after, 0.0) ** 2, axis=0)
     number = known.sum(axis=0)
-    usual = float(np.median(square[number > 0] / number[number > 0]))
+    some = number > 0
+    usual = float(np.median(square[some] / number[some])) if some.any() else 1.0
     each = np.sqrt((square + PRESUMED * usual) / (number + PRESUMED))
+    each = np.maximum(each, LEAST_px)
     on = after[seen.on[:, :, None] & found]
     few = len(on) < 2 * SWITCHED_LEAST
     return each.reshape(-1), None if few else float(np.sqrt(np.mean(on**2)))

@@ -7,6 +7,7 @@ import pytest
 
 from decoder.calibrate import calibrated, match, second_moments, weighted_median
 from decoder.correct import Correction, calibrated_spread, learn_correction
+from decoder.marker_gain import Shown, gains, left_out, noise_of
 from decoder.samples import Samples, TouchRows, truth_rows
 from shapes.arrays import FloatArray
 from shapes.errors import InputError
@@ -161,6 +162,33 @@ def test_noise_of_switches_that_are_on_is_that_of_the_data() -> None:
         _, facts = calibrated(LOCATOR, samples, np.arange(60), force_max_N=25.0)
         assert facts["switched_px"] == pytest.approx(expected, rel=0.4)
         assert facts["noise_px"] == pytest.approx(NOISE_PX, rel=0.2)
+
+
+def drawn_shown(explained: FloatArray, left: FloatArray) -> Shown:
+    on = np.zeros(explained.shape[:2], dtype=np.bool_)
+    return Shown(explained_px=explained, left_px=left, on=on)
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.1, 50.0])
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_gains_and_noise_at_the_ends(scale: float, noise: float) -> None:
+    """Nothing moves, or all does; no noise; a marker never found, one sample, none found."""
+    rng = np.random.default_rng(9)
+    explained = scale * rng.normal(size=(30, 6, 2))
+    left = noise * rng.normal(size=explained.shape)
+    left[:, 2] = np.nan
+    lost = np.full_like(left, np.nan)
+    one = slice(0, 1)
+    for e, r in ((explained, left), (explained[one], left[one]), (explained, lost)):
+        seen = drawn_shown(e, r)
+        gain = gains(seen)
+        each, on = noise_of(seen, left_out(seen, 10))
+        assert np.abs(gain).max() < 0.02
+        assert np.isfinite(each).all()
+        assert (each > 0.0).all()
+        assert on is None
+    each, _ = noise_of(drawn_shown(explained, left), left_out(drawn_shown(explained, left), 10))
+    assert np.median(each) == pytest.approx(max(noise, 1e-4), rel=0.4)
 
 
 def test_few_samples_tell_the_stiffness_alone() -> None:
