@@ -36,8 +36,11 @@ class ClosedForm:
     def __init__(self) -> None:
         self.memory_MB: list[float] = []
 
-    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Outcome]]:
+    def run(
+        self, tasks: Iterable[Task], following: Iterable[Task] = ()
+    ) -> Iterator[tuple[Task, Outcome]]:
         """Smooth figures of the variables."""
+        del following
         for task in tasks:
             values = [float(value) for value in task.params.values()]
             names = measures_up_to(RUNGS)
