@@ -25,8 +25,8 @@ from tests.docs.pages import PAGES, ROOT, blocks, listing
 GUIDES = ROOT / "docs" / "guides"
 CAMERA, PRINTER = GUIDES / "own-camera.md", GUIDES / "own-printer.md"
 FIGURES = (
-    ("0.22 N, 2.1 %", "decoder", "cylinder60 unit 1, frames: auto, middle heights (651 contacts)"),
-    ("0.65 N, 4.9 %", "decoder", "cylinder60 unit 1, frames: auto, all heights (991 contacts)"),
+    ("0.15 N, 1.6 %", "decoder", "cylinder60 unit 1, frames: auto, middle heights (651 contacts)"),
+    ("0.48 N, 3.7 %", "decoder", "cylinder60 unit 1, frames: auto, all heights (991 contacts)"),
     ("0.36 N, 3.7 %", "decoder", "cone unit 1, points: auto, middle heights (81 contacts)"),
     ("0.71 N, 6.1 %", "decoder", "hemisphere unit 1, points: auto, middle heights (120 contacts)"),
     ("2.3 N, 18 %", "decoder", "plane unit 1, points: auto, middle heights (35 contacts)"),
