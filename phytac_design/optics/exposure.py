@@ -115,6 +115,8 @@ def disc_points(count: int) -> FloatArray:
     """
     if count == 1:
         return np.zeros((1, 2))
+    if count == 2:  # Two cannot be spread alike in all directions, but in two.
+        return np.array([[0.5, 0.5], [-0.5, -0.5]])
     index = np.arange(count)
     turn = np.pi * (3.0 - np.sqrt(5.0)) * index
     radius = np.sqrt((index + 0.5) / count)

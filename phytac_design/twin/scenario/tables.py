@@ -374,7 +374,7 @@ class SolveSection(Table):
     centroids: Literal["paint", "pixels"] = "paint"
     """Of `points`: of the `paint` that faces the camera, or of the `pixels` that show it, less what
     neighbours hide when pressed (3 times slower)."""
-    samples_per_pixel: int = Field(8, ge=1, le=64)
+    samples_per_pixel: int = Field(24, ge=1, le=64)
     """Of `frames`: points of the aperture that each pixel looks through."""
     local: StrictBool = True
     """Whether only the touched part of the wall is modelled finely."""
