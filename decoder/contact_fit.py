@@ -1,4 +1,10 @@
-"""The most likely contacts behind marker shifts, given their number: Gauss-Newton on tables."""
+"""The most likely contacts behind marker shifts, given their number: Gauss-Newton on tables.
+
+A marker that is far off says more about itself than about forces: a neighbour hides its paint, or
+something shines beside it. Once a fit stands, its part of the sum of squares grows with the
+logarithm alone, as in a distribution whose tails are a power (Huber 1981, ch. 7): it is weighted
+anew in each round.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -14,6 +20,10 @@ STILL = 2e-3
 """Change of every force, relative, and of every centre, in cm, below which a fit ends."""
 STEP_MM, STEP_MM2 = 2.0, 4.0
 """Longest steps of centre and moments in a round: what the cubic between places stands for."""
+FIRM = 3
+"""Rounds in which all markers count, so that a fit that starts badly does not doubt them."""
+ASTRAY = 2.5
+"""How far off a marker may be before it is doubted, over what is usual in the frame."""
 OFF_SPACINGS = 0.85
 """A contact is within this many spacings of a place; half a diagonal of a square grid is 0.71."""
 FORCE_LEAST_N = 0.02
@@ -131,11 +141,13 @@ class Fit:
     explained : (2n,) float
         Their shifts, px.
     inverse : (2n,) float
-        Weights: the inverse of each shift's variance, 0 where it was not found.
+        Weights: the inverse of each shift's variance, less where a marker is doubted, 0 where it
+        was not found.
     covariance : (6c, 6c) float
         Of all unknowns.
     cost : float
-        Weighted sum of squares of what is left, and of how far all is from what was presumed.
+        Weighted sum of squares of what is left, in which doubted markers count for the logarithm
+        of theirs, and of how far all is from what was presumed.
     misfit : float
         The first part per number: 1 where noise is as expected.
     """
@@ -194,7 +206,7 @@ def fit(places: Places, states: list[State], seen: Seen, *, prior: Prior, noise:
         ]
     )
     switched = np.concatenate([2 * seen.koi, 2 * seen.koi + 1])
-    moved = np.inf
+    moved, doubting = np.inf, False
     for number in range(ROUNDS + 1):
         parts = [explain(state, places.orders) for state in states]
         total = np.sum([part[0] for part in parts], axis=0)
@@ -204,10 +216,15 @@ def fit(places: Places, states: list[State], seen: Seen, *, prior: Prior, noise:
         inverse = np.where(seen.found, 1.0 / spread, 0.0)
         left = seen.shift_px - total
         off = np.concatenate([_off(places, state, prior) for state in states])
-        square = float(left @ (inverse * left))
+        square, settled = float(left @ (inverse * left)), False
+        if doubting or number >= FIRM or moved < STILL:
+            square, share = _doubted(left, inverse)
+            inverse = inverse * share
+            settled = moved < STILL and (doubting or bool((share == 1.0).all()))
+            doubting = True
         hessian = (slope * inverse) @ slope.T + np.diag(weight)
         # Ends where all has been looked at that is told.
-        if moved < STILL or number == ROUNDS:
+        if settled or number == ROUNDS:
             break
         step = np.linalg.solve(hessian, slope @ (inverse * left) - weight * off)
         moved = _moved(places, states, step)
@@ -219,6 +236,25 @@ def fit(places: Places, states: list[State], seen: Seen, *, prior: Prior, noise:
         cost=square + float(off @ (weight * off)),
         misfit=square / max(int(seen.found.sum()) - len(weight), 1),
     )
+
+
+def _doubted(left: FloatArray, inverse: FloatArray) -> tuple[float, FloatArray]:
+    """Sum of squares in which markers far off count for less, and the share (2n,) that they keep.
+
+    Parameters
+    ----------
+    left : (2n,) float
+        What is not explained, px.
+    inverse : (2n,) float
+        Inverse variances; 0 for a marker that was not found.
+    """
+    square = (inverse * left**2).reshape(-1, 2).sum(axis=1)
+    usual = float(np.median(square[inverse[::2] > 0.0])) if np.any(inverse) else 0.0
+    # Of two coordinates.
+    limit = ASTRAY**2 * max(usual, 2.0)
+    over = np.maximum(square / limit, 1.0)
+    total = float(np.sum(np.minimum(square, limit) + limit * np.log(over)))
+    return total, np.repeat(1.0 / over, 2)
 
 
 def explain(state: State, orders: int) -> tuple[FloatArray, FloatArray]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from decoder import locate
-from decoder.contact_fit import OFF_SPACINGS
+from decoder.contact_fit import ASTRAY, OFF_SPACINGS, _doubted
 from decoder.locate import SILENT_MISFIT, Located
 from decoder.places import Places
 from shapes.arrays import FloatArray
@@ -173,15 +173,62 @@ def test_a_receptor_whose_tip_is_out_counts_less() -> None:
     at = point(30.0, 30.0)
     marker = nearest(at)
     seen = shifts(at, 8.0).reshape(-1, 2)
-    seen[marker] += (0.6, -0.4)
+    seen[marker] += (0.06, -0.04)  # not so far that it would be doubted
 
     def off_mm(switched_px: float) -> float:
         wary = replace(LOCATOR, noise=replace(LOCATOR.noise, switched_px=switched_px))
         (contact,) = wary.find(seen, np.array([marker])).contacts
         return float(np.linalg.norm(contact.point_mm - at))
 
-    assert off_mm(1.0) < 0.01
-    assert off_mm(0.0) > 0.05
+    assert off_mm(1.0) < 0.001
+    assert off_mm(0.0) > 0.005
+
+
+@pytest.mark.parametrize("off_px", [(0.8, -0.5), (-3.0, -12.4)])
+def test_a_marker_that_is_far_off_hardly_counts(off_px: tuple[float, float]) -> None:
+    """A neighbour hides its paint, or something shines beside it: forces must not follow."""
+    at = point(30.0, 30.0)
+    seen = shifts(at, 8.0).reshape(-1, 2)
+    beside = np.argsort(np.linalg.norm(MARKERS[:, :2] - at[:2], axis=1))[3]
+    seen[beside] += off_px
+    (contact,) = LOCATOR.find(seen, np.array([nearest(at)])).contacts
+    assert contact.force_N == pytest.approx(8.0, rel=0.005)
+    assert np.linalg.norm(contact.point_mm - at) < 0.1
+
+
+def test_doubts_begin_where_a_marker_is_far_off_for_its_frame() -> None:
+    inverse, limit = np.full(200, 4.0), ASTRAY**2 * 2.0
+    left = np.zeros(200)
+    left[0] = np.sqrt(limit / 4.0)
+    at_limit, share = _doubted(left, inverse)
+    assert at_limit == pytest.approx(limit)
+    np.testing.assert_allclose(share, 1.0)
+    left[0] *= 3.0
+    beyond, share = _doubted(left, inverse)
+    assert beyond == pytest.approx(limit * (1.0 + np.log(9.0)))
+    np.testing.assert_allclose(share[:4], [1.0 / 9.0, 1.0 / 9.0, 1.0, 1.0])
+    # Where all are as far off, none is doubted; nor are those that were not found.
+    left[:] = left[0]
+    inverse[:100] = 0.0
+    total, share = _doubted(left, inverse)
+    assert total == pytest.approx(float(inverse @ left**2))
+    np.testing.assert_array_equal(share, 1.0)
+
+
+def test_the_share_of_a_doubted_marker_is_what_its_sum_grows_with() -> None:
+    """Weights are half the sum's derivative over the residual, as iterating them needs."""
+    left, inverse = np.random.default_rng(0).normal(size=(2, 40)) ** [[1], [2]]
+    left[6:10] *= 30.0
+    _, share = _doubted(left, inverse)
+    assert (share < 0.5).any()
+    assert (share == 1.0).any()
+    for k in (6, 7, 20):
+        step = np.zeros(40)
+        step[k] = 1e-5 * left[k]
+        up, down = _doubted(left + step, inverse)[0], _doubted(left - step, inverse)[0]
+        assert (up - down) / (2.0 * step[k]) == pytest.approx(
+            2.0 * share[k] * inverse[k] * left[k], rel=1e-4
+        )
 
 
 def test_no_contact_lies_beyond_a_rim() -> None:
