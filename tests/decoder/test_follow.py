@@ -10,7 +10,7 @@ from decoder.bundle import Bundle, Shown
 from decoder.camera import Camera
 from decoder.estimators import ForceModel
 from decoder.follow import Follower
-from decoder.follow_windows import coverage_tables
+from decoder.follow_codes import coverage_tables
 from decoder.run import measure_frame
 from decoder.segmentation import ColourModel
 from decoder.switches import TipModel
