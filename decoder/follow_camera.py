@@ -142,7 +142,7 @@ class CameraFollower:
         self._clock += 1
         since = elapsed + self._missed
         expected = self._place + since * self._velocity
-        self._known.codes.read(frame)
+        self._known.picture.read(frame)
         found, got = self._find(expected)
         away = _larger(found.centroid_px - expected)
         jumped = got & (away > self._jump * max(elapsed, 1.0))
@@ -177,7 +177,7 @@ class CameraFollower:
         known = self._known
         matched, _ = locate_in(self._bundle, self._number, frame)
         place = matched.position_px[known.ids]
-        known.codes.read(frame)
+        known.picture.read(frame)
         seen, got = self._find(self._place)
         shift = np.where(got[:, None], seen.centroid_px - known.rest_px, np.nan)
         wide = place - known.rest_px

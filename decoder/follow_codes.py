@@ -1,5 +1,7 @@
 """Colours of frames as numbers, and how much paint each number is."""
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +35,54 @@ def coverage_tables(model: ColourModel) -> Floats32:
     return np.asarray(shares, dtype=np.float32)
 
 
-class Codes:
-    """The chroma of frames of one camera, as the numbers that :func:`coverage_tables` go by.
+class Converter:
+    """Codes of as many pixels as it has been made for, and fewer.
 
-    A whole frame is read at once: in the order of memory, and in four calls. Windows that cover
-    half of it would take as long, out of order, and far more calls.
+    Parameters
+    ----------
+    most : int
+        Most pixels at once.
+    """
+
+    def __init__(self, most: int) -> None:
+        # Long rows: OpenCV's vector instructions leave the end of each row to slower ones.
+        self._tones = np.zeros((1, most, 3), dtype=np.uint8)
+        self._planes = [np.zeros((1, most), dtype=np.uint8) for _ in range(3)]
+        self._chroma = np.zeros((1, most, 2), dtype=np.uint8)
+
+    def part(self, count: int, out: ImageArray | None = None) -> "Conversion":
+        """What converts ``count`` pixels, into ``out`` (1, count, 2) or room of its own."""
+        chroma = self._chroma[:, :count] if out is None else out
+        return Conversion(
+            self._tones[:, :count],
+            [plane[:, :count] for plane in self._planes],
+            chroma,
+            chroma.view(np.uint16)[:, :, 0],
+        )
+
+
+class Conversion(NamedTuple):
+    """Room for a number of pixels on their way to codes; ``codes`` (1, count) is the result."""
+
+    tones: ImageArray
+    planes: list[ImageArray]
+    chroma: ImageArray
+    codes: Codes16
+
+    def run(self, pixels: ImageArray) -> Codes16:
+        """Codes of pixels (1, count, 3), BGR."""
+        cv2.cvtColor(pixels, cv2.COLOR_BGR2YCrCb, dst=self.tones)
+        cv2.split(self.tones, self.planes)
+        # Cb first: the low byte.
+        cv2.merge([self.planes[2], self.planes[1]], self.chroma)
+        return self.codes
+
+
+class Picture:
+    """A camera's frame as windows look at it: whole as codes, or as it is.
+
+    Codes of a whole frame are read in the order of memory, and in few calls; where windows cover
+    little of it, they turn their own pixels into codes.
 
     Parameters
     ----------
@@ -46,32 +91,30 @@ class Codes:
 
     Attributes
     ----------
+    whole : bool
+        Whether frames are turned into codes as a whole, from the next one on.
     codes : (h, w) uint16
-        Of the frame that was read last: Cr · 256 + Cb.
+        Of the frame that was read last, if so: Cr · 256 + Cb.
+    frame : (h, w, 3) uint8
+        That frame.
     """
 
     def __init__(self, size_px: tuple[int, int]) -> None:
         width, height = size_px
-        # Long rows: OpenCV's vector instructions leave the end of each row to slower ones.
         count = width * height
-        tones = np.zeros((1, count, 3), dtype=np.uint8)
         chroma = np.zeros((1, count, 2), dtype=np.uint8)
-        planes = [np.zeros((1, count), dtype=np.uint8) for _ in range(3)]
         step = min(BAND_px, count)
-        self._bands: list[tuple[slice, list[ImageArray], ImageArray, ImageArray]] = []
-        for start in range(0, count, step):
-            part = slice(start, min(start + step, count))
-            used = part.stop - start
-            self._bands.append(
-                (part, [plane[:, :used] for plane in planes], tones[:, :used], chroma[:, part])
-            )
+        room = Converter(step)
+        parts = [slice(start, min(start + step, count)) for start in range(0, count, step)]
+        self._bands = [(part, room.part(part.stop - part.start, chroma[:, part])) for part in parts]
+        self.whole = True
         self.codes: Codes16 = chroma.view(np.uint16).reshape(height, width)
+        self.frame: ImageArray = np.zeros((height, width, 3), dtype=np.uint8)
 
     def read(self, frame: ImageArray) -> None:
-        """Take the codes of a frame (h, w, 3) uint8, BGR, in one piece of memory."""
-        pixels = frame.reshape(1, -1, 3)
-        for part, planes, tones, chroma in self._bands:
-            cv2.cvtColor(pixels[:, part], cv2.COLOR_BGR2YCrCb, dst=tones)
-            cv2.split(tones, planes)
-            # Cb first: the low byte.
-            cv2.merge([planes[2], planes[1]], chroma)
+        """Take a frame (h, w, 3) uint8, BGR, in one piece of memory."""
+        self.frame = frame
+        if self.whole:
+            pixels = frame.reshape(1, -1, 3)
+            for part, conversion in self._bands:
+                conversion.run(pixels[:, part])

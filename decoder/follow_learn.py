@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from decoder.bundle import Bundle, Shown
-from decoder.follow_codes import Codes, Codes16, Floats32, coverage_tables
+from decoder.follow_codes import Floats32, Picture, coverage_tables
 from decoder.follow_windows import Moments, Windows, window_order
 from decoder.matching import nearest_same_colour_px
 from decoder.run import locate_in
@@ -68,8 +68,8 @@ class Learnt:
         Where each is when out and nothing is deformed, less the marker's rest place.
     red : Windows
         Of the tips.
-    codes : Codes
-        Of the frame that both look at.
+    picture : Picture
+        What both look at.
     """
 
     ids: IntArray
@@ -83,7 +83,7 @@ class Learnt:
     tips: IntArray
     tip_px: FloatArray
     red: Windows
-    codes: Codes
+    picture: Picture
 
 
 def learn(
@@ -116,8 +116,8 @@ def learn(
     colour = bundle.colour[ids]
     rivals = nearest_rivals(place, colour)
     tables = coverage_tables(bundle.colours)
-    codes = Codes(size)
-    codes.read(frame)
+    picture = Picture(size)
+    picture.read(frame)
     paint = Windows(
         half_px=half[order],
         reach_px=reach[order],
@@ -125,12 +125,14 @@ def learn(
         tables=tables,
         rivals=rivals,
         skew_px=_skew(xy, owner, place, rivals),
-        codes=codes.codes,
+        picture=picture,
         stride=stride_of[order],
     )
     place, at_rest = _settled(paint, place, apart)
     table = tables[bundle.colours.names.index("red")]
-    tips, red = _red(shown, ids, table, margin_px, codes.codes)
+    tips, red = _red(shown, ids, table, margin_px, picture)
+    picture.whole = size[0] * size[1] < paint.convert_cost + red.convert_cost
+    picture.read(frame)
     return Learnt(
         ids=ids,
         neighbours=_numbered(bundle.model.neighbours, ids),
@@ -143,7 +145,7 @@ def learn(
         tips=tips,
         tip_px=shown.tips.on_px[ids[tips]] - shown.rest_px[ids[tips]],
         red=red,
-        codes=codes,
+        picture=picture,
     )
 
 
@@ -155,7 +157,7 @@ def _numbered(neighbours: IntArray, ids: IntArray) -> IntArray:
 
 
 def _red(
-    shown: Shown, ids: IntArray, table: Floats32, margin_px: float, codes: Codes16
+    shown: Shown, ids: IntArray, table: Floats32, margin_px: float, picture: Picture
 ) -> tuple[IntArray, Windows]:
     """Tips that can show, and the windows of their red."""
     on_px, area = shown.tips.on_px[ids], shown.tips.red_on_px[ids]
@@ -164,7 +166,7 @@ def _red(
     half = TIP_HALF * across + margin_px / 2.0
     stride = np.maximum((across / TIP_SAMPLES).astype(np.int64), 1)
     red = np.zeros(len(tips), dtype=np.int64)
-    order = window_order(half, red, stride, (codes.shape[1], codes.shape[0]))
+    order = window_order(half, red, stride, picture.codes.shape[::-1])
     tips = tips[order]
     rivals = nearest_rivals(on_px[tips], red)
     return tips, Windows(
@@ -174,7 +176,7 @@ def _red(
         tables=table[None],
         rivals=rivals,
         skew_px=np.zeros(rivals.shape),
-        codes=codes,
+        picture=picture,
         stride=stride[order],
     )
 
@@ -263,9 +265,7 @@ def _parted(border: FloatArray, weight: FloatArray, rivals: IntArray) -> BoolArr
     return out[:-1]
 
 
-def _settled(
-    paint: Windows, place: FloatArray, apart: FloatArray
-) -> tuple[FloatArray, Moments]:
+def _settled(paint: Windows, place: FloatArray, apart: FloatArray) -> tuple[FloatArray, Moments]:
     """Places after a few looks, each in cells around the last."""
     start, now = place, place
     for _ in range(ROUNDS):

@@ -6,27 +6,27 @@ window is cut half way between their edges.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from decoder.follow_codes import Codes16, Floats32
+from decoder.follow_blocks import Block, Cuts, Space
+from decoder.follow_codes import Floats32, Picture
 from shapes.arrays import BoolArray, FloatArray, IntArray
 
 SLACK_px = (0.4, 1.0)
 """A window is laid anew once its spot has moved this far: the less, the nearer rivals are."""
 SLACK_SHARE = 0.5
 """Share of the clear way from a spot's edge to its border that either spot may move before."""
-BORDER_LEAST = 0.15
-"""A border keeps at least this share of the way between two spots on either side."""
 CLASS_COST = 7000.0
 """What another size of window costs in calls, in samples."""
-SAMPLES_MOST = 1 << 17
-"""Windows of one size are split into blocks of so many samples: they stay in the cache."""
+BLOCK_px = 1 << 16
+"""Windows of one size are split into blocks of so many pixels: they stay in the cache."""
+CALLS_px = 16000
+"""What turning pixels into codes costs in calls, for each block, in pixels of a whole frame."""
+PIXEL_COST = 1.2
+"""What it costs for a window's pixel over what it costs for one of a whole frame."""
 
 
 class Moments(NamedTuple):
@@ -40,147 +40,6 @@ class Moments(NamedTuple):
     weight: FloatArray
     centroid_px: FloatArray
     rim: FloatArray
-
-
-class _Block:
-    """Windows of one size.
-
-    Parameters
-    ----------
-    first, spots : int
-        Their place in the order of all windows, and their number.
-    side, stride : int
-        Pixels a side, and from one sample to the next.
-    paints : list of (int, int, (1, 65536) float32)
-        Which windows are looked up in which table.
-    space : (1, s) float32
-        Room for the coverage of all samples.
-    codes : (h, w) uint16
-        What the windows are of.
-    """
-
-    def __init__(
-        self,
-        *,
-        first: int,
-        spots: int,
-        side: int,
-        stride: int,
-        paints: list[tuple[int, int, Floats32]],
-        space: Floats32,
-        codes: Codes16,
-    ) -> None:
-        self.part = slice(first, first + spots)
-        self.first, self.side, self.stride = first, side, stride
-        self.offset = np.arange(0, side, stride, dtype=np.float32)
-        taken = len(self.offset)
-        each = taken**2
-        self.size = spots * each
-        self._cover = space[0, : self.size].reshape(spots, each)
-        self._lookup = [
-            (slice(start * each, stop * each), table, space[:, start * each : stop * each])
-            for start, stop, table in paints
-        ]
-        self.mask = np.ones((spots, taken, taken), dtype=np.float32)
-        self._mask = self.mask.reshape(spots, each)
-        self.cut = np.zeros(spots, dtype=np.bool_)
-        self._any_cut = False
-        y, x = np.meshgrid(self.offset, self.offset, indexing="ij")
-        last = self.offset[-1]
-        rim = (x == 0) | (y == 0) | (x == last) | (y == last)
-        # One sample stands for stride² pixels.
-        basis = np.stack([np.ones_like(x), x, y, rim], axis=-1).reshape(-1, 4)
-        self._basis = (basis * np.float32(stride**2)).astype(np.float32)
-        # Every window there can be, as the rows that it takes, each one item: copied as a whole.
-        height, width = codes.shape
-        self._rows: NDArray[np.void] = np.ndarray(
-            ((height - side) * width + width - side + 1, taken),
-            np.dtype((np.void, 2 * side)),
-            buffer=codes,
-            strides=(2, 2 * width * stride),
-        )
-
-    def cover(self, corner: IntArray) -> Floats32:
-        """Coverage (spots, samples) in windows with these first pixels, as cut."""
-        codes = self._rows[corner].view(np.uint16)
-        if self.stride > 1:
-            codes = np.ascontiguousarray(codes.reshape(-1, self.side)[:, :: self.stride])
-        codes = codes.reshape(1, -1)
-        for part, table, room in self._lookup:
-            cv2.LUT(codes[:, part], table, dst=room)
-        if self._any_cut:
-            self._cover *= self._mask
-        return self._cover
-
-    def sums(self, corner: IntArray, out: Floats32) -> None:
-        """Weight, first moments about the windows' corners, and rim into ``out`` (spots, 4)."""
-        np.matmul(self.cover(corner), self._basis, out=out)
-
-    def lay(self, which: IntArray, cuts: "_Cuts", rows: slice) -> None:
-        """Cut windows ``which`` (m,) as ``rows`` of ``cuts`` say."""
-        inside = cuts.inside[rows]
-        need = inside.any(axis=1)
-        self.mask[which[self.cut[which] & ~need]] = 1.0
-        self.cut[which] = need
-        self._any_cut = bool(self.cut.any())
-        if not need.any():
-            return
-        mask = np.ones((int(need.sum()), len(self.offset), len(self.offset)), dtype=np.float32)
-        for k in np.flatnonzero(inside.any(axis=0)).tolist():
-            along_x = self.offset * cuts.unit_x[rows, k][need, None]
-            along_y = self.offset * cuts.unit_y[rows, k][need, None]
-            part = (cuts.far[rows, k][need, None] - along_y)[:, :, None] - along_x[:, None, :]
-            np.minimum(mask, part, out=mask)
-        np.maximum(mask, 0.0, out=mask)
-        self.mask[which[need]] = mask
-
-
-class _Cuts(NamedTuple):
-    """Borders of m windows against r rivals each.
-
-    A pixel at p from the window's corner counts ``far - unit · p``, between 0 and 1; ``inside``
-    (m, r) are the borders that cross the window, ``nearest`` (m,) px is the nearest border's
-    distance from the spot.
-    """
-
-    far: Floats32
-    unit_x: Floats32
-    unit_y: Floats32
-    inside: BoolArray
-    nearest: FloatArray
-
-    @classmethod
-    def between(
-        cls, own: FloatArray, rivals: FloatArray, skew: FloatArray, last: FloatArray
-    ) -> "_Cuts":
-        """Borders between spots and rivals.
-
-        Parameters
-        ----------
-        own : (m, 2) float
-            Spots, from their windows' corners.
-        rivals : (m, r, 2) float
-            Rivals minus spots.
-        skew : (m, r) float
-            How far the borders lie beyond the middle, px.
-        last : (m,) float
-            Last pixel of the windows.
-        """
-        x, y = rivals[:, :, 0], rivals[:, :, 1]
-        gap = np.maximum(np.hypot(x, y), 1e-6)
-        x, y = x / gap, y / gap
-        border = np.maximum(gap / 2.0 + skew, BORDER_LEAST * gap)
-        border = np.minimum(border, (1.0 - BORDER_LEAST) * gap)
-        far = border + (own[:, :1] * x + own[:, 1:] * y) + 0.5
-        # The corner of the window that lies farthest along.
-        corner = last[:, None] * (np.maximum(x, 0.0) + np.maximum(y, 0.0))
-        return cls(
-            far=far.astype(np.float32),
-            unit_x=x.astype(np.float32),
-            unit_y=y.astype(np.float32),
-            inside=far - 1.0 < corner,
-            nearest=border.min(axis=1, initial=np.inf),
-        )
 
 
 class Windows:
@@ -201,8 +60,8 @@ class Windows:
     skew_px : (n, r) float
         How much nearer to the rival the border lies than half way: half of how much the spot
         reaches farther towards the rival than the rival does towards it.
-    codes : (h, w) uint16
-        What to look at, as it is at each look: see :class:`decoder.follow_codes.Codes`.
+    picture : Picture
+        What to look at, as it is at each look.
     stride : (n,) int
         2 takes every other pixel in both directions, and so on.
     """
@@ -216,12 +75,13 @@ class Windows:
         tables: Floats32,
         rivals: IntArray,
         skew_px: FloatArray,
-        codes: Codes16,
+        picture: Picture,
         stride: IntArray,
     ) -> None:
         count = len(half_px)
-        size_px = codes.shape[1], codes.shape[0]
-        self._codes, self._size, self._tables = codes, np.array(size_px), tables
+        height, width = picture.codes.shape
+        size_px = width, height
+        self._picture, self._size, self._tables = picture, np.array(size_px), tables
         self._rivals, self._skew, self._paint, self._stride = rivals, skew_px, paint, stride
         self._rival_of = np.ascontiguousarray(rivals.T)
         self._side = _sides(half_px, stride, size_px)
@@ -234,11 +94,10 @@ class Windows:
         parts = []
         for step, each in kinds:
             spots = np.flatnonzero((self._side == each) & (stride == step))
-            most = max(SAMPLES_MOST // len(range(0, each, step)) ** 2, 1)
+            most = max(BLOCK_px // (len(range(0, each, step)) * each), 1)
             pieces = np.array_split(spots, -(-len(spots) // most))
             parts += [(piece, each, step) for piece in pieces]
-        samples = [len(spots) * len(range(0, side, step)) ** 2 for spots, side, step in parts]
-        space = np.zeros((1, max(samples, default=0)), dtype=np.float32)
+        space = Space.of([(len(spots), side, step) for spots, side, step in parts])
         self._blocks = [self._block(spots, side, step, space) for spots, side, step in parts]
         # What each look hands to each block.
         self._work = [
@@ -246,9 +105,9 @@ class Windows:
         ]
         self._firsts = [block.first for block in self._blocks]
         self._steps = np.array([1, size_px[0]])
-        self.pixels = sum(samples)
+        self.pixels = sum(block.mask.size for block in self._blocks)
 
-    def _block(self, spots: IntArray, side: int, stride: int, space: Floats32) -> _Block:
+    def _block(self, spots: IntArray, side: int, stride: int, space: Space) -> Block:
         paint = self._paint[spots]
         change = [0, *(np.flatnonzero(np.diff(paint)) + 1).tolist(), len(spots)]
         tables = [
@@ -256,14 +115,14 @@ class Windows:
             for start, stop in pairwise(change)
             if stop > start
         ]
-        return _Block(
+        return Block(
             first=int(spots[0]),
             spots=len(spots),
             side=side,
             stride=stride,
             paints=tables,
             space=space,
-            codes=self._codes,
+            picture=self._picture,
         )
 
     def look(self, centre_px: FloatArray) -> Moments:
@@ -289,8 +148,7 @@ class Windows:
         side = 2 * stride * min(int(np.ceil(half)), most) + 1
         order = np.argsort(self._paint[spots], kind="stable")
         own, sides = spots[order], np.full(len(spots), side)
-        space = np.zeros((1, len(own) * len(range(0, side, stride)) ** 2), dtype=np.float32)
-        block = self._block(own, side, stride, space)
+        block = self._block(own, side, stride, Space.of([(len(own), side, stride)]))
         origin = self._placed(centre_px[own], sides)
         rows = np.arange(len(own))
         block.lay(rows, self._cuts(own, origin, sides, centre_px), slice(None))
@@ -298,6 +156,12 @@ class Windows:
         block.sums(origin @ self._steps, sums)
         back = np.argsort(order)
         return _moments(sums[back], origin[back])
+
+    @property
+    def convert_cost(self) -> float:
+        """What it costs to turn each window into codes by itself, in pixels of a whole frame."""
+        pixels = sum(block.mask.size * block.stride for block in self._blocks)
+        return PIXEL_COST * pixels + CALLS_px * len(self._blocks)
 
     def border_weight(self) -> FloatArray:
         """Paint (n,) px of each spot, where the last look saw it, on a border to a rival."""
@@ -334,10 +198,12 @@ class Windows:
             if stop > start:
                 block.lay(spots[start:stop] - block.first, cuts, slice(start, stop))
 
-    def _cuts(self, spots: IntArray, origin: FloatArray | IntArray, side: IntArray, centre: FloatArray) -> _Cuts:
+    def _cuts(
+        self, spots: IntArray, origin: FloatArray | IntArray, side: IntArray, centre: FloatArray
+    ) -> Cuts:
         everywhere = np.concatenate([centre, np.full((1, 2), 1e6)])
         own = centre[spots]
-        return _Cuts.between(
+        return Cuts.between(
             own - origin,
             everywhere[self._rivals[spots]] - own[:, None],
             self._skew[spots],
