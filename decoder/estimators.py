@@ -13,6 +13,8 @@ from shapes.errors import InputError
 
 ESTIMATORS = ("fem", "fem_nn", "fem_nn_identity", "koi_inverse", "auto")
 """Names, in the order of every table."""
+HIDDEN_MOST = 0.99
+"""Share of a force's shifts, squared, that may be hidden before products are summed anew."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,9 +134,28 @@ class ForceModel:
         out[koi] = force
         return out
 
+    @cached_property
+    def _patterns(self) -> tuple[FloatArray, FloatArray]:
+        """Shifts (n, 2n) px/N, one row a force, and their products (n, n): rows side by side."""
+        rows = np.ascontiguousarray(self.compliance_px.T)
+        return rows, rows @ rows.T
+
     def _inverse(self, shift_px: FloatArray, koi: IntArray) -> FloatArray:
         """Least squares d = C(:, KOI)·f over all markers that were seen, f >= 0."""
         d = shift_px.reshape(-1)
-        seen = np.isfinite(d)
-        c = self.compliance_px[np.ix_(seen, koi)]
-        return nonnegative_least_squares(c.T @ c, c.T @ d[seen])
+        rows, products = self._patterns
+        c = rows[koi]
+        gram = products[koi[:, None], koi]
+        unseen = np.flatnonzero(np.isnan(d))
+        if len(unseen):
+            d = d.copy()
+            d[unseen] = 0.0
+            hidden = c[:, unseen]
+            left = np.einsum("ij,ij->i", hidden, hidden) <= HIDDEN_MOST * gram.diagonal()
+            if left.all():
+                gram -= hidden @ hidden.T
+            else:
+                # Little is left of a difference: its rounding would count.
+                c[:, unseen] = 0.0
+                gram = c @ c.T
+        return nonnegative_least_squares(gram, c @ d)

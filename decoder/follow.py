@@ -135,13 +135,16 @@ class Follower:
         bundle = self._bundle
         position = self._own([item.position_px for item in seen])
         bits = self._bits(seen)
-        moved = position - self.rest_px
-        shift = moved - np.where(bits[:, None], bundle.tip_bias_px, 0.0)
+        koi = np.flatnonzero(bits)
+        shift = position - self.rest_px
+        shift[koi] -= bundle.tip_bias_px[koi]
         sure = confirmed(bundle, bits, shift)
         if sure is not bits:
-            bits, shift = sure, moved - np.where(sure[:, None], bundle.tip_bias_px, 0.0)
+            koi = np.flatnonzero(sure)
+            shift = position - self.rest_px
+            shift[koi] -= bundle.tip_bias_px[koi]
         return Followed(
-            koi=np.flatnonzero(bits),
+            koi=koi,
             shift_px=shift,
             found=np.isfinite(position[:, 0]),
             position_px=position,

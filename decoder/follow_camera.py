@@ -80,6 +80,7 @@ class CameraFollower:
         self._known = known
         count = len(known.ids)
         self._own = (bundle.read_by[known.ids] == number) & known.parted
+        self._enough = FOUND_MIN * np.count_nonzero(self._own)
         weight = known.at_rest.weight
         # Of a marker that is hidden in the rest frame: as its neighbours have.
         usual = np.nan_to_num(_around(np.column_stack([weight, weight]), known.neighbours)[:, 0])
@@ -106,10 +107,9 @@ class CameraFollower:
         self._per_full = 1.0 / np.maximum(self._full, 1e-6)
         # Neighbour by neighbour; the last entries are of none.
         self._near = np.ascontiguousarray(known.neighbours.T)
-        self._steps, self._seen = np.zeros(count + 1, dtype=np.complex128), np.ones(count + 1)
-        self._seen[-1] = 0.0
-        self._counts = self._seen[self._near].sum(axis=0)
-        red = known.red.look(frame, self._place[known.tips] + known.tip_px).weight
+        self._steps = np.zeros(count + 1, dtype=np.complex128)
+        self._counted, self._per_count = np.zeros(count, dtype=np.bool_), np.ones(count)
+        red = known.red.look(self._place[known.tips] + known.tip_px).weight
         self._on = red > middle
 
     @property
@@ -142,11 +142,12 @@ class CameraFollower:
         self._clock += 1
         since = elapsed + self._missed
         expected = self._place + since * self._velocity
-        found, got = self._find(frame, expected)
+        self._known.picture.read(frame)
+        found, got = self._find(expected)
         away = _larger(found.centroid_px - expected)
         jumped = got & (away > self._jump * max(elapsed, 1.0))
         own = self._own
-        some = np.count_nonzero(got & own) >= FOUND_MIN * np.count_nonzero(own)
+        some = np.count_nonzero(got & own) >= self._enough
         if not some or np.count_nonzero(jumped) > JUMP_SHARE * len(jumped):
             self._missed += 1
             if self._missed >= REFUSED_MAX:
@@ -163,7 +164,7 @@ class CameraFollower:
                 f"{np.median(away[jumped]):.1f} px from one frame to the next: "
                 "it is torn, the camera was knocked or many frames were dropped; give the next one"
             )
-        return self._keep(frame, found, got, since)
+        return self._keep(found, got, since)
 
     def search(self, frame: ImageArray) -> SeenBy:
         """Find all markers in the whole frame; lost ones are regained, doubtful ones settled.
@@ -176,7 +177,8 @@ class CameraFollower:
         known = self._known
         matched, _ = locate_in(self._bundle, self._number, frame)
         place = matched.position_px[known.ids]
-        seen, got = self._find(frame, self._place)
+        known.picture.read(frame)
+        seen, got = self._find(self._place)
         shift = np.where(got[:, None], seen.centroid_px - known.rest_px, np.nan)
         wide = place - known.rest_px
         # Of two places that of the motion more like that of the neighbours.
@@ -191,8 +193,8 @@ class CameraFollower:
         unknown = ~got & ~better
         start[unknown] = (known.rest_px + np.nan_to_num(usual))[unknown]
         self._place, self._velocity[:] = start, 0.0
-        found, got = self._find(frame, start)
-        out = self._keep(frame, found, got, 0.0)
+        found, got = self._find(start)
+        out = self._keep(found, got, 0.0)
         return SeenBy(
             position_px=out.position_px,
             bits=out.bits,
@@ -203,37 +205,28 @@ class CameraFollower:
             ),
         )
 
-    def _find(self, frame: ImageArray, expected: FloatArray) -> tuple[Moments, BoolArray]:
+    def _find(self, expected: FloatArray) -> tuple[Moments, BoolArray]:
         """Paint of all markers near their expected places, and which of them it is sure of."""
-        known = self._known
-        found = known.paint.look(frame, expected)
+        found = self._known.paint.look(expected)
         got = found.weight >= self._least
         got &= found.rim <= self._rim * found.weight
         got &= _larger(found.centroid_px - expected) <= self._alert
-        if got.all():
-            return found, got
-        again = ~got
-        again &= self._worth
-        if self._clock % PATIENCE:
+        again = self._worth > got
+        if again.any() and self._clock % PATIENCE:
             again &= self._lost_for <= LOST_STEP * PATIENCE
         if not again.any():
             return found, got
-        return self._look_again(frame, expected, found, got, np.flatnonzero(again))
+        return self._look_again(expected, found, got, np.flatnonzero(again))
 
     def _look_again(
-        self,
-        frame: ImageArray,
-        expected: FloatArray,
-        found: Moments,
-        got: BoolArray,
-        again: IntArray,
+        self, expected: FloatArray, found: Moments, got: BoolArray, again: IntArray
     ) -> tuple[Moments, BoolArray]:
         """Look in wider windows for markers ``again``, where their neighbours' motion puts them."""
         known = self._known
         off = np.where(got[:, None], found.centroid_px - expected, 0.0)
         likely = expected + self._beside(off, got)
         centre = np.where(got[:, None], found.centroid_px, likely)
-        more = known.paint.look_at(frame, again, centre, WIDER * self._margin)
+        more = known.paint.look_at(again, centre, WIDER * self._margin)
         away = np.hypot(*(more.centroid_px - centre[again]).T)
         others = np.concatenate([centre, np.full((1, 2), np.inf)])[known.rivals[again]]
         gap = np.hypot(*np.moveaxis(others - centre[again][:, None], 2, 0)).min(
@@ -258,30 +251,36 @@ class CameraFollower:
         """
         # Complex numbers: one sum for both coordinates.
         self._steps[:-1] = step.view(np.complex128)[:, 0]
-        total = self._steps[self._near].sum(axis=0)
-        self._seen[:-1] = got
-        count = self._counts if got.all() else self._seen[self._near].sum(axis=0)
-        total /= np.maximum(count, 1.0)
+        total = self._steps.take(self._near).sum(axis=0)
+        # Mostly those that were found in the last frame.
+        if not np.array_equal(got, self._counted):
+            seen = np.append(got, False)[self._near]
+            self._counted, self._per_count = got, 1.0 / np.maximum(seen.sum(axis=0), 1)
+        total *= self._per_count
         return np.asarray(total.view(np.float64).reshape(-1, 2))
 
-    def _keep(self, frame: ImageArray, found: Moments, got: BoolArray, since: float) -> SeenBy:
+    def _keep(self, found: Moments, got: BoolArray, since: float) -> SeenBy:
         """Take what was found as the new state."""
         known = self._known
-        step = np.where(got[:, None], found.centroid_px - self._place, 0.0)
+        lost = np.flatnonzero(~got)
+        step = found.centroid_px - self._place
+        step[lost] = 0.0
         beside = self._beside(step, got)
-        step = np.where(got[:, None], step, beside)
+        step[lost] = beside[lost]
         self._place = self._place + step
         self._velocity = (0.5 * DAMPING / max(since, 1.0)) * (step + beside)
-        self._lost_for += np.where(got, -1, LOST_STEP)
+        self._lost_for -= 1
+        self._lost_for[lost] += LOST_STEP + 1
         np.maximum(self._lost_for, 0, out=self._lost_for)
         np.minimum(self._lost_for, LOST_STEP * PATIENCE + 1, out=self._lost_for)
         self._missed = 0
         tips = self._place.take(known.tips, axis=0)
         tips += known.tip_px
-        red = known.red.look(frame, tips).weight
+        red = known.red.look(tips).weight
         self._on = red > np.where(self._on, self._off_below, self._on_above)
-        self._seen_px[:-1] = np.where(got[:, None], self._place, np.nan)
-        self._paint[:-1] = found.weight * self._per_full
+        self._seen_px[:-1] = self._place
+        self._seen_px[lost] = np.nan
+        np.multiply(found.weight, self._per_full, out=self._paint[:-1])
         self._bits[known.tips] = self._on
         back = self._back
         return SeenBy(

@@ -5,13 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from decoder.bundle import Bundle, Shown
-from decoder.follow_windows import (
-    Floats32,
-    Moments,
-    Windows,
-    coverage_tables,
-    window_order,
-)
+from decoder.follow_codes import Floats32, Picture, coverage_tables
+from decoder.follow_windows import Moments, Windows, window_order
 from decoder.matching import nearest_same_colour_px
 from decoder.run import locate_in
 from decoder.segmentation import Blobs, segment
@@ -73,6 +68,8 @@ class Learnt:
         Where each is when out and nothing is deformed, less the marker's rest place.
     red : Windows
         Of the tips.
+    picture : Picture
+        What both look at.
     """
 
     ids: IntArray
@@ -86,6 +83,7 @@ class Learnt:
     tips: IntArray
     tip_px: FloatArray
     red: Windows
+    picture: Picture
 
 
 def learn(
@@ -118,6 +116,8 @@ def learn(
     colour = bundle.colour[ids]
     rivals = nearest_rivals(place, colour)
     tables = coverage_tables(bundle.colours)
+    picture = Picture(size)
+    picture.read(frame)
     paint = Windows(
         half_px=half[order],
         reach_px=reach[order],
@@ -125,11 +125,14 @@ def learn(
         tables=tables,
         rivals=rivals,
         skew_px=_skew(xy, owner, place, rivals),
-        size_px=size,
+        picture=picture,
         stride=stride_of[order],
     )
-    place, at_rest = _settled(paint, frame, place, apart)
-    tips, red = _red(shown, ids, tables[bundle.colours.names.index("red")], margin_px, size)
+    place, at_rest = _settled(paint, place, apart)
+    table = tables[bundle.colours.names.index("red")]
+    tips, red = _red(shown, ids, table, margin_px, picture)
+    picture.whole = size[0] * size[1] < paint.convert_cost + red.convert_cost
+    picture.read(frame)
     return Learnt(
         ids=ids,
         neighbours=_numbered(bundle.model.neighbours, ids),
@@ -142,6 +145,7 @@ def learn(
         tips=tips,
         tip_px=shown.tips.on_px[ids[tips]] - shown.rest_px[ids[tips]],
         red=red,
+        picture=picture,
     )
 
 
@@ -153,7 +157,7 @@ def _numbered(neighbours: IntArray, ids: IntArray) -> IntArray:
 
 
 def _red(
-    shown: Shown, ids: IntArray, table: Floats32, margin_px: float, size_px: tuple[int, int]
+    shown: Shown, ids: IntArray, table: Floats32, margin_px: float, picture: Picture
 ) -> tuple[IntArray, Windows]:
     """Tips that can show, and the windows of their red."""
     on_px, area = shown.tips.on_px[ids], shown.tips.red_on_px[ids]
@@ -162,7 +166,7 @@ def _red(
     half = TIP_HALF * across + margin_px / 2.0
     stride = np.maximum((across / TIP_SAMPLES).astype(np.int64), 1)
     red = np.zeros(len(tips), dtype=np.int64)
-    order = window_order(half, red, stride, size_px)
+    order = window_order(half, red, stride, picture.codes.shape[::-1])
     tips = tips[order]
     rivals = nearest_rivals(on_px[tips], red)
     return tips, Windows(
@@ -172,7 +176,7 @@ def _red(
         tables=table[None],
         rivals=rivals,
         skew_px=np.zeros(rivals.shape),
-        size_px=size_px,
+        picture=picture,
         stride=stride[order],
     )
 
@@ -261,13 +265,11 @@ def _parted(border: FloatArray, weight: FloatArray, rivals: IntArray) -> BoolArr
     return out[:-1]
 
 
-def _settled(
-    paint: Windows, frame: ImageArray, place: FloatArray, apart: FloatArray
-) -> tuple[FloatArray, Moments]:
+def _settled(paint: Windows, place: FloatArray, apart: FloatArray) -> tuple[FloatArray, Moments]:
     """Places after a few looks, each in cells around the last."""
     start, now = place, place
     for _ in range(ROUNDS):
-        found = paint.look(frame, now)
+        found = paint.look(now)
         sure: BoolArray = (found.weight > 0.0) & (
             np.hypot(*(found.centroid_px - start).T) < 0.5 * np.minimum(apart, 1e6)
         )

@@ -26,7 +26,7 @@ def nonnegative_least_squares(gram: FloatArray, right: FloatArray) -> FloatArray
     for _ in range(10 * size + 10):
         index = np.flatnonzero(passive)
         f = np.zeros(size)
-        f[index] = _solved(gram[np.ix_(index, index)], right[index])
+        f[index] = _solved(gram[index[:, None], index], right[index])
         wrong = np.where(passive, f < 0.0, right - gram @ f > tolerance)
         count = int(wrong.sum())
         if count == 0:

@@ -1,6 +1,7 @@
 """The digital channel: red tips in the image to bits b_1 … b_n."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -29,7 +30,7 @@ class TipModel:
     red_rest_px: FloatArray
     red_on_px: FloatArray
 
-    @property
+    @cached_property
     def readable(self) -> BoolArray:
         """Switches (n,) whose red tells on from off.
 

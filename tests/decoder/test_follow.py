@@ -10,7 +10,7 @@ from decoder.bundle import Bundle, Shown
 from decoder.camera import Camera
 from decoder.estimators import ForceModel
 from decoder.follow import Follower
-from decoder.follow_windows import coverage_tables
+from decoder.follow_codes import coverage_tables
 from decoder.run import measure_frame
 from decoder.segmentation import ColourModel
 from decoder.switches import TipModel
@@ -361,3 +361,17 @@ def test_wrong_input_is_refused() -> None:
     with pytest.raises(InputError, match="the decoder was made for 320x240"):
         follower.follow(cv2.resize(rest, (160, 120)))
     assert follower.follow(rest).found.all()
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_a_whole_frames_codes_are_those_of_windows(stride: int) -> None:
+    bits = np.isin(np.arange(COUNT), (45, 58))
+    followers = [Follower(make_bundle(), draw(REST), stride=stride) for _ in range(2)]
+    for follower, whole in zip(followers, (True, False), strict=True):
+        follower._cameras[0]._known.picture.whole = whole
+    for k, place in enumerate(press_and_slide(12, np.array([5.0, 4.0])), start=1):
+        hidden = (70, 71) if k in (5, 6) else ()
+        one, other = (each.follow(draw(place, bits, seed=k, hidden=hidden)) for each in followers)
+        np.testing.assert_array_equal(one.position_px, other.position_px)
+        np.testing.assert_array_equal(one.paint, other.paint)
+        assert one.koi.tolist() == other.koi.tolist() == [45, 58]
