@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from decoder.contact_fit import Noise, Prior
-from decoder.correct import Correction
+from decoder.correct import LENGTH, Correction
 from decoder.locate import Locator
 from decoder.pairs import ROWS, Pairs
 from decoder.places import Places
@@ -42,6 +42,7 @@ def locator_table(locator: Locator) -> dict[str, Any]:
             "force_max_N": learnt.force_max_N,
             "spread": learnt.spread,
             "spread_share": learnt.spread_share,
+            "lengths": list(learnt.lengths),
         }
     return table
 
@@ -119,6 +120,8 @@ def locator_from(
     correction = None
     if "learnt" in table:
         said = table["learnt"]
+        # Up to schema 1.6 there was one for all.
+        place, force, signal = said.get("lengths", (LENGTH, LENGTH, LENGTH))
         correction = Correction(
             centre=own["centre"],
             weight=own["weight"],
@@ -127,6 +130,7 @@ def locator_from(
             force_max_N=_positive(said["force_max_N"]),
             spread=_positive(said["spread"]),
             spread_share=float(_numbers([said["spread_share"]], 1)[0]),
+            lengths=(_positive(place), _positive(force), _positive(signal)),
         )
     radius_mm = _positive(table["radius_mm"])
     prior, noise = table["prior"], table["noise"]

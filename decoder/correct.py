@@ -3,10 +3,12 @@
 Physics leaves errors that vary slowly with place and force (a wall that is thicker here than
 there, tables that end at the third power). Their logarithm is learnt by kernel ridge regression,
 which is the mean of a Gaussian process (Rasmussen and Williams 2006, eq. 2.25): far from all data
-it is 0, and few data say little.
+it is 0, and few data say little. How fast it varies with place, force and signal is what makes the
+data likeliest.
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -14,8 +16,14 @@ from shapes.arrays import FloatArray
 
 AMPLITUDE, AMPLITUDE_MAX = 0.05, 0.5
 """Least and greatest standard deviation of the logarithm that is presumed: that of the data."""
+Lengths = tuple[float, float, float]
+"""Length scales of place (over the sensor's size), force (over the greatest) and signal."""
 LENGTH = 0.33
-"""Length scale of place (over the sensor's size) and of force (over the greatest)."""
+"""All of them up to schema 1.6, and while the noise is not known yet."""
+LENGTHS: tuple[Lengths, ...] = tuple(product((0.33, 0.5, 0.8), (0.33, 0.6, 1.2), (0.33, 0.6)))
+"""Those that are looked at."""
+LIKELY_BY = 400
+"""Contacts by which they are chosen, at most."""
 SIGNAL_SCALE, SIGNAL_LEAST = 0.4, 1e-6
 """Factor on the logarithm of the signal, and its least, px/N."""
 SHARE = 0.01
@@ -48,6 +56,8 @@ class Correction:
         Factor on standard deviations.
     spread_share : float
         Standard deviation besides, as a share of the force.
+    lengths : (3,) float
+        How far the features reach, see :data:`Lengths`.
     """
 
     centre: FloatArray
@@ -57,6 +67,7 @@ class Correction:
     force_max_N: float
     spread: float = 1.0
     spread_share: float = 0.0
+    lengths: Lengths = (LENGTH, LENGTH, LENGTH)
 
     def features(
         self, point_mm: FloatArray, force_N: FloatArray, signal_px: FloatArray
@@ -77,17 +88,20 @@ class Correction:
         if len(self.weight) == 0:
             return np.ones(len(force_N))
         own = self.features(point_mm, force_N, signal_px)
-        return np.asarray(np.exp(kernel(own, self.centre) @ self.weight))
+        return np.asarray(np.exp(kernel(own, self.centre, self.lengths) @ self.weight))
 
     def spread_N(self, force_N: FloatArray, sd_N: FloatArray) -> FloatArray:
         """Standard deviations (c,) of corrected forces."""
         return np.asarray(np.hypot(self.spread * sd_N, self.spread_share * force_N))
 
 
-def kernel(a: FloatArray, b: FloatArray) -> FloatArray:
+def kernel(a: FloatArray, b: FloatArray, lengths: Lengths) -> FloatArray:
     """Squared-exponential correlation (p, q) of features (p, 5), (q, 5)."""
+    place, force, signal = lengths
+    scale = np.array([place, place, place, force, signal])
+    a, b = a / scale, b / scale
     gap = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * (a @ b.T)
-    return np.asarray(np.exp(-0.5 * np.maximum(gap, 0.0) / LENGTH**2))
+    return np.asarray(np.exp(-0.5 * np.maximum(gap, 0.0)))
 
 
 def learn_correction(
@@ -112,12 +126,13 @@ def learn_correction(
     own = plain.features(point_mm, force_N, signal_px)
     log = np.clip(np.log(truth_N / force_N), -1.0, 1.0)
     size = float(np.clip(np.quantile(np.abs(log), 0.68), AMPLITUDE, AMPLITUDE_MAX))
-    covariance = size**2 * kernel(own, own)
-    spread, share = 1.0, SHARE
+    spread, share, lengths = 1.0, SHARE, plain.lengths
     weight = np.zeros(len(log))
-    for _ in range(PASSES):
+    for number in range(PASSES):
         noise = (spread * sd_N / force_N) ** 2 + max(share, SHARE) ** 2
-        inverse = np.linalg.inv(covariance + np.diag(noise))
+        if number == 1:  # the first pass has told the noise
+            lengths = _likeliest(own, log, noise, size)
+        inverse = np.linalg.inv(size**2 * kernel(own, own, lengths) + np.diag(noise))
         weight = inverse @ log
         # Leave-one-out: what the others say of each.
         left = weight / np.diagonal(inverse)
@@ -131,7 +146,31 @@ def learn_correction(
         force_max_N=plain.force_max_N,
         spread=spread,
         spread_share=share,
+        lengths=lengths,
     )
+
+
+def _likeliest(own: FloatArray, log: FloatArray, noise: FloatArray, size: float) -> Lengths:
+    """Length scales that make the data likeliest (ibid., eq. 5.8), by some of the contacts.
+
+    Parameters
+    ----------
+    own : (c, 5) float
+        Features.
+    log, noise : (c,) float
+        What is to be learnt of each, and the variance of its noise.
+    size : float
+        Presumed standard deviation of what is to be learnt.
+    """
+    some = slice(None, None, -(-len(log) // LIKELY_BY))
+    own, log, noise = own[some], log[some], noise[some]
+
+    def evidence(lengths: Lengths) -> float:
+        root = np.linalg.cholesky(size**2 * kernel(own, own, lengths) + np.diag(noise))
+        told = np.linalg.solve(root, log)
+        return float(-0.5 * told @ told - np.log(np.diagonal(root)).sum())
+
+    return max(LENGTHS, key=evidence)
 
 
 def calibrated_spread(

@@ -62,6 +62,7 @@ def bundle() -> Bundle:
             force_max_N=25.0,
             spread=1.5,
             spread_share=0.02,
+            lengths=(0.5, 1.2, 0.33),
         ),
     )
     return replace(plain, model=replace(plain.model, locator=locator))
@@ -104,6 +105,18 @@ def test_pixels_count_as_they_did_in_older_bundles(tmp_path: Path) -> None:
     del meta["colours"]["ramp"]
     path.write_text(json.dumps(meta))
     assert load_bundle(tmp_path).colours.ramp == 0.0
+
+
+def test_corrections_reach_as_far_as_they_did_in_older_bundles(tmp_path: Path) -> None:
+    save_bundle(bundle(), tmp_path)
+    path = tmp_path / "bundle.json"
+    meta = json.loads(path.read_text())
+    assert meta["auto"]["learnt"].pop("lengths") == [0.5, 1.2, 0.33]
+    path.write_text(json.dumps(meta))
+    locator = load_bundle(tmp_path).model.locator
+    assert locator is not None
+    assert locator.correction is not None
+    assert locator.correction.lengths == (0.33, 0.33, 0.33)
 
 
 def test_bundle_without_it_says_so(tmp_path: Path) -> None:
@@ -195,6 +208,9 @@ def test_damaged_tables_are_refused(
         (("prior", "moments_sd_mm2"), [1.0, 2.0]),
         (("noise", "centroid_px"), -1.0),
         (("learnt", "spread"), float("nan")),
+        (("learnt", "lengths"), [0.5, 1.0]),
+        (("learnt", "lengths"), [0.5, 0.0, 1.0]),
+        (("learnt", "lengths"), 0.5),
         (("radius_mm",), "wide"),
         (("prior",), None),
     ],

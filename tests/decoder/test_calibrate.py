@@ -236,10 +236,41 @@ def test_a_correction_fades_away_from_its_data() -> None:
         truth_N=1.04 * force,
     )
     near, far = learnt.factor(
-        np.array([[10.0] * 3, [100.0] * 3]), np.array([10.0, 10.0]), np.ones(2)
+        np.array([[10.0] * 3, [300.0] * 3]), np.array([10.0, 10.0]), np.ones(2)
     )
     assert near == pytest.approx(1.04, abs=0.003)
     assert abs(far - 1.0) < 0.002
+
+
+@pytest.mark.parametrize(("waves", "wanted"), [(0.25, 0.8), (1.5, 0.33)])
+def test_a_correction_reaches_as_far_as_its_data_vary(waves: float, wanted: float) -> None:
+    """Length scales are the likeliest: a slow error is learnt over the whole sensor."""
+    rng = np.random.default_rng(1)
+
+    def drawn(count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        point, force = rng.uniform(0.0, 100.0, (count, 3)), rng.uniform(1.0, 20.0, count)
+        wave = np.sin(2.0 * np.pi * waves * point[:, 0] / 100.0)
+        return point, force, force * np.exp(0.04 * wave + 0.004 * rng.normal(size=count))
+
+    point, force, truth = drawn(700)
+    learnt = learn_correction(
+        Correction(
+            centre=np.zeros((0, 5)),
+            weight=np.zeros(0),
+            low_mm=np.zeros(3),
+            size_mm=100.0,
+            force_max_N=20.0,
+        ),
+        point_mm=point,
+        force_N=force,
+        signal_px=np.ones(700),
+        sd_N=0.004 * force,
+        truth_N=truth,
+    )
+    assert learnt.lengths[:2] == (wanted, 1.2)
+    point, force, truth = drawn(300)
+    error = np.log(force * learnt.factor(point, force, np.ones(300)) / truth)
+    assert np.sqrt(np.mean(error**2)) < 0.0075  # 0.004 of it noise, 0.028 without
 
 
 @pytest.mark.parametrize("true_share", [0.0, 0.05])
