@@ -35,8 +35,9 @@ from shapes.discs import disc_overlap_share
 
 SILENT_MAX = 4
 """Contacts without a switch that are looked for at most."""
-SILENT_GAIN = 25.0
-"""Fall of the weighted sum of squares from which on one is believed: five standard deviations."""
+SILENT_GAIN = 40.0
+"""Fall of the weighted sum of squares from which on one is believed: six standard deviations, for
+tables are not exact, and what they leave looks like a contact to quiet markers."""
 SILENT_MISFIT = 1.15
 """Weighted sum of squares per number from which on it is worth a look."""
 SILENT_OVER = 2.0
