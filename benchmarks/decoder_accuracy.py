@@ -38,7 +38,9 @@ from benchmarks.decoder_rows import (
 from benchmarks.harness import Table
 from decoder.bundle import Bundle
 from phytac_design.learn.data import DataSet
+from phytac_design.simulate import eyes_of
 from phytac_design.stage import Context
+from shapes.arrays import FloatArray
 
 COUNTS = (25, 50, 100, 150, 300, 598)
 """Samples of the learning curve."""
@@ -86,6 +88,12 @@ class Bench:
         """Where its data are from."""
         return f"{self.case.name}: {origin(self.case.name, self.test.meta)}"
 
+    @property
+    def pixels_px(self) -> FloatArray:
+        """Scatter (n, 2) of its markers' places over where on the pixels they are."""
+        found = eyes_of(self.case.job).at_rest.grid_px
+        return np.where(np.isfinite(found), found, np.nanmean(found, axis=0))
+
     def judged(self, bundle: Bundle, *, names: Sequence[str] | None = None) -> Verdict:
         """A decoder on the held-out samples."""
         return verdict(self.context, bundle.model, self.test, estimators=names)
@@ -104,7 +112,7 @@ def add_rows_accuracy(table: Table, *, quick: bool) -> None:
     for number, case in enumerate(units(quick=quick)):
         here = bench(case)
         bundle, facts = taught(here.plain, here.train)
-        judged = here.judged(bundle)
+        judged = replace(here.judged(bundle), pixels_px=here.pixels_px)
         full = number == 0 and not quick
         _count_row(table, here, judged, target=full)
         add_scores(table, here.head, judged, FULL, targets=TARGETS)

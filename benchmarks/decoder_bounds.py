@@ -13,12 +13,14 @@ from phytac_design.stage import Context
 from phytac_design.stages.twin import arms_mm, readers_of
 from phytac_design.twin.bound import Prior, Signals, cell_prior, contact_signals
 from phytac_design.twin.response import motion_responses, point_motions
-from shapes.arrays import BoolArray, FloatArray
+from shapes.arrays import BoolArray, FloatArray, IntArray
 
 QUIET_px = 0.05
 """Markers that contacts move by less tell the noise: what mechanics leave out is far below it."""
 QUIET_LEAST = 10
 """Readings of a coordinate from which on it has a noise of its own."""
+STILL_px = 0.1
+"""Markers that move by more lie elsewhere on the pixels."""
 MEAN_SIZE = float(np.sqrt(2.0 / np.pi))
 """Mean of |error| over the standard deviation of a normal error."""
 
@@ -34,10 +36,19 @@ class Bounds:
         contacts that tripped no switch.
     alone_N : (c,) float
         The same if all about the sample's other contacts were known.
+    pixels_N : (c,) float
+        As the first, with what pixels add to the noise of markers that move.
     """
 
     force_N: FloatArray
     alone_N: FloatArray
+    pixels_N: FloatArray
+
+    def pick(self, rows: IntArray) -> "Bounds":
+        """Of some contacts."""
+        return Bounds(
+            force_N=self.force_N[rows], alone_N=self.alone_N[rows], pixels_N=self.pixels_N[rows]
+        )
 
 
 def noise_of(found: list[Found | None], samples: Samples) -> FloatArray:
@@ -67,7 +78,9 @@ def noise_of(found: list[Found | None], samples: Samples) -> FloatArray:
     return np.where(known, noise, overall)
 
 
-def bounds(context: Context, samples: Samples, noise_px: FloatArray) -> Bounds:
+def bounds(
+    context: Context, samples: Samples, noise_px: FloatArray, pixels_px: FloatArray | float = 0.0
+) -> Bounds:
     """Bounds of all contacts of samples, by the decoder's own shell, linear.
 
     Parameters
@@ -78,6 +91,9 @@ def bounds(context: Context, samples: Samples, noise_px: FloatArray) -> Bounds:
         With contacts and truth.
     noise_px : (n, 2) float
         Standard deviation of each coordinate of a shift.
+    pixels_px : (n, 2) float
+        Standard deviation of the error of a place that depends on where on the pixels it is; of a
+        marker that moves, shifts have it twice: of where it is and of where it was.
     """
     touches, truth = samples.touches, samples.truth
     assert touches is not None
@@ -93,21 +109,23 @@ def bounds(context: Context, samples: Samples, noise_px: FloatArray) -> Bounds:
     )
     rows = np.flatnonzero(tripped)
     signals = _signals(context, samples, tripped)
-    force, alone = np.full((2, len(tripped)), np.nan)
-    weight = 1.0 / noise_px.reshape(-1)
+    force, alone, pixels = np.full((3, len(tripped)), np.nan)
+    twice = np.broadcast_to(2.0 * np.asarray(pixels_px) ** 2, noise_px.shape)
     start = np.searchsorted(touches.sample[rows], np.arange(samples.count + 1))
     for sample in range(samples.count):
         own = slice(start[sample], start[sample + 1])
         if own.start == own.stop:
             continue
         seen = np.isfinite(samples.shift_px[sample]).reshape(-1)
+        mine = Signals(shift=signals.shift[own], slopes=signals.slopes[own])
+        newtons = touches.force_N[rows[own]]
         force[rows[own]], alone[rows[own]] = _sample(
-            Signals(shift=signals.shift[own], slopes=signals.slopes[own]),
-            touches.force_N[rows[own]],
-            weight * seen,
-            prior,
+            mine, newtons, seen / noise_px.reshape(-1), prior
         )
-    return Bounds(force_N=force, alone_N=alone)
+        moves = np.linalg.norm((newtons @ mine.shift).reshape(-1, 2), axis=1) > STILL_px
+        noise = np.sqrt(noise_px**2 + twice * moves[:, None])
+        pixels[rows[own]] = _sample(mine, newtons, seen / noise.reshape(-1), prior)[0]
+    return Bounds(force_N=force, alone_N=alone, pixels_N=pixels)
 
 
 def _sample(

@@ -232,6 +232,8 @@ class Verdict:
         The same beside what was pressed.
     context : Context
         Of the decoder's mechanics.
+    pixels_px : (n, 2) float or 0
+        What the place on the pixels adds to the noise of markers that move, where it is known.
     """
 
     data: DataSet
@@ -240,6 +242,7 @@ class Verdict:
     found: list[Found | None]
     claims: Claims
     context: Context
+    pixels_px: FloatArray | float = 0.0
 
     def group(self, section: str, name: str) -> BoolArray:
         """Mask (c,); a name may be only begun. Empty for a group without contacts."""
@@ -265,16 +268,21 @@ class Verdict:
     @cached_property
     def bounds(self) -> Bounds:
         """Of the judged contacts, (c,)."""
-        all_ = bounds(self.context, self.data.samples, self.noise_px)
-        touch = self.decoded.touch
-        return Bounds(force_N=all_.force_N[touch], alone_N=all_.alone_N[touch])
+        all_ = bounds(self.context, self.data.samples, self.noise_px, self.pixels_px)
+        return all_.pick(self.decoded.touch)
 
     def over_bound(self, mask: BoolArray) -> tuple[float, float, float]:
         """RMSE of ``auto`` over the RMS of the bound; that, N; RMSE over that of each alone."""
-        error = (self.decoded.decoded_N["auto"] - self.decoded.force_N)[mask]
-        rmse = _rms(error)
         least = _rms(self.bounds.force_N[mask])
-        return rmse / least, least, rmse / _rms(self.bounds.alone_N[mask])
+        return self._rmse(mask) / least, least, self._rmse(mask) / _rms(self.bounds.alone_N[mask])
+
+    def over_pixels(self, mask: BoolArray) -> tuple[float, float]:
+        """RMSE of ``auto`` over the RMS of the bound with what pixels add; that, N."""
+        least = _rms(self.bounds.pixels_N[mask])
+        return self._rmse(mask) / least, least
+
+    def _rmse(self, mask: BoolArray) -> float:
+        return _rms((self.decoded.decoded_N["auto"] - self.decoded.force_N)[mask])
 
     def typical(self, mask: BoolArray) -> float:
         """Median of |error| of ``auto`` over that of a normal error as large as the bound says."""

@@ -159,6 +159,19 @@ def add_bounds(table: Table, head: str, judged: Verdict, *, target: str | None) 
             f"0.67 of the bound's median; noise {np.min(noise):.3f} to {np.max(noise):.3f}, "
             f"median {np.median(noise):.3f} px",
         )
+        if np.any(judged.pixels_px):
+            ratio, least_N = judged.over_pixels(mask)
+            table.add(
+                f"{head}: auto, {WORDS[group]}: RMSE over the RMS of that bound with what pixels "
+                "add to the noise of markers that move",
+                ratio,
+                "ratio",
+                reference=1.0,
+                source="a place's error changes with where on the pixels it is: scatter over four "
+                "places, in frames without noise; twice in a shift",
+                note=f"RMS of the bound {least_N:.3g} N; pixels add "
+                f"{float(np.sqrt(2.0 * np.nanmean(np.square(judged.pixels_px)))):.3f} px RMS",
+            )
         table.add(
             f"{head}: {WORDS[group]}: least mean relative error that the bound allows",
             100.0 * least,
