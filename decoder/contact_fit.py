@@ -186,7 +186,7 @@ def start(
 ) -> State:
     """A contact to begin with."""
     place = int(places.nearest(point_mm[None])[0])
-    xy = places.flat(place, point_mm[None])[0]
+    xy = places.aside(place, point_mm)
     return State(
         place=place,
         x=np.array([force_N, *xy, *prior.moments_mm2]),
@@ -275,7 +275,7 @@ def explain(state: State, orders: int) -> tuple[FloatArray, FloatArray]:
     rows = rows.reshape(UNKNOWNS, orders, -1)
     order = np.arange(orders)
     power = (f ** (order + 1.0)).astype(np.float32)
-    slope = np.einsum("a,tar->tr", power, rows).astype(np.float64)
+    slope = (power @ rows).astype(np.float64)
     total = slope[0].copy()
     slope[0] = ((order + 1.0) * f**order).astype(np.float32) @ rows[0]
     return total, slope
@@ -283,7 +283,7 @@ def explain(state: State, orders: int) -> tuple[FloatArray, FloatArray]:
 
 def _off(places: Places, state: State, prior: Prior) -> FloatArray:
     """How far a contact is from what is known beforehand, (6,)."""
-    begun = places.flat(state.place, state.start_mm[None])[0]
+    begun = places.aside(state.place, state.start_mm)
     moments = state.x[3:] - np.array(prior.moments_mm2)
     return np.array([0.0, *(state.x[1:3] - begun), *moments])
 
@@ -303,7 +303,7 @@ def _moved(places: Places, states: Sequence[State], step: FloatArray) -> float:
         place = int(places.nearest(point[None])[0])
         if place != state.place:
             state.place, state.tables = place, places.cubic(place)
-            state.x[1:3] = places.flat(place, point[None])[0]
+            state.x[1:3] = places.aside(place, point)
         # Every place of the surface is nearer to the tables: beyond a rim there is none.
         far = float(np.hypot(*state.x[1:3])) / (OFF_SPACINGS * places.spacing_mm)
         if far > 1.0:

@@ -93,8 +93,9 @@ def gains(seen: Shown) -> FloatArray:
     known = np.isfinite(seen.left_px[:, :, 0]) & ~seen.on
     e = np.where(known[:, :, None], seen.explained_px, 0.0)
     r = np.where(known[:, :, None], seen.left_px, 0.0)
-    square = np.einsum("ska,skb->kab", e, e)
-    both = np.einsum("ska,skb->kab", r, e)
+    by_marker = np.ascontiguousarray(e.transpose(1, 0, 2))
+    square = e.transpose(1, 2, 0) @ by_marker
+    both = r.transpose(1, 2, 0) @ by_marker
     moved = known & (np.linalg.norm(e, axis=2) > MOVED_px)
     usual = max(float(np.mean(r[moved] ** 2)), LEAST_px**2) if moved.any() else 1.0
     variance = np.full(e.shape[1], usual)
@@ -169,5 +170,9 @@ def noise_of(seen: Shown, parts: Sequence[LeftOut]) -> tuple[FloatArray, float |
 def with_gain(places: Places, gain: FloatArray) -> Places:
     """Tables of a sensor whose markers show motion by ``1 + gain`` (n, 2, 2)."""
     rows = places.shift_px.reshape(*places.shift_px.shape[:2], -1, 2)
-    more = np.einsum("pkna,nba->pknb", rows, gain.astype(np.float32))
-    return places.with_rows((rows + more).reshape(places.shift_px.shape), places.pairs)
+    whole = gain.astype(np.float32) + np.eye(2, dtype=np.float32)
+    x, y = rows[..., 0], rows[..., 1]
+    shown = np.empty_like(rows)
+    for k in range(2):
+        np.add(x * whole[:, k, 0], y * whole[:, k, 1], out=shown[..., k])
+    return places.with_rows(shown.reshape(places.shift_px.shape), places.pairs)

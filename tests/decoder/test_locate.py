@@ -91,6 +91,17 @@ def test_one_contact_between_places(force: float) -> None:
     assert contact.markers.tolist() == [nearest(at)]
 
 
+def test_one_point_is_laid_as_many_are() -> None:
+    places = flat_places()
+    tilted = replace(places, along=places.along + np.array([0.0, 0.0, 0.3]))
+    points = np.random.default_rng(2).normal(size=(6, 3)) * [9.0, 9.0, 2.0]
+    points[0] = tilted.point_mm[4]
+    points[1] = tilted.point_mm[4] + [0.0, 0.0, 3.0]
+    many = tilted.flat(4, points)
+    one = [tilted.aside(4, point) for point in points]
+    np.testing.assert_allclose(one, many, rtol=1e-12, atol=1e-12)
+
+
 def test_another_extent_is_told_from_another_force() -> None:
     at, moments = point(33.0, 27.0), DISC + np.array([4.0, 1.5, -2.0])
     (contact,) = find(shifts(at, 10.0, moments), [nearest(at)])

@@ -63,13 +63,16 @@ def flat(level: float, shape: tuple[int, int] = (120, 160)) -> np.ndarray:
     return np.full((*shape, 3), level, dtype=np.float32)
 
 
-@pytest.mark.parametrize("count", [1, 4, 8, 13])
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 8, 13, 24, 64])
 def test_lens_points_are_as_far_out_as_a_disc(count: int) -> None:
     points = BLUR.points_mm(count)
     np.testing.assert_allclose(points.mean(axis=0), 0.0, atol=1e-12)
     assert (np.linalg.norm(points, axis=1) <= 1.15 * BLUR.aperture_mm / 2.0).all()
+    square = points.T @ points / count
     if count > 1:
-        np.testing.assert_allclose(points.T @ points / count, np.eye(2) / 4.0, atol=1e-12)
+        np.testing.assert_allclose(np.diagonal(square), 0.25, atol=1e-12)
+    if count > 2:  # two lie on a line
+        np.testing.assert_allclose(square, np.eye(2) / 4.0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("depth", "samples", "worst"), [(100.0, 200, 0.045), (25.0, 8, 0.25)])
