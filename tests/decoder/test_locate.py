@@ -8,6 +8,7 @@ import pytest
 
 from decoder import locate
 from decoder.contact_fit import ASTRAY, OFF_SPACINGS, _doubted
+from decoder.correct import Correction
 from decoder.locate import SILENT_MISFIT, Located
 from decoder.places import Places
 from shapes.arrays import FloatArray
@@ -303,9 +304,25 @@ def test_spread_is_that_of_many_noisy_frames() -> None:
         noisy = shifts(at, 10.0, moments) + rng.normal(0.0, 0.02, 2 * COUNT)
         (contact,) = locator.find(noisy.reshape(-1, 2), np.array([44])).contacts
         error.append(contact.force_N - 10.0)
-        said.append(contact.sd_N)
+        said.append(contact.raw_sd_N)
     assert np.std(error) == pytest.approx(np.mean(said), rel=0.15)
     assert abs(np.mean(error)) < 0.3 * np.std(error)
+
+
+def test_forces_of_an_unknown_print_are_no_surer_than_its_stiffness() -> None:
+    at = point(30.0, 30.0)
+    seen = shifts(at, 8.0).reshape(-1, 2), np.array([nearest(at)])
+    (unknown,) = LOCATOR.find(*seen).contacts
+    assert unknown.sd_N == pytest.approx(np.hypot(unknown.raw_sd_N, 0.11 * 8.0), rel=1e-3)
+    taught = Correction(
+        centre=np.zeros((0, 5)),
+        weight=np.zeros(0),
+        low_mm=np.zeros(3),
+        size_mm=60.0,
+        force_max_N=25.0,
+    )
+    (known,) = replace(LOCATOR, correction=taught).find(*seen).contacts
+    assert known.sd_N == known.raw_sd_N == unknown.raw_sd_N < 0.05
 
 
 def test_forces_are_shared_by_overlap_and_sum_up() -> None:
