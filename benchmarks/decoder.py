@@ -242,6 +242,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     rows: dict[str, Callable[..., None]] = {
         "linear": linear_rows,
         "speed": decoder_speed.add_rows,
+        "speed_large": partial(decoder_speed.add_rows, size=decoder_speed.LARGE),
         "stream": decoder_stream.add_rows,
         "faults": decoder_faults.add_rows,
         "accuracy": decoder_accuracy.add_rows_accuracy,

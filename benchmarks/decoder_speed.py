@@ -33,8 +33,9 @@ from phytac_design.twin.sight.eyes import Eyes
 from shapes.arrays import BoolArray, FloatArray, ImageArray
 
 DESIGNS = ("cylinder60", "cylinder60-dense")
-PRESETS = {"640x480": "paper_480fps", "2592x1944": "paper_30fps"}
-TARGETS_ms = {"640x480": 1.0, "2592x1944": 10.0}
+SMALL, LARGE = "640x480", "2592x1944"
+PRESETS = {SMALL: "paper_480fps", LARGE: "paper_30fps"}
+TARGETS_ms = {SMALL: 1.0, LARGE: 10.0}
 WHOLE = 300
 """Frames of the whole grip, 0.6 s at 480 fps."""
 FINGERS, FORCE_N, SLIDE_mm, WIDTH_mm = 5, 25.0, 8.0, 4.0
@@ -317,24 +318,22 @@ def add_speed(
         )
 
 
-def add_rows(table: Table, *, quick: bool) -> None:
-    """All designs and cameras; ``quick``: few frames of the smaller camera."""
+def add_rows(table: Table, *, quick: bool, size: str = SMALL) -> None:
+    """All designs before a camera; ``quick``: one, and few frames of it."""
     cv2.setNumThreads(1)
+    camera, whole = CAMERA_PRESETS[PRESETS[size]], size == SMALL and not quick
     for name in DESIGNS[:1] if quick else DESIGNS:
         design = load_design(name)
-        for size, target_ms in list(TARGETS_ms.items())[: 1 if quick else None]:
-            camera = CAMERA_PRESETS[PRESETS[size]]
-            pixel_um = design.camera.pixel_um * design.camera.width_px / camera["width_px"]
-            sensor = Sensor.of(copy_of(design, camera=camera | {"pixel_um": pixel_um}))
-            whole = size == "640x480" and not quick
-            film = film_of(sensor, range(WHOLE) if whole else range(FIRST, FIRST + FEW))
-            label = f"{name} {size}, {sensor.eyes.count} markers"
-            sure = add_accuracy(table, label, sensor, film)
-            add_names(table, label, sensor, film, sure)
-            add_speed(table, label, target_ms, sensor, film, 40 if quick else 400)
-            if whole:
-                film = film_of(sensor, range(WHOLE), STRESS)
-                add_names(table, f"{label}, motions times {STRESS:g}", sensor, film, sure)
+        pixel_um = design.camera.pixel_um * design.camera.width_px / camera["width_px"]
+        sensor = Sensor.of(copy_of(design, camera=camera | {"pixel_um": pixel_um}))
+        film = film_of(sensor, range(WHOLE) if whole else range(FIRST, FIRST + FEW))
+        label = f"{name} {size}, {sensor.eyes.count} markers"
+        sure = add_accuracy(table, label, sensor, film)
+        add_names(table, label, sensor, film, sure)
+        add_speed(table, label, TARGETS_ms[size], sensor, film, 40 if quick else 400)
+        if whole:
+            film = film_of(sensor, range(WHOLE), STRESS)
+            add_names(table, f"{label}, motions times {STRESS:g}", sensor, film, sure)
 
 
 def main() -> None:
