@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,8 @@ SMALL = small(
 def scenario(**tables: Any) -> Scenario:
     """The smoke scenario with some fields changed."""
     data = load_scenario("smoke").model_dump(mode="json", exclude_unset=True)
+    # A third of the points a pixel: nothing here depends on how well frames are rendered.
+    data["solve"] = {**data.get("solve", {}), "samples_per_pixel": 8}
     for table, fields in tables.items():
         data[table] = {**data.get(table, {}), **fields}
     return parse_scenario(data, "smoke")
@@ -150,9 +153,12 @@ def _often(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_killed_command_goes_on_and_gives_the_same_files(whole: Path, tmp_path: Path) -> None:
     design = tmp_path / "small.toml"
     design.write_text(to_toml(SMALL))
+    coarse = tmp_path / "smoke.toml"
+    smoke = resources.files("phytac_design") / "scenarios" / "smoke.toml"
+    coarse.write_text(smoke.read_text() + "\n[solve]\nsamples_per_pixel = 8\n")
     out = tmp_path / "data"
     command = [
-        str(Path(sys.executable).parent / "phytac"), "simulate", str(design), "smoke",
+        str(Path(sys.executable).parent / "phytac"), "simulate", str(design), str(coarse),
         "--samples", "6", "--seed", "3", "--accuracy", "draft", "--workers", "2",
         "--out", str(out),
     ]  # fmt: skip
@@ -266,7 +272,7 @@ def test_knobs_of_the_eyes_reach_them() -> None:
     tables = {"solve": {"centroids": "pixels", "samples_per_pixel": 3}}
     eyes = eyes_of(job_of(tables=tables))
     assert (eyes.centroids, eyes.eyes[0].samples) == ("pixels", 3)
-    plain = eyes_of(job_of())
+    plain = eyes_of(replace(job_of(), scenario=load_scenario("smoke")))
     assert (plain.centroids, plain.eyes[0].samples) == ("paint", 24)
 
 
