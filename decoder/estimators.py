@@ -146,7 +146,7 @@ class ForceModel:
         rows, products = self._patterns
         c = rows[koi]
         gram = products[koi[:, None], koi]
-        unseen = np.flatnonzero(np.isnan(d))
+        unseen = np.flatnonzero(~np.isfinite(d))
         if len(unseen):
             d = d.copy()
             d[unseen] = 0.0
