@@ -143,9 +143,7 @@ def calibrated(
     plain, second = _scaled(plain, samples, few, rounds=1)
     matches = _left_out(plain, design.scaled(second), parts, samples, chosen)
     box = plain.position_mm
-    empty = Correction(
-        centre=np.zeros((0, 5)),
-        weight=np.zeros(0),
+    empty = Correction.plain(
         low_mm=box.min(axis=0),
         size_mm=max(float(np.ptp(box, axis=0).max()), 1e-9),
         force_max_N=force_max_N,

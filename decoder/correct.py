@@ -69,6 +69,17 @@ class Correction:
     spread_share: float = 0.0
     lengths: Lengths = (LENGTH, LENGTH, LENGTH)
 
+    @classmethod
+    def plain(cls, *, low_mm: FloatArray, size_mm: float, force_max_N: float) -> "Correction":
+        """One that has learnt nothing: all factors are 1."""
+        return cls(
+            centre=np.zeros((0, 5)),
+            weight=np.zeros(0),
+            low_mm=low_mm,
+            size_mm=size_mm,
+            force_max_N=force_max_N,
+        )
+
     def features(
         self, point_mm: FloatArray, force_N: FloatArray, signal_px: FloatArray
     ) -> FloatArray:

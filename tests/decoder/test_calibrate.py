@@ -217,9 +217,7 @@ def test_samples_without_contacts_or_switches_are_refused() -> None:
 
 
 def test_a_correction_fades_away_from_its_data() -> None:
-    plain = Correction(
-        centre=np.zeros((0, 5)),
-        weight=np.zeros(0),
+    plain = Correction.plain(
         low_mm=np.zeros(3),
         size_mm=100.0,
         force_max_N=20.0,
@@ -254,9 +252,7 @@ def test_a_correction_reaches_as_far_as_its_data_vary(waves: float, wanted: floa
 
     point, force, truth = drawn(700)
     learnt = learn_correction(
-        Correction(
-            centre=np.zeros((0, 5)),
-            weight=np.zeros(0),
+        Correction.plain(
             low_mm=np.zeros(3),
             size_mm=100.0,
             force_max_N=20.0,

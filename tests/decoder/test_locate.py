@@ -9,8 +9,9 @@ import pytest
 from decoder import locate
 from decoder.contact_fit import ASTRAY, OFF_SPACINGS, _doubted
 from decoder.correct import Correction
-from decoder.locate import SILENT_MISFIT, Located
+from decoder.locate import PRINT_SHARE, SILENT_MISFIT, Located
 from decoder.places import Places
+from phytac_design.twin.scenario.tables import UnitSection
 from shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import (
     DISC,
@@ -314,15 +315,19 @@ def test_forces_of_an_unknown_print_are_no_surer_than_its_stiffness() -> None:
     seen = shifts(at, 8.0).reshape(-1, 2), np.array([nearest(at)])
     (unknown,) = LOCATOR.find(*seen).contacts
     assert unknown.sd_N == pytest.approx(np.hypot(unknown.raw_sd_N, 0.11 * 8.0), rel=1e-3)
-    taught = Correction(
-        centre=np.zeros((0, 5)),
-        weight=np.zeros(0),
+    taught = Correction.plain(
         low_mm=np.zeros(3),
         size_mm=60.0,
         force_max_N=25.0,
     )
     (known,) = replace(LOCATOR, correction=taught).find(*seen).contacts
     assert known.sd_N == known.raw_sd_N == unknown.raw_sd_N < 0.05
+
+
+def test_scatter_of_prints_is_what_the_twin_presumes() -> None:
+    unit = UnitSection()
+    thickness = 2.3 * np.hypot(unit.thickness_share, unit.thickness_wave_share)
+    assert pytest.approx(np.hypot(unit.modulus_share, thickness), abs=0.005) == PRINT_SHARE
 
 
 def test_forces_are_shared_by_overlap_and_sum_up() -> None:
