@@ -10,9 +10,8 @@ from decoder.samples import Samples
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
 from phytac_design.stage import Context
-from phytac_design.stages.twin import arms_mm, readers_of
 from phytac_design.twin.bound import Prior, Signals, cell_prior, contact_signals
-from phytac_design.twin.response import motion_responses, point_motions
+from phytac_design.twin.response import motion_responses
 from shapes.arrays import BoolArray, FloatArray, IntArray
 
 QUIET_px = 0.05
@@ -153,12 +152,11 @@ def _signals(context: Context, samples: Samples, chosen: BoolArray) -> Signals:
     )
     receptors = context.accuracy.receptors and not unknown_receptors(design)
     model = sensor_model(design, markers, mesh, receptors=receptors)
-    arm = arms_mm(context)
-    slope = readers_of(context).jacobian(markers.mid_mm + arm)
+    slope = context.arrays("views")["paint_slope"]
 
     def shifts(uv: FloatArray, radius_mm: FloatArray) -> FloatArray:
         motion = motion_responses(model, mesh, surface, markers, uv=uv, radius_mm=radius_mm)
-        return np.asarray(np.einsum("nij,cnj->cni", slope, point_motions(motion, arm)))
+        return np.asarray(np.einsum("nij,cnj->cni", slope, motion))
 
     moments = second_moments(
         {

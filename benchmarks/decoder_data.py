@@ -201,14 +201,14 @@ def nominal(design: Design) -> Case:
 
 
 def of_shape(name: str, *, quick: bool) -> Case:
-    """The first virtual print of a shipped design, by points."""
+    """The first virtual print of a shipped design, by frames."""
     if quick:
         return _quick(1, 50)
     # A flat wall snaps: its large displacements take many times longer.
     count = 60 if name in FLAT else 120
     accuracy: Preset = "draft" if name in FLAT else "standard"
     train = count // 2
-    job = job_of(load_design(name), unit=1, samples=count, accuracy=accuracy)
+    job = job_of(load_design(name), unit=1, samples=count, accuracy=accuracy, route="frames")
     return Case(name=f"shape-{name}", job=job, train=train, accuracy="standard")
 
 

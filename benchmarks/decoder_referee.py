@@ -19,7 +19,7 @@ from phytac_design.design_file import design_hash, load_design
 from phytac_design.learn.data import DataSet
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.stage import Context
-from phytac_design.stages.twin import readers_of
+from phytac_design.stages.twin import watch_of
 from phytac_design.twin.contacts import Contacts, switch_states
 from shapes.arrays import FloatArray
 
@@ -32,15 +32,22 @@ SEED = 5
 def shifts_px(context: Context, item: Solved) -> FloatArray:
     """Shifts (n, 2) of all markers in the image that each is read in.
 
-    The paint turns with its receptor where the referee models it with its tube; elsewhere it
-    moves as the tip, which it is beside.
+    The paint turns with its receptor where the referee models it with its tube, and more of it
+    shows on one side; elsewhere it moves as the tip, which it is beside.
     """
-    paint = context.arrays("views")["paint_point_mm"]
-    arm = (paint - context.markers.tip_mm)[item.kept]
+    see, markers = watch_of(context), context.markers
+    paint = see.watched
+    arm = (paint - markers.tip_mm)[item.kept]
+    turn = rot.deviation(rot.exponential(item.turn_rad))
     moved = paint + item.motion_mm
-    moved[item.kept] += (rot.deviation(rot.exponential(item.turn_rad)) @ arm[..., None])[..., 0]
-    readers = readers_of(context)
-    return np.asarray(readers.project(moved) - readers.project(paint))
+    moved[item.kept] += (turn @ arm[..., None])[..., 0]
+    out = see.readers.project(moved) - see.rest
+    # Of the wall under the receptor, which the slope is of.
+    length = (markers.tip_mm - markers.mid_mm)[item.kept]
+    wall = item.motion_mm[item.kept] - (turn @ length[..., None])[..., 0]
+    motion = np.concatenate([wall, item.turn_rad], axis=1)
+    out[item.kept] += np.einsum("nij,nj->ni", see.more[item.kept], motion)
+    return np.asarray(out)
 
 
 def samples_of(context: Context, solved: list[Solved]) -> Samples:

@@ -23,12 +23,13 @@ from decoder.matching import nearest_same_colour_px
 from decoder.run import measure_frame
 from phytac_design.build import copy_of
 from phytac_design.design_file import load_design
-from phytac_design.mechanics.compliance import marker_compliance, point_motion
+from phytac_design.mechanics.compliance import marker_compliance
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.receptors import sensor_model
 from phytac_design.optics.view import Readers, cameras_of
 from phytac_design.spec import CAMERA_PRESETS, Design
 from phytac_design.twin.condense import condense
+from phytac_design.twin.response import rigid_slope
 from phytac_design.twin.sight.eyes import Eyes
 from shapes.arrays import BoolArray, FloatArray, ImageArray
 
@@ -70,14 +71,10 @@ class Sensor:
         model = sensor_model(design, markers, mesh, receptors=True)
         cell = float(np.sqrt(case.surface.area_mm2() / markers.count / np.pi))
         found = marker_compliance(model, mesh, case.surface, markers, load_radius_mm=cell)
+        readers = Readers(cameras=cameras_of(design, case.surface), read_by=eyes.nominal.read_by)
         arm = markers.tip_mm - markers.mid_mm
-        nominal = eyes.nominal
-        seen = condense(
-            Readers(cameras=cameras_of(design, case.surface), read_by=nominal.read_by),
-            watched_mm=markers.tip_mm,
-            normal=markers.normal,
-            motion_mm=point_motion(found.motion, arm),
-        )
+        slope = rigid_slope(readers.jacobian(markers.tip_mm), arm)
+        seen = condense(slope, normal=markers.normal, motion=found.motion)
         forces = ForceModel(
             shift_to_mm=seen.shift_to_mm,
             stiffness=seen.stiffness,
@@ -89,7 +86,7 @@ class Sensor:
         return cls(
             case=case,
             eyes=eyes,
-            bundle=replace(nominal, model=forces),
+            bundle=replace(eyes.nominal, model=forces),
             unit_motion=found.motion,
         )
 

@@ -21,7 +21,7 @@ from phytac_design.mechanics.receptors import sensor_model
 from phytac_design.stage import Context
 from phytac_design.stages.decoder import along_mm, middle_mm
 from phytac_design.stages.places import locator_of
-from phytac_design.stages.twin import arms_mm, readers_of
+from phytac_design.stages.twin import watch_of
 from phytac_design.twin.places import make_places
 
 STEPS = ((0.8, 1), (0.8, 3), (0.55, 1), (0.55, 2), (0.55, 3), (0.55, 4), (0.4, 5))
@@ -44,8 +44,7 @@ def tables(context: Context, share: float, orders: int) -> tuple[Locator, dict[s
         markers,
         mesh=mesh,
         model=sensor_model(design, markers, mesh, receptors=True),
-        readers=readers_of(context),
-        arm_mm=arms_mm(context),
+        see=watch_of(context),
         spacing_mm=share * standard.places.radius_mm,
         orders=orders,
     ).places

@@ -6,11 +6,10 @@ from phytac_design.accuracy import Accuracy
 from phytac_design.build import run_stages, select_stages
 from phytac_design.design_file import load_design
 from phytac_design.stages.places import locator_of
-from phytac_design.stages.twin import arms_mm, readers_of
+from phytac_design.stages.twin import watch_of
 from phytac_design.study.trade.force import REFERENCE, ForceError, extrapolation, rms
 from phytac_design.twin.contacts import switch_states
 from phytac_design.twin.pressed import Seen
-from phytac_design.twin.response import turned_points
 from shapes.arrays import FloatArray
 
 
@@ -33,7 +32,7 @@ def auto_errors(name: str, setting: Accuracy) -> tuple[float, float, int]:
     figure = rms(error.errors(setting))
     contacts = error.contacts
     switches = switch_states(design, error.surface, error.markers, contacts.touches)
-    shift = watched_px(error, Seen(readers_of(context), error.markers.mid_mm, arms_mm(context)))
+    shift = watched_px(error, watch_of(context))
     read, true = [], []
     for k in np.flatnonzero(np.isfinite(shift).all(axis=1)).tolist():
         found = locator.find(shift[k].reshape(-1, 2), np.flatnonzero(switches.bits[k]))
@@ -45,9 +44,8 @@ def auto_errors(name: str, setting: Accuracy) -> tuple[float, float, int]:
 
 def watched_px(error: ForceError, see: Seen) -> FloatArray:
     """Shifts (c, 2n) of the paint that the cameras really see, by the reference."""
-    each = []
-    for refine in REFERENCE:
-        moved = see.watched + turned_points(error.truth(refine).motion, see.arm_mm)
-        each.append(np.stack([(see.readers.project(one) - see.rest).ravel() for one in moved]))
-    coarse, fine = each
+    coarse, fine = (
+        np.stack([see.shift(one).ravel() for one in error.truth(refine).motion])
+        for refine in REFERENCE
+    )
     return np.asarray(fine + extrapolation(*REFERENCE) * (fine - coarse))

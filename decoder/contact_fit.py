@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoder.places import Places
+from decoder.tension import shared_N
 from shapes.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDS = 8
@@ -208,7 +209,10 @@ def fit(places: Places, states: list[State], seen: Seen, *, prior: Prior, noise:
     switched = np.concatenate([2 * seen.koi, 2 * seen.koi + 1])
     moved, doubting = np.inf, False
     for number in range(ROUNDS + 1):
-        parts = [explain(state, places.orders) for state in states]
+        parts = [
+            explain(state, places.orders, float(stretch))
+            for state, stretch in zip(states, shared_N(places, states), strict=True)
+        ]
         total = np.sum([part[0] for part in parts], axis=0)
         slope = np.concatenate([part[1] for part in parts])
         spread = noise.each_px**2 + (noise.share * total) ** 2
@@ -257,8 +261,16 @@ def _doubted(left: FloatArray, inverse: FloatArray) -> tuple[float, FloatArray]:
     return total, np.repeat(1.0 / over, 2)
 
 
-def explain(state: State, orders: int) -> tuple[FloatArray, FloatArray]:
-    """Shifts (2n,) px of one contact, and their slopes (6, 2n) by its unknowns."""
+def explain(
+    state: State, orders: int, stretch_N: float | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Shifts (2n,) px of one contact, and their slopes (6, 2n) by its unknowns.
+
+    Parameters
+    ----------
+    stretch_N : float, optional
+        Force by which its wall is stretched, see :mod:`tension`; its own without it.
+    """
     f, x, y, m_xx, m_xy, m_yy = state.x
     xx, xy, yy = x * x / 2.0, x * y, y * y / 2.0
     # Rows: value, d/dx, d/dy, then what the moments go with.
@@ -274,10 +286,12 @@ def explain(state: State, orders: int) -> tuple[FloatArray, FloatArray]:
     rows = t.astype(np.float32) @ state.tables.reshape(10, -1)
     rows = rows.reshape(UNKNOWNS, orders, -1)
     order = np.arange(orders)
-    power = (f ** (order + 1.0)).astype(np.float32)
-    slope = (power @ rows).astype(np.float64)
+    stretch = f if stretch_N is None else stretch_N
+    powers = stretch**order
+    slope = ((f * powers).astype(np.float32) @ rows).astype(np.float64)
     total = slope[0].copy()
-    slope[0] = ((order + 1.0) * f**order).astype(np.float32) @ rows[0]
+    # Of its own force the stretch grows by f over the stretch.
+    slope[0] = ((1.0 + order * (f / stretch) ** 2) * powers).astype(np.float32) @ rows[0]
     return total, slope
 
 

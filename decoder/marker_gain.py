@@ -16,6 +16,7 @@ from decoder.contact_fit import explain, start
 from decoder.locate import Locator
 from decoder.places import Places
 from decoder.samples import FAILED, Samples
+from decoder.tension import shared_N
 from shapes.arrays import BoolArray, FloatArray, IntArray
 
 GAIN_SD = 0.02
@@ -78,11 +79,13 @@ def shown(locator: Locator, samples: Samples, chosen: IntArray, moments_mm2: Flo
         if samples.status[sample] == FAILED or len(rows) == 0:
             continue
         total = np.zeros(2 * samples.markers)
+        states = []
         for row in rows:
             force = float(touches.force_N[row])
-            state = start(locator.places, locator.prior, touches.point_mm[row], force)
-            state.x[3:] = moments_mm2[row]
-            total += explain(state, locator.places.orders)[0]
+            states.append(start(locator.places, locator.prior, touches.point_mm[row], force))
+            states[-1].x[3:] = moments_mm2[row]
+        for state, stretch in zip(states, shared_N(locator.places, states), strict=True):
+            total += explain(state, locator.places.orders, float(stretch))[0]
         explained[number] = total.reshape(-1, 2)
         left[number] = shift[sample] - explained[number]
     return Shown(explained_px=explained, left_px=left, on=bits[chosen])

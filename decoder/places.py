@@ -36,6 +36,10 @@ LOPSIDED = 1.5
 """Ratio of spreads of the places around from which on they are all on one side, as at a rim."""
 FADE = 4.0
 """Weight of the farthest place that a cubic is fitted to, as exp(-FADE)."""
+EVEN = 1e-4
+"""One less the cosine of the normals around a place on a flat wall: 0.8°."""
+AROUND = 8
+"""Places that are looked at for it."""
 CHUNK = 256
 """Places handled together: bounds the memory."""
 
@@ -91,8 +95,9 @@ class Places:
         """Other tables over the same places."""
         out = replace(self, shift_px=shift_px, pairs=pairs)
         # Depends on the places alone, and takes a third of a second.
-        if "fits" in self.__dict__:
-            out.__dict__["fits"] = self.fits
+        for known in ("fits", "flat"):
+            if known in self.__dict__:
+                out.__dict__[known] = self.__dict__[known]
         return out
 
     def nearest(self, point_mm: FloatArray) -> IntArray:
@@ -105,7 +110,14 @@ class Places:
     def _squares(self) -> FloatArray:
         return np.asarray(np.sum(self.point_mm**2, axis=1))
 
-    def flat(self, place: int, points_mm: FloatArray) -> FloatArray:
+    @cached_property
+    def flat(self) -> BoolArray:
+        """Places (p,) on flat walls: those nearest to them look the same way."""
+        normal = np.cross(self.along, self.around)
+        near = self.fits[0][:, :AROUND]
+        return np.asarray(np.einsum("pqi,pi->pq", normal[near], normal).min(axis=1) > 1.0 - EVEN)
+
+    def laid(self, place: int, points_mm: FloatArray) -> FloatArray:
         """Tangent-plane coordinates (m, 2) of points (m, 3) about a place; chords keep lengths."""
         arm = points_mm - self.point_mm[place]
         return _laid(arm, self.along[place], self.around[place])

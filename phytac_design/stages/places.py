@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.stage import Context, Stage, write_arrays, write_facts
-from phytac_design.stages.twin import MECHANICS, SEEN, TOUCH, arms_mm, readers_of
+from phytac_design.stages.twin import MECHANICS, SEEN, TOUCH, watch_of
 from phytac_design.study.plan.scope import scope_of
 
 if TYPE_CHECKING:
@@ -36,8 +36,7 @@ def run_places(context: Context, folder: Path) -> None:
         markers,
         mesh=mesh,
         model=model,
-        readers=readers_of(context),
-        arm_mm=arms_mm(context),
+        see=watch_of(context),
         spacing_mm=accuracy.place_share * radius,
         orders=accuracy.place_orders,
         near=scope.near if scope else None,
@@ -53,6 +52,7 @@ def run_places(context: Context, folder: Path) -> None:
             "bent": done.bent,
             "large": done.large,
             "unsure": done.unsure,
+            "off": done.off,
             "orders": places.orders,
             "pairs": len(places.pairs.grid.point_mm) if places.pairs else 0,
             "radius_mm": places.radius_mm,

@@ -16,11 +16,13 @@ if TYPE_CHECKING:
     from phytac_design.mechanics.meshing.mesh import ShellMesh
     from phytac_design.mechanics.solve import ShellModel
     from phytac_design.optics.view import Readers
+    from phytac_design.twin.pressed import Seen
 
 MECHANICS = ("tubes", "cameras", "stiffness")
 TOUCH = ("training.force_max_N", "training.patch_radius_min_mm", "training.patch_radius_max_mm")
-SEEN = {"views": ("paint_point_mm", "camera")}
-"""Where the paint is, and which camera reads it: all that mechanics asks of the pictures."""
+SEEN = {"views": ("paint_point_mm", "paint_slope", "camera")}
+"""Where the paint is, how its image moves with the wall, and which camera reads it: all that
+mechanics asks of the pictures."""
 JUDGED = {"test": 24, "anywhere": 12}
 """Samples of a scene that trains nothing: to judge with."""
 
@@ -36,6 +38,14 @@ def readers_of(context: Context) -> "Readers":
 
     cameras = cameras_of(context.design, context.surface)
     return Readers(cameras=cameras, read_by=context.arrays("views")["camera"])
+
+
+def watch_of(context: Context) -> "Seen":
+    """What the cameras see of motion (of the stage ``views``)."""
+    from phytac_design.twin.pressed import Seen
+
+    slope = context.arrays("views")["paint_slope"]
+    return Seen(readers_of(context), context.markers.mid_mm, arms_mm(context), slope)
 
 
 def cell_radius_mm(context: Context) -> float:
@@ -55,7 +65,6 @@ def run_response(context: Context, folder: Path) -> None:
 
     In a scene only forces on receptors in play are: to the others the matrices give no force.
     """
-    from phytac_design.mechanics.compliance import point_motion
     from phytac_design.mechanics.meshing.mesh import marker_mesh
     from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
     from phytac_design.twin.response import condense_pressed, pressed_motion
@@ -72,7 +81,7 @@ def run_response(context: Context, folder: Path) -> None:
         context.progress(f"response: the wall is taken as plain: {unknown}")
     receptors = context.accuracy.receptors and not unknown
     model = sensor_model(design, markers, mesh, receptors=receptors)
-    scope, arm, readers = scope_of(context), arms_mm(context), readers_of(context)
+    scope = scope_of(context)
     pressed = np.arange(markers.count)
     if scope is not None:
         pressed = np.flatnonzero(scope.in_play(markers))
@@ -80,10 +89,9 @@ def run_response(context: Context, folder: Path) -> None:
         model, mesh, surface, markers, pressed=pressed, radius_mm=cell_radius_mm(context)
     )
     condensed = condense_pressed(
-        readers,
-        watched_mm=markers.mid_mm + arm,
+        context.arrays("views")["paint_slope"],
         normal=markers.normal,
-        motion_mm=point_motion(motion, arm),
+        motion=motion,
         pressed=pressed,
     )
     write_arrays(
@@ -113,7 +121,7 @@ def run_twin(context: Context, folder: Path) -> None:
     from phytac_design.mechanics.receptors import unknown_receptors
     from phytac_design.twin.contacts import draw_contacts, switch_states
     from phytac_design.twin.dataset import Dataset
-    from phytac_design.twin.response import motion_responses, point_motions, superpose
+    from phytac_design.twin.response import motion_responses, superpose
 
     design, surface, markers = context.design, context.surface, context.markers
     rng = np.random.default_rng([context.seed, 1])
@@ -135,7 +143,6 @@ def run_twin(context: Context, folder: Path) -> None:
         for name, samples in count.items()
     }
     mesh, model = truth_of(context)
-    arm = arms_mm(context)
     responses = motion_responses(
         model,
         mesh,
@@ -146,15 +153,13 @@ def run_twin(context: Context, folder: Path) -> None:
         progress=context.progress,
     )
     dent = deepest_dent_mm(context, responses, np.concatenate([i.force_N for i in drawn.values()]))
-    readers = readers_of(context)
-    watched = markers.mid_mm + arm
+    see = watch_of(context)
     arrays: dict[str, Any] = {}
     start = 0
     for name, item in drawn.items():
         end = start + len(item.force_N)
-        moved = point_motions(superpose(responses[start:end], item), arm)
+        shift = see.shift(superpose(responses[start:end], item), linear=True)
         start = end
-        shift = readers.project(watched + moved) - readers.project(watched)
         noise = rng.normal(0.0, design.camera.noise_centroid_px, shift.shape)
         switching = switch_states(design, surface, markers, item)
         arrays |= Dataset(contacts=item, switching=switching, shift_px=shift + noise).arrays(name)

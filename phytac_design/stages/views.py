@@ -73,6 +73,7 @@ class Shot:
     camera: "Camera"
     seen: "Visibility"
     expected: "Expected"
+    paint_slope: FloatArray
     renderer: str
 
 
@@ -91,6 +92,7 @@ def shoot(
     from phytac_design.optics.view import tolerance_mm
     from phytac_design.optics.visibility import see
     from phytac_design.twin.expected import expectations
+    from phytac_design.twin.sight.nominal import paint_slope
 
     design, surface, markers = context.design, context.surface, context.markers
     tolerance = tolerance_mm(camera, markers)
@@ -117,6 +119,7 @@ def shoot(
         camera=camera,
         seen=seen,
         expected=replace(expected, rest_px=rest_px),
+        paint_slope=paint_slope(design, surface, markers, camera, rest=rest, seen=seen),
         renderer=renderer,
     )
 
@@ -175,6 +178,7 @@ def run_views(context: Context, folder: Path) -> None:
         "camera": camera,
         "paint_point_mm": picked(points),
         "paint_points_mm": np.stack(points),
+        "paint_slope": picked([shot.paint_slope for shot in shots]),
         "seen_by": np.stack([~shot.seen.occluded for shot in shots]),
         "rest_px": rest_px,
         "tip_bias_px": picked([shot.expected.tip_bias_px for shot in shots]),

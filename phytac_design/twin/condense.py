@@ -4,8 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from decoder.camera import Camera
-from phytac_design.optics.view import Readers
 from shapes.arrays import FloatArray
 from shapes.errors import NumericalError
 
@@ -41,13 +39,7 @@ class Condensed:
     sensitivity_px_mm: FloatArray
 
 
-def condense(
-    camera: Camera | Readers,
-    *,
-    watched_mm: FloatArray,
-    normal: FloatArray,
-    motion_mm: FloatArray,
-) -> Condensed:
+def condense(slope: FloatArray, *, normal: FloatArray, motion: FloatArray) -> Condensed:
     """Condense a marker compliance to pixels and to the apparent displacement u.
 
     The camera measures two numbers per marker and a tip has three unknown translations, so the
@@ -60,14 +52,13 @@ def condense(
 
     Parameters
     ----------
-    camera : Camera or Readers
-        The true lens; of several cameras, each marker's own.
-    watched_mm : (n, 3) float
-        The paint's visible centre.
+    slope : (n, 2, 3) or (n, 2, 6) float
+        Derivative of each marker's image by its translation (px/mm), or by that of the wall under
+        it and its rotation (px/rad).
     normal : (n, 3) float
         Outward normals.
-    motion_mm : (n, 3, n) float
-        Translation of each watched point per newton on each marker.
+    motion : (n, 3, n) or (n, 6, n) float
+        That motion per newton on each marker.
 
     Raises
     ------
@@ -75,18 +66,17 @@ def condense(
         If pressing a marker moves no marker's image, or K cannot be formed to half of double
         precision.
     """
-    slope = camera.jacobian(watched_mm)
-    compliance_px = np.einsum("nij,njm->nim", slope, motion_mm)
+    compliance_px = np.einsum("nij,njm->nim", slope, motion)
     if not np.isfinite(compliance_px).all():
         marker = int(np.flatnonzero(~np.isfinite(compliance_px).all(axis=(1, 2)))[0])
         raise NumericalError(
             f"marker {marker}: the shift of its image is not finite: the camera does not see it; "
             "run `phytac check` on the design"
         )
-    shift_to_mm, sensitivity = observable(slope, normal)
+    shift_to_mm, sensitivity = observable(slope[:, :, :3], normal)
     seen = np.flatnonzero(shift_to_mm.any(axis=1))
-    scale = np.linalg.norm(slope, ord=2, axis=(1, 2))
-    possible = (scale[:, None] * np.abs(motion_mm).max(axis=1)).max(axis=0)
+    # What the motion would do if all its parts added up.
+    possible = np.einsum("nij,njm->nim", np.abs(slope), np.abs(motion)).max(axis=(0, 1))
     still = np.abs(compliance_px).max(axis=(0, 1)) <= ALONG_MIN * possible
     if still.any():
         marker = int(np.argmax(still))

@@ -18,7 +18,6 @@ from phytac_design.mechanics.compliance import turns_of
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.pressure import tangent_frame
 from phytac_design.mechanics.solve import ShellModel
-from phytac_design.optics.view import Readers
 from phytac_design.spec import Design
 from phytac_design.twin.pairs import make_pairs, pair_spacing_mm
 from phytac_design.twin.pressed import Pressed, Seen
@@ -31,6 +30,14 @@ BATCH = 32
 APART = 2.0
 """Distance of places at which the higher powers of the force are solved, over that of places:
 they are a small part of the shifts, and are interpolated."""
+OFF_MAX = 0.005
+"""Error between places, over the shifts there, from which on they stand closer."""
+CLOSER = 2
+"""How often their distance is halved for it at most."""
+LOOKED_AT = 24
+"""Spots between places that the error is judged by, at most."""
+ASIDE = 1.37
+"""Distance of those spots over that of the places, so that they fall between them."""
 FINE = 513
 """Points along u that rings are spaced by."""
 BYTES_MAX = 400e6
@@ -91,6 +98,10 @@ class Tabulated:
         Places at which the higher powers of the force were found.
     large : int
         Of these, those solved with large displacements.
+    spacing_mm : float
+        What places are at most apart.
+    off : float
+        Median error between places, over the shifts there; linear theory.
     unsure : int
         Of these, those whose series says nothing at the greatest force, and that were not solved:
         linear ones stand there.
@@ -101,6 +112,8 @@ class Tabulated:
     bent: int
     large: int
     unsure: int
+    spacing_mm: float
+    off: float
 
 
 def rings(surface: Surface, spacing_mm: float, sectors: int) -> Rings:
@@ -141,8 +154,7 @@ def make_places(
     *,
     mesh: ShellMesh,
     model: ShellModel,
-    readers: Readers,
-    arm_mm: FloatArray,
+    see: Seen,
     spacing_mm: float,
     orders: int,
     near: Callable[[float, FloatArray], BoolArray] | None = None,
@@ -158,12 +170,10 @@ def make_places(
         The sensor.
     mesh, model : ShellMesh, ShellModel
         The decoder's own shell.
-    readers : Readers
-        Cameras.
-    arm_mm : (n, 3) float
-        From each marker's place on the middle face to the paint that its camera sees.
+    see : Seen
+        What the cameras see of the markers.
     spacing_mm : float
-        Between places, at most.
+        Between places, at most; less where tables would err between them, see ``OFF_MAX``.
     orders : int
         Powers of the force: 1 (linear theory) to 5; see :data:`pressed.SOLVED_AT`.
     near : callable, optional
@@ -184,13 +194,10 @@ def make_places(
         sectors, turn = 1, None
     least = np.sqrt(surface.area_mm2() * orders * 8.0 * markers.count / BYTES_MAX)
     spacing = max(spacing_mm, float(least))
-    see = Seen(readers, markers.mid_mm, arm_mm)
 
     def table(powers: int, apart_mm: float) -> tuple[Places, int, Pressed, int]:
         ring = rings(surface, apart_mm, sectors)
-        wanted = np.arange(len(ring.uv))
-        if near is not None:
-            wanted = np.flatnonzero(near(apart_mm, ring.uv))
+        wanted = np.flatnonzero(_wanted(ring.uv, apart_mm, near))
         if len(wanted) < LEAST_PLACES:
             raise DesignError(
                 f"the part of the surface asked for holds {len(wanted)} places of the tables, "
@@ -227,19 +234,31 @@ def make_places(
         )
         return places, len(solved), shell, unsure
 
-    places, solves, _, _ = table(1, spacing)
+    spots = _spots(surface, spacing, near)
+    for number in range(CLOSER + 1):
+        closer = max(spacing / 2.0**number, float(least))
+        places, solves, flat, _ = table(1, closer)
+        off = _off(flat, see, places, spots)
+        if off <= OFF_MAX:
+            break
+        progress(f"places: {100.0 * off:.1f} % off in between, {closer:.2g} mm apart")
     if orders == 1:
-        return Tabulated(places=places, solves=solves, bent=0, large=0, unsure=0)
-    apart = APART * spacing
+        return Tabulated(
+            places=places, solves=solves, bent=0, large=0, unsure=0, spacing_mm=closer, off=off
+        )
     # A small part of the surface holds too few places so far apart.
-    if near is not None and near(apart, rings(surface, apart, sectors).uv).sum() < LEAST_PLACES:
-        apart = spacing
+    apart = (
+        APART * closer
+        if _enough(rings(surface, APART * closer, sectors).uv, APART * closer, near)
+        else closer
+    )
     higher, bent, shell, unsure = table(orders, apart)
     more = between(higher, places.point_mm)[:, 1:].astype(np.float32)
     whole = np.concatenate([places.shift_px, more], axis=1)
     progress("places: pairs of contacts")
-    # Where single discs are beyond the expansion, pairs are.
-    holds = unsure == 0 and shell.beyond == 0
+    # Where discs alone are beyond the expansion pairs may be too; on flat walls, where they press
+    # by turns with and against a bend that is not there at rest, they are (measured: cuboid).
+    holds = unsure == 0 and (shell.beyond == 0 or not places.flat.any())
     pairs = _pairs(shell, see, places, sectors, near, holds=holds)
     return Tabulated(
         places=replace(places, shift_px=whole, pairs=pairs),
@@ -247,7 +266,44 @@ def make_places(
         bent=bent,
         large=shell.solved,
         unsure=unsure,
+        spacing_mm=closer,
+        off=off,
     )
+
+
+def _spots(
+    surface: Surface, spacing_mm: float, near: Callable[[float, FloatArray], BoolArray] | None
+) -> FloatArray:
+    """Spots (k, 2) all over the surface, or its part, that lie between places."""
+    uv = rings(surface, ASIDE * spacing_mm, 1).uv
+    uv = uv[_wanted(uv, ASIDE * spacing_mm, near)]
+    return uv[:: max(-(-len(uv) // LOOKED_AT), 1)]
+
+
+def _enough(
+    uv: FloatArray, apart_mm: float, near: Callable[[float, FloatArray], BoolArray] | None
+) -> bool:
+    """Whether tables hold those of places (p, 2) so far apart that are wanted."""
+    return int(_wanted(uv, apart_mm, near).sum()) >= LEAST_PLACES
+
+
+def _wanted(
+    uv: FloatArray, apart_mm: float, near: Callable[[float, FloatArray], BoolArray] | None
+) -> BoolArray:
+    """Which of places (p, 2) so far apart are wanted."""
+    return np.ones(len(uv), dtype=np.bool_) if near is None else near(apart_mm, uv)
+
+
+def _off(shell: Pressed, see: Seen, places: Places, uv: FloatArray) -> float:
+    """Median error of tables at spots (k, 2), over the shifts there, by linear theory."""
+    if len(uv) == 0:
+        return 0.0
+    _, motion = shell.linear(uv, places.radius_mm)
+    wanted = np.stack([see.powers([shell.feet.linear(m)], np.zeros(0))[0] for m in motion.T])
+    found = between(places, shell.surface.point(uv))[:, 0]
+    size = np.linalg.norm(wanted, axis=1)
+    error = np.linalg.norm(found - wanted, axis=1)[size > 0.0] / size[size > 0.0]
+    return float(np.median(error)) if len(error) else 0.0
 
 
 def _pairs(
@@ -264,10 +320,8 @@ def _pairs(
         return None
     apart = pair_spacing_mm(shell.surface.area_mm2(), places.radius_mm)
     ring = rings(shell.surface, apart, sectors)
-    wanted = np.ones(len(ring.uv), dtype=np.bool_)
-    if near is not None:
-        wanted = near(apart, ring.uv)
-    if wanted.sum() < LEAST_PLACES:
+    wanted = _wanted(ring.uv, apart, near)
+    if not _enough(ring.uv, apart, near):
         return None
     return make_pairs(shell, see, places, uv=ring.uv[wanted], turned=ring.turned_back(wanted))
 
@@ -278,7 +332,7 @@ def between(places: Places, points_mm: FloatArray) -> FloatArray:
     out = np.zeros((len(points_mm), *places.shift_px.shape[1:]))
     for place in np.unique(nearest).tolist():
         own = np.flatnonzero(nearest == place)
-        x, y = places.flat(place, points_mm[own]).T
+        x, y = places.laid(place, points_mm[own]).T
         powers = np.stack([x**a * y**b / (FACTORIALS[a] * FACTORIALS[b]) for a, b in TERMS])
         out[own] = np.einsum("tm,tkr->mkr", powers, places.cubic(place))
     return out

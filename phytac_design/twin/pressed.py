@@ -15,7 +15,7 @@ from phytac_design.optics.view import Readers
 from phytac_design.spec import Design
 from phytac_design.twin.contacts import Contacts
 from phytac_design.twin.feet import Feet
-from phytac_design.twin.response import point_motions, turned_points
+from phytac_design.twin.response import point_motions, rigid_slope, turned_points
 from phytac_design.twin.touch import flat_touches
 from shapes import Surface
 from shapes.arrays import FloatArray
@@ -171,22 +171,32 @@ class Seen:
         Markers on the middle face.
     arm_mm : (n, 3) float
         From there to the paint that the camera sees.
+    slope : (n, 2, 6) float, optional
+        How the image of each marker's paint moves with the wall under it, px per mm and radian;
+        that of the point that is watched if not given.
     """
 
-    def __init__(self, readers: Readers, mid_mm: FloatArray, arm_mm: FloatArray) -> None:
+    def __init__(
+        self,
+        readers: Readers,
+        mid_mm: FloatArray,
+        arm_mm: FloatArray,
+        slope: FloatArray | None = None,
+    ) -> None:
         self.readers, self.arm_mm = readers, arm_mm
         self.watched = mid_mm + arm_mm
         self.rest = readers.project(self.watched)
-        self.slope = readers.jacobian(self.watched)
+        point = rigid_slope(readers.jacobian(self.watched), arm_mm)
+        self.slope = point if slope is None else slope
+        self.more = self.slope - point
 
     def powers(self, motions: list[FloatArray], forces: FloatArray) -> FloatArray:
         """Rows (k, 2n) of the powers of the force, exact at each of the forces (k - 1,)."""
-        linear = point_motions(motions[0], self.arm_mm)
-        first = np.einsum("nij,nj->ni", self.slope, linear).ravel()
+        first = np.einsum("nij,nj->ni", self.slope, motions[0]).ravel()
         if len(motions) == 1:
             return np.asarray(first[None])
         rest = [
-            ((self._shift(motion) / f) - first) / f
+            (self.shift(motion).ravel() / f - first) / f
             for f, motion in zip(forces, motions[1:], strict=True)
         ]
         powers = forces[:, None] ** np.arange(len(forces))
@@ -194,9 +204,19 @@ class Seen:
 
     def pull(self, row: FloatArray) -> FloatArray:
         """Force and moment (n, 6) on each receptor whose work is ``row`` (2n,) times its shifts."""
-        force = np.einsum("nij,ni->nj", self.slope, row.reshape(-1, 2))
-        return np.concatenate([force, np.cross(self.arm_mm, force)], axis=1)
+        return np.asarray(np.einsum("nij,ni->nj", self.slope, row.reshape(-1, 2)))
 
-    def _shift(self, motion: FloatArray) -> FloatArray:
-        moved = self.watched + turned_points(motion, self.arm_mm)
-        return np.asarray(self.readers.project(moved) - self.rest).ravel()
+    def shift(self, motion: FloatArray, *, linear: bool = False) -> FloatArray:
+        """Shifts (…, n, 2) px under motion (…, n, 6): translations mm, rotation vectors rad.
+
+        That of the point watched through the true lens, and, to first order, what the paint that
+        comes into sight and goes out of it does besides.
+
+        Parameters
+        ----------
+        linear : bool
+            Motion is linear theory's, whose rotations are infinitesimal.
+        """
+        moved = (point_motions if linear else turned_points)(motion, self.arm_mm)
+        seen = self.readers.project(self.watched + moved) - self.rest
+        return np.asarray(seen + np.einsum("nij,...nj->...ni", self.more, motion))

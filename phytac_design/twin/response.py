@@ -17,7 +17,6 @@ from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.locate import locate
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.solve import ShellModel
-from phytac_design.optics.view import Readers
 from phytac_design.twin.condense import Condensed, condense
 from phytac_design.twin.contacts import Contacts
 from shapes import Surface
@@ -112,6 +111,15 @@ def turned_points(motion: FloatArray, arm_mm: FloatArray) -> FloatArray:
     return np.asarray(motion[..., :3] + (turn @ arm_mm[..., None])[..., 0])
 
 
+def rigid_slope(slope: FloatArray, arm_mm: FloatArray) -> FloatArray:
+    """Derivative (n, 2, 6) of body-fixed points' images by (u, θ), of that by the points (n, 2, 3).
+
+    The linear part of :func:`point_motions`: θ moves a point by θ x arm.
+    """
+    turn = np.cross(arm_mm[:, None], slope)
+    return np.concatenate([slope, turn], axis=2)
+
+
 def superpose(responses: FloatArray, contacts: Contacts) -> FloatArray:
     """Linear sum over the contacts of each sample, (samples, n, 6), of (c, n, 6) per newton."""
     out = np.zeros((contacts.samples, *responses.shape[1:]))
@@ -142,14 +150,9 @@ def pressed_motion(
 
 
 def condense_pressed(
-    readers: Readers,
-    *,
-    watched_mm: FloatArray,
-    normal: FloatArray,
-    motion_mm: FloatArray,
-    pressed: IntArray,
+    slope: FloatArray, *, normal: FloatArray, motion: FloatArray, pressed: IntArray
 ) -> Condensed:
-    """Condense motion (n, 3, k) under forces on k markers; what says nothing of the others is 0.
+    """Condense motion (n, 6, k) under forces on k markers; what says nothing of the others is 0.
 
     K then counts the others as load-free, which they are; see :func:`condense.condense`.
 
@@ -158,17 +161,12 @@ def condense_pressed(
     NumericalError
         As :func:`condense.condense`.
     """
-    count = len(watched_mm)
-    part = condense(
-        Readers(cameras=readers.cameras, read_by=readers.read_by[pressed]),
-        watched_mm=watched_mm[pressed],
-        normal=normal[pressed],
-        motion_mm=motion_mm[pressed],
-    )
+    count = len(slope)
+    part = condense(slope[pressed], normal=normal[pressed], motion=motion[pressed])
     if len(pressed) == count:
         return part
     compliance = np.zeros((count, 2, count))
-    compliance[:, :, pressed] = np.einsum("nij,njm->nim", readers.jacobian(watched_mm), motion_mm)
+    compliance[:, :, pressed] = np.einsum("nij,njm->nim", slope, motion)
     shift_to_mm, sensitivity = np.zeros((count, 2)), np.zeros(count)
     shift_to_mm[pressed], sensitivity[pressed] = part.shift_to_mm, part.sensitivity_px_mm
     stiffness = np.zeros((count, count))

@@ -2,8 +2,11 @@
 
 A load with covariance M about its centre dents the face by a Gaussian of covariance s²·1 + M: the
 load itself, taken as a Gaussian, smeared by the sheet's own. Images move with the dent's depth and
-slope, and by a share of the force more: a sheet that softens.
+slope, and by a share of the force more: a sheet that softens as it stretches, and is one sheet for
+all that press on it.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -56,10 +59,23 @@ def per_newton(point_mm: FloatArray, moments: FloatArray = DISC) -> FloatArray:
 
 
 def shifts(
-    point_mm: FloatArray, force_N: float, moments: FloatArray = DISC, *, soft: float = SOFTENING
+    point_mm: FloatArray,
+    force_N: float,
+    moments: FloatArray = DISC,
+    *,
+    soft: float = SOFTENING,
+    stretch_N: float | None = None,
 ) -> FloatArray:
-    """Shifts (2n,) px of one load."""
-    return per_newton(point_mm, moments) * force_N * (1.0 + soft * force_N)
+    """Shifts (2n,) px of one load, on a sheet that a force stretches: its own if not given."""
+    stretch = force_N if stretch_N is None else stretch_N
+    return per_newton(point_mm, moments) * force_N * (1.0 + soft * stretch)
+
+
+def together(points_mm: Sequence[FloatArray], forces_N: Sequence[float]) -> FloatArray:
+    """Shifts (2n,) px of loads at once."""
+    stretch = float(np.linalg.norm(forces_N))
+    each = zip(points_mm, forces_N, strict=True)
+    return np.sum([shifts(at, force, stretch_N=stretch) for at, force in each], axis=0)
 
 
 def flat_places(step_mm: float = 2.5) -> Places:
@@ -88,6 +104,13 @@ def flat_locator(*, place_mm: float = 1.5, noise_px: float = 0.02) -> Locator:
         prior=Prior(place_mm=place_mm),
         noise=Noise(centroid_px=noise_px, share=0.005, switched_px=0.0),
     )
+
+
+def curved_locator() -> Locator:
+    """The same for a wall that does not count as flat: loads do not stretch it for each other."""
+    locator = flat_locator()
+    locator.places.__dict__["flat"] = np.zeros(len(locator.places.point_mm), dtype=np.bool_)
+    return locator
 
 
 def nearest(point_mm: FloatArray) -> int:

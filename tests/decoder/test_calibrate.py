@@ -38,16 +38,20 @@ def pressed(
     shift = np.zeros((count, 2 * n))
     rows: list[tuple[int, FloatArray, float, float]] = []
     for sample in range(count):
+        pressed: list[tuple[FloatArray, float, FloatArray]] = []
         far_apart = [int(rng.integers(0, 40)), int(rng.integers(60, 100))]
         for marker in far_apart[: 1 + sample % 2]:
             at = MARKERS[marker] + np.append(rng.normal(0.0, PLACE_MM, 2), 0.0)
             radius, force = rng.uniform(4.0, 6.0), rng.uniform(0.5, 25.0)
             moments = np.array([radius**2 / 4.0, 0.0, radius**2 / 4.0])
             stiff = STIFFNESS * (1.0 + slope * (at[0] - 30.0) / 30.0)
-            shift[sample] += shifts(at, force / stiff, moments)
+            pressed.append((at, force / stiff, moments))
             bits[sample, marker], owner[sample, marker] = True, len(rows)
             carried[sample, marker] = force
             rows.append((sample, at, radius, force))
+        stretch = float(np.linalg.norm([force for _, force, _ in pressed]))
+        for at, force, moments in pressed:
+            shift[sample] += shifts(at, force, moments, stretch_N=stretch)
     shown = shift.reshape(count, n, 2)
     if gain is not None:
         shown = shown + np.einsum("kab,skb->ska", gain, shown)

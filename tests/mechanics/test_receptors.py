@@ -27,8 +27,10 @@ from phytac_design.mechanics.receptors import (
 )
 from phytac_design.mechanics.solid.cell import Cell, cell_stiffness, plain, ratio
 from phytac_design.mechanics.solve import clamped_model
+from phytac_design.optics.view import cameras_of
 from phytac_design.stage import Context, write_arrays
 from phytac_design.stages.twin import RESPONSE, TWIN, run_response
+from phytac_design.twin.response import rigid_slope
 from phytac_design.twin.shell import truth_shell
 from shapes.arrays import FloatArray
 from shapes.errors import DesignError
@@ -164,7 +166,16 @@ def test_the_decoder_takes_them_as_its_preset_says(tmp_path: Path) -> None:
             progress=lines.append,
         )
         read_by = np.zeros(context.markers.count, dtype=np.int64)
-        seen = {"paint_point_mm": context.markers.tip_mm, "camera": read_by}
+        (camera,) = cameras_of(context.design, context.surface)
+        slope = rigid_slope(
+            camera.jacobian(context.markers.tip_mm),
+            context.markers.tip_mm - context.markers.mid_mm,
+        )
+        seen = {
+            "paint_point_mm": context.markers.tip_mm,
+            "paint_slope": slope,
+            "camera": read_by,
+        }
         write_arrays(tmp_path, seen)
         out = tmp_path / name
         out.mkdir()

@@ -10,20 +10,22 @@ from decoder.camera import Camera
 from phytac_design.layout import make_markers
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.exposure import Exposure
-from phytac_design.optics.scene import SHELL
-from phytac_design.optics.view import cameras_of
+from phytac_design.optics.scene import SHELL, build_scene
+from phytac_design.optics.view import Readers, cameras_of, tolerance_mm
+from phytac_design.optics.visibility import see
 from phytac_design.spec import Design
 from phytac_design.twin.contacts import draw_contacts, switch_states
-from phytac_design.twin.response import motion_responses, superpose
+from phytac_design.twin.pressed import Seen as Watched
+from phytac_design.twin.response import motion_responses, rigid_slope, superpose
 from phytac_design.twin.shell import truth_shell
 from phytac_design.twin.sight.eyes import AtRest, Eyes, Seen
 from phytac_design.twin.sight.follow import WallMotion
 from phytac_design.twin.sight.grid import CELL_px, grid_error
-from phytac_design.twin.sight.nominal import expected_views
+from phytac_design.twin.sight.nominal import expected_views, paint_slope
 from phytac_design.twin.unit import Unit, WallField
 from shapes.arrays import FloatArray
 from shapes.errors import InputError
-from tests.designs import changed
+from tests.designs import changed, of_shape
 
 AGREE_px = 0.05
 """RMS between points and frames without noise."""
@@ -311,3 +313,56 @@ def test_the_wall_goes_with_its_receptors(rig: Rig) -> None:
 def test_seen_of_nothing() -> None:
     seen = Seen.nothing(3, "dark")
     assert (seen.status, seen.bits.sum(), seen.found.sum()) == ("dark", 0, 0)
+
+
+def test_paint_slopes_are_how_frames_show_a_receptor_that_turns() -> None:
+    """Seen from its end it shows more paint on one side; its centroid is no point of it."""
+    flat = of_shape(
+        "plane",
+        {"width_mm": 48.0, "height_mm": 36.0},
+        {"kind": "straight", "rows": 4, "columns": 6},
+    )
+    surface = flat.surface()
+    markers = make_markers(flat, surface)
+    (camera,) = cameras_of(flat, surface)
+    tolerance = tolerance_mm(camera, markers)
+    rest, on = (
+        build_scene(
+            flat,
+            surface,
+            markers,
+            tolerance_mm=tolerance,
+            switch_on=np.full(markers.count, state),
+        )
+        for state in (False, True)
+    )
+    seen = see(rest, on, camera, noise_std=0.0, rng=np.random.default_rng(0))
+    slope = paint_slope(flat, surface, markers, camera, rest=rest, seen=seen)
+    readers = Readers(cameras=(camera,), read_by=np.zeros(markers.count, dtype=np.int64))
+    arm = seen.paint_point_mm - markers.mid_mm
+    eyes = Eyes(flat, surface, unit_of(flat), exposure=EXPOSURE)
+    still, off = np.zeros((markers.count, 6)), np.zeros(markers.count, dtype=np.bool_)
+    zero = eyes.read(eyes.frame(still, off)).shift_px
+    # Tilts alone: motion moves a centroid as it moves any point.
+    motion = np.zeros((markers.count, 6))
+    motion[:, 3:5] = np.random.default_rng(2).normal(0.0, 0.05, (markers.count, 2))
+    shown = eyes.read(eyes.frame(motion, off)).shift_px - zero
+    error = {
+        name: rms(Watched(readers, markers.mid_mm, arm, own).shift(motion) - shown) / rms(shown)
+        for name, own in (("paint", slope), ("point", None))
+    }
+    assert error["point"] > 0.08
+    assert error["paint"] < 0.03
+
+
+def test_a_marker_that_nobody_sees_is_watched_at_its_tip() -> None:
+    this = design()
+    surface = this.surface()
+    markers = make_markers(this, surface)
+    (camera,) = cameras_of(this, surface)
+    rest = build_scene(this, surface, markers, tolerance_mm=tolerance_mm(camera, markers))
+    seen = see(rest, rest, camera, noise_std=0.0, rng=np.random.default_rng(0))
+    nowhere = replace(seen, paint_point_mm=np.full((markers.count, 3), np.nan))
+    slope = paint_slope(this, surface, markers, camera, rest=rest, seen=nowhere)
+    arm = markers.tip_mm - markers.mid_mm
+    np.testing.assert_array_equal(slope, rigid_slope(camera.jacobian(markers.tip_mm), arm))

@@ -33,7 +33,7 @@ def dome(ring: int = 6) -> Condensed:
     dent = 0.02 * np.exp(-((gap / 8.0) ** 2))
     towards = watched[None] - watched[:, None]
     motion = -dent[:, None] * normal[:, :, None] + 0.05 * dent[:, None] * np.moveaxis(towards, 2, 1)
-    return condense(CAMERA, watched_mm=watched, normal=normal, motion_mm=motion)
+    return condense(CAMERA.jacobian(watched), normal=normal, motion=motion)
 
 
 def model_of(parts: Condensed) -> ForceModel:
@@ -70,13 +70,14 @@ def test_a_marker_on_the_pole_leaves_the_others_their_stiffness() -> None:
 
 def test_a_lone_marker_on_the_axis_is_refused() -> None:
     camera = Camera.on_axis(width_px=100, height_px=100, focal_px=50, stand_off_mm=10)
-    lone = {"watched_mm": np.array([[0.0, 0.0, 5.0]]), "normal": np.array([[0.0, 0.0, 1.0]])}
+    slope = camera.jacobian(np.array([[0.0, 0.0, 5.0]]))
+    normal = np.array([[0.0, 0.0, 1.0]])
     motion = np.array([[[0.0], [0.0], [-0.01]]])
     with pytest.raises(NumericalError, match="moves no marker's image: the camera looks along"):
-        condense(camera, **lone, motion_mm=motion)
+        condense(slope, normal=normal, motion=motion)
     # And one that the lens does not see, by name.
     with pytest.raises(NumericalError, match="marker 0: the shift of its image is not finite"):
-        condense(camera, **lone, motion_mm=np.full((1, 3, 1), np.nan))
+        condense(slope, normal=normal, motion=np.full((1, 3, 1), np.nan))
 
 
 def test_noise_of_the_stiffness_is_what_a_thousand_frames_give() -> None:

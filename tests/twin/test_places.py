@@ -29,6 +29,7 @@ READERS = Readers(
     cameras=cameras_of(DESIGN, SURFACE), read_by=np.zeros(MARKERS.count, dtype=np.int64)
 )
 ARM = MARKERS.tip_mm - MARKERS.mid_mm
+SEE = Seen(READERS, MARKERS.mid_mm, ARM)
 
 
 @cache
@@ -40,8 +41,7 @@ def tabulated(orders: int = 3, spacing_mm: float = 3.0, refine: int = 4) -> Tabu
         MARKERS,
         mesh=mesh,
         model=sensor_model(DESIGN, MARKERS, mesh, receptors=True),
-        readers=READERS,
-        arm_mm=ARM,
+        see=SEE,
         spacing_mm=spacing_mm,
         orders=orders,
     )
@@ -131,26 +131,25 @@ def test_a_square_box_is_solved_on_one_side_in_four() -> None:
     )
     mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=3)
     model = sensor_model(design, markers, mesh, receptors=True)
-    arm = markers.tip_mm - markers.mid_mm
+    see = Seen(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
     done = make_places(
         design,
         surface,
         markers,
         mesh=mesh,
         model=model,
-        readers=readers,
-        arm_mm=arm,
+        see=see,
         spacing_mm=7.0,
         orders=4,
     )
     assert done.solves * 4 <= len(done.places.point_mm) + 4
     assert done.bent < done.solves
-    ring = rings(surface, 7.0, 4)
+    ring = rings(surface, done.spacing_mm, 4)
     shell = Pressed(design, surface, markers, mesh=mesh, model=model, orders=1)
     for turns in (1, 3):
         place = int(np.flatnonzero(ring.turns == turns)[7])
         ((own,),) = shell.motions(ring.uv[[place]], done.places.radius_mm)
-        (wanted,) = Seen(readers, markers.mid_mm, arm).powers([own], shell.forces)
+        (wanted,) = see.powers([own], shell.forces)
         assert off(done.places.shift_px[place, 0], wanted) < 1e-3
 
 
@@ -247,15 +246,17 @@ def test_tables_that_would_fill_the_memory_are_coarser(monkeypatch: pytest.Monke
         MARKERS,
         mesh=mesh,
         model=sensor_model(DESIGN, MARKERS, mesh, receptors=True),
-        readers=READERS,
-        arm_mm=ARM,
+        see=SEE,
         spacing_mm=1.0,
         orders=1,
     )
     assert done.places.shift_px.nbytes < 4e5
 
 
-def test_a_small_part_has_places_enough_for_the_higher_powers() -> None:
+def test_a_small_part_has_places_enough_for_the_higher_powers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("phytac_design.twin.places.CLOSER", 0)
     middle = SURFACE.point(np.array([SURFACE.domain.mean(axis=1)]))[0]
 
     def near(spacing_mm: float, uv: FloatArray) -> BoolArray:
@@ -269,11 +270,39 @@ def test_a_small_part_has_places_enough_for_the_higher_powers() -> None:
         MARKERS,
         mesh=mesh,
         model=sensor_model(DESIGN, MARKERS, mesh, receptors=True),
-        readers=READERS,
-        arm_mm=ARM,
+        see=SEE,
         spacing_mm=3.0,
         orders=3,
         near=near,
     )
     assert done.places.orders == 3
     assert done.bent == done.solves
+
+
+def test_places_stand_closer_where_tables_err_between_them() -> None:
+    """Seen from its end a receptor shows the wall's slope, which changes sooner than its place."""
+    design = of_shape(
+        "plane",
+        {"width_mm": 48.0, "height_mm": 36.0},
+        {"kind": "straight", "rows": 5, "columns": 7},
+    )
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    readers = Readers(
+        cameras=cameras_of(design, surface), read_by=np.zeros(markers.count, dtype=np.int64)
+    )
+    see = Seen(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
+    mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=4)
+    model = sensor_model(design, markers, mesh, receptors=True)
+    done = make_places(
+        design, surface, markers, mesh=mesh, model=model, see=see, spacing_mm=4.0, orders=1
+    )
+    assert done.spacing_mm < 4.0
+    assert done.off < 0.01
+    # Anywhere in between, not only where they looked.
+    at = surface.point(np.random.default_rng(1).uniform(*surface.domain.T, (20, 2)))
+    shell = Pressed(design, surface, markers, mesh=mesh, model=model, orders=1)
+    motions = shell.motions(surface.chart(at), done.places.radius_mm)
+    wanted = np.stack([see.powers(own, shell.forces)[0] for own in motions])
+    error = [off(a, b) for a, b in zip(between(done.places, at)[:, 0], wanted, strict=True)]
+    assert np.median(error) < 0.02

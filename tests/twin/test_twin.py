@@ -16,7 +16,7 @@ from phytac_design.twin.condense import condense
 from phytac_design.twin.contacts import Contacts, draw_contacts, switch_states
 from phytac_design.twin.dataset import Dataset, decode_points, key_node_data
 from phytac_design.twin.judge import contact_forces, score
-from phytac_design.twin.response import motion_responses, point_motions, superpose
+from phytac_design.twin.response import motion_responses, point_motions, rigid_slope, superpose
 from phytac_design.twin.shell import truth_shell
 from tests.designs import small
 
@@ -142,8 +142,8 @@ def small_model() -> tuple[ForceModel, np.ndarray, Camera]:
     compliance = marker_compliance(model, mesh, SURFACE, MARKERS, load_radius_mm=4.4)
     arm = MARKERS.tip_mm - MARKERS.mid_mm
     camera = Camera.on_axis(width_px=1296, height_px=972, focal_px=485, stand_off_mm=30)
-    motion = np.moveaxis(point_motions(np.moveaxis(compliance.motion, 2, 0), arm), 0, 2)
-    parts = condense(camera, watched_mm=MARKERS.tip_mm, normal=MARKERS.normal, motion_mm=motion)
+    slope = rigid_slope(camera.jacobian(MARKERS.tip_mm), arm)
+    parts = condense(slope, normal=MARKERS.normal, motion=compliance.motion)
     force = ForceModel(
         shift_to_mm=parts.shift_to_mm,
         stiffness=parts.stiffness,

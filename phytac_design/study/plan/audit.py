@@ -12,13 +12,12 @@ from phytac_design.layout.arc import by_area
 from phytac_design.mechanics.large.modified import Modified
 from phytac_design.mechanics.pressure import Holes, touch_loads
 from phytac_design.stage import EXPORT, Context
-from phytac_design.stages.twin import arms_mm, readers_of, truth_of
+from phytac_design.stages.twin import truth_of, watch_of
 from phytac_design.study.plan.measure import MB
 from phytac_design.study.plan.plan import Plan
 from phytac_design.study.plan.scope import scope_of
 from phytac_design.twin.contacts import Contacts, Switching, switch_states
 from phytac_design.twin.feet import Feet
-from phytac_design.twin.response import turned_points
 from phytac_design.twin.touch import flat_touches
 from shapes.arrays import FloatArray
 
@@ -75,17 +74,14 @@ def reference_presses(
     receptor = design.receptor
     holes = Holes.of(surface, markers.uv, receptor.diameter_hole_mm / 2.0)
     feet = Feet(mesh, surface, markers.uv, receptor.diameter_outer_mm / 2.0)
-    shell, readers, arm = Modified(model), readers_of(context), arms_mm(context)
-    watched = markers.mid_mm + arm
-    rest = readers.project(watched)
+    shell, see = Modified(model), watch_of(context)
     unit = touch_loads(mesh, surface, flat_touches(contacts), holes=holes).toarray()
     shift = np.full((len(uv), markers.count, 2), np.nan)
     for k, force in enumerate(contacts.force_N):
         progress(f"audit: press {k + 1} of {len(uv)}")
         motion = shell.solve(force * unit[:, k]).sample.motion
         if motion is not None:
-            moved = watched + turned_points(feet.large(motion.ravel()), arm)
-            shift[k] = readers.project(moved) - rest
+            shift[k] = see.shift(feet.large(motion.ravel()))
     return Presses(
         contacts=contacts,
         switching=switch_states(design, surface, markers, contacts),

@@ -14,11 +14,14 @@ from phytac_design.layout import Markers
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.frame import render_frame
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.scene import build_scene, red_owner
+from phytac_design.optics.scene import Scene, build_scene, red_owner
 from phytac_design.optics.view import cameras_of, tolerance_mm
 from phytac_design.optics.visibility import Visibility, best_of, see
 from phytac_design.spec import Design
 from phytac_design.twin.expected import Expected, colour_model, expectations
+from phytac_design.twin.response import rigid_slope
+from phytac_design.twin.sight.eye import strip_of
+from phytac_design.twin.sight.paint import PaintPoints
 from shapes import Surface
 from shapes.arrays import FloatArray
 
@@ -71,6 +74,40 @@ def _look(
         red_px=owner_centroids(red, markers.count),
     )
     return seen, found
+
+
+def paint_slope(
+    design: Design,
+    surface: Surface,
+    markers: Markers,
+    camera: Camera,
+    *,
+    rest: Scene,
+    seen: Visibility,
+) -> FloatArray:
+    """How each marker's image moves with the wall under it, (n, 2, 6): px per mm, px per rad.
+
+    Of the paint that faces the camera; where none does, of the point that is watched.
+
+    Parameters
+    ----------
+    rest, seen : Scene, Visibility
+        Of this camera, at rest.
+    """
+    colours, classes = colour_model(design)
+    paint = PaintPoints(
+        rest,
+        camera,
+        markers,
+        chosen=~seen.lost,
+        colours=colours,
+        colour=classes[markers.colour],
+        strip=strip_of(design, surface, markers),
+    ).slope()
+    watched = np.where(seen.lost[:, None], markers.tip_mm, seen.paint_point_mm)
+    point = rigid_slope(camera.jacobian(watched), watched - markers.mid_mm)
+    known = np.isfinite(paint).all(axis=(1, 2), keepdims=True)
+    return np.asarray(np.where(known, paint, point))
 
 
 def owner_centroids(owner: NDArray[np.int32], count: int) -> FloatArray:

@@ -21,6 +21,8 @@ from shapes.arrays import BoolArray, FloatArray, IntArray
 LUMA = np.array([0.299, 0.587, 0.114])
 CHROMA = np.array([0.713, 0.564])
 """Red less luma to Cr, blue less luma to Cb (as OpenCV has it)."""
+STEP = 2e-3
+"""Of the wall's motion, mm and rad, by which slopes are found."""
 
 
 class PaintPoints:
@@ -110,6 +112,19 @@ class PaintPoints:
         with np.errstate(invalid="ignore"):
             inside = np.all((found >= -0.5) & (found <= last), axis=1)
         return np.where(inside[:, None], found, np.nan)
+
+    def slope(self) -> FloatArray:
+        """How centroids move with the wall under each marker, (n, 2, 6): px per mm, px per rad.
+
+        A receptor that turns shows more paint on one side and less on the other, so its centroid
+        is no point of it. NaN where no paint is followed or seen.
+        """
+        out = np.full((self.count, 2, 6), np.nan)
+        for k in range(6):
+            motion = np.zeros((self.count, 6))
+            motion[:, k] = STEP
+            out[:, :, k] = (self.centroids(motion) - self.centroids(-motion)) / (2.0 * STEP)
+        return out
 
     def _seen_chroma(self, light: FloatArray) -> FloatArray:
         """What each triangle (T,) counts for by its share of its paint's full chroma."""
