@@ -22,7 +22,7 @@ from phytac_design.stage import Context
 from phytac_design.stages.decoder import along_mm, middle_mm
 from phytac_design.stages.places import locator_of
 from phytac_design.stages.twin import watch_of
-from phytac_design.twin.places import make_places
+from phytac_design.twin.places import make_places, place_spacing_mm
 
 STEPS = ((0.8, 1), (0.8, 3), (0.55, 1), (0.55, 2), (0.55, 3), (0.55, 4), (0.4, 5))
 """Spacing over the patches' mean radius, and powers of the force."""
@@ -45,7 +45,7 @@ def tables(context: Context, share: float, orders: int) -> tuple[Locator, dict[s
         mesh=mesh,
         model=sensor_model(design, markers, mesh, receptors=True),
         see=watch_of(context),
-        spacing_mm=share * standard.places.radius_mm,
+        spacing_mm=place_spacing_mm(surface, share, standard.places.radius_mm),
         orders=orders,
     ).places
     cost = {"s of one core": time.process_time() - begin, "MB": places.shift_px.nbytes / 1e6}

@@ -222,9 +222,10 @@ CHANGES: dict[str, tuple[dict[str, Any], set[str]]] = {
     "a region's name": ({"regions": [{"name": "palm", "rows": [0, 1]}]}, set()),
     # What mechanics asks of the pictures did not change.
     "noise": ({"camera": {"noise_pixel": 1.1}}, {"views", "frames"}),
+    # A marker's image moves as its paint shows: a little otherwise in another colour.
     "colours": (
         {"layout": {"colours": ["green", "blue"]}},
-        {"views", "underload", "decoder", "frames"},
+        {"views", "underload", "decoder", "frames", "places", "response", "twin"},
     ),
     "camera": (
         {"camera": {"stand_off_mm": 40.0}},

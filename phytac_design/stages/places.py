@@ -20,7 +20,7 @@ def run_places(context: Context, folder: Path) -> None:
     from decoder.bundle_locator import places_arrays
     from phytac_design.mechanics.meshing.mesh import marker_mesh
     from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
-    from phytac_design.twin.places import make_places
+    from phytac_design.twin.places import make_places, place_spacing_mm
 
     design, surface, markers = context.design, context.surface, context.markers
     training, accuracy, scope = design.training, context.accuracy, scope_of(context)
@@ -37,7 +37,7 @@ def run_places(context: Context, folder: Path) -> None:
         mesh=mesh,
         model=model,
         see=watch_of(context),
-        spacing_mm=accuracy.place_share * radius,
+        spacing_mm=place_spacing_mm(surface, accuracy.place_share, radius),
         orders=accuracy.place_orders,
         near=scope.near if scope else None,
         progress=context.progress,
@@ -52,7 +52,6 @@ def run_places(context: Context, folder: Path) -> None:
             "bent": done.bent,
             "large": done.large,
             "unsure": done.unsure,
-            "off": done.off,
             "orders": places.orders,
             "pairs": len(places.pairs.grid.point_mm) if places.pairs else 0,
             "radius_mm": places.radius_mm,

@@ -75,8 +75,14 @@ def condense(slope: FloatArray, *, normal: FloatArray, motion: FloatArray) -> Co
         )
     shift_to_mm, sensitivity = observable(slope[:, :, :3], normal)
     seen = np.flatnonzero(shift_to_mm.any(axis=1))
-    # What the motion would do if all its parts added up.
-    possible = np.einsum("nij,njm->nim", np.abs(slope), np.abs(motion)).max(axis=(0, 1))
+    # What motion as large could do the other way.
+    parts = [slice(0, 3)] if slope.shape[2] == 3 else [slice(0, 3), slice(3, 6)]
+    scale = [np.linalg.norm(slope[:, :, part], ord=2, axis=(1, 2)) for part in parts]
+    each = [
+        own[:, None] * np.abs(motion[:, part]).max(axis=1)
+        for own, part in zip(scale, parts, strict=True)
+    ]
+    possible = np.sum(each, axis=0).max(axis=0)
     still = np.abs(compliance_px).max(axis=(0, 1)) <= ALONG_MIN * possible
     if still.any():
         marker = int(np.argmax(still))

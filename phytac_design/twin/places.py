@@ -9,10 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from decoder.bundle_locator import LEAST_PLACES
 from decoder.pairs import Pairs
-from decoder.places import FACTORIALS, TERMS, Places
+from decoder.places import AROUND, FACTORIALS, TERMS, Places
 from phytac_design.layout import Markers
 from phytac_design.mechanics.compliance import turns_of
 from phytac_design.mechanics.meshing.mesh import ShellMesh
@@ -30,14 +31,11 @@ BATCH = 32
 APART = 2.0
 """Distance of places at which the higher powers of the force are solved, over that of places:
 they are a small part of the shifts, and are interpolated."""
-OFF_MAX = 0.005
-"""Error between places, over the shifts there, from which on they stand closer."""
-CLOSER = 2
-"""How often their distance is halved for it at most."""
-LOOKED_AT = 24
-"""Spots between places that the error is judged by, at most."""
-ASIDE = 1.37
-"""Distance of those spots over that of the places, so that they fall between them."""
+TURN_rad = 0.1
+"""Median angle between the walls at neighbouring places from which on they are close enough. On
+flatter walls markers show the wall's slope rather than its motion, which changes sooner."""
+CLOSER = 2.0
+"""By how much places stand spacing there."""
 FINE = 513
 """Points along u that rings are spaced by."""
 BYTES_MAX = 400e6
@@ -100,8 +98,6 @@ class Tabulated:
         Of these, those solved with large displacements.
     spacing_mm : float
         What places are at most apart.
-    off : float
-        Median error between places, over the shifts there; linear theory.
     unsure : int
         Of these, those whose series says nothing at the greatest force, and that were not solved:
         linear ones stand there.
@@ -113,7 +109,6 @@ class Tabulated:
     large: int
     unsure: int
     spacing_mm: float
-    off: float
 
 
 def rings(surface: Surface, spacing_mm: float, sectors: int) -> Rings:
@@ -147,6 +142,18 @@ def rings(surface: Surface, spacing_mm: float, sectors: int) -> Rings:
     return Rings(uv=np.array(uv), base=np.array(base), turns=np.array(turns))
 
 
+def place_spacing_mm(surface: Surface, share: float, radius_mm: float) -> float:
+    """What places are at most apart, by their distance over the patches' radius (mm)."""
+    spacing = share * radius_mm
+    uv = rings(surface, spacing, 1).uv
+    normal = np.cross(*tangent_frame(surface, uv))
+    # The nearest is each place itself.
+    _, near = cKDTree(surface.point(uv)).query(surface.point(uv), k=min(AROUND, len(uv)))
+    cosine = np.einsum("pqi,pi->pq", normal[near], normal).min(axis=1)
+    flatter = float(np.median(cosine)) > np.cos(TURN_rad)
+    return spacing / CLOSER if flatter else spacing
+
+
 def make_places(
     design: Design,
     surface: Surface,
@@ -173,7 +180,7 @@ def make_places(
     see : Seen
         What the cameras see of the markers.
     spacing_mm : float
-        Between places, at most; less where tables would err between them, see ``OFF_MAX``.
+        Between places, at most.
     orders : int
         Powers of the force: 1 (linear theory) to 5; see :data:`pressed.SOLVED_AT`.
     near : callable, optional
@@ -234,23 +241,16 @@ def make_places(
         )
         return places, len(solved), shell, unsure
 
-    spots = _spots(surface, spacing, near)
-    for number in range(CLOSER + 1):
-        closer = max(spacing / 2.0**number, float(least))
-        places, solves, flat, _ = table(1, closer)
-        off = _off(flat, see, places, spots)
-        if off <= OFF_MAX:
-            break
-        progress(f"places: {100.0 * off:.1f} % off in between, {closer:.2g} mm apart")
+    places, solves, _, _ = table(1, spacing)
     if orders == 1:
         return Tabulated(
-            places=places, solves=solves, bent=0, large=0, unsure=0, spacing_mm=closer, off=off
+            places=places, solves=solves, bent=0, large=0, unsure=0, spacing_mm=spacing
         )
     # A small part of the surface holds too few places so far apart.
     apart = (
-        APART * closer
-        if _enough(rings(surface, APART * closer, sectors).uv, APART * closer, near)
-        else closer
+        APART * spacing
+        if _enough(rings(surface, APART * spacing, sectors).uv, APART * spacing, near)
+        else spacing
     )
     higher, bent, shell, unsure = table(orders, apart)
     more = between(higher, places.point_mm)[:, 1:].astype(np.float32)
@@ -266,18 +266,8 @@ def make_places(
         bent=bent,
         large=shell.solved,
         unsure=unsure,
-        spacing_mm=closer,
-        off=off,
+        spacing_mm=spacing,
     )
-
-
-def _spots(
-    surface: Surface, spacing_mm: float, near: Callable[[float, FloatArray], BoolArray] | None
-) -> FloatArray:
-    """Spots (k, 2) all over the surface, or its part, that lie between places."""
-    uv = rings(surface, ASIDE * spacing_mm, 1).uv
-    uv = uv[_wanted(uv, ASIDE * spacing_mm, near)]
-    return uv[:: max(-(-len(uv) // LOOKED_AT), 1)]
 
 
 def _enough(
@@ -292,18 +282,6 @@ def _wanted(
 ) -> BoolArray:
     """Which of places (p, 2) so far apart are wanted."""
     return np.ones(len(uv), dtype=np.bool_) if near is None else near(apart_mm, uv)
-
-
-def _off(shell: Pressed, see: Seen, places: Places, uv: FloatArray) -> float:
-    """Median error of tables at spots (k, 2), over the shifts there, by linear theory."""
-    if len(uv) == 0:
-        return 0.0
-    _, motion = shell.linear(uv, places.radius_mm)
-    wanted = np.stack([see.powers([shell.feet.linear(m)], np.zeros(0))[0] for m in motion.T])
-    found = between(places, shell.surface.point(uv))[:, 0]
-    size = np.linalg.norm(wanted, axis=1)
-    error = np.linalg.norm(found - wanted, axis=1)[size > 0.0] / size[size > 0.0]
-    return float(np.median(error)) if len(error) else 0.0
 
 
 def _pairs(

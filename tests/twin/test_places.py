@@ -12,7 +12,13 @@ from phytac_design.mechanics.receptors import sensor_model
 from phytac_design.optics.view import Readers, cameras_of
 from phytac_design.spec import Design
 from phytac_design.twin.contacts import Contacts
-from phytac_design.twin.places import Tabulated, between, make_places, rings
+from phytac_design.twin.places import (
+    Tabulated,
+    between,
+    make_places,
+    place_spacing_mm,
+    rings,
+)
 from phytac_design.twin.pressed import Pressed, Seen
 from phytac_design.twin.response import turned_points
 from phytac_design.twin.scenario.scatter import draw_unit
@@ -253,10 +259,7 @@ def test_tables_that_would_fill_the_memory_are_coarser(monkeypatch: pytest.Monke
     assert done.places.shift_px.nbytes < 4e5
 
 
-def test_a_small_part_has_places_enough_for_the_higher_powers(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("phytac_design.twin.places.CLOSER", 0)
+def test_a_small_part_has_places_enough_for_the_higher_powers() -> None:
     middle = SURFACE.point(np.array([SURFACE.domain.mean(axis=1)]))[0]
 
     def near(spacing_mm: float, uv: FloatArray) -> BoolArray:
@@ -279,14 +282,16 @@ def test_a_small_part_has_places_enough_for_the_higher_powers(
     assert done.bent == done.solves
 
 
-def test_places_stand_closer_where_tables_err_between_them() -> None:
+def test_places_stand_closer_on_flat_walls() -> None:
     """Seen from its end a receptor shows the wall's slope, which changes sooner than its place."""
+    assert place_spacing_mm(SURFACE, 0.8, 5.0) == 4.0
     design = of_shape(
         "plane",
         {"width_mm": 48.0, "height_mm": 36.0},
         {"kind": "straight", "rows": 5, "columns": 7},
     )
     surface = design.surface()
+    assert place_spacing_mm(surface, 0.8, 5.0) == 2.0
     markers = make_markers(design, surface)
     readers = Readers(
         cameras=cameras_of(design, surface), read_by=np.zeros(markers.count, dtype=np.int64)
@@ -294,15 +299,16 @@ def test_places_stand_closer_where_tables_err_between_them() -> None:
     see = Seen(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
     mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=4)
     model = sensor_model(design, markers, mesh, receptors=True)
-    done = make_places(
-        design, surface, markers, mesh=mesh, model=model, see=see, spacing_mm=4.0, orders=1
-    )
-    assert done.spacing_mm < 4.0
-    assert done.off < 0.01
-    # Anywhere in between, not only where they looked.
     at = surface.point(np.random.default_rng(1).uniform(*surface.domain.T, (20, 2)))
     shell = Pressed(design, surface, markers, mesh=mesh, model=model, orders=1)
-    motions = shell.motions(surface.chart(at), done.places.radius_mm)
-    wanted = np.stack([see.powers(own, shell.forces)[0] for own in motions])
-    error = [off(a, b) for a, b in zip(between(done.places, at)[:, 0], wanted, strict=True)]
-    assert np.median(error) < 0.02
+    error = {}
+    for spacing in (4.0, 2.0):
+        places = make_places(
+            design, surface, markers, mesh=mesh, model=model, see=see, spacing_mm=spacing, orders=1
+        ).places
+        motions = shell.motions(surface.chart(at), places.radius_mm)
+        wanted = np.stack([see.powers(own, shell.forces)[0] for own in motions])
+        found = between(places, at)[:, 0]
+        error[spacing] = np.median([off(a, b) for a, b in zip(found, wanted, strict=True)])
+    assert error[4.0] > 0.02
+    assert error[2.0] < 0.01

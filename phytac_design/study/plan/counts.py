@@ -11,7 +11,7 @@ from phytac_design.stages.twin import JUDGED, samples_of
 from phytac_design.study.plan.resolve import Resolved
 from phytac_design.study.plan.scene import ALL_AT_ONCE, Scene
 from phytac_design.study.plan.scope import PRESSES_LEAST, Scope
-from phytac_design.twin.places import rings
+from phytac_design.twin.places import place_spacing_mm, rings
 from phytac_design.twin.shell import MARGIN
 from shapes import Surface
 
@@ -109,7 +109,7 @@ def count(
         truth = round(truth * _local_share(design, surface, scope))
         adjoints = 6 * n
     radius = (design.training.patch_radius_min_mm + design.training.patch_radius_max_mm) / 2.0
-    spacing = accuracy.place_share * radius
+    spacing = place_spacing_mm(surface, accuracy.place_share, radius)
     ring = rings(surface, spacing, turns)
     near = np.ones(len(ring.uv), dtype=np.bool_) if scope is None else scope.near(spacing, ring.uv)
     presses = accuracy.press_places

@@ -20,7 +20,7 @@ from phytac_design.spec import Design
 from phytac_design.stages import STAGES
 from phytac_design.stages.twin import samples_of
 from phytac_design.study.trade.coefficients import COEFFICIENTS, PROBE_S
-from phytac_design.twin.places import APART, rings
+from phytac_design.twin.places import APART, place_spacing_mm, rings
 from phytac_design.twin.pressed import SOLVED_AT
 from phytac_design.twin.shell import truth_mesh
 from shapes.arrays import FloatArray
@@ -100,7 +100,7 @@ class Work:
         if share not in self._solves:
             training = self.design.training
             radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
-            ring = rings(self.surface, share * radius, self.sectors)
+            ring = rings(self.surface, place_spacing_mm(self.surface, share, radius), self.sectors)
             self._solves[share] = (len(np.unique(ring.base)), len(ring.base))
         return self._solves[share]
 

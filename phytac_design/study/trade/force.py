@@ -28,7 +28,7 @@ from phytac_design.optics.view import Readers, cameras_of
 from phytac_design.spec import Design
 from phytac_design.study.trade.contacts import StandardContacts, standard_contacts
 from phytac_design.twin.feet import Feet
-from phytac_design.twin.places import between, rings
+from phytac_design.twin.places import between, place_spacing_mm, rings
 from phytac_design.twin.pressed import Pressed, Seen
 from phytac_design.twin.response import turned_points
 from phytac_design.twin.shell import truth_shell
@@ -219,7 +219,7 @@ class ForceError:
         columns = self.markers.lattice.columns if self.markers.lattice else 1
         sectors, _ = turns_of(model, mesh, columns)
         radius = self.contacts.radius_mm
-        ring = rings(self.surface, share * radius, sectors)
+        ring = rings(self.surface, place_spacing_mm(self.surface, share, radius), sectors)
         along, around = tangent_frame(self.surface, ring.uv)
         point = self.surface.point(ring.uv)
         wanted = self.surface.point(self.contacts.uv)
