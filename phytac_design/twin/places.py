@@ -35,7 +35,7 @@ TURN_rad = 0.1
 """Median angle between the walls at neighbouring places from which on they are close enough. On
 flatter walls markers show the wall's slope rather than its motion, which changes sooner."""
 CLOSER = 2.0
-"""By how much places stand spacing there."""
+"""How much closer places stand there."""
 FINE = 513
 """Points along u that rings are spaced by."""
 BYTES_MAX = 400e6
@@ -256,8 +256,8 @@ def make_places(
     more = between(higher, places.point_mm)[:, 1:].astype(np.float32)
     whole = np.concatenate([places.shift_px, more], axis=1)
     progress("places: pairs of contacts")
-    # Where discs alone are beyond the expansion pairs may be too; on flat walls, where they press
-    # by turns with and against a bend that is not there at rest, they are (measured: cuboid).
+    # Where discs alone are beyond the expansion, pairs on flat walls are far beyond it (on the
+    # cuboid they double the errors); on curved ones they still help (patch).
     holds = unsure == 0 and (shell.beyond == 0 or not places.flat.any())
     pairs = _pairs(shell, see, places, sectors, near, holds=holds)
     return Tabulated(
