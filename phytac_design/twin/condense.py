@@ -76,7 +76,7 @@ def condense(slope: FloatArray, *, normal: FloatArray, motion: FloatArray) -> Co
     shift_to_mm, sensitivity = observable(slope[:, :, :3], normal)
     seen = np.flatnonzero(shift_to_mm.any(axis=1))
     # What motion as large could do the other way.
-    parts = [slice(0, 3)] if slope.shape[2] == 3 else [slice(0, 3), slice(3, 6)]
+    parts = [slice(k, k + 3) for k in range(0, slope.shape[2], 3)]
     scale = [np.linalg.norm(slope[:, :, part], ord=2, axis=(1, 2)) for part in parts]
     each = [
         own[:, None] * np.abs(motion[:, part]).max(axis=1)

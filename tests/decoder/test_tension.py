@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from decoder.contact_fit import State, start
+from decoder.contact_fit import State, explain, start
 from decoder.places import Places
 from decoder.tension import shared_N
 from shapes.arrays import FloatArray
@@ -84,8 +84,6 @@ def test_forces_that_stretch_a_wall_together_are_read_right() -> None:
 
 @pytest.mark.parametrize("stretch", [None, 13.0])
 def test_slopes_are_those_of_the_shifts(stretch: float | None) -> None:
-    from decoder.contact_fit import explain
-
     places = flat_places()
     (state,) = states(places, [ONE + 0.3], [9.0])
 
