@@ -84,24 +84,31 @@ class Patch(Surface):
         v = np.linspace(0.0, v1, cells * int(v1) + 1)
         return np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
 
-    def _derivatives(self, uv: FloatArray) -> tuple[FloatArray, ...]:
-        """Point, d/du, d/dv, d²/du², d²/dudv, d²/dv², (n, 3) each.
+    @cached_property
+    def _operators(self) -> tuple[Spline, Spline]:
+        """Splines of the unit vectors of rows and of columns."""
+        rows, columns = self._grid.shape[:2]
+        return Spline(values=np.eye(rows)), Spline(values=np.eye(columns))
+
+    def _derivatives(self, uv: FloatArray, order: int = 2) -> tuple[FloatArray, ...]:
+        """Point, d/du, d/dv, d²/du², d²/dudv, d²/dv², (n, 3) each, those up to an order.
 
         A tensor spline: the operators of u act on the rows, those of v on the columns.
         """
         uv = np.asarray(uv, dtype=np.float64)
         rows, columns = self._grid.shape[:2]
-        a = Spline(values=np.eye(rows)).at(uv[:, 0])
-        b = Spline(values=np.eye(columns)).at(uv[:, 1])
-
-        def mix(i: int, j: int) -> FloatArray:
-            return np.asarray(np.einsum("nr,nc,rck->nk", a[i], b[j], self._grid, optimize=True))
-
-        return mix(0, 0), mix(1, 0), mix(0, 1), mix(2, 0), mix(1, 1), mix(0, 2)
+        of_u, of_v = self._operators
+        a, b = of_u.at(uv[:, 0]), of_v.at(uv[:, 1])
+        along = [(x @ self._grid.reshape(rows, -1)).reshape(-1, columns, 3) for x in a[: order + 1]]
+        return tuple(
+            (b[total - i][:, None] @ along[i])[:, 0]
+            for total in range(order + 1)
+            for i in range(total, -1, -1)
+        )
 
     def normal(self, uv: FloatArray) -> FloatArray:
         """Outward unit normals, (n, 3)."""
-        _, along, around, *_ = self._derivatives(uv)
+        _, along, around = self._derivatives(uv, 1)
         out = np.cross(around, along)
         return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
 
@@ -109,11 +116,11 @@ class Patch(Surface):
         """Points of the offset face, (n, 3) mm."""
         uv = np.asarray(uv, dtype=np.float64)
         offset = np.broadcast_to(np.asarray(offset_mm, dtype=np.float64), uv.shape[:1])[:, None]
-        return np.asarray(self._derivatives(uv)[0] + offset * self.normal(uv))
+        return np.asarray(self._derivatives(uv, 0)[0] + offset * self.normal(uv))
 
     def tangents(self, uv: FloatArray) -> FloatArray:
         """d/du and d/dv, (n, 2, 3)."""
-        _, along, around, *_ = self._derivatives(uv)
+        _, along, around = self._derivatives(uv, 1)
         return np.stack([along, around], axis=1)
 
     def chart(self, points_mm: FloatArray) -> FloatArray:
@@ -125,7 +132,7 @@ class Patch(Surface):
     @cached_property
     def _samples(self) -> tuple[FloatArray, FloatArray]:
         uv = self._lattice(SAMPLES)
-        return uv, self._derivatives(uv)[0]
+        return uv, self._derivatives(uv, 0)[0]
 
     def _chart(self, points: FloatArray) -> FloatArray:
         uv_known, known = self._samples
@@ -163,7 +170,7 @@ class Patch(Surface):
         stations = np.linspace(0.0, self.domain[axis, 1], 64 * int(self.domain[axis, 1]) + 1)
         uv = np.full((len(stations), 2), other)
         uv[:, axis] = stations
-        steps = np.linalg.norm(np.diff(self._derivatives(uv)[0], axis=0), axis=1)
+        steps = np.linalg.norm(np.diff(self._derivatives(uv, 0)[0], axis=0), axis=1)
         return np.asarray(np.interp(t, stations, np.concatenate([[0.0], np.cumsum(steps)])))
 
     def area_mm2(self, offset_mm: float = 0.0) -> float:
@@ -174,7 +181,7 @@ class Patch(Surface):
         v = (np.arange(columns - 1)[:, None] + (x + 1.0) / 2.0).ravel()
         uv = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
         weight = np.outer(np.tile(w, rows - 1), np.tile(w, columns - 1)).ravel() / 4.0
-        _, xu, xv, *_ = self._derivatives(uv)
+        _, xu, xv = self._derivatives(uv, 1)
         size = np.linalg.norm(np.cross(xv, xu), axis=1)
         first, second = self._curvatures(uv)
         return float(np.sum(weight * size * (1.0 + offset_mm * first) * (1.0 + offset_mm * second)))
