@@ -24,6 +24,8 @@ from shapes.errors import NumericalError
 
 PROBE_RAD = 0.01
 """Largest rotation (or translation over the shell's size) in the differences."""
+FAR_RAD = 1e6
+"""Rotation by linear theory from which on no equilibrium is looked for."""
 SAFETY = 1.5
 """``solve_auto`` trusts linear theory where this times the estimate is within the tolerance."""
 
@@ -44,6 +46,21 @@ class LinearCheck:
 
     motion: FloatArray
     error: float
+
+
+def refuse_absurd(turned_rad: float) -> None:
+    """Refuse a load by the largest rotation that linear theory has it cause.
+
+    Raises
+    ------
+    NumericalError
+        If no shell carries as much.
+    """
+    if not turned_rad <= FAR_RAD:
+        raise NumericalError(
+            f"the load is absurd: linear theory turns the shell by {turned_rad:.2g} rad; check "
+            "its unit"
+        )
 
 
 def check_linear(model: ShellModel, load: Any) -> LinearCheck:

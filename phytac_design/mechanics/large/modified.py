@@ -22,7 +22,7 @@ import numpy as np
 
 from phytac_design.mechanics.large.anderson import Anderson
 from phytac_design.mechanics.large.batch import Sample, solve_sample
-from phytac_design.mechanics.large.estimate import PROBE_RAD, SAFETY
+from phytac_design.mechanics.large.estimate import PROBE_RAD, SAFETY, refuse_absurd
 from phytac_design.mechanics.large.newton import NotConvergedError, dense_vector
 from phytac_design.mechanics.large.resting import Resting
 from phytac_design.mechanics.large.softest import Softest
@@ -53,7 +53,6 @@ SOFT, SOFT_STEPS = 0.05, 8
 """The same after more steps; what is softer is not trusted at all."""
 LOOKS = 30
 """Further steps at the end at most; all of them take less than one new factor."""
-TINY = 1e-300
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,6 +182,7 @@ class Modified:
                 still = np.zeros(force.size)
                 return Found(sample=_ok(still, large=False), error=0.0, softest=1.0)
             first = self.linear(force) if linear is None else linear
+            refuse_absurd(turn_of(first))
         except (ArithmeticError, MemoryError, NumericalError, np.linalg.LinAlgError) as error:
             return _failed(error)
         linear_error = float("inf")
