@@ -225,7 +225,7 @@ CHANGES: dict[str, tuple[dict[str, Any], set[str]]] = {
     # A marker's image moves as its paint shows: a little otherwise in another colour.
     "colours": (
         {"layout": {"colours": ["green", "blue"]}},
-        {"views", "underload", "decoder", "frames", "places", "response", "twin"},
+        {"views", "underload", "decoder", "frames", "places", "resolution", "response", "twin"},
     ),
     "camera": (
         {"camera": {"stand_off_mm": 40.0}},

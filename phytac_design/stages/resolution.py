@@ -36,9 +36,8 @@ def run_resolution(context: Context, folder: Path) -> None:
     """Cramér-Rao bound of force and place at every receptor."""
     from phytac_design.mechanics.meshing.mesh import marker_mesh
     from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
-    from phytac_design.optics.view import cameras_of
     from phytac_design.twin.bound import Signals, cell_prior, contact_signals
-    from phytac_design.twin.response import motion_responses, point_motions
+    from phytac_design.twin.response import motion_responses
 
     design, surface, markers = context.design, context.surface, context.markers
     training = design.training
@@ -51,22 +50,14 @@ def run_resolution(context: Context, folder: Path) -> None:
     receptors = context.accuracy.receptors and not unknown_receptors(design)
     model = sensor_model(design, markers, mesh, receptors=receptors)
     views = context.arrays("views")
-    arms = views["paint_points_mm"] - markers.mid_mm
     # A marker that a camera does not see tells nothing through it.
-    slopes = [
-        np.where(sees[:, None, None], camera.jacobian(markers.mid_mm + arm), 0.0)
-        for camera, arm, sees in zip(
-            cameras_of(design, surface), arms, views["seen_by"], strict=True
-        )
-    ]
+    slopes = np.where(views["seen_by"][:, :, None, None], views["paint_slopes"], 0.0)
 
     def shifts(uv: FloatArray, radius_mm: FloatArray) -> FloatArray:
         motion = motion_responses(model, mesh, surface, markers, uv=uv, radius_mm=radius_mm)
-        each = [
-            np.einsum("nij,cnj->cni", slope, point_motions(motion, arm))
-            for slope, arm in zip(slopes, arms, strict=True)
-        ]
-        return np.concatenate(each, axis=1)
+        return np.concatenate(
+            [np.einsum("nij,cnj->cni", slope, motion) for slope in slopes], axis=1
+        )
 
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     scope = scope_of(context)
@@ -119,7 +110,7 @@ RESOLUTION = Stage(
     reads=(*MECHANICS, "camera.noise_centroid_px", *TOUCH),
     knobs=("refine", "receptors"),
     needs=("views",),
-    uses={"views": ("paint_points_mm", "seen_by", "camera")},
+    uses={"views": ("paint_slopes", "seen_by", "camera")},
     scene=("regions", "reach_mm"),
     run=run_resolution,
 )

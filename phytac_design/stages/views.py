@@ -172,13 +172,14 @@ def run_views(context: Context, folder: Path) -> None:
         np.where(shot.seen.lost[:, None], markers.tip_mm, shot.seen.paint_point_mm)
         for shot in shots
     ]
+    slopes = [shot.paint_slope for shot in shots]
     rest_px = picked(shown_px)
     tips = [shot.expected.tips for shot in shots]
     arrays = asdict(best) | {
         "camera": camera,
         "paint_point_mm": picked(points),
-        "paint_points_mm": np.stack(points),
-        "paint_slope": picked([shot.paint_slope for shot in shots]),
+        "paint_slope": picked(slopes),
+        "paint_slopes": np.stack(slopes),
         "seen_by": np.stack([~shot.seen.occluded for shot in shots]),
         "rest_px": rest_px,
         "tip_bias_px": picked([shot.expected.tip_bias_px for shot in shots]),

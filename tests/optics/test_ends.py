@@ -219,7 +219,7 @@ def test_what_only_the_other_camera_sees_is_expected_nowhere(tmp_path: Path) -> 
         assert np.isnan(near[4:]).all()
         assert np.isfinite(far[4:]).all()
         np.testing.assert_array_equal(views["rest_px"][4:], far[4:])
-        assert np.isfinite(views["paint_points_mm"]).all()
+        assert np.isfinite(views["paint_slopes"]).all()
     readers = Readers(cameras=cameras_of(design, context.surface), read_by=np.repeat([0, 1], 4))
     tips = context.markers.tip_mm
     pixels, slopes = readers.project(tips), readers.jacobian(tips)

@@ -20,6 +20,7 @@ from phytac_design.stages.resolution import RESOLUTION, RIM_SHARE
 from phytac_design.stages.underload import UNDERLOAD, see_pressed
 from phytac_design.stages.views import PICTURES
 from phytac_design.study.search.surrogate import FORCE_N, predict
+from phytac_design.twin.sight.nominal import paint_slopes
 from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray
 from shapes.errors import NumericalError
@@ -202,6 +203,7 @@ def _look(context: Context, folder: Path) -> None:
         | {
             "camera": camera,
             "paint_points_mm": np.stack(points),
+            "paint_slopes": paint_slopes(design, surface, markers, each),
             "seen_by": np.stack([~one.occluded for one in each]),
             "unreadable": best.switch_unreadable,
         },

@@ -1,7 +1,8 @@
 r"""Figures of designs near a judged one, quickly and without pixels, for slopes.
 
 The bound is taken at some receptors only, as they stand along the sensor, with the paint that the
-judged design shows carried along by its receptors; gaps are those of outlines. Where a change
+judged design shows, and how it shows when they turn, carried along by its receptors; gaps are
+those of outlines. Where a change
 leaves the shell as it is (camera, heights, paint) the shell's motion under the patches is held.
 Where it scales the modulus, motion goes with 1/E; where it thickens the wall, with
 
@@ -27,6 +28,7 @@ from phytac_design.mechanics.solve import ShellModel
 from phytac_design.optics.view import cameras_of
 from phytac_design.reads import values_of
 from phytac_design.spec import Design
+from phytac_design.study.advice.carried import CarriedPaint
 from phytac_design.study.advice.judge import Judged, force_figures, middle_of
 from phytac_design.study.advice.outlines import gaps_px, ring_points
 from phytac_design.study.search.surrogate import FORCE_N
@@ -102,7 +104,7 @@ class Probe:
 
     def __init__(self, base: Judged, accuracy: Accuracy) -> None:
         self.base, self.accuracy = base, accuracy
-        self.local = local_paint(base)
+        self.paint = CarriedPaint(base)
         self.span = base.surface.domain
         self.solved: _Shell | None = None
         self.rate: Moved | None = None
@@ -149,17 +151,10 @@ class Probe:
         like = (base.surface, base.markers) if held else (surface, own)
         contacts = contacts_of(*like)
         moved = self._base.moved if held else self._moved(design, surface, own)
-        arms, sees, reads = self._paint(design, surface, own, cameras)
-        slopes = [
-            np.where(seen[:, None, None], camera.jacobian(own.mid_mm + arm), 0.0)
-            for camera, arm, seen in zip(cameras, arms, sees, strict=True)
-        ]
+        slopes, reads = self.paint.slopes(design, surface, own, cameras)
 
         def shifts(_uv: FloatArray, _radius_mm: FloatArray) -> FloatArray:
-            each = [
-                np.einsum("nij,cnj->cni", slope, point_motions(moved.touch, arm))
-                for slope, arm in zip(slopes, arms, strict=True)
-            ]
+            each = [np.einsum("nij,cnj->cni", slope, moved.touch) for slope in slopes]
             return np.concatenate(each, axis=1)
 
         training = design.training
@@ -253,30 +248,6 @@ class Probe:
         new = surface.domain
         return np.asarray(new[:, 0] + (self.base.load["uv"] - low) / width * np.ptp(new, axis=1))
 
-    def _paint(
-        self, design: Design, surface: Surface, markers: Markers, cameras: tuple[Camera, ...]
-    ) -> tuple[list[FloatArray], list[Any], IntArray]:
-        """Arm to the paint and whether it is seen, by camera, and which camera reads it."""
-        base = self.base
-        like = np.arange(markers.count)
-        if markers.count != base.markers.count:
-            # Markers of other layouts show what those as far along show.
-            before, after = (one.unwrap(m.uv)[:, 1] for one, m in
-                             ((base.surface, base.markers), (surface, markers)))  # fmt: skip
-            like = np.abs(after[:, None] - before[None]).argmin(axis=1)
-        arms, sees = [], []
-        band = np.minimum(design.receptor.band_marker_mm, markers.height_mm)
-        own = np.minimum(base.design.receptor.band_marker_mm, base.markers.height_mm)[like]
-        longer = np.divide(band, own, out=np.ones_like(band), where=own > 0.0)
-        wider = design.receptor.diameter_outer_mm / base.design.receptor.diameter_outer_mm
-        stretch = np.column_stack([longer, np.full_like(band, wider), np.full_like(band, wider)])
-        for number, camera in enumerate(cameras):
-            frame = frames_of(markers, camera)
-            offset = np.einsum("nk,nkj->nj", stretch * self.local[number][like], frame)
-            arms.append(markers.tip_mm + offset - markers.mid_mm)
-            sees.append(base.views["seen_by"][number][like])
-        return arms, sees, base.views["camera"][like]
-
 
 @dataclass(frozen=True, kw_only=True)
 class _Shell:
@@ -329,22 +300,3 @@ def contacts_of(surface: Surface, markers: Markers) -> IntArray:
         order = np.argsort(surface.unwrap(markers.uv)[:, 1], kind="stable")
     pick = np.linspace(0, len(order) - 1, min(CONTACTS, len(order)))
     return np.asarray(order[np.unique(np.rint(pick).astype(np.int64))])
-
-
-def frames_of(markers: Markers, camera: Camera) -> FloatArray:
-    """Unit vectors (n, 3, 3) of each receptor: along it, towards the camera, across."""
-    axis = markers.direction
-    sight = camera.position_mm - markers.tip_mm
-    side = sight - np.sum(sight * axis, axis=1, keepdims=True) * axis
-    side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
-    return np.stack([axis, side, np.cross(axis, side)], axis=1)
-
-
-def local_paint(base: Judged) -> list[FloatArray]:
-    """From each tip to the paint that each camera sees (n, 3), in the frames of the receptors."""
-    cameras = cameras_of(base.design, base.surface)
-    offsets = base.views["paint_points_mm"] - base.markers.tip_mm
-    return [
-        np.einsum("nkj,nj->nk", frames_of(base.markers, camera), offset)
-        for camera, offset in zip(cameras, offsets, strict=True)
-    ]

@@ -14,6 +14,7 @@ from phytac_design.optics.view import cameras_of, tolerance_mm
 from phytac_design.optics.visibility import Visibility, best_of, check_visibility
 from phytac_design.spec import Design
 from phytac_design.study.search.file import Study
+from phytac_design.twin.sight.nominal import paint_slopes
 from shapes import Surface
 from shapes.arrays import IntArray
 
@@ -80,13 +81,9 @@ class Candidate:
     def views(self) -> dict[str, Any]:
         """Arrays that the stages of mechanics and of load read of what is seen."""
         best, camera = self.seen
-        points = [
-            np.where(seen.lost[:, None], self.markers.tip_mm, seen.paint_point_mm)
-            for seen in self.each
-        ]
         return {
             "camera": camera,
-            "paint_points_mm": np.stack(points),
+            "paint_slopes": paint_slopes(self.design, self.surface, self.markers, self.each),
             "seen_by": np.stack([~seen.occluded for seen in self.each]),
             "gap_same_colour_px": best.gap_same_colour_px,
             "gap_other_colour_px": best.gap_other_colour_px,

@@ -1,6 +1,6 @@
 """What the decoder expects to see of a sensor as designed: its eyes, without forces."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -108,6 +108,18 @@ def paint_slope(
     point = rigid_slope(camera.jacobian(watched), watched - markers.mid_mm)
     known = np.isfinite(paint).all(axis=(1, 2), keepdims=True)
     return np.asarray(np.where(known, paint, point))
+
+
+def paint_slopes(
+    design: Design, surface: Surface, markers: Markers, each: Sequence[Visibility]
+) -> FloatArray:
+    """:func:`paint_slope` through every camera (c, n, 2, 6), of what ``each`` sees at rest."""
+    slopes = []
+    for camera, seen in zip(cameras_of(design, surface), each, strict=True):
+        tolerance = tolerance_mm(camera, markers)
+        rest = build_scene(design, surface, markers, tolerance_mm=tolerance)
+        slopes.append(paint_slope(design, surface, markers, camera, rest=rest, seen=seen))
+    return np.stack(slopes)
 
 
 def owner_centroids(owner: NDArray[np.int32], count: int) -> FloatArray:
