@@ -14,9 +14,11 @@ from tests.designs import small
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Tests neither use nor fill the user's cache."""
-    patch = pytest.MonkeyPatch()
-    patch.setenv("PHYTAC_CACHE", str(tmp_path_factory.mktemp("cache")))
+    """Tests neither use nor fill the user's cache; processes of one run share theirs."""
+    base = tmp_path_factory.getbasetemp()
+    cache = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache"
+    cache.mkdir(exist_ok=True)
+    pytest.MonkeyPatch().setenv("PHYTAC_CACHE", str(cache))
 
 
 @pytest.fixture(scope="session")
