@@ -151,19 +151,23 @@ def claims_of(found: Sequence[Found | None], samples: Samples, decoded: Decoded)
     start = np.searchsorted(touches.sample, np.arange(samples.count + 1))
     tripped = np.isin(np.arange(len(touches.sample)), truth.touch)
     rows: list[tuple[int, float, float]] = []
-    readable, silent = 0, np.zeros(3, dtype=np.int64)
+    unmatched, silent = 0, np.zeros(3, dtype=np.int64)
     nothing: list[tuple[float, float]] = []
     for sample, one in enumerate(found):
         if one is None or not samples.bits_read[sample].any():
             continue
         own = slice(first[sample], first[sample + 1])
         marker, owner = truth.marker[own], truth.touch[own]
-        read = samples.bits_read[sample, marker] & (owner >= 0)
-        readable += len(np.unique(owner[read]))
-        sets = [np.unique(owner[np.isin(marker, c.markers) & read]) for c in one.contacts]
-        for contact, mine in zip(one.contacts, sets, strict=True):
-            if len(mine) == 1 and sum(mine[0] in other for other in sets) == 1:
-                rows.append((int(mine[0]), contact.force_N, contact.sd_N))
+        on = owner >= 0
+        sets = [np.unique(owner[np.isin(marker, c.markers) & on]) for c in one.contacts]
+        matched = [
+            (int(mine[0]), contact.force_N, contact.sd_N)
+            for contact, mine in zip(one.contacts, sets, strict=True)
+            if len(mine) == 1 and sum(mine[0] in other for other in sets) == 1
+        ]
+        rows += matched
+        read = np.unique(owner[samples.bits_read[sample, marker] & on])
+        unmatched += int((~np.isin(read, [row[0] for row in matched])).sum())
         here = np.arange(start[sample], start[sample + 1])
         quiet = here[~tripped[here] & (touches.force_N[here] > 0.0)]
         counts, wrong = _silent(one, touches.point_mm[quiet], touches.point_mm[here[tripped[here]]])
@@ -175,7 +179,7 @@ def claims_of(found: Sequence[Found | None], samples: Samples, decoded: Decoded)
         force_N=np.array([row[1] for row in rows]),
         sd_N=np.array([row[2] for row in rows]),
         truth_N=np.array([real[t] for t in touch.tolist()]),
-        unmatched=readable - len(rows),
+        unmatched=unmatched,
         pressed_silent=int(silent[0]),
         found_silent=int(silent[1]),
         claimed_silent=int(silent[2]),

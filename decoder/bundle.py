@@ -6,7 +6,7 @@ given another meaning only with a major one.
 """
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from decoder.bundle_check import (
 from decoder.bundle_locator import locator_arrays, locator_from, locator_table
 from decoder.camera import Camera
 from decoder.estimators import ForceModel
-from decoder.limits import NOISE_SHARE_MAX, check_scene, limits_of
+from decoder.limits import NOISE_SHARE_MAX, check_scene, in_play, limits_of
 from decoder.locate import Locator
 from decoder.network import ACTIVATIONS, CascadeNetwork
 from decoder.regions import Region, regions_from, regions_table
@@ -263,6 +263,9 @@ def load_bundle(folder: Path) -> Bundle:
         cameras = tuple(camera_from(table, folder) for table in tables)
         bundle = _assemble(meta, arrays, cameras, locator)
         check_scene(bundle)
+        if locator is not None:
+            locator = replace(locator, blind=bundle.tips.blind(in_play(bundle)))
+            bundle = replace(bundle, model=replace(bundle.model, locator=locator))
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         raise InputError(
             f"{folder}/bundle.json is not a decoder bundle: {fault_of(error)}; rebuild the decoder"

@@ -242,6 +242,19 @@ def fit(places: Places, states: list[State], seen: Seen, *, prior: Prior, noise:
     )
 
 
+def nothing(seen: Seen, noise: Noise) -> Fit:
+    """The fit of no contact at all."""
+    inverse = np.where(seen.found, 1.0 / np.square(noise.each_px), 0.0)
+    return Fit(
+        states=[],
+        explained=np.zeros(len(seen.shift_px)),
+        inverse=inverse,
+        covariance=np.zeros((0, 0)),
+        cost=_doubted(seen.shift_px, inverse)[0],
+        misfit=float(inverse @ seen.shift_px**2) / max(int(seen.found.sum()), 1),
+    )
+
+
 def _doubted(left: FloatArray, inverse: FloatArray) -> tuple[float, FloatArray]:
     """Sum of squares in which markers far off count for less, and the share (2n,) that they keep.
 

@@ -108,6 +108,8 @@ class ForceModel:
     def forces(self, estimator: str, shift_px: FloatArray, koi: IntArray) -> FloatArray:
         """Inward force (n,) N on every marker; zero off the key nodes of interest.
 
+        ``auto`` also finds forces on switches that the camera cannot read.
+
         Parameters
         ----------
         estimator : str
@@ -118,14 +120,13 @@ class ForceModel:
             Markers whose switch is on.
         """
         out = np.zeros(len(shift_px))
+        if estimator == "auto" and (len(koi) or (self.locator and len(self.locator.blind))):
+            return self.contacts(shift_px, koi).receptor_forces_N(len(shift_px))
         if len(koi) == 0:
             return out
         if estimator == "koi_inverse":
             out[koi] = self._inverse(shift_px, koi)
             return out
-        if estimator == "auto":
-            found = self.contacts(shift_px, koi)
-            return found.receptor_forces_N(len(shift_px))
         u = self.apparent_mm(np.nan_to_num(shift_px))
         force = self.stiffness[koi] @ u
         if estimator != "fem":

@@ -3,11 +3,13 @@
 Each group of neighbouring switches that are on starts a contact; the unknowns of a contact are its
 force, its centre and its second moments (:mod:`places`), and what is known of them beforehand
 stands in a prior. What is left is searched for contacts that tripped no switch: the place whose
-row explains most of it joins, as long as that is more than noise would.
+row explains most of it joins, as long as that is more than noise would. A switch that the camera
+cannot read stays silent whatever presses it: it neither starts a contact nor speaks against one,
+and where it is all that is pressed, markers' motion alone tells.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +23,7 @@ from decoder.contact_fit import (
     Seen,
     State,
     fit,
+    nothing,
     point_of,
     signal_of,
     start,
@@ -61,7 +64,8 @@ class Located:
     Attributes
     ----------
     markers : (m,) int
-        Key nodes of interest that it tripped; none for one found by motion alone.
+        Key nodes of interest that it tripped, and switches that cannot be read which it must have;
+        none for one found by motion alone that reaches no switch's threshold.
     share : (m,) float
         Share of the force that each of them carries.
     force_N, sd_N : float
@@ -139,6 +143,8 @@ class Locator:
         What is known beforehand.
     correction : Correction, optional
         What was learnt from the sensor's own data.
+    blind : (b,) int
+        Switches that the camera cannot read.
     """
 
     places: Places
@@ -149,6 +155,7 @@ class Locator:
     prior: Prior
     noise: Noise
     correction: Correction | None = None
+    blind: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
     def linear(self) -> "Locator":
@@ -178,13 +185,19 @@ class Locator:
     def find(self, shift_px: FloatArray, koi: IntArray) -> Found:
         """Contacts behind shifts (n, 2) px, NaN where a marker was not found.
 
-        Without a switch that is on there is no contact: nothing is solved.
+        Without a switch that is on there is no contact, and nothing is solved, unless some switch
+        cannot be read.
         """
         d = np.asarray(shift_px, dtype=np.float64).reshape(-1)
         found = np.isfinite(d)
         seen = Seen(shift_px=np.where(found, d, 0.0), found=found, koi=koi)
-        if len(koi) == 0:
-            return _nothing(seen, self.noise)
+        best = self._switched(seen) if len(koi) else nothing(seen, self.noise)
+        if len(koi) or len(self.blind):
+            best = self._searched(best, seen)
+        return self._told(best, koi)
+
+    def _switched(self, seen: Seen) -> Fit:
+        """Contacts that the switches tell."""
         force = self._switch_forces(seen)
         best = self._fit(self._starts(seen.koi, force), seen)
         if best.misfit >= SILENT_MISFIT:
@@ -193,6 +206,10 @@ class Locator:
                 more = self._fit(parted, seen)
                 if best.cost - more.cost >= SILENT_GAIN * (len(parted) - len(best.states)):
                     best = more
+        return best
+
+    def _searched(self, best: Fit, seen: Seen) -> Fit:
+        """The same with contacts that no switch tells."""
         for _ in range(SILENT_MAX):
             if best.misfit < SILENT_MISFIT:
                 break
@@ -200,10 +217,12 @@ class Locator:
             if another is None:
                 break
             more = self._fit([*(state.copy() for state in best.states), another], seen)
-            if best.cost - more.cost < SILENT_GAIN or not self._could_be_silent(more, koi):
+            if best.cost - more.cost < SILENT_GAIN or not self._could_be_silent(more, seen.koi):
+                break
+            if not len(seen.koi) and not len(self._unread(more.states[-1])):
                 break
             best = more
-        return self._told(best, koi)
+        return best
 
     def _fit(self, states: list[State], seen: Seen) -> Fit:
         return fit(self.places, states, seen, prior=self.prior, noise=self.noise)
@@ -264,13 +283,22 @@ class Locator:
             place_sd_mm=2.0 * self.places.spacing_mm,
         )
 
-    def _could_be_silent(self, found: Fit, koi: IntArray) -> bool:
-        """Whether the last contact would leave off all switches that are off."""
-        state = found.states[-1]
+    def _carried(self, state: State) -> FloatArray:
+        """Force (n,) N of a contact on each switch."""
         radius = float(self._radii([state])[0])
         gap = np.linalg.norm(point_of(self.places, state) - self.position_mm, axis=1)
-        carried = float(state.x[0]) * disc_overlap_share(gap, radius, self.footprint_mm)
-        carried[koi] = 0.0
+        share = disc_overlap_share(gap, radius, self.footprint_mm)
+        return np.asarray(float(state.x[0]) * share)
+
+    def _unread(self, state: State) -> IntArray:
+        """Switches (u,) that cannot be read and that a contact must have turned on."""
+        on = self._carried(state)[self.blind] >= self.threshold_N[self.blind]
+        return self.blind[on]
+
+    def _could_be_silent(self, found: Fit, koi: IntArray) -> bool:
+        """Whether the last contact would leave off all switches that are off."""
+        carried = self._carried(found.states[-1])
+        carried[koi] = carried[self.blind] = 0.0
         return bool((carried <= SILENT_OVER * self.threshold_N).all())
 
     def _radii(self, states: Sequence[State]) -> FloatArray:
@@ -281,6 +309,8 @@ class Locator:
 
     def _told(self, best: Fit, koi: IntArray) -> Found:
         """Contacts in words of the user's: corrected, with their switches."""
+        if not best.states:
+            return Found(contacts=[], misfit=best.misfit, shift_px=best.explained)
         sd = np.sqrt(np.diagonal(best.covariance)).reshape(-1, UNKNOWNS)
         points = np.stack([point_of(self.places, state) for state in best.states])
         radius = self._radii(best.states)
@@ -296,10 +326,15 @@ class Locator:
         else:
             force = raw * self.correction.factor(points, raw, signal)
             spread_N = self.correction.spread_N(force, sd[:, 0])
+        tripped = [koi[owner == k] for k in range(len(points))]
+        tripped = [
+            on if len(on) else self._unread(state)
+            for on, state in zip(tripped, best.states, strict=True)
+        ]
         contacts = [
             Located(
-                markers=koi[owner == k],
-                share=self._shares(points[k], float(radius[k]), koi[owner == k]),
+                markers=tripped[k],
+                share=self._shares(points[k], float(radius[k]), tripped[k]),
                 force_N=float(force[k]),
                 sd_N=float(spread_N[k]),
                 raw_N=float(raw[k]),
@@ -335,13 +370,3 @@ class Locator:
         # Where no disc reaches a switch, it belongs to the contact that it started.
         started = np.array([np.isin(koi, state.markers) for state in states])
         return np.asarray(np.argmax(pressed + 1e-6 * started - 1e-9 * gap, axis=0))
-
-
-def _nothing(seen: Seen, noise: Noise) -> Found:
-    """No contact."""
-    square = float(np.sum((seen.shift_px / noise.each_px) ** 2))
-    return Found(
-        contacts=[],
-        misfit=square / max(int(seen.found.sum()), 1),
-        shift_px=np.zeros(len(seen.shift_px)),
-    )

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from decoder.segmentation import Blobs
-from shapes.arrays import BoolArray, FloatArray
+from shapes.arrays import BoolArray, FloatArray, IntArray
 
 RED_LEAST_PX = 4.0
 """Least red that counts as a tip."""
@@ -38,6 +38,10 @@ class TipModel:
         little, whatever its threshold.
         """
         return np.asarray(self.red_on_px > RED_RATIO * self.red_rest_px + RED_LEAST_PX)
+
+    def blind(self, played: BoolArray) -> IntArray:
+        """Switches (b,) among those that matter (n,) whose red does not tell."""
+        return np.flatnonzero(~self.readable & played)
 
     @property
     def threshold_px(self) -> FloatArray:

@@ -20,6 +20,7 @@ from shapes.arrays import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from decoder.bundle import Bundle
+    from decoder.locate import Locator
     from decoder.switches import TipModel
 
 ACTIVATIONS: dict[str, Activation] = {"fem_nn": "rectified", "fem_nn_identity": "identity"}
@@ -62,8 +63,20 @@ def plain_model(context: Context) -> ForceModel:
         height_z_mm=context.markers.mid_mm[:, 2].copy(),
         neighbours=context.markers.neighbours,
         networks={},
-        locator=locator_of(context) if "places" in context.folders else None,
+        locator=_locator(context) if "places" in context.folders else None,
     )
+
+
+def _locator(context: Context) -> "Locator":
+    """The estimator ``auto`` by design, which knows what switches cannot be read."""
+    played = played_in(context)
+    return replace(locator_of(context), blind=_tips(context, played).blind(played))
+
+
+def _tips(context: Context, played: BoolArray) -> "TipModel":
+    """Tips as the cameras that read them see them."""
+    views = context.arrays("views")
+    return read_tips(views["tip_on_px"], views["tip_red_rest_px"], views["tip_red_on_px"], played)
 
 
 def assemble(context: Context, model: ForceModel, notes: dict[str, Any]) -> "Bundle":
@@ -105,9 +118,7 @@ def assemble(context: Context, model: ForceModel, notes: dict[str, Any]) -> "Bun
         position_mm=context.surface.point(context.markers.uv),
         rest_px=views["rest_px"],
         tip_bias_px=views["tip_bias_px"],
-        tips=read_tips(
-            views["tip_on_px"], views["tip_red_rest_px"], views["tip_red_on_px"], played
-        ),
+        tips=_tips(context, played),
         model=model,
         # No force explains a switch out of play: it is doubted in every frame.
         threshold_N=np.where(played, thresholds_N(design, context.markers), UNREAD_N),
