@@ -23,6 +23,7 @@ def locator_table(locator: Locator) -> dict[str, Any]:
     prior, noise, learnt = locator.prior, locator.noise, locator.correction
     table: dict[str, Any] = {
         "radius_mm": locator.places.radius_mm,
+        **({"top_N": locator.places.top_N} if np.isfinite(locator.places.top_N) else {}),
         "footprint_mm": locator.footprint_mm,
         "prior": {
             "place_mm": prior.place_mm,
@@ -65,8 +66,8 @@ def _arrays(places: Places, rows: str) -> dict[str, Any]:
     }
 
 
-def places_from(arrays: Mapping[str, Any], radius_mm: float) -> Places:
-    """Tables of :func:`places_arrays` for a disc of a radius."""
+def places_from(arrays: Mapping[str, Any], radius_mm: float, top_N: float = np.inf) -> Places:
+    """Tables of :func:`places_arrays` for a disc of a radius and forces up to one."""
 
     def made(prefix: str, rows: str, pairs: Pairs | None = None) -> Places:
         return Places(
@@ -75,6 +76,7 @@ def places_from(arrays: Mapping[str, Any], radius_mm: float) -> Places:
             around=arrays[prefix + "around"],
             shift_px=arrays[prefix + rows],
             radius_mm=radius_mm,
+            top_N=top_N,
             pairs=pairs,
         )
 
@@ -136,7 +138,10 @@ def locator_from(
     prior, noise = table["prior"], table["noise"]
     mean, sd = _numbers(prior["moments_mm2"], 3), _numbers(prior["moments_sd_mm2"], 3)
     return Locator(
-        places=places_from(own, radius_mm),
+        # Up to schema 1.7 there was none.
+        places=places_from(
+            own, radius_mm, _positive(table["top_N"]) if "top_N" in table else np.inf
+        ),
         position_mm=position_mm,
         neighbours=neighbours,
         footprint_mm=_positive(table["footprint_mm"]),

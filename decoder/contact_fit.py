@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoder.places import Places
-from decoder.tension import shared_N
+from decoder.tension import powers_of, shared_N
 from shapes.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDS = 8
@@ -209,10 +209,7 @@ def fit(places: Places, states: list[State], seen: Seen, *, prior: Prior, noise:
     switched = np.concatenate([2 * seen.koi, 2 * seen.koi + 1])
     moved, doubting = np.inf, False
     for number in range(ROUNDS + 1):
-        parts = [
-            explain(state, places.orders, float(stretch))
-            for state, stretch in zip(states, shared_N(places, states), strict=True)
-        ]
+        parts = explained(places, states)
         total = np.sum([part[0] for part in parts], axis=0)
         slope = np.concatenate([part[1] for part in parts])
         spread = noise.each_px**2 + (noise.share * total) ** 2
@@ -274,15 +271,32 @@ def _doubted(left: FloatArray, inverse: FloatArray) -> tuple[float, FloatArray]:
     return total, np.repeat(1.0 / over, 2)
 
 
+def explained(places: Places, states: Sequence[State]) -> list[tuple[FloatArray, FloatArray]]:
+    """Shifts and slopes of each of all contacts at once, see :func:`explain`."""
+    stretch_N, grows = shared_N(places, states)
+    return [
+        explain(state, places.orders, top_N=places.top_N, stretch_N=stretch, grows=grow)
+        for state, stretch, grow in zip(states, stretch_N.tolist(), grows.tolist(), strict=True)
+    ]
+
+
 def explain(
-    state: State, orders: int, stretch_N: float | None = None
+    state: State,
+    orders: int,
+    *,
+    top_N: float = np.inf,
+    stretch_N: float | None = None,
+    grows: float = 1.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Shifts (2n,) px of one contact, and their slopes (6, 2n) by its unknowns.
 
     Parameters
     ----------
-    stretch_N : float, optional
-        Force by which its wall is stretched, see :mod:`tension`; its own without it.
+    top_N : float
+        Largest force that the tables were made with.
+    stretch_N, grows : float, optional
+        Force by which its wall is stretched, and how that grows with its own, see
+        :mod:`tension`; its own without them.
     """
     f, x, y, m_xx, m_xy, m_yy = state.x
     xx, xy, yy = x * x / 2.0, x * y, y * y / 2.0
@@ -298,13 +312,10 @@ def explain(
     t[2, [7, 8, 9]] += (m_xx / 2.0, m_xy, m_yy / 2.0)
     rows = t.astype(np.float32) @ state.tables.reshape(10, -1)
     rows = rows.reshape(UNKNOWNS, orders, -1)
-    order = np.arange(orders)
-    stretch = f if stretch_N is None else stretch_N
-    powers = stretch**order
+    powers, change = powers_of(rows[0], f if stretch_N is None else stretch_N, top_N)
     slope = ((f * powers).astype(np.float32) @ rows).astype(np.float64)
     total = slope[0].copy()
-    # Of its own force the stretch grows by f over the stretch.
-    slope[0] = ((1.0 + order * (f / stretch) ** 2) * powers).astype(np.float32) @ rows[0]
+    slope[0] = ((1.0 + change * grows) * powers).astype(np.float32) @ rows[0]
     return total, slope
 
 

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from decoder.contact_fit import explain, start
+from decoder.contact_fit import explained, start
 from decoder.locate import Locator
 from decoder.places import Places
 from decoder.samples import FAILED, Samples
-from decoder.tension import shared_N
 from shapes.arrays import BoolArray, FloatArray, IntArray
 
 GAIN_SD = 0.02
@@ -71,8 +70,8 @@ def shown(locator: Locator, samples: Samples, chosen: IntArray, moments_mm2: Flo
     """
     touches, _, shift, bits = samples.points()
     first = np.searchsorted(touches.sample, np.arange(samples.count + 1))
-    explained = np.zeros((len(chosen), samples.markers, 2))
-    left = np.full(explained.shape, np.nan)
+    explained_px = np.zeros((len(chosen), samples.markers, 2))
+    left = np.full(explained_px.shape, np.nan)
     for number, sample in enumerate(chosen):
         rows = np.arange(first[sample], first[sample + 1])
         rows = rows[touches.force_N[rows] > 0.0]
@@ -84,11 +83,11 @@ def shown(locator: Locator, samples: Samples, chosen: IntArray, moments_mm2: Flo
             force = float(touches.force_N[row])
             states.append(start(locator.places, locator.prior, touches.point_mm[row], force))
             states[-1].x[3:] = moments_mm2[row]
-        for state, stretch in zip(states, shared_N(locator.places, states), strict=True):
-            total += explain(state, locator.places.orders, float(stretch))[0]
-        explained[number] = total.reshape(-1, 2)
-        left[number] = shift[sample] - explained[number]
-    return Shown(explained_px=explained, left_px=left, on=bits[chosen])
+        for one, _ in explained(locator.places, states):
+            total += one
+        explained_px[number] = total.reshape(-1, 2)
+        left[number] = shift[sample] - explained_px[number]
+    return Shown(explained_px=explained_px, left_px=left, on=bits[chosen])
 
 
 def gains(seen: Shown) -> FloatArray:

@@ -58,6 +58,8 @@ class Places:
         S₁ … S_k: px per N, N², …, as (x0, y0, x1, y1, …).
     radius_mm : float
         Of the disc.
+    top_N : float
+        Largest force that the tables were made with.
     pairs : Pairs, optional
         What contacts at once do to each other.
     """
@@ -67,6 +69,7 @@ class Places:
     around: FloatArray
     shift_px: NDArray[np.float32]
     radius_mm: float
+    top_N: float = np.inf
     pairs: "Pairs | None" = None
 
     @property
@@ -86,14 +89,19 @@ class Places:
     def scaled(self, stiffness: float) -> "Places":
         """Tables of a sensor that is stiffer by a factor: d(f) becomes d(f / stiffness)."""
         powers = stiffness ** -np.arange(1.0, self.orders + 1.0)
-        return self.with_rows(
-            self.shift_px * powers.astype(np.float32)[:, None],
-            self.pairs.scaled(stiffness) if self.pairs else None,
-        )
+        rows = self.shift_px * powers.astype(np.float32)[:, None]
+        out = self.with_rows(rows, self.pairs.scaled(stiffness) if self.pairs else None)
+        return out.to(stiffness * self.top_N)
+
+    def to(self, top_N: float) -> "Places":
+        """The same, made with forces up to another."""
+        return self._like(replace(self, top_N=top_N))
 
     def with_rows(self, shift_px: NDArray[np.float32], pairs: "Pairs | None") -> "Places":
         """Other tables over the same places."""
-        out = replace(self, shift_px=shift_px, pairs=pairs)
+        return self._like(replace(self, shift_px=shift_px, pairs=pairs))
+
+    def _like(self, out: "Places") -> "Places":
         # Depends on the places alone, and takes a third of a second.
         for known in ("fits", "flat"):
             if known in self.__dict__:

@@ -41,7 +41,8 @@ def test_impossible_designs_write_nothing(change: dict, word: str, tmp_path: Pat
 
 
 def test_markers_that_fuse_stop_the_build_unless_forced(tmp_path: Path) -> None:
-    design = small(name="one", layout={"kind": "straight", "rows": 12, "height_far_mm": 2.0})
+    layout = {"kind": "straight", "rows": 12, "columns": 6, "height_far_mm": 2.0}
+    design = small(name="one", layout=layout)
     seen: list[str] = []
     with pytest.raises(DesignError, match=r"fused with another .* use layout.kind = .*--force"):
         build(design, tmp_path / "x", accuracy="draft", progress=seen.append)
@@ -62,7 +63,7 @@ def test_markers_too_small_to_see_are_refused_not_decoded(tmp_path: Path) -> Non
 def test_switches_that_cannot_be_made_stop_the_build_unless_forced(
     tmp_path: Path,
 ) -> None:
-    design = small(name="unmade", switch={"modulus_MPa": 0.5})
+    design = small(name="unmade", switch={"modulus_MPa": 0.1})
     with pytest.raises(DesignError, match=r"or take a rubber of .* MPa; or go on .*--force"):
         build(design, tmp_path / "x", accuracy="draft", progress=quiet)
     assert not (tmp_path / "x").exists()

@@ -55,6 +55,7 @@ def run_places(context: Context, folder: Path) -> None:
             "orders": places.orders,
             "pairs": len(places.pairs.grid.point_mm) if places.pairs else 0,
             "radius_mm": places.radius_mm,
+            **({"top_N": places.top_N} if places.orders > 1 else {}),
             "spacing_mm": places.spacing_mm,
         },
     )
@@ -80,7 +81,7 @@ def locator_of(context: Context) -> "Locator":
     # A disc's second moment is a quarter of its squared radius.
     spread = radius / 2.0 * prior.radius_mm
     return Locator(
-        places=places_from(arrays, radius),
+        places=places_from(arrays, radius, float(facts.get("top_N", "inf"))),
         position_mm=surface.point(markers.uv),
         neighbours=markers.neighbours,
         footprint_mm=design.switch.footprint_diameter_mm / 2.0,

@@ -261,7 +261,7 @@ def make_places(
     holds = unsure == 0 and (shell.beyond == 0 or not places.flat.any())
     pairs = _pairs(shell, see, places, sectors, near, holds=holds)
     return Tabulated(
-        places=replace(places, shift_px=whole, pairs=pairs),
+        places=replace(places, shift_px=whole, top_N=float(shell.forces[-1]), pairs=pairs),
         solves=solves,
         bent=bent,
         large=shell.solved,

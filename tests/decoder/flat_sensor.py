@@ -71,11 +71,17 @@ def shifts(
     return per_newton(point_mm, moments) * force_N * (1.0 + soft * stretch)
 
 
+def stretches(each_px: FloatArray, forces_N: FloatArray) -> FloatArray:
+    """Force (c,) that alone stretches the sheet as all do at once, for rows (c, 2n) per newton."""
+    product = each_px @ each_px.T
+    return np.asarray(np.sqrt(forces_N @ product @ forces_N / np.diagonal(product)))
+
+
 def together(points_mm: Sequence[FloatArray], forces_N: Sequence[float]) -> FloatArray:
     """Shifts (2n,) px of loads at once."""
-    stretch = float(np.linalg.norm(forces_N))
-    each = zip(points_mm, forces_N, strict=True)
-    return np.sum([shifts(at, force, stretch_N=stretch) for at, force in each], axis=0)
+    force = np.array(forces_N)
+    each = np.stack([per_newton(at) for at in points_mm])
+    return np.asarray((force * (1.0 + SOFTENING * stretches(each, force))) @ each)
 
 
 def flat_places(step_mm: float = 2.5) -> Places:

@@ -11,7 +11,7 @@ from decoder.marker_gain import Shown, gains, left_out, noise_of
 from decoder.samples import Samples, TouchRows, truth_rows
 from shapes.arrays import FloatArray
 from shapes.errors import InputError
-from tests.decoder.flat_sensor import MARKERS, flat_locator, shifts
+from tests.decoder.flat_sensor import MARKERS, flat_locator, per_newton, shifts, stretches
 
 STIFFNESS = 1.15
 NOISE_PX = 0.03
@@ -49,9 +49,10 @@ def pressed(
             bits[sample, marker], owner[sample, marker] = True, len(rows)
             carried[sample, marker] = force
             rows.append((sample, at, radius, force))
-        stretch = float(np.linalg.norm([force for _, force, _ in pressed]))
-        for at, force, moments in pressed:
-            shift[sample] += shifts(at, force, moments, stretch_N=stretch)
+        each = np.stack([per_newton(at, moments) for at, _, moments in pressed])
+        alone = stretches(each, np.array([force for _, force, _ in pressed]))
+        for (at, force, moments), stretch in zip(pressed, alone, strict=True):
+            shift[sample] += shifts(at, force, moments, stretch_N=float(stretch))
     shown = shift.reshape(count, n, 2)
     if gain is not None:
         shown = shown + np.einsum("kab,skb->ska", gain, shown)

@@ -1,0 +1,59 @@
+"""Contacts on switches that the camera cannot read, on a sensor in closed form."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from decoder.locate import Locator
+from shapes.arrays import FloatArray
+from tests.decoder.flat_sensor import MARKERS, flat_locator, nearest, shifts, together
+
+COUNT = len(MARKERS)
+LOCATOR = flat_locator()
+
+
+def point(x: float, y: float) -> FloatArray:
+    return np.array([x, y, 0.0])
+
+
+def blind_at(point_mm: FloatArray) -> Locator:
+    """The locator of a camera that cannot read the switches around a point."""
+    gap = np.linalg.norm(MARKERS - point_mm, axis=1)
+    return replace(LOCATOR, blind=np.flatnonzero(gap < 8.0))
+
+
+def test_a_switch_that_cannot_be_read_does_not_speak_against_a_contact() -> None:
+    loud, unread = point(15.0, 15.0), point(45.0, 45.0)
+    both = together([loud, unread], [10.0, 15.0])
+    found = blind_at(unread).find(both.reshape(-1, 2), np.array([nearest(loud)]))
+    first, second = found.contacts
+    assert first.force_N == pytest.approx(10.0, rel=5e-3)
+    assert second.force_N == pytest.approx(15.0, rel=5e-3)
+    # It must have turned these switches on: the force is those receptors'.
+    forces = found.receptor_forces_N(COUNT)
+    assert forces[second.markers].sum() == pytest.approx(second.force_N)
+    assert nearest(unread) in second.markers
+    # All of them would be off, were they read: then there is no telling.
+    alone = blind_at(point(45.0, 57.0)).find(both.reshape(-1, 2), np.array([nearest(loud)]))
+    assert len(alone.contacts) == 1
+
+
+def test_motion_alone_tells_of_a_switch_that_cannot_be_read() -> None:
+    at, aside = point(45.0, 45.0), point(15.0, 15.0)
+    none = np.zeros(0, dtype=np.int64)
+    for force in (3.0, 20.0):
+        seen = shifts(at, force).reshape(-1, 2)
+        (contact,) = blind_at(at).find(seen, none).contacts
+        assert contact.force_N == pytest.approx(force, rel=5e-3)
+        assert nearest(at) in contact.markers
+        # Where the switches that are pressed can be read, theirs is the last word.
+        assert blind_at(aside).find(seen, none).contacts == []
+
+
+def test_noise_alone_makes_no_contact_where_switches_cannot_be_read() -> None:
+    rng = np.random.default_rng(4)
+    blind = replace(LOCATOR, blind=np.arange(0, COUNT, 3))
+    for _ in range(50):
+        noisy = rng.normal(0.0, 0.02, (COUNT, 2))
+        assert blind.find(noisy, np.zeros(0, dtype=np.int64)).contacts == []
