@@ -5,12 +5,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: build test lint types system setup clean
+.PHONY: build test pytest lint types system setup clean
 
 build: setup
 	$(BIN)/phytac build cylinder60 --out exports/cylinder60
 
-test: setup lint types
+# Types are checked while tests begin: it takes one core, and tests do not need it.
+test: setup lint
+	@$(MAKE) -j2 --no-print-directory types pytest
+
+pytest: setup
 	$(BIN)/python -m pytest -n 2
 
 lint: setup
