@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import shapes
@@ -124,12 +124,13 @@ def test_normals_are_unit_square_and_outward(kind: str, seed: int) -> None:
 @every_shape
 @settings(max_examples=15, deadline=None)
 @given(seed=seeds)
+@example(seed=1301)
 def test_tangents_and_metric_match_differences(kind: str, seed: int) -> None:
     surface, uv, _ = draw(kind, seed)
     slopes = []
     for axis in range(2):
-        move = 1e-5 * np.ptp(surface.domain[axis]) * np.eye(2)[axis]
-        # A kink of curvature (line into arc) costs first order, else the difference is of second.
+        # A kink of curvature (line into arc) costs first order, so that the step is short.
+        move = 1e-7 * np.ptp(surface.domain[axis]) * np.eye(2)[axis]
         slope = (surface.point(uv + move) - surface.point(uv - move)) / (2 * move[axis])
         size = np.abs(slope).max()
         assert np.allclose(slope, surface.tangents(uv)[:, axis], atol=2e-4 * size)
@@ -166,7 +167,7 @@ def test_area_and_wall_volume_match_quadrature(kind: str, seed: int) -> None:
 
 
 @every_shape
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(seed=seeds)
 def test_rays_hit_the_point_they_aim_at(kind: str, seed: int) -> None:
     surface, uv, size = draw(kind, seed)
