@@ -90,12 +90,9 @@ class Places:
         """Tables of a sensor that is stiffer by a factor: d(f) becomes d(f / stiffness)."""
         powers = stiffness ** -np.arange(1.0, self.orders + 1.0)
         rows = self.shift_px * powers.astype(np.float32)[:, None]
-        out = self.with_rows(rows, self.pairs.scaled(stiffness) if self.pairs else None)
-        return out.to(stiffness * self.top_N)
-
-    def to(self, top_N: float) -> "Places":
-        """The same, made with forces up to another."""
-        return self._like(replace(self, top_N=top_N))
+        pairs = self.pairs.scaled(stiffness) if self.pairs else None
+        top_N = stiffness * self.top_N
+        return self._like(replace(self, shift_px=rows, pairs=pairs, top_N=top_N))
 
     def with_rows(self, shift_px: NDArray[np.float32], pairs: "Pairs | None") -> "Places":
         """Other tables over the same places."""

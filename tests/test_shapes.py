@@ -167,7 +167,7 @@ def test_area_and_wall_volume_match_quadrature(kind: str, seed: int) -> None:
 
 
 @every_shape
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(seed=seeds)
 def test_rays_hit_the_point_they_aim_at(kind: str, seed: int) -> None:
     surface, uv, size = draw(kind, seed)

@@ -2,9 +2,9 @@ r"""Figures of designs near a judged one, quickly and without pixels, for slopes
 
 The bound is taken at some receptors only, as they stand along the sensor, with the paint that the
 judged design shows, and how it shows when they turn, carried along by its receptors; gaps are
-those of outlines. Where a change
-leaves the shell as it is (camera, heights, paint) the shell's motion under the patches is held.
-Where it scales the modulus, motion goes with 1/E; where it thickens the wall, with
+those of outlines. Where a change leaves the shell as it is (camera, heights, paint) the shell's
+motion under the patches is held. Where it scales the modulus, motion goes with 1/E; where it
+thickens the wall, with
 
     du/dt = -K⁻¹ (dK/dt · u)        K = E·(t·K_m + t³·K_b + t·K_s),
 
@@ -151,7 +151,7 @@ class Probe:
         like = (base.surface, base.markers) if held else (surface, own)
         contacts = contacts_of(*like)
         moved = self._base.moved if held else self._moved(design, surface, own)
-        slopes, reads = self.paint.slopes(design, surface, own, cameras)
+        slopes, reads = self.paint.slopes(surface, own, cameras)
 
         def shifts(_uv: FloatArray, _radius_mm: FloatArray) -> FloatArray:
             each = [np.einsum("nij,cnj->cni", slope, moved.touch) for slope in slopes]

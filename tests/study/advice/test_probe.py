@@ -63,7 +63,6 @@ def test_probe_takes_the_judged_bound(probe: Probe) -> None:
         ("layout.height_far_mm", 0.2),
         ("camera.focal_px", 5.0),
         ("receptor.diameter_outer_mm", 0.05),
-        ("receptor.band_marker_mm", 0.05),
         ("layout.row_pitch_exponent", 0.01),
     ],
 )
