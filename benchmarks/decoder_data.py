@@ -182,13 +182,13 @@ def small_design() -> Design:
 
 
 def units(*, quick: bool) -> list[Case]:
-    """Three virtual prints of cylinder60, by frames; the first with more than the paper's 598."""
+    """Three virtual prints of cylinder60, by frames, each with more than the paper's 598."""
     if quick:
         return [_quick(1, 50), _quick(2, 40)]
     design = load_design("cylinder60")
     first = job_of(design, unit=1, samples=1100, route="frames")
     others = [
-        Case(name=f"u{k}", job=job_of(design, unit=k, samples=240, route="frames"), train=120)
+        Case(name=f"u{k}", job=job_of(design, unit=k, samples=760, route="frames"), train=598)
         for k in (2, 3)
     ]
     return [Case(name="u1", job=first, train=598, mixed=False), *others]

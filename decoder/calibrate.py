@@ -11,8 +11,8 @@ from decoder.contact_fit import Noise, Prior
 from decoder.correct import Correction, learn_correction
 from decoder.locate import Found, Located, Locator
 from decoder.marker_gain import LeftOut, gains, left_out, noise_of, shown, with_gain
-from decoder.places import Places
 from decoder.samples import FAILED, Samples, TouchRows
+from decoder.uneven import Uneven
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import InputError
 
@@ -136,12 +136,13 @@ def calibrated(
         few = np.random.default_rng(seed).permutation(chosen)[:SCALE_SAMPLES]
     plain = replace(locator, correction=None, prior=learnt_prior(locator, samples, chosen))
     plain, first = _scaled(plain, samples, few[:FIRST_SAMPLES], rounds=SCALE_ROUNDS)
-    seen = shown(plain, samples, chosen, _moments(plain, samples))
+    seen, pressed = shown(plain, samples, chosen, _moments(plain, samples))
     gain, parts, design = gains(seen), left_out(seen, PARTS), plain.places
     noise = _noise(plain.noise, *noise_of(seen, parts))
-    plain = replace(plain, places=with_gain(design, gain), noise=noise)
-    plain, second = _scaled(plain, samples, few, rounds=1)
-    matches = _left_out(plain, design.scaled(second), parts, samples, chosen)
+    uneven = Uneven(seen, parts, pressed, design, noise)
+    plain = replace(plain, places=with_gain(uneven.told(), gain), noise=noise)
+    plain, second = _rescaled(plain, _left_out(plain, uneven, 1.0, parts, samples, chosen, few))
+    matches = _left_out(plain, uneven, second, parts, samples, chosen, chosen)
     box = plain.position_mm
     empty = Correction.plain(
         low_mm=box.min(axis=0),
@@ -177,13 +178,17 @@ def _scaled(
     """Locator as stiff and as noisy as samples (k,) say, and its stiffness over the one given."""
     stiffness = 1.0
     for _ in range(rounds):
-        matches = match(plain, samples, chosen)
-        factor = weighted_median(matches.truth_N / matches.force_N, matches.force_N / matches.sd_N)
+        plain, factor = _rescaled(plain, match(plain, samples, chosen))
         stiffness *= factor
-        change = float(np.clip(np.sqrt(np.median(matches.misfit)), *NOISE_CHANGE))
-        noise = replace(plain.noise, centroid_px=plain.noise.centroid_px * change)
-        plain = replace(plain, places=plain.places.scaled(factor), noise=noise)
     return plain, stiffness
+
+
+def _rescaled(plain: Locator, matches: Matches) -> tuple[Locator, float]:
+    """The same by contacts that were found."""
+    factor = weighted_median(matches.truth_N / matches.force_N, matches.force_N / matches.sd_N)
+    change = float(np.clip(np.sqrt(np.median(matches.misfit)), *NOISE_CHANGE))
+    noise = replace(plain.noise, centroid_px=plain.noise.centroid_px * change)
+    return replace(plain, places=plain.places.scaled(factor), noise=noise), factor
 
 
 def _moments(plain: Locator, samples: Samples) -> FloatArray:
@@ -207,16 +212,24 @@ def _noise(before: Noise, each_px: FloatArray, switched_px: float | None) -> Noi
 
 
 def _left_out(
-    plain: Locator, design: Places, parts: list[LeftOut], samples: Samples, chosen: IntArray
+    plain: Locator,
+    uneven: Uneven,
+    stiffness: float,
+    parts: list[LeftOut],
+    samples: Samples,
+    chosen: IntArray,
+    within: IntArray,
 ) -> Matches:
-    """Contacts of all samples, each found with gains that other samples told."""
+    """Contacts of samples (m,) among those chosen, each found with tables that others told."""
     found = []
-    for part in parts:
-        others = replace(plain, places=with_gain(design, part.gain))
+    for number, part in enumerate(parts):
+        rows = part.rows & np.isin(chosen, within)
+        own = with_gain(uneven.told(without=number).scaled(stiffness), part.gain)
+        others = replace(plain, places=own)
         with suppress(InputError):  # none of a few samples may be found again
-            found.append(match(others, samples, chosen[part.rows]))
+            found.append(match(others, samples, chosen[rows]))
     if not found:
-        return match(plain, samples, chosen)
+        return match(plain, samples, within)
     columns = {f.name: np.concatenate([getattr(m, f.name) for m in found]) for f in fields(Matches)}
     return Matches(**columns)
 

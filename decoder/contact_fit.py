@@ -70,7 +70,7 @@ class Noise:
     """
 
     centroid_px: float
-    share: float = 0.01
+    share: float = 0.02
     switched_px: float = 0.5
     ratio: FloatArray | None = None
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from decoder.contact_fit import explained, start
+from decoder.contact_fit import explained, point_of, start
 from decoder.locate import Locator
 from decoder.places import Places
 from decoder.samples import FAILED, Samples
@@ -32,6 +32,25 @@ PRESUMED = 10.0
 """Measurements that what is presumed of a marker's noise counts for."""
 PASSES = 2
 """Of gain and spread in turns."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pressed:
+    """Contacts (c) of samples that were looked at, in their order.
+
+    Attributes
+    ----------
+    row : (c,) int
+        Number of the sample among them.
+    point_mm : (c, 3) float
+        Centre.
+    linear_N : (c,) float
+        Force by which the markers would move as far, were the wall linear.
+    """
+
+    row: IntArray
+    point_mm: FloatArray
+    linear_N: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +82,9 @@ class Shown:
         return np.asarray(self.left_px - np.einsum("kab,skb->ska", gain, self.explained_px))
 
 
-def shown(locator: Locator, samples: Samples, chosen: IntArray, moments_mm2: FloatArray) -> Shown:
+def shown(
+    locator: Locator, samples: Samples, chosen: IntArray, moments_mm2: FloatArray
+) -> tuple[Shown, Pressed]:
     """Look at samples (k,), whose contacts have second moments (c, 3) less those of the disc.
 
     Of a sample that failed, or that nothing pressed, nothing is explained and nothing left.
@@ -72,6 +93,8 @@ def shown(locator: Locator, samples: Samples, chosen: IntArray, moments_mm2: Flo
     first = np.searchsorted(touches.sample, np.arange(samples.count + 1))
     explained_px = np.zeros((len(chosen), samples.markers, 2))
     left = np.full(explained_px.shape, np.nan)
+    by_a_newton = np.linalg.norm(locator.places.shift_px[:, 0], axis=1)
+    pressed: list[tuple[int, FloatArray, float]] = []
     for number, sample in enumerate(chosen):
         rows = np.arange(first[sample], first[sample + 1])
         rows = rows[touches.force_N[rows] > 0.0]
@@ -83,11 +106,18 @@ def shown(locator: Locator, samples: Samples, chosen: IntArray, moments_mm2: Flo
             force = float(touches.force_N[row])
             states.append(start(locator.places, locator.prior, touches.point_mm[row], force))
             states[-1].x[3:] = moments_mm2[row]
-        for one, _ in explained(locator.places, states):
+        for state, (one, _) in zip(states, explained(locator.places, states), strict=True):
             total += one
+            linear_N = float(np.linalg.norm(one) / by_a_newton[state.place])
+            pressed.append((number, point_of(locator.places, state), linear_N))
         explained_px[number] = total.reshape(-1, 2)
         left[number] = shift[sample] - explained_px[number]
-    return Shown(explained_px=explained_px, left_px=left, on=bits[chosen])
+    contacts = Pressed(
+        row=np.array([number for number, _, _ in pressed], dtype=np.int64),
+        point_mm=np.array([point for _, point, _ in pressed]).reshape(-1, 3),
+        linear_N=np.array([force for _, _, force in pressed]),
+    )
+    return Shown(explained_px=explained_px, left_px=left, on=bits[chosen]), contacts
 
 
 def gains(seen: Shown) -> FloatArray:

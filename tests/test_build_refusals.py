@@ -41,7 +41,7 @@ def test_impossible_designs_write_nothing(change: dict, word: str, tmp_path: Pat
 
 
 def test_markers_that_fuse_stop_the_build_unless_forced(tmp_path: Path) -> None:
-    layout = {"kind": "straight", "rows": 12, "columns": 6, "height_far_mm": 2.0}
+    layout = {"kind": "straight", "rows": 12, "columns": 3, "height_far_mm": 2.0}
     design = small(name="one", layout=layout)
     seen: list[str] = []
     with pytest.raises(DesignError, match=r"fused with another .* use layout.kind = .*--force"):

@@ -1,0 +1,137 @@
+"""What samples tell of a print that answers contacts otherwise from place to place."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import decoder.uneven
+from decoder.calibrate import calibrated, match
+from decoder.marker_gain import LeftOut, Pressed, Shown, shown
+from decoder.places import Places
+from decoder.samples import Samples
+from decoder.uneven import Uneven
+from shapes.arrays import FloatArray
+from tests.decoder.flat_samples import NOISE_PX, STIFFNESS, pressed
+from tests.decoder.flat_sensor import MARKERS, flat_locator
+
+LOCATOR = flat_locator(place_mm=3.0, noise_px=NOISE_PX)
+PLAIN = replace(LOCATOR, places=LOCATOR.places.scaled(STIFFNESS))
+N = len(MARKERS)
+
+
+def hilly(point_mm: FloatArray) -> FloatArray:
+    """Markers move up to 10 % more or less, those on one side here and on the other there."""
+    phase = (MARKERS[:, 0] - MARKERS[:, 1]) / 15.0
+    return np.asarray(0.1 * np.cos(point_mm[0] / 12.0 + phase) * np.cos(point_mm[1] / 12.0))
+
+
+def seen_of(samples: Samples) -> tuple[Shown, Pressed]:
+    touches = samples.touches
+    assert touches is not None
+    moments = np.zeros((len(touches.force_N), 3))
+    moments[:, [0, 2]] = (touches.radius_mm**2 - LOCATOR.places.radius_mm**2)[:, None] / 4.0
+    return shown(PLAIN, samples, np.arange(samples.count), moments)
+
+
+def parts_of(count: int, parts: int = 5) -> list[LeftOut]:
+    gain = np.zeros((N, 2, 2))
+    return [LeftOut(rows=np.arange(count) % parts == k, gain=gain) for k in range(parts)]
+
+
+def told_by(samples: Samples) -> Uneven:
+    return Uneven(*_in_order(samples), PLAIN.places, PLAIN.noise)
+
+
+def _in_order(samples: Samples) -> tuple[Shown, list[LeftOut], Pressed]:
+    seen, contacts = seen_of(samples)
+    return seen, parts_of(samples.count), contacts
+
+
+def left_px(samples: Samples, places: Places) -> float:
+    """RMS of what tables leave of known contacts, less the noise."""
+    touches = samples.touches
+    assert touches is not None
+    moments = np.zeros((len(touches.force_N), 3))
+    moments[:, [0, 2]] = (touches.radius_mm**2 - places.radius_mm**2)[:, None] / 4.0
+    own = replace(PLAIN, places=places)
+    seen, _ = shown(own, samples, np.arange(samples.count), moments)
+    return float(np.sqrt(max(float(np.mean(seen.left_px**2)) - NOISE_PX**2, 0.0)))
+
+
+def test_an_uneven_print_is_learnt_and_read_better() -> None:
+    own, fresh = (pressed(k, seed=s, uneven=hilly, noise=0.01) for k, s in ((160, 11), (80, 12)))
+    places = told_by(own).told()
+    assert left_px(fresh, places) < 0.5 * left_px(fresh, PLAIN.places)
+    errors = []
+    for share in (decoder.uneven.SHARE, 0.0):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(decoder.uneven, "SHARE", share)
+            learnt, _ = calibrated(LOCATOR, own, np.arange(160), force_max_N=25.0)
+        found = match(replace(learnt, correction=None), fresh, np.arange(80))
+        assert learnt.correction is not None
+        factor = learnt.correction.factor(found.point_mm, found.force_N, found.signal_px)
+        errors.append(float(np.mean(np.abs(found.force_N * factor / found.truth_N - 1.0))))
+    assert errors[0] < 0.95 * errors[1]
+
+
+def test_an_even_print_stays_as_designed() -> None:
+    places = told_by(pressed(60, seed=13)).told()
+    change = np.linalg.norm(places.shift_px[:, 0] - PLAIN.places.shift_px[:, 0])
+    assert change < 0.01 * np.linalg.norm(PLAIN.places.shift_px[:, 0])
+
+
+def test_a_part_left_out_is_as_if_it_were_never_seen() -> None:
+    samples = pressed(40, seed=14, uneven=hilly)
+    seen, parts, contacts = _in_order(samples)
+    whole = Uneven(seen, parts, contacts, PLAIN.places, PLAIN.noise)
+    keep = ~parts[2].rows
+    mine = keep[contacts.row]
+    others = Pressed(
+        row=(np.cumsum(keep) - 1)[contacts.row[mine]],
+        point_mm=contacts.point_mm[mine],
+        linear_N=contacts.linear_N[mine],
+    )
+    rest = [LeftOut(rows=part.rows[keep], gain=part.gain) for part in parts]
+    alone = Uneven(seen.pick(keep), rest, others, PLAIN.places, PLAIN.noise)
+    expected = alone.told().shift_px
+    change = np.abs(expected - PLAIN.places.shift_px).max()
+    off = np.abs(whole.told(without=2).shift_px - expected).max()
+    assert off < 1e-3 * change
+    assert np.abs(whole.told().shift_px - expected).max() > 0.05 * change
+
+
+def test_where_the_wall_stiffens_less_is_learnt_of_it() -> None:
+    """All powers of the force change by the same share of theirs along the first."""
+    places = told_by(pressed(60, seed=15, uneven=hilly)).told()
+    change = places.shift_px - PLAIN.places.shift_px
+    first = PLAIN.places.shift_px[:, 0]
+    softer = np.einsum("pn,pn->p", PLAIN.places.shift_px[:, 1], first) / np.sum(first**2, axis=1)
+    assert np.abs(softer).max() > 1e-3
+    np.testing.assert_allclose(change[:, 1], softer[:, None] * change[:, 0], atol=1e-6)
+
+
+def test_the_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    samples = pressed(30, seed=16, uneven=hilly)
+    seen, parts, contacts = _in_order(samples)
+    nobody = Pressed(
+        row=np.zeros(0, dtype=np.int64), point_mm=np.zeros((0, 3)), linear_N=np.zeros(0)
+    )
+    nothing = Uneven(seen, parts, nobody, PLAIN.places, PLAIN.noise)
+    assert (nothing.told().shift_px == PLAIN.places.shift_px).all()
+    dark = replace(seen, left_px=np.full_like(seen.left_px, np.nan))
+    lost = Uneven(dark, parts, contacts, PLAIN.places, PLAIN.noise).told()
+    np.testing.assert_allclose(lost.shift_px, PLAIN.places.shift_px, atol=1e-7)
+    # A marker that was lost in some frames tells no less of the others.
+    gone = seen.left_px.copy()
+    gone[:15, 3] = np.nan
+    some = replace(seen, left_px=gone)
+    rows = Uneven(some, parts, contacts, PLAIN.places, PLAIN.noise).told().shift_px
+    full = Uneven(seen, parts, contacts, PLAIN.places, PLAIN.noise).told().shift_px
+    assert np.isfinite(rows).all()
+    others = np.setdiff1d(np.arange(2 * N), [6, 7])
+    np.testing.assert_allclose(rows[:, :, others], full[:, :, others], atol=1e-6)
+    monkeypatch.setattr(decoder.uneven, "MOST", 10)
+    few = [Uneven(seen, parts, contacts, PLAIN.places, PLAIN.noise).told() for _ in range(2)]
+    assert (few[0].shift_px == few[1].shift_px).all()
+    assert not np.allclose(few[0].shift_px, full)
