@@ -157,7 +157,6 @@ class Uneven:
                 # The inverse without some rows is told by what they have in it.
                 back = np.linalg.solve(inverse[np.ix_(group, group)], by_all[group])
                 by_others = by_all - inverse[:, group] @ back
-                by_others[group] = 0.0
                 out[1 + k, :, marker] = own[:, None] * by_others[sample]
         return out
 
