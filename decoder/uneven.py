@@ -22,12 +22,12 @@ from decoder.places import Places
 from shapes.arrays import FloatArray, IntArray
 
 SHARE = 0.03
-"""ρ: share of the motion that D is presumed to be. Thickness that scatters by 3 % from place to
-place changes a wall's stiffness by 7 %, and what contacts of some size do by half of that."""
+"""ρ: share of the motion that D is presumed to be: less than the 7 % by which a wall's stiffness
+scatters with its thickness (3 % from place to place), for contacts press on more than one place."""
 LENGTH = 2.0
 """l over the radius of the tables' disc."""
 ROUGH = 0.06
-"""Share of the motion that the tables miss of a contact, and that is another's at the next."""
+"""Share of the motion that the tables miss of one contact, and otherwise of the next beside it."""
 MOST, WORK = 600, 1e11
 """Samples that are learnt from, and their third power times the number of markers, at most: so
 the time grows."""

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 
 import shapes
 from phytac_design.fabrication.facts import (
@@ -68,10 +68,13 @@ def drawn_wall(surface: shapes.Surface) -> WallSection:
 @every_shape
 @settings(max_examples=4, deadline=None)
 @given(seed=seeds)
+@example(seed=5000)
 def test_every_drawn_wall_is_one_closed_body(kind: str, seed: int) -> None:
     surface, _, size = draw(kind, seed)
     wall = drawn_wall(surface)
-    mesh = wall_mesh(surface, wall, tolerance_mm=2e-4 * size)
+    # Faces may stray by the tolerance: of a long thin wall (seed 5000) that must be little.
+    tolerance_mm = min(2e-4 * size, wall.thickness_mm / 8.0)
+    mesh = wall_mesh(surface, wall, tolerance_mm=tolerance_mm)
     facts, other = manifold_facts(to_manifold(mesh)), trimesh_facts(mesh)
     tube = surface.periodic[1] and not any(surface.poles)
     assert (facts.bodies, facts.genus) == (other.bodies, other.genus) == (1, int(tube))
