@@ -182,14 +182,14 @@ def small_design() -> Design:
 
 
 def units(*, quick: bool) -> list[Case]:
-    """Three virtual prints of cylinder60, by frames; two of them with more than the paper's 598."""
+    """Three virtual prints of cylinder60, by frames; from the paper's 598 samples each."""
     if quick:
         return [_quick(1, 50), _quick(2, 40)]
     design = load_design("cylinder60")
     first = job_of(design, unit=1, samples=1100, route="frames")
     others = [
         Case(name=f"u{k}", job=job_of(design, unit=k, samples=count, route="frames"), train=train)
-        for k, count, train in ((2, 760, 598), (3, 240, 120))
+        for k, count, train in ((2, 760, 598), (3, 760, 598))
     ]
     return [Case(name="u1", job=first, train=598, mixed=False), *others]
 

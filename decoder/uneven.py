@@ -31,6 +31,9 @@ ROUGH = 0.06
 MOST, WORK = 600, 1e11
 """Samples that are learnt from, and their third power times the number of markers, at most: so
 the time grows."""
+FAINT = 0.006
+"""A sample tells of D where D should move the marker by this share of its variance, squared. The
+others, a third, change D by a twentieth of the noise, and take half of the time."""
 LOST = 1e6
 """Variance of a marker that was not found, over the largest of those that were."""
 
@@ -141,24 +144,41 @@ class Uneven:
         """
         count, markers = variance.shape
         out = np.zeros((1 + len(groups), len(sample), markers, 2), dtype=np.float32)
-        if not count:
-            return out
-        smooth = self._alike(self._point)
-        first = np.searchsorted(sample, np.arange(count))
+        smooth = self._alike(self._point).astype(np.float32)
+        square = np.zeros_like(variance)
+        np.add.at(square, sample, weight**2)
+        tells = square > FAINT * variance
+        part = np.zeros(count, dtype=np.int64)
+        for number, group in enumerate(groups):
+            part[group] = number
         for marker in range(markers):
-            own = weight[:, marker]
-            each = np.add.reduceat(own[:, None] * smooth * own, first, axis=0)
-            whole = np.add.reduceat(each, first, axis=1) + still[marker]
-            whole[np.diag_indices(count)] += variance[:, marker]
-            inverse = np.linalg.inv(whole)
-            by_all = inverse @ left[:, marker]
-            out[0, :, marker] = own[:, None] * by_all[sample]
-            for k, group in enumerate(groups):
-                # The inverse without some rows is told by what they have in it.
-                back = np.linalg.solve(inverse[np.ix_(group, group)], by_all[group])
-                by_others = by_all - inverse[:, group] @ back
-                out[1 + k, :, marker] = own[:, None] * by_others[sample]
+            rows = np.flatnonzero(tells[:, marker])
+            mine = np.flatnonzero(tells[sample, marker])
+            if not len(rows):
+                continue
+            own, at = weight[mine, marker].astype(np.float32), sample[mine]
+            first = np.searchsorted(at, rows)
+            half = np.add.reduceat(own[:, None] * smooth[np.ix_(mine, mine)], first, axis=0)
+            whole = np.add.reduceat(half * own, first, axis=1).astype(np.float64) + still[marker]
+            whole[np.diag_indices(len(rows))] += variance[rows, marker]
+            each = _left_out(whole, left[rows, marker], part[rows], len(groups))
+            out[:, mine, marker] = own[:, None] * each[:, np.searchsorted(rows, at)]
         return out
+
+
+def _left_out(
+    whole: FloatArray, left: FloatArray, part: IntArray, parts: int
+) -> NDArray[np.float64]:
+    """``whole⁻¹ left`` (1 + parts, s, 2): by all of s rows, and by those of all parts but one."""
+    inverse = np.linalg.inv(whole)
+    by_all = inverse @ left
+    out = np.tile(by_all, (1 + parts, 1, 1))
+    for number in range(parts):
+        group = np.flatnonzero(part == number)
+        # The inverse without some rows is told by what they have in it.
+        back = np.linalg.solve(inverse[np.ix_(group, group)], by_all[group])
+        out[1 + number] -= inverse[:, group] @ back
+    return out
 
 
 def _sizes(places: Places) -> FloatArray:
