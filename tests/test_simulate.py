@@ -273,7 +273,7 @@ def test_knobs_of_the_eyes_reach_them() -> None:
     eyes = eyes_of(job_of(tables=tables))
     assert (eyes.centroids, eyes.eyes[0].samples) == ("pixels", 3)
     plain = eyes_of(replace(job_of(), scenario=load_scenario("smoke")))
-    assert (plain.centroids, plain.eyes[0].samples) == ("paint", 24)
+    assert (plain.centroids, plain.eyes[0].samples) == ("paint", 54)
 
 
 def test_a_full_disk_is_an_error_with_a_fix(

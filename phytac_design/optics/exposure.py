@@ -15,7 +15,12 @@ from numpy.typing import NDArray
 from decoder.camera import Camera
 from phytac_design.kernels import in_bands, kernel
 from phytac_design.layout import Markers
-from phytac_design.optics.frame import BAND_ROWS, render_light, sample_offsets
+from phytac_design.optics.frame import (
+    BAND_ROWS,
+    render_light,
+    sample_offsets,
+    sample_views,
+)
 from phytac_design.optics.paint import to_linear, to_srgb
 from phytac_design.optics.scene import Scene
 from phytac_design.optics.sharpness import sharpness
@@ -162,7 +167,7 @@ def light_on_chip(
     blur : LensBlur or None
         None for a lens that is sharp everywhere.
     samples : int
-        Samples per pixel, each through another point of the lens.
+        Samples per pixel, see :func:`sample_views`.
     """
     if blur is None:
         return render_light(scene, camera, light=light, samples=samples)
@@ -170,7 +175,7 @@ def light_on_chip(
         scene,
         camera,
         light=light,
-        lens_mm=blur.points_mm(samples),
+        lens_mm=blur.points_mm(sample_views(samples)[0]),
         focus_mm=blur.focus_mm,
         samples=samples,
     )

@@ -245,3 +245,21 @@ def test_paint_scatters_by_colour(few: Bench) -> None:
         np.testing.assert_allclose(ratio[own], np.tile(factor[colour], (own.sum(), 1)))
     np.testing.assert_allclose(ratio[red >= 0], np.tile(factor[2], ((red >= 0).sum(), 1)))
     np.testing.assert_allclose(ratio[(owner < 0) & (red < 0)], 1.0)
+
+
+def rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def test_blur_through_lattices_comes_to_a_limit_as_samples_grow(few: Bench) -> None:
+    scene = few.scene()
+    blur = LensBlur(aperture_mm=0.5, focus_mm=53.0, diffraction_px=0.0)
+    sent = triangle_light(scene, few.camera)
+
+    def light(samples: int) -> FloatArray:
+        return light_on_chip(scene, few.camera, light=sent, blur=blur, samples=samples)
+
+    exact = light(10 * 49)
+    single, coarse, usual, fine = (rms(light(n) - exact) for n in (23, 24, 54, 96))
+    assert fine < 0.9 * usual < 0.7 * coarse
+    assert coarse < 1.2 * single

@@ -1,11 +1,20 @@
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from decoder.lens import KannalaBrandt
 from phytac_design.optics import frame as frame_module
 from phytac_design.optics import picture
-from phytac_design.optics.frame import add_noise, render_frame, sample_offsets
+from phytac_design.optics.frame import (
+    add_noise,
+    render_frame,
+    render_light,
+    sample_lattice,
+    sample_offsets,
+    sample_views,
+)
 from phytac_design.optics.light import albedo, triangle_light
 from phytac_design.optics.paint import BACKGROUND, BAR, PAINTS, to_linear, to_srgb
 from phytac_design.optics.picture import render_picture
@@ -71,6 +80,36 @@ def test_samples_are_spread_over_the_pixel() -> None:
     offsets = sample_offsets(8)
     apart = np.linalg.norm(offsets[:, None] - offsets, axis=2)[~np.eye(8, dtype=bool)]
     assert apart.min() > 0.25  # a grid of eight has 0.35, a diagonal 0.18
+
+
+@pytest.mark.parametrize(
+    ("count", "views", "side"),
+    [(1, 1, 1), (8, 8, 1), (23, 23, 1), (24, 6, 2), (54, 6, 3), (64, 16, 2), (96, 6, 4)],
+)
+def test_samples_lie_on_lattices_where_enough_views_are_left(
+    count: int, views: int, side: int
+) -> None:
+    assert sample_views(count) == (views, side)
+
+
+@pytest.mark.parametrize("lens", ["pinhole", "bent"])
+def test_lattices_are_what_as_many_shifted_cameras_see(few: Bench, lens: str) -> None:
+    scene, camera = few.scene(), few.camera
+    if lens == "bent":
+        names = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px")
+        sizes = {name: getattr(camera.lens, name) for name in names}
+        camera = replace(camera, lens=KannalaBrandt(**sizes, distortion=(0.02, 0.0, 0.0, 0.0)))
+    points = np.array([[0.1 * k, -0.05 * k] for k in range(6)])
+    got = render_light(scene, camera, samples=24, lens_mm=points, focus_mm=60.0)
+    seen = np.zeros_like(got)
+    for shift, point in zip(sample_offsets(6) / 2.0, points, strict=True):
+        for place in sample_lattice(2):
+            moved = camera.shifted(-(shift + place))
+            seen += render_light(scene, moved, samples=1, lens_mm=point[None], focus_mm=60.0) / 24.0
+    # Rounding may put a sample on the other side of an edge.
+    assert np.mean(np.abs(got - seen).max(axis=2) > 1e-5) < 1e-3
+    assert np.abs(got - seen).max() < 0.1
+    assert np.ptp(got) > 0.2
 
 
 def test_a_sample_is_what_a_shifted_camera_sees(

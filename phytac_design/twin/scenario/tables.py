@@ -374,7 +374,8 @@ class SolveSection(Table):
     centroids: Literal["paint", "pixels"] = "paint"
     """Of `points`: of the `paint` that faces the camera, or of the `pixels` that show it, less what
     neighbours hide when pressed (3 times slower)."""
-    samples_per_pixel: int = Field(24, ge=1, le=64)
-    """Of `frames`: points of the aperture that each pixel looks through."""
+    samples_per_pixel: int = Field(54, ge=1, le=216)
+    """Of `frames`: samples of a pixel. 24, 54 or 96 lie on lattices of 2², 3² or 4², seen through
+    six points of the aperture; others are taken one by one, each through a point of its own."""
     local: StrictBool = True
     """Whether only the touched part of the wall is modelled finely."""
