@@ -16,7 +16,7 @@ from phytac_design.kernels import THREADS
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.exposure import CLEAN, Exposure, expose, lens_blur, light_on_chip
-from phytac_design.optics.frame import render_frame
+from phytac_design.optics.frame import render_frame, sample_views
 from phytac_design.optics.light import triangle_light
 from phytac_design.optics.picture import render_picture
 from phytac_design.optics.raster import rasterise
@@ -25,6 +25,7 @@ from phytac_design.optics.view import cameras_of, tolerance_mm
 from phytac_design.spec import Design
 from phytac_design.twin.contacts import draw_contacts, switch_states
 from phytac_design.twin.response import motion_responses, superpose
+from phytac_design.twin.scenario.tables import SolveSection
 from phytac_design.twin.shell import truth_shell
 from phytac_design.twin.sight.eyes import Eyes
 from phytac_design.twin.sight.nominal import expected_views
@@ -36,6 +37,7 @@ from shapes.errors import InputError
 FORCE_N = 25.0
 EDGE_LEVELS, EDGE_PX = 8.0, 1
 """Pixels differ if by more grey levels than this; they lie away from edges beyond this distance."""
+SAMPLES = SolveSection().samples_per_pixel
 FAULTS: dict[str, dict[str, Any]] = {
     "lens blur (f/2.8, 8 lens points) and diffraction": {"lens_blur": True},
     "fall-off of the bar's light": {"fall_off": True},
@@ -206,6 +208,36 @@ def camera_chain(table: Table, case: Case, *, quick: bool) -> None:
         f"{rms(difference[edge]):.1f} grey levels RMS there, "
         f"{np.percentile(difference, 99.9):.0f} at the worst of 1000; {FORCE_N:g} N",
     )
+
+
+def samples_of_a_pixel(table: Table, case: Case, *, quick: bool) -> None:
+    """What samples of a pixel cost, and how far markers seem to move as they cross the pixels."""
+    camera, label = case.unit.cameras[0], case.design.name
+    before = os.environ.get(THREADS)
+    os.environ[THREADS] = "1"
+    try:
+        for samples in (8, 24) if quick else (8, 23, 24, 54, 96):
+            eyes = case.eyes(replace(CLEAN, lens_blur=True), samples=samples)
+            scene = eyes.eyes[0].rest
+            eyes.eyes[0].light(scene)
+            light, seconds = timed(partial(eyes.eyes[0].light, scene))
+            scatter = rms(eyes.at_rest.grid_px)
+            views, side = sample_views(samples)
+            table.add(
+                f"{label} {camera.width_px}x{camera.height_px}: {samples} samples a pixel, scatter "
+                "of markers over places on the pixels",
+                scatter,
+                "px RMS",
+                reference=0.0,
+                source="a frame moved by parts of a pixel, moved back",
+                target="<= 0.02" if samples == SAMPLES else None,
+                note=f"{seconds:.2f} s of one core to render {light.shape[1]}x{light.shape[0]}; "
+                f"lattices of {side}x{side} through {views} points of the aperture",
+            )
+    finally:
+        os.environ.pop(THREADS)
+        if before is not None:
+            os.environ[THREADS] = before
 
 
 def _positions(case: Case, image: ImageArray) -> FloatArray:

@@ -17,6 +17,7 @@ from benchmarks.twin_camera import (
     readable,
     renderers,
     rms,
+    samples_of_a_pixel,
     timed,
 )
 from phytac_design.build import copy_of
@@ -122,6 +123,7 @@ def add_rows(table: Table, *, quick: bool) -> None:
         points_and_frames(table, case, 1)
         faults(table, case)
         camera_chain(table, case, quick=True)
+        samples_of_a_pixel(table, case, quick=True)
         renderers(table, case)
         readable(table, case)
         return
@@ -133,6 +135,7 @@ def add_rows(table: Table, *, quick: bool) -> None:
         if name == "cylinder60":
             faults(table, case)
             camera_chain(table, case, quick=False)
+            samples_of_a_pixel(table, case, quick=False)
             renderers(table, case)
     two = copy_of(load_design("cylinder60"), camera={"ends": "both"})
     two = two.model_copy(update={"name": "cylinder60 with a camera at both ends"})
