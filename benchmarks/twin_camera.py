@@ -38,6 +38,7 @@ FORCE_N = 25.0
 EDGE_LEVELS, EDGE_PX = 8.0, 1
 """Pixels differ if by more grey levels than this; they lie away from edges beyond this distance."""
 SAMPLES = SolveSection().samples_per_pixel
+"""Of a pixel in frames of ``phytac simulate``."""
 FAULTS: dict[str, dict[str, Any]] = {
     "lens blur (f/2.8, 8 lens points) and diffraction": {"lens_blur": True},
     "fall-off of the bar's light": {"fall_off": True},

@@ -10,6 +10,7 @@ import numpy as np
 from benchmarks.harness import Table, arguments
 from benchmarks.twin_camera import (
     FORCE_N,
+    SAMPLES,
     Case,
     camera_chain,
     faults,
@@ -30,16 +31,19 @@ DRAWS = 16
 
 def points_and_frames(table: Table, case: Case, count: int) -> None:
     """Displacements of both kinds of points against noise-free frames; noise; seconds."""
-    name, eyes = case.design.name, case.eyes()
+    name, eyes = case.design.name, case.eyes(samples=SAMPLES)
     _, ready = timed(lambda: eyes.status)
     if eyes.status:
         table.add(f"{name}: can be read", 0.0, "-", reference=1.0, source="rest frame",
                   target=">= 1", note=eyes.status)  # fmt: skip
         return
-    both = {"paint": eyes, "pixels": case.eyes(centroids="pixels", at_rest=eyes.rest)}
+    both = {
+        "paint": eyes,
+        "pixels": case.eyes(centroids="pixels", at_rest=eyes.rest, samples=SAMPLES),
+    }
     still, off = np.zeros((case.markers.count, 6)), np.zeros(case.markers.count, dtype=np.bool_)
     zero = eyes.read(eyes.frame(still, off)).shift_px
-    fixed = case.eyes(wall_follows=False, at_rest=eyes.rest)
+    fixed = case.eyes(wall_follows=False, at_rest=eyes.rest, samples=SAMPLES)
     motions, every = case.pressed(count)
     found: dict[str, list[FloatArray]] = {"paint": [], "pixels": []}
     seconds: dict[str, list[float]] = {"paint": [], "pixels": [], "frame": [], "read": []}
