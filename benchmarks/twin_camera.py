@@ -15,6 +15,7 @@ from phytac_design.build import copy_of
 from phytac_design.kernels import THREADS
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.thresholds import thresholds_N
+from phytac_design.mechanics.large.batch import one_thread_each
 from phytac_design.optics.exposure import CLEAN, Exposure, expose, lens_blur, light_on_chip
 from phytac_design.optics.frame import render_frame, sample_views
 from phytac_design.optics.light import triangle_light
@@ -155,9 +156,7 @@ def camera_chain(table: Table, case: Case, *, quick: bool) -> None:
         triangle_light(scene, camera),
         lens_blur(design, camera, case.surface, case.markers),
     )
-    before = os.environ.get(THREADS)
-    os.environ[THREADS] = "1"
-    try:
+    with one_thread_each(THREADS):
         sharp, blurred, spent = [], [], []
         chip = light_on_chip(scene, camera, light=light, blur=blur)
         exposure = Exposure(noise_pixel=2.0, jpeg_quality=90)
@@ -166,10 +165,6 @@ def camera_chain(table: Table, case: Case, *, quick: bool) -> None:
             blurred.append(timed(lambda: light_on_chip(scene, camera, light=light, blur=blur))[1])
             rng = np.random.default_rng(k)
             spent.append(timed(partial(expose, chip, camera, exposure, rng=rng))[1])
-    finally:
-        os.environ.pop(THREADS)
-        if before is not None:
-            os.environ[THREADS] = before
     extra = float(np.median(spent)) + max(float(np.median(blurred)) - float(np.median(sharp)), 0.0)
     table.add(
         f"{design.name} {camera.width_px}x{camera.height_px}: blur, vignetting, noise and JPEG 90",
@@ -214,9 +209,7 @@ def camera_chain(table: Table, case: Case, *, quick: bool) -> None:
 def samples_of_a_pixel(table: Table, case: Case, *, quick: bool) -> None:
     """What samples of a pixel cost, and how far markers seem to move as they cross the pixels."""
     camera, label = case.unit.cameras[0], case.design.name
-    before = os.environ.get(THREADS)
-    os.environ[THREADS] = "1"
-    try:
+    with one_thread_each(THREADS):
         for samples in (8, 24) if quick else (8, 23, 24, 54, 96):
             eyes = case.eyes(replace(CLEAN, lens_blur=True), samples=samples)
             scene = eyes.eyes[0].rest
@@ -235,10 +228,6 @@ def samples_of_a_pixel(table: Table, case: Case, *, quick: bool) -> None:
                 note=f"{seconds:.2f} s of one core to render {light.shape[1]}x{light.shape[0]}; "
                 f"lattices of {side}x{side} through {views} points of the aperture",
             )
-    finally:
-        os.environ.pop(THREADS)
-        if before is not None:
-            os.environ[THREADS] = before
 
 
 def _positions(case: Case, image: ImageArray) -> FloatArray:

@@ -375,7 +375,7 @@ class SolveSection(Table):
     """Of `points`: of the `paint` that faces the camera, or of the `pixels` that show it, less what
     neighbours hide when pressed (3 times slower)."""
     samples_per_pixel: int = Field(54, ge=1, le=216)
-    """Of `frames`: samples of a pixel. 24, 54 or 96 lie on lattices of 2², 3² or 4², seen through
-    six points of the aperture; others are taken one by one, each through a point of its own."""
+    """Of `frames`: samples of a pixel, each lattice of k² through another point of the aperture: 54
+    are six of 3², 24 six of 2², 96 six of 4². What is no k² times six or more is taken singly."""
     local: StrictBool = True
     """Whether only the touched part of the wall is modelled finely."""
