@@ -11,11 +11,19 @@ from decoder.correct import LENGTH, Correction
 from decoder.locate import Locator
 from decoder.pairs import ROWS, Pairs
 from decoder.places import Places
+from decoder.tension import Walls
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import InputError
 
-PREFIX, PAIR, RATIO = "places.", "pair_", "noise_ratio"
+PREFIX, PAIR, WALL, RATIO = "places.", "pair_", "wall_", "noise_ratio"
 LEAST_PLACES = 4
+KINDS: dict[str, Any] = {
+    "shift_px": np.float32,
+    PAIR + "rows": np.float32,
+    WALL + "slopes": np.float32,
+    WALL + "number": np.int64,
+}
+"""Of numbers in arrays; float64 of all others."""
 
 
 def locator_table(locator: Locator) -> dict[str, Any]:
@@ -49,11 +57,15 @@ def locator_table(locator: Locator) -> dict[str, Any]:
 
 
 def places_arrays(places: Places) -> dict[str, Any]:
-    """Arrays of tables, and of those of pairs if there are any, by name."""
+    """Arrays of tables, and of those of pairs and flat walls if there are any, by name."""
     arrays: dict[str, Any] = _arrays(places, "shift_px")
     if places.pairs is not None:
         own = _arrays(places.pairs.grid, "rows")
         arrays |= {PAIR + name: value for name, value in own.items()}
+    if places.walls is not None:
+        walls = places.walls
+        own = {"number": walls.wall, "slopes": walls.slopes, "most": np.array([walls.most])}
+        arrays |= {WALL + name: value for name, value in own.items()}
     return arrays
 
 
@@ -69,7 +81,9 @@ def _arrays(places: Places, rows: str) -> dict[str, Any]:
 def places_from(arrays: Mapping[str, Any], radius_mm: float, top_N: float = np.inf) -> Places:
     """Tables of :func:`places_arrays` for a disc of a radius and forces up to one."""
 
-    def made(prefix: str, rows: str, pairs: Pairs | None = None) -> Places:
+    def made(
+        prefix: str, rows: str, pairs: Pairs | None = None, walls: Walls | None = None
+    ) -> Places:
         return Places(
             point_mm=arrays[prefix + "point_mm"],
             along=arrays[prefix + "along"],
@@ -78,10 +92,17 @@ def places_from(arrays: Mapping[str, Any], radius_mm: float, top_N: float = np.i
             radius_mm=radius_mm,
             top_N=top_N,
             pairs=pairs,
+            walls=walls,
         )
 
-    paired = PAIR + "rows" in arrays
-    return made("", "shift_px", Pairs(grid=made(PAIR, "rows")) if paired else None)
+    paired, walls = PAIR + "rows" in arrays, None
+    if WALL + "slopes" in arrays:
+        walls = Walls(
+            wall=arrays[WALL + "number"],
+            slopes=arrays[WALL + "slopes"],
+            most=float(arrays[WALL + "most"][0]),
+        )
+    return made("", "shift_px", Pairs(grid=made(PAIR, "rows")) if paired else None, walls)
 
 
 def locator_arrays(locator: Locator) -> dict[str, Any]:
@@ -168,8 +189,7 @@ def _check(own: Mapping[str, Any], columns: int, *, learnt: bool, folder: Path) 
         if name not in own:
             raise InputError(f"{where} lacks '{PREFIX}{name}'; rebuild the decoder")
     for name, shape in _expected(own, columns, learnt=learnt).items():
-        single = name in ("shift_px", PAIR + "rows")
-        value, kind = own[name], np.float32 if single else np.float64
+        value, kind = own[name], KINDS.get(name, np.float64)
         if value.shape != shape or value.dtype != kind:
             raise InputError(
                 f"{where}: {PREFIX}{name} is {value.dtype} {value.shape}, expected "
@@ -180,6 +200,11 @@ def _check(own: Mapping[str, Any], columns: int, *, learnt: bool, folder: Path) 
     count = len(own["point_mm"])
     if count < LEAST_PLACES:
         raise InputError(f"{where}: {PREFIX}point_mm has {count} places; rebuild the decoder")
+    if WALL + "most" in own and not 0.0 < float(own[WALL + "most"][0]) < 1.0:
+        raise InputError(
+            f"{where}: {PREFIX}{WALL}most holds {own[WALL + 'most'][0]:g}, expected a number "
+            "between 0 and 1; rebuild the decoder"
+        )
     if RATIO in own and not (own[RATIO] > 0.0).all():
         raise InputError(
             f"{where}: {PREFIX}{RATIO} holds {own[RATIO].min():g}, expected numbers above zero; "
@@ -187,16 +212,18 @@ def _check(own: Mapping[str, Any], columns: int, *, learnt: bool, folder: Path) 
         )
 
 
-def _paired(own: Mapping[str, Any]) -> bool:
-    """Whether there are tables of pairs, or parts of them."""
-    return any(name.startswith(PAIR) for name in own)
+def _some(own: Mapping[str, Any], prefix: str) -> bool:
+    """Whether there are tables of pairs or walls, or parts of them."""
+    return any(name.startswith(prefix) for name in own)
 
 
 def _wanted(own: Mapping[str, Any], *, learnt: bool) -> list[str]:
     """Names of all arrays that must be there."""
     wanted = ["point_mm", "along", "around", "shift_px", *(["centre", "weight"] if learnt else [])]
-    if _paired(own):
+    if _some(own, PAIR):
         wanted += [PAIR + name for name in ("point_mm", "along", "around", "rows")]
+    if _some(own, WALL):
+        wanted += [WALL + name for name in ("number", "slopes", "most")]
     return wanted
 
 
@@ -206,10 +233,17 @@ def _expected(own: Mapping[str, Any], columns: int, *, learnt: bool) -> dict[str
     orders = own["shift_px"].shape[1] if own["shift_px"].ndim == 3 else 0
     shapes = dict.fromkeys(("point_mm", "along", "around"), (count, 3))
     expected: dict[str, tuple[int, ...]] = shapes | {"shift_px": (count, max(orders, 1), columns)}
-    if _paired(own):
+    if _some(own, PAIR):
         pairs = len(own[PAIR + "point_mm"])
         expected |= dict.fromkeys((PAIR + n for n in ("point_mm", "along", "around")), (pairs, 3))
         expected |= {PAIR + "rows": (pairs, ROWS, pairs)}
+    if _some(own, WALL):
+        slopes = own[WALL + "slopes"]
+        # Powers of v from 0, of which the first stands for rows of the force's.
+        powers, modes = slopes.shape[1:] if slopes.ndim == 3 else (0, 1)
+        powers = powers if 1 < powers <= orders else 2
+        expected |= {WALL + "number": (count,), WALL + "slopes": (count, powers, modes)}
+        expected[WALL + "most"] = (1,)
     if RATIO in own:
         expected[RATIO] = (columns,)
     if learnt:

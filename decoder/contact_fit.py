@@ -7,13 +7,12 @@ anew in each round.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from decoder.contact_shifts import UNKNOWNS, State, explained
 from decoder.places import Places
-from decoder.tension import powers_of, shared_N
 from shapes.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDS = 8
@@ -30,8 +29,6 @@ OFF_SPACINGS = 0.85
 FORCE_LEAST_N = 0.02
 FORCE_SD_N = 1e3
 """Of a force nothing is known beforehand."""
-UNKNOWNS = 6
-"""Of a contact: force (N), centre along and around (mm), second moments xx, xy, yy (mm²)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,38 +94,6 @@ class Seen:
     shift_px: FloatArray
     found: BoolArray
     koi: IntArray
-
-
-@dataclass(kw_only=True)
-class State:
-    """A contact being fitted.
-
-    Attributes
-    ----------
-    place : int
-        Place of the tables nearest to it.
-    x : (6,) float
-        Its unknowns; the centre in the tangent plane about that place.
-    start_mm : (3,) float
-        Where its switches say that it is.
-    place_sd_mm : float
-        How well they do.
-    tables : (10, k, 2n) float32
-        Derivatives of the tables at the place.
-    markers : (m,) int
-        Switches that it was started from.
-    """
-
-    place: int
-    x: FloatArray
-    start_mm: FloatArray
-    place_sd_mm: float
-    tables: NDArray[np.float32]
-    markers: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-
-    def copy(self) -> "State":
-        """One that can be fitted on its own."""
-        return replace(self, x=self.x.copy())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,54 +234,6 @@ def _doubted(left: FloatArray, inverse: FloatArray) -> tuple[float, FloatArray]:
     over = np.maximum(square / limit, 1.0)
     total = float(np.sum(np.minimum(square, limit) + limit * np.log(over)))
     return total, np.repeat(1.0 / over, 2)
-
-
-def explained(places: Places, states: Sequence[State]) -> list[tuple[FloatArray, FloatArray]]:
-    """Shifts and slopes of each of all contacts at once, see :func:`explain`."""
-    stretch_N, grows = shared_N(places, states)
-    return [
-        explain(state, places.orders, top_N=places.top_N, stretch_N=stretch, grows=grow)
-        for state, stretch, grow in zip(states, stretch_N.tolist(), grows.tolist(), strict=True)
-    ]
-
-
-def explain(
-    state: State,
-    orders: int,
-    *,
-    top_N: float = np.inf,
-    stretch_N: float | None = None,
-    grows: float = 1.0,
-) -> tuple[FloatArray, FloatArray]:
-    """Shifts (2n,) px of one contact, and their slopes (6, 2n) by its unknowns.
-
-    Parameters
-    ----------
-    top_N : float
-        Largest force that the tables were made with.
-    stretch_N, grows : float, optional
-        Force by which its wall is stretched, and how that grows with its own, see
-        :mod:`tension`; its own without them.
-    """
-    f, x, y, m_xx, m_xy, m_yy = state.x
-    xx, xy, yy = x * x / 2.0, x * y, y * y / 2.0
-    # Rows: value, d/dx, d/dy, then what the moments go with.
-    t = np.zeros((UNKNOWNS, 10))
-    t[0] = (1.0, x, y, xx, xy, yy, x * xx / 3.0, xx * y, x * yy, y * yy / 3.0)
-    t[1, [1, 3, 4, 6, 7, 8]] = t[2, [2, 4, 5, 7, 8, 9]] = (1.0, x, y, xx, xy, yy)
-    t[3, [3, 6, 7]] = (0.5, x / 2.0, y / 2.0)
-    t[4, [4, 7, 8]] = (1.0, x, y)
-    t[5, [5, 8, 9]] = (0.5, x / 2.0, y / 2.0)
-    t[0] += m_xx * t[3] + m_xy * t[4] + m_yy * t[5]
-    t[1, [6, 7, 8]] += (m_xx / 2.0, m_xy, m_yy / 2.0)
-    t[2, [7, 8, 9]] += (m_xx / 2.0, m_xy, m_yy / 2.0)
-    rows = t.astype(np.float32) @ state.tables.reshape(10, -1)
-    rows = rows.reshape(UNKNOWNS, orders, -1)
-    powers, change = powers_of(rows[0], f if stretch_N is None else stretch_N, top_N)
-    slope = ((f * powers).astype(np.float32) @ rows).astype(np.float64)
-    total = slope[0].copy()
-    slope[0] = ((1.0 + change * grows) * powers).astype(np.float32) @ rows[0]
-    return total, slope
 
 
 def _off(places: Places, state: State, prior: Prior) -> FloatArray:

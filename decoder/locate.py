@@ -16,18 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoder.contact_fit import (
-    UNKNOWNS,
     Fit,
     Noise,
     Prior,
     Seen,
-    State,
     fit,
     nothing,
     point_of,
     signal_of,
     start,
 )
+from decoder.contact_shifts import UNKNOWNS, State
 from decoder.contacts import contact_groups
 from decoder.correct import Correction
 from decoder.nonnegative import nonnegative_least_squares
@@ -161,7 +160,7 @@ class Locator:
     def linear(self) -> "Locator":
         """The same with its tables' first power alone, for a shell that is linear."""
         first = np.ascontiguousarray(self.places.shift_px[:, :1])
-        return replace(self, places=replace(self.places, shift_px=first, pairs=None))
+        return replace(self, places=replace(self.places, shift_px=first, pairs=None, walls=None))
 
     @cached_property
     def _columns(self) -> FloatArray:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from decoder.contact_fit import explained, point_of, start
+from decoder.contact_fit import point_of, start
+from decoder.contact_shifts import explained
 from decoder.locate import Locator
 from decoder.places import Places
 from decoder.samples import FAILED, Samples

@@ -20,7 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from decoder.contact_fit import State, point_of
+from decoder.contact_fit import point_of
+from decoder.contact_shifts import State
 from decoder.places import Places
 from shapes.arrays import FloatArray
 

@@ -26,6 +26,7 @@ from shapes.arrays import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from decoder.pairs import Pairs
+    from decoder.tension import Walls
 
 NEAR = 20
 """Places that a cubic is fitted to: twice its ten coefficients."""
@@ -55,13 +56,16 @@ class Places:
     along, around : (p, 3) float
         Unit tangents: away from the camera, and square to it.
     shift_px : (p, k, 2n) float32
-        S₁ … S_k: px per N, N², …, as (x0, y0, x1, y1, …).
+        S₁ … S_k: px per N, N², …, as (x0, y0, x1, y1, …). With walls, after these, px per N times
+        v, v², …: how the response goes with the softness that a wall has lost.
     radius_mm : float
         Of the disc.
     top_N : float
         Largest force that the tables were made with.
     pairs : Pairs, optional
         What contacts at once do to each other.
+    walls : Walls, optional
+        Flat walls.
     """
 
     point_mm: FloatArray
@@ -71,11 +75,12 @@ class Places:
     radius_mm: float
     top_N: float = np.inf
     pairs: "Pairs | None" = None
+    walls: "Walls | None" = None
 
     @property
     def orders(self) -> int:
         """Powers of the force in the tables."""
-        return int(self.shift_px.shape[1])
+        return int(self.shift_px.shape[1]) - (self.walls.orders if self.walls else 0)
 
     @cached_property
     def spacing_mm(self) -> float:
@@ -88,11 +93,13 @@ class Places:
 
     def scaled(self, stiffness: float) -> "Places":
         """Tables of a sensor that is stiffer by a factor: d(f) becomes d(f / stiffness)."""
-        powers = stiffness ** -np.arange(1.0, self.orders + 1.0)
-        rows = self.shift_px * powers.astype(np.float32)[:, None]
+        powers = np.ones(self.shift_px.shape[1])
+        powers[: self.orders] = np.arange(1.0, self.orders + 1.0)
+        rows = self.shift_px * (stiffness**-powers).astype(np.float32)[:, None]
         pairs = self.pairs.scaled(stiffness) if self.pairs else None
+        walls = self.walls.scaled(stiffness) if self.walls else None
         top_N = stiffness * self.top_N
-        return self._like(replace(self, shift_px=rows, pairs=pairs, top_N=top_N))
+        return self._like(replace(self, shift_px=rows, pairs=pairs, walls=walls, top_N=top_N))
 
     def with_rows(self, shift_px: NDArray[np.float32], pairs: "Pairs | None") -> "Places":
         """Other tables over the same places."""

@@ -54,6 +54,7 @@ def run_places(context: Context, folder: Path) -> None:
             "unsure": done.unsure,
             "orders": places.orders,
             "pairs": len(places.pairs.grid.point_mm) if places.pairs else 0,
+            "walls": [round(give, 6) for give in done.give],
             "radius_mm": places.radius_mm,
             **({"top_N": places.top_N} if places.orders > 1 else {}),
             "spacing_mm": places.spacing_mm,

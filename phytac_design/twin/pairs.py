@@ -11,7 +11,8 @@ solve and one difference of internal forces for each of its rows, and pairs only
 
 import numpy as np
 
-from decoder.contact_fit import Prior, explain, start
+from decoder.contact_fit import Prior, start
+from decoder.contact_shifts import explain
 from decoder.pairs import ROWS, Pairs
 from decoder.places import Places
 from phytac_design.mechanics.large.resting import Resting

@@ -22,6 +22,7 @@ from phytac_design.mechanics.solve import ShellModel
 from phytac_design.spec import Design
 from phytac_design.twin.pairs import make_pairs, pair_spacing_mm
 from phytac_design.twin.pressed import Pressed, Seen
+from phytac_design.twin.walls import with_walls
 from shapes import Surface
 from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import DesignError
@@ -101,6 +102,8 @@ class Tabulated:
     unsure : int
         Of these, those whose series says nothing at the greatest force, and that were not solved:
         linear ones stand there.
+    give : list of float
+        How far the edges of each flat wall hold it, see :mod:`walls`; 1 where they hold still.
     """
 
     places: Places
@@ -109,6 +112,7 @@ class Tabulated:
     large: int
     unsure: int
     spacing_mm: float
+    give: list[float]
 
 
 def rings(surface: Surface, spacing_mm: float, sectors: int) -> Rings:
@@ -244,7 +248,7 @@ def make_places(
     places, solves, _, _ = table(1, spacing)
     if orders == 1:
         return Tabulated(
-            places=places, solves=solves, bent=0, large=0, unsure=0, spacing_mm=spacing
+            places=places, solves=solves, bent=0, large=0, unsure=0, spacing_mm=spacing, give=[]
         )
     # A small part of the surface holds too few places so far apart.
     apart = (
@@ -255,18 +259,24 @@ def make_places(
     higher, bent, shell, unsure = table(orders, apart)
     more = between(higher, places.point_mm)[:, 1:].astype(np.float32)
     whole = np.concatenate([places.shift_px, more], axis=1)
+    places = replace(places, shift_px=whole, top_N=float(shell.forces[-1]))
+    all_uv = rings(surface, spacing, sectors).uv
+    uv = all_uv[_wanted(all_uv, spacing, near)]
+    progress("places: flat walls")
+    places, give = with_walls(shell, see, places, uv)
     progress("places: pairs of contacts")
-    # Where discs alone are beyond the expansion, pairs on flat walls are far beyond it (on the
-    # cuboid they double the errors); on curved ones they still help (patch).
-    holds = unsure == 0 and (shell.beyond == 0 or not places.flat.any())
+    # Of contacts on flat walls tension tells; beyond the expansion pairs on other flat parts
+    # would double the errors, while on curved walls they still help (patch).
+    holds = unsure == 0 and not give and (shell.beyond == 0 or not places.flat.any())
     pairs = _pairs(shell, see, places, sectors, near, holds=holds)
     return Tabulated(
-        places=replace(places, shift_px=whole, top_N=float(shell.forces[-1]), pairs=pairs),
+        places=replace(places, pairs=pairs),
         solves=solves,
         bent=bent,
         large=shell.solved,
         unsure=unsure,
         spacing_mm=spacing,
+        give=give,
     )
 
 

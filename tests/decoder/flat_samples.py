@@ -6,7 +6,7 @@ import numpy as np
 
 from decoder.samples import Samples, TouchRows, truth_rows
 from shapes.arrays import FloatArray
-from tests.decoder.flat_sensor import MARKERS, per_newton, shifts, stretches
+from tests.decoder.flat_sensor import MARKERS, shifts
 
 STIFFNESS = 1.15
 NOISE_PX = 0.03
@@ -46,10 +46,8 @@ def pressed(
             bits[sample, marker], owner[sample, marker] = True, len(rows)
             carried[sample, marker] = force
             rows.append((sample, at, radius, force))
-        each = np.stack([per_newton(at, moments) for at, _, moments in pressed])
-        alone = stretches(each, np.array([force for _, force, _ in pressed]))
-        for (at, force, moments), stretch in zip(pressed, alone, strict=True):
-            one = shifts(at, force, moments, stretch_N=float(stretch))
+        for at, force, moments in pressed:
+            one = shifts(at, force, moments)
             more = np.zeros(n) if uneven is None else uneven(at)
             shift[sample] += np.repeat(1.0 + more, 2) * one
     shown = shift.reshape(count, n, 2)

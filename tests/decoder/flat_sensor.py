@@ -2,8 +2,7 @@
 
 A load with covariance M about its centre dents the face by a Gaussian of covariance s²·1 + M: the
 load itself, taken as a Gaussian, smeared by the sheet's own. Images move with the dent's depth and
-slope, and by a share of the force more: a sheet that softens as it stretches, and is one sheet for
-all that press on it.
+slope, and by a share of the force more: a sheet that softens.
 """
 
 from collections.abc import Sequence
@@ -59,29 +58,15 @@ def per_newton(point_mm: FloatArray, moments: FloatArray = DISC) -> FloatArray:
 
 
 def shifts(
-    point_mm: FloatArray,
-    force_N: float,
-    moments: FloatArray = DISC,
-    *,
-    soft: float = SOFTENING,
-    stretch_N: float | None = None,
+    point_mm: FloatArray, force_N: float, moments: FloatArray = DISC, *, soft: float = SOFTENING
 ) -> FloatArray:
-    """Shifts (2n,) px of one load, on a sheet that a force stretches: its own if not given."""
-    stretch = force_N if stretch_N is None else stretch_N
-    return per_newton(point_mm, moments) * force_N * (1.0 + soft * stretch)
-
-
-def stretches(each_px: FloatArray, forces_N: FloatArray) -> FloatArray:
-    """Force (c,) that alone stretches the sheet as all do at once, for rows (c, 2n) per newton."""
-    product = each_px @ each_px.T
-    return np.asarray(np.sqrt(forces_N @ product @ forces_N / np.diagonal(product)))
+    """Shifts (2n,) px of one load."""
+    return per_newton(point_mm, moments) * force_N * (1.0 + soft * force_N)
 
 
 def together(points_mm: Sequence[FloatArray], forces_N: Sequence[float]) -> FloatArray:
     """Shifts (2n,) px of loads at once."""
-    force = np.array(forces_N)
-    each = np.stack([per_newton(at) for at in points_mm])
-    return np.asarray((force * (1.0 + SOFTENING * stretches(each, force))) @ each)
+    return np.sum([shifts(at, f) for at, f in zip(points_mm, forces_N, strict=True)], axis=0)
 
 
 def flat_places(step_mm: float = 2.5) -> Places:
@@ -110,13 +95,6 @@ def flat_locator(*, place_mm: float = 1.5, noise_px: float = 0.02) -> Locator:
         prior=Prior(place_mm=place_mm),
         noise=Noise(centroid_px=noise_px, share=0.005, switched_px=0.0),
     )
-
-
-def curved_locator() -> Locator:
-    """The same for a wall that does not count as flat: loads do not stretch it for each other."""
-    locator = flat_locator()
-    locator.places.__dict__["flat"] = np.zeros(len(locator.places.point_mm), dtype=np.bool_)
-    return locator
 
 
 def nearest(point_mm: FloatArray) -> int:

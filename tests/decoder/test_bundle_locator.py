@@ -16,6 +16,7 @@ from decoder.correct import Correction
 from decoder.locate import Locator
 from decoder.pairs import ROWS, Pairs
 from decoder.places import Places
+from decoder.tension import Walls
 from shapes.errors import InputError
 from tests.decoder.toy_sensor import toy_bundle
 
@@ -41,6 +42,11 @@ def bundle() -> Bundle:
                     shift_px=1e-3 * rng.normal(size=(9, ROWS, 9)).astype(np.float32),
                     radius_mm=4.0,
                 )
+            ),
+            walls=Walls(
+                wall=np.arange(len(points)) % 3 - 1,
+                slopes=0.01 * rng.normal(size=(len(points), 2, 5)).astype(np.float32),
+                most=0.8,
             ),
         ),
         position_mm=points,
@@ -90,6 +96,11 @@ def test_bundle_keeps_it_whole(tmp_path: Path) -> None:
         assert two.places.pairs is not None
         own, kept = one.places.pairs.grid, two.places.pairs.grid
         np.testing.assert_array_equal(getattr(own, name), getattr(kept, name))
+    assert one.places.walls is not None
+    assert two.places.walls is not None
+    np.testing.assert_array_equal(one.places.walls.wall, two.places.walls.wall)
+    np.testing.assert_array_equal(one.places.walls.slopes, two.places.walls.slopes)
+    assert (two.places.walls.most, two.places.orders) == (0.8, 2)
     shift = np.random.default_rng(1).normal(size=(30, 2))
     koi = np.array([7, 8, 20])
     np.testing.assert_array_equal(
@@ -160,6 +171,30 @@ def _pairs_gone(arrays: dict[str, Any]) -> None:
     del arrays["places.pair_rows"]
 
 
+def _slopes_cut(arrays: dict[str, Any]) -> None:
+    arrays["places.wall_slopes"] = np.ascontiguousarray(arrays["places.wall_slopes"][:-1])
+
+
+def _slopes_of_more_powers(arrays: dict[str, Any]) -> None:
+    arrays["places.wall_slopes"] = np.zeros((len(arrays["places.point_mm"]), 5, 2), np.float32)
+
+
+def _slopes_flat(arrays: dict[str, Any]) -> None:
+    arrays["places.wall_slopes"] = np.zeros(4, np.float32)
+
+
+def _walls_gone(arrays: dict[str, Any]) -> None:
+    del arrays["places.wall_number"]
+
+
+def _walls_halved(arrays: dict[str, Any]) -> None:
+    arrays["places.wall_number"] = arrays["places.wall_number"].astype(np.float64)
+
+
+def _all_lost(arrays: dict[str, Any]) -> None:
+    arrays["places.wall_most"][0] = 1.0
+
+
 def _noise_cut(arrays: dict[str, Any]) -> None:
     arrays["places.noise_ratio"] = arrays["places.noise_ratio"][1:]
 
@@ -169,7 +204,7 @@ def _noise_none(arrays: dict[str, Any]) -> None:
 
 
 def _few(arrays: dict[str, Any]) -> None:
-    for name in ("point_mm", "along", "around", "shift_px"):
+    for name in ("point_mm", "along", "around", "shift_px", "wall_number", "wall_slopes"):
         arrays[f"places.{name}"] = np.ascontiguousarray(arrays[f"places.{name}"][:2])
 
 
@@ -187,6 +222,12 @@ def _few(arrays: dict[str, Any]) -> None:
         (_pairs_cut, "different builds"),
         (_pairs_nan, "not finite"),
         (_pairs_gone, "lacks 'places.pair_rows'"),
+        (_slopes_cut, "different builds"),
+        (_slopes_of_more_powers, "different builds"),
+        (_slopes_flat, "different builds"),
+        (_walls_gone, "lacks 'places.wall_number'"),
+        (_walls_halved, "float64"),
+        (_all_lost, "wall_most holds 1, expected a number between 0 and 1"),
     ],
 )
 def test_damaged_tables_are_refused(

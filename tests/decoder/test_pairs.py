@@ -11,7 +11,7 @@ from decoder.locate import Found, Locator
 from decoder.pairs import MOST, ROWS, Pairs, mixed_off_N
 from shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import (
-    curved_locator,
+    flat_locator,
     flat_places,
     nearest,
     per_newton,
@@ -90,7 +90,7 @@ def test_contacts_at_once_no_longer_take_each_others_force(
     points = [np.array(p) for p in at]
     koi = np.array(sorted({nearest(p) for p in points}))
     seen = pressed(points, force_N).reshape(-1, 2)
-    plain = curved_locator()
+    plain = flat_locator()
     naive = np.abs(forces(plain.find(seen, koi)) / force_N - 1.0)
     told = np.abs(forces(aware(plain).find(seen, koi)) / force_N - 1.0)
     assert naive.max() > 0.04
@@ -101,13 +101,13 @@ def test_contacts_at_once_no_longer_take_each_others_force(
 def test_one_contact_is_told_as_before() -> None:
     at = np.array([31.0, 28.0, 0.0])
     seen, koi = shifts(at, 9.0).reshape(-1, 2), np.array([nearest(at)])
-    plain = curved_locator()
+    plain = flat_locator()
     assert forces(aware(plain).find(seen, koi)) == forces(plain.find(seen, koi))
 
 
 def test_a_stiffer_sensor_needs_more_force_for_the_same() -> None:
     """d(f) of tables scaled by k is d(f / k): k times the forces, and k times what they are off."""
-    plain = aware(curved_locator()).places
+    plain = aware(flat_locator()).places
     k = 1.3
     stiff = plain.scaled(k)
     assert plain.pairs is not None
@@ -142,7 +142,7 @@ def test_rows_between_places_are_a_cubic_in_both() -> None:
 
 
 def test_no_contact_loses_more_than_a_share_of_its_force() -> None:
-    places = aware(curved_locator()).places
+    places = aware(flat_locator()).places
     assert places.pairs is not None
     grid = places.pairs.grid
     wild = Pairs(grid=replace(grid, shift_px=50.0 * grid.shift_px))
@@ -153,12 +153,12 @@ def test_no_contact_loses_more_than_a_share_of_its_force() -> None:
 
 
 def test_a_linear_sensor_has_no_mixed_terms() -> None:
-    assert aware(curved_locator()).linear.places.pairs is None
+    assert aware(flat_locator()).linear.places.pairs is None
 
 
 def test_pairs_need_no_slopes_where_places_are_known() -> None:
     """Centres that are known to the last bit leave the force alone to be off."""
-    places = aware(curved_locator()).places
+    places = aware(flat_locator()).places
     assert places.pairs is not None
     at = [np.array([20.0, 20.0, 0.0]), np.array([52.0, 52.0, 0.0])]
     known = Prior(place_mm=1e-9)

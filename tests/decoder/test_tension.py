@@ -4,140 +4,179 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
-from decoder.contact_fit import State, explain, start
+from decoder.contact_fit import start
+from decoder.contact_shifts import State, explained
 from decoder.places import Places
-from decoder.tension import powers_of, shared_N
+from decoder.tension import Walls, lost_share, powers_of
 from shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import (
+    RADIUS_MM,
+    SOFTENING,
     flat_locator,
     flat_places,
     nearest,
     per_newton,
-    shifts,
-    stretches,
     together,
 )
 
-LOCATOR = flat_locator()
-ONE, TWO = np.array([18.0, 21.0, 0.0]), np.array([42.0, 36.0, 0.0])
+ONE, TWO, THREE = (np.array(at) for at in ([18.0, 21.0, 0.0], [42.0, 36.0, 0.0], [24.0, 39.0, 0.0]))
+ASIDE = np.array([0.4, 0.3, 0.0])
+PER_PX = 0.02
+"""Slopes of the wall over the shifts of a newton: then 20 N take a third of its softness."""
+MOST = 0.8
 
 
-def bent(radius_mm: float) -> Places:
-    """The same places on a cylinder about an axis along the first tangent."""
-    flat = flat_places()
-    turn = (flat.point_mm[:, 1] - 30.0) / radius_mm
-    zero, sin, cos = np.zeros(len(turn)), np.sin(turn), np.cos(turn)
-    point = np.column_stack([flat.point_mm[:, 0], radius_mm * sin, radius_mm * cos])
-    return replace(flat, point_mm=point, around=np.column_stack([zero, cos, -sin]))
-
-
-def folded(places: Places) -> Places:
-    """The same wall twice, the second at a right angle to it and far away."""
-    point, along, around = places.point_mm, places.along, places.around
-    aside = np.column_stack([point[:, 0], np.full(len(point), -40.0), point[:, 1]])
-    up = np.tile([0.0, 0.0, 1.0], (len(point), 1))
+def walled(places: Places, wall: int = 0) -> Places:
+    """Places on a wall that slopes as its markers move, of one mode: both go by 1 - v."""
+    first = places.shift_px[:, 0]
+    slope = np.float32(PER_PX) * first
     return replace(
         places,
-        point_mm=np.concatenate([point, aside]),
-        along=np.concatenate([along, along]),
-        around=np.concatenate([around, up]),
-        shift_px=np.concatenate([places.shift_px, places.shift_px]),
+        shift_px=np.concatenate([places.shift_px, -first[:, None]], axis=1),
+        walls=Walls(
+            wall=np.full(len(first), wall), slopes=np.stack([slope, -slope], axis=1), most=MOST
+        ),
     )
 
 
-def stretch_N(places: Places, at: list[FloatArray], forces: list[float]) -> FloatArray:
-    return shared_N(places, states(places, at, forces))[0]
+PLACES = walled(flat_places())
+LOCATOR = replace(flat_locator(), places=PLACES)
+
+
+def share(at: list[FloatArray], forces: list[float]) -> float:
+    """Softness lost under loads, by its equation."""
+    slope = PER_PX * sum(f * per_newton(p) for p, f in zip(at, forces, strict=True))
+    square = float(slope @ slope)
+    return float(brentq(lambda v: v - (1.0 - v) ** 3 * square, 0.0, 1.0, xtol=1e-14))
+
+
+def closed_form(at: list[FloatArray], forces: list[float]) -> FloatArray:
+    """Shifts (2n,) px of loads on the wall at once."""
+    more = [share(at, forces) - share([p], [f]) for p, f in zip(at, forces, strict=True)]
+    return np.sum(
+        [
+            f * (1.0 + SOFTENING * f - lost) * per_newton(p)
+            for p, f, lost in zip(at, forces, more, strict=True)
+        ],
+        axis=0,
+    )
 
 
 def states(places: Places, at: list[FloatArray], forces: list[float]) -> list[State]:
     return [start(places, LOCATOR.prior, p, f) for p, f in zip(at, forces, strict=True)]
 
 
-def test_a_flat_wall_is_stretched_by_all_that_press_on_it() -> None:
-    places = flat_places()
-    assert places.flat.all()
-    assert stretch_N(places, [ONE], [7.0]) == pytest.approx([7.0])
-    at, forces = list(places.point_mm[[200, 420]]), [6.0, 8.0]
-    each = np.stack([per_newton(one) for one in at])
-    assert stretch_N(places, at, forces) == pytest.approx(stretches(each, np.array(forces)))
-    # Far apart, and alike: the squares add up.
-    far = [np.array([10.0, 10.0, 0.0]), np.array([50.0, 50.0, 0.0])]
-    assert stretch_N(places, far, forces) == pytest.approx([10.0, 10.0], rel=0.05)
-    # In one place: the forces do.
-    assert stretch_N(places, [ONE, ONE], forces) == pytest.approx([14.0, 14.0])
+def total(places: Places, pressed: list[State]) -> FloatArray:
+    return np.sum([shifts for shifts, _ in explained(places, pressed)], axis=0)
 
 
-def test_beside_a_clamped_edge_a_newton_stretches_less() -> None:
-    places = flat_places()
-    near = places.point_mm[:, 0] < 25.0
-    rows = np.where(near[:, None, None], 0.2 * places.shift_px, places.shift_px)
-    edge, middle = stretch_N(replace(places, shift_px=rows), [ONE, TWO], [8.0, 6.0])
-    assert middle == pytest.approx(np.hypot(6.0, 0.2 * 8.0), rel=0.1)
-    assert edge == pytest.approx(5.0 * middle, rel=0.1)
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_flat_wall_is_stretched_by_all_that_press_on_it(count: int) -> None:
+    at, forces = [ONE + ASIDE, TWO, THREE][:count], [12.0, 20.0, 6.0][:count]
+    found, true = total(PLACES, states(PLACES, at, forces)), closed_form(at, forces)
+    np.testing.assert_allclose(found, true, atol=2e-3 * np.abs(true).max())
+    alone = together(at, forces)
+    assert (np.linalg.norm(alone - true) > 0.05 * np.linalg.norm(true)) == (count > 1)
 
 
-def test_growth_is_that_of_the_stretch() -> None:
-    places = flat_places()
-    at = [ONE, ONE + np.array([5.0, 2.5, 0.0]), TWO]
-    forces = np.array([6.0, 9.0, 4.0])
-    stretch, grows = shared_N(places, states(places, at, forces.tolist()))
-    for k in range(3):
-        step = np.where(np.arange(3) == k, 1e-4, 0.0)
-        up, down = (stretch_N(places, at, (forces + s * step).tolist())[k] for s in (1.0, -1.0))
-        assert grows[k] == pytest.approx(forces[k] / stretch[k] * (up - down) / 2e-4, rel=0.01)
-
-
-def test_a_curved_wall_is_not() -> None:
-    places = bent(30.0)
-    assert not places.flat.any()
-    at = [places.point_mm[200], places.point_mm[400]]
-    assert stretch_N(places, at, [6.0, 8.0]) == pytest.approx([6.0, 8.0])
-    # Two on one line of its axis look the same way, and that wall is curved all the same.
-    line = np.flatnonzero(places.point_mm[:, 1] == places.point_mm[200, 1])[[0, -1]]
-    at = list(places.point_mm[line])
-    assert stretch_N(places, at, [6.0, 8.0]) == pytest.approx([6.0, 8.0])
-    assert bent(1e5).flat.all()
-
-
-def test_each_wall_of_a_box_stretches_alone() -> None:
-    places = folded(flat_places())
-    assert places.flat.all()
-    aside = np.array([30.0, -40.0, 30.0])
-    found = stretch_N(places, [ONE, aside, TWO], [6.0, 5.0, 8.0])
-    one, two = stretch_N(places, [ONE, TWO], [6.0, 8.0])
-    assert found == pytest.approx([one, 5.0, two])
+def test_slopes_are_those_of_the_shifts_of_all() -> None:
+    """A force stiffens the wall for the others, which counts as its own slope."""
+    pressed = states(PLACES, [ONE + ASIDE, TWO, THREE - ASIDE], [12.0, 20.0, 6.0])
+    pressed[1].x[3:] = (2.0, -1.0, 1.5)
+    steps = np.array([1e-2, 1e-2, 1e-2, 0.1, 0.1, 0.1])
+    for k, (_, slope) in enumerate(explained(PLACES, pressed)):
+        for unknown, step in enumerate(steps):
+            sides = []
+            for sign in (1.0, -1.0):
+                moved = [one.copy() for one in pressed]
+                moved[k].x[unknown] += sign * step
+                sides.append(total(PLACES, moved))
+            numeric = (sides[0] - sides[1]) / (2.0 * step)
+            np.testing.assert_allclose(
+                slope[unknown], numeric, atol=2e-3 * np.abs(numeric).max(), err_msg=f"{k} {unknown}"
+            )
 
 
 def test_forces_that_stretch_a_wall_together_are_read_right() -> None:
     koi = np.array(sorted([nearest(ONE), nearest(TWO)]))
-    seen = together([ONE, TWO], [20.0, 4.0]).reshape(-1, 2)
-    found = LOCATOR.find(seen, koi)
-    forces = sorted(contact.force_N for contact in found.contacts)
-    assert forces == pytest.approx([4.0, 20.0], rel=0.01)
-    # As if each stretched the wall alone the weak one is read a seventh too large.
-    naive = shifts(ONE, 20.0) + shifts(TWO, 4.0)
-    weak = min(c.force_N for c in LOCATOR.find(naive.reshape(-1, 2), koi).contacts)
-    assert weak < 3.6
+    seen = closed_form([ONE, TWO], [20.0, 8.0]).reshape(-1, 2)
+    forces = sorted(contact.force_N for contact in LOCATOR.find(seen, koi).contacts)
+    assert forces == pytest.approx([8.0, 20.0], rel=0.01)
+    # As if each pressed a wall of its own the weak one is read a seventh too small.
+    naive = min(contact.force_N for contact in flat_locator().find(seen, koi).contacts)
+    assert naive < 7.0
 
 
-@pytest.mark.parametrize(("stretch", "top"), [(None, np.inf), (13.0, np.inf), (13.0, 10.0)])
-def test_slopes_are_those_of_the_shifts(stretch: float | None, top: float) -> None:
-    places = flat_places()
-    (state,) = states(places, [ONE + 0.3], [9.0])
+def test_each_wall_of_a_box_stretches_alone() -> None:
+    flat = flat_places()
+    point, along, around = flat.point_mm, flat.along, flat.around
+    aside = np.column_stack([point[:, 0], np.full(len(point), -40.0), point[:, 1]])
+    up = np.tile([0.0, 0.0, 1.0], (len(point), 1))
+    box = Places(
+        point_mm=np.concatenate([point, aside]),
+        along=np.concatenate([along, along]),
+        around=np.concatenate([around, up]),
+        shift_px=np.concatenate([flat.shift_px, flat.shift_px]),
+        radius_mm=RADIUS_MM,
+    )
+    both = walled(box)
+    assert both.walls is not None
+    number = np.repeat([0, 1], len(point))
+    both = replace(both, walls=replace(both.walls, wall=number))
+    third = np.array([30.0, -40.0, 30.0])
+    parts = explained(both, states(both, [ONE, third, TWO], [12.0, 15.0, 20.0]))
+    one, two = explained(both, states(both, [ONE, TWO], [12.0, 20.0]))
+    (alone,) = explained(both, states(both, [third], [15.0]))
+    for found, wanted in zip(parts, (one, alone, two), strict=True):
+        np.testing.assert_array_equal(found[0], wanted[0])
+        np.testing.assert_array_equal(found[1], wanted[1])
+    # Beside its edge only the wall's own places tell what it slopes by.
+    assert both.walls is not None
+    near = np.append(np.arange(19), len(point))
+    weights = np.ones((10, 20), dtype=np.float32)
+    whole = both.walls.cubic(near, weights, 0)
+    np.testing.assert_allclose(whole[0], both.walls.slopes[:19].sum(axis=0), rtol=1e-5)
 
-    def at(force: float) -> FloatArray:
-        moved = state.copy()
-        moved.x[0] = force
-        # What stretches besides stays; its own part grows.
-        others = 0.0 if stretch is None else stretch**2 - 81.0
-        root = None if stretch is None else float(np.sqrt(others + force**2))
-        return explain(moved, places.orders, stretch_N=root, top_N=top)[0]
 
-    numeric = (at(9.01) - at(8.99)) / 0.02
-    grows = 1.0 if stretch is None else 81.0 / stretch**2
-    exact = explain(state, places.orders, stretch_N=stretch, grows=grows, top_N=top)[1][0]
-    assert exact == pytest.approx(numeric, rel=1e-3, abs=1e-4 * np.abs(exact).max())
+def test_a_place_on_no_wall_answers_alone() -> None:
+    off = walled(flat_places(), wall=-1)
+    at, forces = [ONE, TWO], [12.0, 20.0]
+    np.testing.assert_array_equal(
+        total(off, states(off, at, forces)),
+        total(flat_places(), states(flat_places(), at, forces)),
+    )
+
+
+def test_a_stiffer_sensor_stretches_under_more() -> None:
+    stiffer = PLACES.scaled(1.3)
+    at, forces = [ONE, TWO], [12.0, 20.0]
+    found = total(stiffer, states(stiffer, at, [1.3 * f for f in forces]))
+    wanted = total(PLACES, states(PLACES, at, forces))
+    np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-5)
+
+
+def unlost(v: float, slopes: FloatArray) -> float:
+    """What is left of the equation of v."""
+    return v - (1.0 - v) * float(np.sum((v ** np.arange(len(slopes)) @ slopes) ** 2))
+
+
+def test_softness_is_lost_by_its_equation() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        slopes = rng.normal(size=(1, 5)) * np.exp(rng.uniform(-4.0, 1.0))
+        # What is stiffer slopes less, and not by a straight line.
+        slopes = np.concatenate([slopes, -0.7 * slopes, 0.2 * slopes])
+        true = brentq(unlost, 0.0, 1.0, args=(slopes,), xtol=1e-15)
+        lost, grows = lost_share(slopes, 0.95)
+        assert lost == pytest.approx(min(true, 0.95), rel=1e-9)
+        sides = [lost_share(np.sqrt(1.0 + s) * slopes, 0.95)[0] for s in (1e-3, -1e-3)]
+        square = np.sum((lost ** np.arange(3) @ slopes) ** 2)
+        assert grows * square == pytest.approx((sides[0] - sides[1]) / 2e-3, rel=1e-4, abs=1e-9)
+    assert lost_share(np.zeros((2, 3)), 0.8)[0] == 0.0
+    # As far as the tables go, and no farther.
+    assert lost_share(np.array([[1e6], [0.0]]), 0.8) == (0.8, 0.0)
 
 
 def test_beyond_the_tables_the_response_goes_on_as_it_does_there() -> None:
@@ -147,8 +186,8 @@ def test_beyond_the_tables_the_response_goes_on_as_it_does_there() -> None:
     powers = np.linalg.solve(forces[:, None] ** np.arange(1, 4), law - 1.0)
     rows = np.outer(np.append(1.0, powers), np.ones(6)).astype(np.float32)
 
-    def at(stretch: float, top: float) -> float:
-        factors, _ = powers_of(rows, stretch, top)
+    def at(force: float, top: float) -> float:
+        factors, _ = powers_of(rows, force, top)
         return float((factors @ rows)[0])
 
     assert at(20.0, 25.0) == at(20.0, np.inf)
@@ -164,3 +203,18 @@ def test_beyond_the_tables_the_response_goes_on_as_it_does_there() -> None:
     # And nothing falls faster than a force that moves no more.
     none = np.array([[1.0], [-0.04]], dtype=np.float32)
     assert powers_of(none, 50.0, 25.0)[1] == pytest.approx(-1.0)
+
+
+@pytest.mark.parametrize("top", [np.inf, 10.0])
+def test_slopes_of_one_contact_are_those_of_its_shifts(top: float) -> None:
+    places = replace(flat_places(), top_N=top)
+    (state,) = states(places, [ONE + ASIDE], [13.0])
+
+    def at(force: float) -> FloatArray:
+        moved = state.copy()
+        moved.x[0] = force
+        return total(places, [moved])
+
+    numeric = (at(13.01) - at(12.99)) / 0.02
+    exact = explained(places, [state])[0][1][0]
+    assert exact == pytest.approx(numeric, rel=1e-3, abs=1e-4 * np.abs(exact).max())
