@@ -5,11 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from decoder.calibrate import second_moments
+from decoder.contact_fit import start
+from decoder.contact_shifts import UNKNOWNS, explain
 from decoder.locate import Found
 from decoder.samples import Samples
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
 from phytac_design.stage import Context
+from phytac_design.stages.places import locator_of
 from phytac_design.twin.bound import Prior, Signals, cell_prior, contact_signals
 from phytac_design.twin.response import motion_responses
 from shapes.arrays import BoolArray, FloatArray, IntArray
@@ -20,6 +23,8 @@ QUIET_LEAST = 10
 """Readings of a coordinate from which on it has a noise of its own."""
 STILL_px = 0.1
 """Markers that move by more lie elsewhere on the pixels."""
+MOMENT_LEAST_MM2 = 0.1
+"""Least scatter of second moments that is presumed."""
 MEAN_SIZE = float(np.sqrt(2.0 / np.pi))
 """Mean of |error| over the standard deviation of a normal error."""
 
@@ -37,16 +42,23 @@ class Bounds:
         The same if all about the sample's other contacts were known.
     pixels_N : (c,) float
         As the first, with what pixels add to the noise of markers that move.
+    shaped_N : (c,) float
+        As the last, of contacts of which three second moments are unknown, not a radius alone:
+        balls, edges and discs that are turned anyhow.
     """
 
     force_N: FloatArray
     alone_N: FloatArray
     pixels_N: FloatArray
+    shaped_N: FloatArray
 
     def pick(self, rows: IntArray) -> "Bounds":
         """Of some contacts."""
         return Bounds(
-            force_N=self.force_N[rows], alone_N=self.alone_N[rows], pixels_N=self.pixels_N[rows]
+            force_N=self.force_N[rows],
+            alone_N=self.alone_N[rows],
+            pixels_N=self.pixels_N[rows],
+            shaped_N=self.shaped_N[rows],
         )
 
 
@@ -108,7 +120,8 @@ def bounds(
     )
     rows = np.flatnonzero(tripped)
     signals = _signals(context, samples, tripped)
-    force, alone, pixels = np.full((3, len(tripped)), np.nan)
+    force, alone, pixels, shaped = np.full((4, len(tripped)), np.nan)
+    slopes, known = _by_moments(context, samples, tripped, prior)
     twice = np.broadcast_to(2.0 * np.asarray(pixels_px) ** 2, noise_px.shape)
     start = np.searchsorted(touches.sample[rows], np.arange(samples.count + 1))
     for sample in range(samples.count):
@@ -123,23 +136,74 @@ def bounds(
         )
         moves = np.linalg.norm((newtons @ mine.shift).reshape(-1, 2), axis=1) > STILL_px
         noise = np.sqrt(noise_px**2 + twice * moves[:, None])
-        pixels[rows[own]] = _sample(mine, newtons, seen / noise.reshape(-1), prior)[0]
-    return Bounds(force_N=force, alone_N=alone, pixels_N=pixels)
+        weight = seen / noise.reshape(-1)
+        pixels[rows[own]] = _sample(mine, newtons, weight, prior)[0]
+        shaped[rows[own]] = _least(slopes[own] * weight, known)
+    return Bounds(force_N=force, alone_N=alone, pixels_N=pixels, shaped_N=shaped)
 
 
 def _sample(
     signals: Signals, force_N: FloatArray, weight: FloatArray, prior: Prior
 ) -> tuple[FloatArray, FloatArray]:
     """Bounds (m,) of m contacts at once, and of each alone."""
-    count = len(force_N)
     slopes = force_N[:, None, None] * signals.slopes
     G = np.concatenate([signals.shift[:, :, None], slopes], axis=2) * weight[:, None]
     known = np.array([0.0, prior.place_mm**-2, prior.place_mm**-2, prior.radius_mm**-2])
     each = np.swapaxes(G, 1, 2) @ G + np.diag(known)
     alone = np.sqrt(np.linalg.inv(each)[:, 0, 0])
-    flat = np.moveaxis(G, 1, 0).reshape(len(weight), 4 * count)
-    information = flat.T @ flat + np.diag(np.tile(known, count))
-    return np.sqrt(np.diagonal(np.linalg.inv(information))[::4]), alone
+    return _least(np.swapaxes(G, 1, 2), known), alone
+
+
+def _least(weighed: FloatArray, known: FloatArray) -> FloatArray:
+    """Bounds (m,) of the first of k unknowns of each of m contacts at once.
+
+    Parameters
+    ----------
+    weighed : (m, k, 2n) float
+        Slopes of all shifts over their standard deviations.
+    known : (k,) float
+        Inverse variances of what is known beforehand.
+    """
+    count = len(weighed)
+    flat = weighed.reshape(count * len(known), -1)
+    information = flat @ flat.T + np.diag(np.tile(known, count))
+    return np.asarray(np.sqrt(np.diagonal(np.linalg.inv(information))[:: len(known)]))
+
+
+def _by_moments(
+    context: Context, samples: Samples, chosen: BoolArray, prior: Prior
+) -> tuple[FloatArray, FloatArray]:
+    """Slopes (c, 6, 2n) of shifts by all unknowns of the chosen contacts, and what is known (6,).
+
+    By the decoder's linear tables. Moments are presumed to scatter as those of these contacts do.
+    """
+    locator = locator_of(context).linear
+    touches = samples.touches
+    assert touches is not None
+    moments = _moments(samples, chosen)
+    moments[:, [0, 2]] -= locator.places.radius_mm**2 / 4.0
+    out = np.empty((len(moments), UNKNOWNS, 2 * samples.markers))
+    rows = zip(touches.point_mm[chosen], touches.force_N[chosen], moments, strict=True)
+    for k, (point, force, own) in enumerate(rows):
+        state = start(locator.places, locator.prior, point, float(force))
+        state.x[3:] = own
+        out[k] = explain(state, 1)[1]
+    spread = np.maximum(moments.std(axis=0), MOMENT_LEAST_MM2)
+    return out, np.array([0.0, *[prior.place_mm**-2] * 2, *spread**-2.0])
+
+
+def _moments(samples: Samples, chosen: BoolArray) -> FloatArray:
+    """Second moments (c, 3) mm² of the chosen contacts."""
+    touches = samples.touches
+    assert touches is not None
+    return second_moments(
+        {
+            "indenter": touches.indenter[chosen],
+            "radius_mm": touches.radius_mm[chosen],
+            "length_mm": touches.length_mm[chosen],
+            "turn_rad": touches.turn_rad[chosen],
+        }
+    )
 
 
 def _signals(context: Context, samples: Samples, chosen: BoolArray) -> Signals:
@@ -158,14 +222,7 @@ def _signals(context: Context, samples: Samples, chosen: BoolArray) -> Signals:
         motion = motion_responses(model, mesh, surface, markers, uv=uv, radius_mm=radius_mm)
         return np.asarray(np.einsum("nij,cnj->cni", slope, motion))
 
-    moments = second_moments(
-        {
-            "indenter": touches.indenter[chosen],
-            "radius_mm": touches.radius_mm[chosen],
-            "length_mm": touches.length_mm[chosen],
-            "turn_rad": touches.turn_rad[chosen],
-        }
-    )
+    moments = _moments(samples, chosen)
     # An even disc of radius a has a²/4 along each axis.
     radius = np.sqrt(2.0 * (moments[:, 0] + moments[:, 2]))
     return contact_signals(surface, shifts, uv=touches.uv[chosen], radius_mm=radius)

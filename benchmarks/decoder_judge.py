@@ -285,6 +285,12 @@ class Verdict:
         least = _rms(self.bounds.pixels_N[mask])
         return self._rmse(mask) / least, least
 
+    def over_shaped(self, mask: BoolArray) -> tuple[float, float, float]:
+        """The same where second moments are unknown too; and the least mean of |error| / force."""
+        own = self.bounds.shaped_N[mask]
+        share = MEAN_SIZE * float((own / self.decoded.force_N[mask]).mean())
+        return self._rmse(mask) / _rms(own), _rms(own), share
+
     def _rmse(self, mask: BoolArray) -> float:
         return _rms((self.decoded.decoded_N["auto"] - self.decoded.force_N)[mask])
 

@@ -172,6 +172,16 @@ def add_bounds(table: Table, head: str, judged: Verdict, *, target: str | None) 
                 note=f"RMS of the bound {least_N:.3g} N; pixels add "
                 f"{float(np.sqrt(2.0 * np.nanmean(np.square(judged.pixels_px)))):.3f} px RMS",
             )
+        ratio, least_N, share = judged.over_shaped(mask)
+        table.add(
+            f"{head}: auto, {WORDS[group]}: RMSE over the RMS of that bound with three second "
+            "moments unknown besides",
+            ratio,
+            "ratio",
+            reference=1.0,
+            source="linear tables of the design; moments scatter as those of these contacts do",
+            note=f"RMS of the bound {least_N:.3g} N; it allows {100.0 * share:.2g} % in the mean",
+        )
         table.add(
             f"{head}: {WORDS[group]}: least mean relative error that the bound allows",
             100.0 * least,
