@@ -22,6 +22,8 @@ FIRST_SAMPLES, SCALE_ROUNDS = 50, 2
 """Samples and rounds of a first look; gains of markers make up for what is left."""
 PLACE_LEAST_MM = 0.3
 """No place is known better beforehand."""
+WORSE = 1.05
+"""Left-out forces that scatter by so much more say that few samples told unevenness wrong."""
 PARTS = 10
 """Of the samples: each is read with gains that the others told."""
 NOISE_CHANGE = (0.25, 4.0)
@@ -140,8 +142,14 @@ def calibrated(
     gain, parts, design = gains(seen), left_out(seen, PARTS), plain.places
     noise = _noise(plain.noise, *noise_of(seen, parts))
     uneven = Uneven(seen, parts, pressed, design, noise)
-    plain = replace(plain, places=with_gain(uneven.told(), gain), noise=noise)
-    plain, second = _rescaled(plain, _left_out(plain, uneven, 1.0, parts, samples, chosen, few))
+    plain = replace(plain, noise=noise)
+    again = _left_out(plain, uneven, 1.0, parts, samples, chosen, few)
+    if len(chosen) <= SCALE_SAMPLES:
+        even = _left_out(plain, uneven.silenced(), 1.0, parts, samples, chosen, few)
+        if _scatter(again) > WORSE * _scatter(even):
+            uneven, again = uneven.silenced(), even
+    plain = replace(plain, places=with_gain(uneven.told(), gain))
+    plain, second = _rescaled(plain, again)
     matches = _left_out(plain, uneven, second, parts, samples, chosen, chosen)
     box = plain.position_mm
     empty = Correction.plain(
@@ -163,6 +171,7 @@ def calibrated(
         "contacts": len(matches.force_N),
         "stiffness": first * second,
         "gain": float(np.sqrt(np.mean(gain**2))),
+        "uneven": uneven.speaks,
         "noise_px": plain.noise.centroid_px,
         "switched_px": plain.noise.switched_px,
         "place_mm": plain.prior.place_mm,
@@ -189,6 +198,12 @@ def _rescaled(plain: Locator, matches: Matches) -> tuple[Locator, float]:
     change = float(np.clip(np.sqrt(np.median(matches.misfit)), *NOISE_CHANGE))
     noise = replace(plain.noise, centroid_px=plain.noise.centroid_px * change)
     return replace(plain, places=plain.places.scaled(factor), noise=noise), factor
+
+
+def _scatter(matches: Matches) -> float:
+    """Mean of how far found forces are from the truth, over it, but for what all are off."""
+    ratio = matches.force_N / matches.truth_N
+    return float(np.mean(np.abs(ratio / np.median(ratio) - 1.0)))
 
 
 def _moments(plain: Locator, samples: Samples) -> FloatArray:

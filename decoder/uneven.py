@@ -12,6 +12,7 @@ samples D stays near 0.
 """
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +56,11 @@ class Uneven:
         Of markers.
     seed : int
         Of the draw, where there are more samples than are learnt from.
+
+    Attributes
+    ----------
+    speaks : bool
+        Whether it changes the tables.
     """
 
     def __init__(
@@ -75,6 +81,7 @@ class Uneven:
         self.places = places
         self._length_mm = LENGTH * places.radius_mm
         self._point = pressed.point_mm[mine]
+        self.speaks = len(self._point) > 0
         self._size = _sizes(places)
         weight = SHARE * pressed.linear_N[mine, None] * self._size[places.nearest(self._point)]
         left = np.empty_like(seen.left_px)
@@ -95,9 +102,15 @@ class Uneven:
             [np.flatnonzero(part.rows[rows]) for part in parts],
         )
 
+    def silenced(self) -> "Uneven":
+        """One that says nothing: its tables are those that were given."""
+        out = copy(self)
+        out.speaks = False
+        return out
+
     def told(self, *, without: int | None = None) -> Places:
         """Tables of the uneven print; by all samples, or by those of all other parts."""
-        if not len(self._point):
+        if not self.speaks:
             return self.places
         rows = self.places.shift_px
         told = self._told[0 if without is None else 1 + without]

@@ -140,3 +140,26 @@ def test_the_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     few = [Uneven(seen, parts, contacts, PLAIN.places, PLAIN.noise).told() for _ in range(2)]
     assert (few[0].shift_px == few[1].shift_px).all()
     assert not np.allclose(few[0].shift_px, full)
+
+
+@pytest.mark.parametrize(("count", "kept"), [(60, False), (130, True)])
+def test_few_samples_that_tell_it_wrong_are_not_believed(
+    count: int, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    samples = pressed(count, seed=3, uneven=hilly)
+    _, facts = calibrated(LOCATOR, samples, np.arange(count), force_max_N=25.0)
+    assert facts["uneven"]
+    plain = Uneven.told
+
+    def wrong(self: Uneven, *, without: int | None = None) -> Places:
+        told = plain(self, without=without)
+        if not self.speaks:
+            return told
+        # Each left-out part is read a tenth too strong or too weak.
+        factor = 1.0 if without is None else 1.0 + 0.1 * (-1.0) ** without
+        return told.with_rows(np.float32(factor) * told.shift_px, None)
+
+    monkeypatch.setattr(Uneven, "told", wrong)
+    facts = calibrated(LOCATOR, samples, np.arange(count), force_max_N=25.0)[1]
+    assert facts["uneven"] == kept
+    assert (facts["spread"] > 3.0) == kept
