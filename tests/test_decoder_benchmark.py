@@ -24,15 +24,15 @@ from benchmarks.decoder_rows import (
 )
 from benchmarks.decoder_shapes import add_rows_cycles
 from benchmarks.harness import Table
-from decoder.locate import Found, Located
+from decoder.locate import Found
 from decoder.samples import FAILED, Samples
 from decoder.samples_write import write_samples
 from phytac_design.twin.bound import cell_prior
 from phytac_design.twin.run.collect import meta_of
 from phytac_design.twin.run.job import Job
-from shapes.arrays import FloatArray
 from shapes.errors import OutputError
 from tests.designs import small
+from tests.made_up import at, found_of
 
 LINEAR: dict[str, object] = {"displacement": "linear"}
 
@@ -251,28 +251,6 @@ def test_moments_that_are_unknown_only_raise_the_bound(judged: Verdict) -> None:
     shell = _signals(context, samples, chosen).shift
     off = np.linalg.norm(slopes[:, 0] - shell, axis=1) / np.linalg.norm(shell, axis=1)
     assert np.median(off) < 0.1
-
-
-def found_of(*contacts: Located, shift_px: FloatArray) -> Found:
-    """What a frame told, made up."""
-    return Found(contacts=list(contacts), misfit=1.0, shift_px=shift_px)
-
-
-def at(point_mm: FloatArray, markers: list[int], force_N: float, sd_N: float = 1.0) -> Located:
-    """A contact, made up."""
-    return Located(
-        markers=np.array(markers, dtype=np.int64),
-        share=np.ones(len(markers)) / max(len(markers), 1),
-        force_N=force_N,
-        sd_N=sd_N,
-        raw_N=force_N,
-        raw_sd_N=sd_N,
-        point_mm=point_mm,
-        radius_mm=5.0,
-        sd_mm=np.ones(2),
-        moments_mm2=np.zeros(3),
-        signal_px=1.0,
-    )
 
 
 def test_claims_are_matched_by_switch_and_by_place(judged: Verdict) -> None:

@@ -1,0 +1,28 @@
+"""What frames might have told, made up."""
+
+import numpy as np
+
+from decoder.locate import Found, Located
+from shapes.arrays import FloatArray
+
+
+def found_of(*contacts: Located, shift_px: FloatArray) -> Found:
+    """What a frame told, made up."""
+    return Found(contacts=list(contacts), misfit=1.0, shift_px=shift_px)
+
+
+def at(point_mm: FloatArray, markers: list[int], force_N: float, sd_N: float = 1.0) -> Located:
+    """A contact, made up."""
+    return Located(
+        markers=np.array(markers, dtype=np.int64),
+        share=np.ones(len(markers)) / max(len(markers), 1),
+        force_N=force_N,
+        sd_N=sd_N,
+        raw_N=force_N,
+        raw_sd_N=sd_N,
+        point_mm=point_mm,
+        radius_mm=5.0,
+        sd_mm=np.ones(2),
+        moments_mm2=np.zeros(3),
+        signal_px=1.0,
+    )
