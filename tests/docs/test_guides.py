@@ -27,9 +27,9 @@ CAMERA, PRINTER = GUIDES / "own-camera.md", GUIDES / "own-printer.md"
 FIGURES = (
     ("0.11 N, 1.0 %", "decoder", "cylinder60 unit 1, frames: auto, middle heights (651 contacts)"),
     ("0.41 N, 3.1 %", "decoder", "cylinder60 unit 1, frames: auto, all heights (991 contacts)"),
-    ("0.22 N, 1.7 %", "decoder", "cone unit 1, frames: auto, middle heights (81 contacts)"),
-    ("0.53 N, 4.9 %", "decoder", "hemisphere unit 1, frames: auto, middle heights (120 contacts)"),
-    ("1.6 N, 13 %", "decoder", "plane unit 1, frames: auto, middle heights (35 contacts)"),
+    ("0.19 N, 1.5 %", "decoder", "cone unit 1, frames: auto, middle heights (81 contacts)"),
+    ("0.53 N, 4.7 %", "decoder", "hemisphere unit 1, frames: auto, middle heights (120 contacts)"),
+    ("1.2 N, 10 %", "decoder", "plane unit 1, frames: auto, middle heights (35 contacts)"),
 )
 """What the comparison says of this project, and the cases it comes from."""
 
