@@ -14,7 +14,7 @@ from tests.decoder.flat_samples import NOISE_PX, PLACE_MM, STIFFNESS, pressed
 from tests.decoder.flat_sensor import MARKERS, flat_locator
 
 LOCATOR = flat_locator(place_mm=3.0, noise_px=0.1)
-TRAINING = pressed(120, seed=1, slope=0.06)
+TRAINING = pressed(120, seed=1, slope=0.08)
 LEARNT, FACTS = calibrated(LOCATOR, TRAINING, np.arange(120), force_max_N=25.0)
 
 
@@ -27,7 +27,7 @@ def test_stiffness_noise_and_prior_are_found() -> None:
 
 
 def test_new_contacts_are_read_better_by_far() -> None:
-    fresh = pressed(60, seed=2, slope=0.06)
+    fresh = pressed(60, seed=2, slope=0.08)
     before = match(LOCATOR, fresh, np.arange(60))
     after = match(replace(LEARNT, correction=None), fresh, np.arange(60))
     assert LEARNT.correction is not None
@@ -43,11 +43,11 @@ def test_new_contacts_are_read_better_by_far() -> None:
     assert error[0] > 0.1
     # Gains of the markers make up for most of what varies over the wall.
     assert error[1] < 0.015
-    assert error[2] < 0.98 * error[1]
+    assert error[2] < 0.95 * error[1]
 
 
 def test_ninety_percent_lie_within_ninety_percent() -> None:
-    fresh = pressed(200, seed=3, slope=0.06)
+    fresh = pressed(200, seed=3, slope=0.08)
     matches = match(replace(LEARNT, correction=None), fresh, np.arange(200))
     learnt = LEARNT.correction
     assert learnt is not None

@@ -24,7 +24,7 @@ from tests.decoder.flat_sensor import (
 ONE, TWO, THREE = (np.array(at) for at in ([18.0, 21.0, 0.0], [42.0, 36.0, 0.0], [24.0, 39.0, 0.0]))
 ASIDE = np.array([0.4, 0.3, 0.0])
 PER_PX = 0.02
-"""Slopes of the wall over the shifts of a newton: then 20 N take a third of its softness."""
+"""Slopes of the wall over the shifts of a newton: then 20 N take a fifth of its softness."""
 MOST = 0.8
 
 
@@ -147,6 +147,22 @@ def test_a_place_on_no_wall_answers_alone() -> None:
         total(off, states(off, at, forces)),
         total(flat_places(), states(flat_places(), at, forces)),
     )
+
+
+def bent(radius_mm: float) -> Places:
+    """The same places on a cylinder about an axis along the first tangent."""
+    flat = flat_places()
+    turn = (flat.point_mm[:, 1] - 30.0) / radius_mm
+    zero, sin, cos = np.zeros(len(turn)), np.sin(turn), np.cos(turn)
+    point = np.column_stack([flat.point_mm[:, 0], radius_mm * sin, radius_mm * cos])
+    return replace(flat, point_mm=point, around=np.column_stack([zero, cos, -sin]))
+
+
+def test_a_curved_wall_is_not_flat() -> None:
+    """Two places on one line of its axis look the same way, and it is curved all the same."""
+    assert flat_places().flat.all()
+    assert not bent(30.0).flat.any()
+    assert bent(1e5).flat.all()
 
 
 def test_a_stiffer_sensor_stretches_under_more() -> None:

@@ -150,6 +150,24 @@ def test_edges_that_hold_still_give_all_the_tension_and_those_of_a_box_little() 
         assert np.min(own @ own[0]) > 0.9998
 
 
+@pytest.mark.parametrize("shape", ["plane", "cuboid"])
+def test_elements_of_a_wall_lie_in_its_plane_and_in_no_other(shape: str) -> None:
+    one = bench(shape)
+    model, places = one.pressed.model, one.places
+    corner = model.nodes_mm[model.quads]
+    across = np.cross(corner[:, 2] - corner[:, 0], corner[:, 3] - corner[:, 1])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    normal = np.cross(places.along, places.around)
+    taken = np.zeros(len(corner), dtype=np.int64)
+    for own, elements in flat_walls(model, places):
+        taken += elements
+        assert np.abs(across[elements] @ normal[own[0]]).min() > 0.9998
+        height = (corner[elements] - places.point_mm[own[0]]) @ normal[own[0]]
+        assert np.ptp(height) < 1e-3 * np.ptp(model.nodes_mm)
+    assert taken.max() == 1
+    assert (taken > 0).all() == (shape == "plane")
+
+
 def test_linear_tables_have_no_walls() -> None:
     one = bench(orders=1)
     assert one.places.walls is None
