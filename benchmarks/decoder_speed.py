@@ -92,22 +92,47 @@ class Sensor:
 
     def grip(self) -> Iterator[tuple[FloatArray, BoolArray]]:
         """Motion (n, 6) and bits (n,) of the hand, frame by frame."""
-        place = self.bundle.position_mm
+        return Hand().frames(self, WHOLE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hand:
+    """A hand that closes, slides and lets go.
+
+    Attributes
+    ----------
+    fingers : int
+        Spread evenly around.
+    turned_rad, raised_mm : float
+        From where the first one usually is, around and up.
+    slide_mm, force_N : float
+        Way along the axis, and force of each.
+    """
+
+    fingers: int = FINGERS
+    turned_rad: float = 0.0
+    raised_mm: float = 0.0
+    slide_mm: float = SLIDE_mm
+    force_N: float = FORCE_N
+
+    def frames(self, sensor: Sensor, count: int) -> Iterator[tuple[FloatArray, BoolArray]]:
+        """Motion (n, 6) and bits (n,) in each of so many frames."""
+        place = sensor.bundle.position_mm
         low, high = place[:, 2].min(), place[:, 2].max()
-        turn = 2.0 * np.pi * np.arange(FINGERS) / FINGERS
+        turn = 2.0 * np.pi * np.arange(self.fingers) / self.fingers
         across = float(np.hypot(place[:, 0], place[:, 1]).mean())
-        start = np.column_stack(
-            [across * np.cos(turn), across * np.sin(turn), low + (high - low) * turn / 7.0 + 12.0]
-        )
-        for t in np.arange(1, WHOLE + 1) / WHOLE:
+        at = turn + self.turned_rad
+        height = low + (high - low) * turn / 7.0 + 12.0 + self.raised_mm
+        start = np.column_stack([across * np.cos(at), across * np.sin(at), height])
+        for t in np.arange(1, count + 1) / count:
             held = float(np.clip(min(t / CLOSED[0], (1.0 - t) / (1.0 - CLOSED[1])), 0.0, 1.0))
-            way = SLIDE_mm * np.clip((t - CLOSED[0]) / (CLOSED[1] - CLOSED[0]), 0.0, 1.0)
+            way = self.slide_mm * np.clip((t - CLOSED[0]) / (CLOSED[1] - CLOSED[0]), 0.0, 1.0)
             tips = start + np.array([0.0, 0.0, way])
             gap = np.linalg.norm(place[:, None] - tips[None], axis=2)
             weight = np.exp(-0.5 * (gap / WIDTH_mm) ** 2)
             share = weight / weight.sum(axis=0)
-            force = FORCE_N * 0.5 * (1.0 - np.cos(np.pi * held)) * share.sum(axis=1)
-            yield self.unit_motion @ force, force > self.bundle.threshold_N
+            force = self.force_N * 0.5 * (1.0 - np.cos(np.pi * held)) * share.sum(axis=1)
+            yield sensor.unit_motion @ force, force > sensor.bundle.threshold_N
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,9 +198,7 @@ def add_accuracy(table: Table, label: str, sensor: Sensor, film: Film) -> BoolAr
     bundle = sensor.bundle
     full_rest = measure_frame(bundle, film.rest[1], rest_px=bundle.rest_px)
     apart = nearest_same_colour_px(bundle.rest_px, bundle.colour)
-    seen_at_rest = Follower(bundle, film.rest[0]).follow(film.rest[1])
-    near = np.linalg.norm(full_rest.shift_px, axis=1) < SEPARABLE * apart
-    sure = full_rest.found & near & seen_at_rest.found
+    sure = told_apart(sensor, film.rest)
     table.add(
         f"{label}: markers that can be told apart at rest",
         float(sure.mean()),
@@ -212,7 +235,35 @@ def add_accuracy(table: Table, label: str, sensor: Sensor, film: Film) -> BoolAr
                 note=f"largest {float(np.nanmax(np.abs(error))):.3f} px; the full search drops "
                 "pieces of a marker smaller than 3 px, following does not",
             )
-    return np.asarray(sure)
+    return sure
+
+
+def told_apart(sensor: Sensor, rest: list[ImageArray]) -> BoolArray:
+    """Markers (n,) that are told apart in the second of two frames at rest."""
+    bundle = sensor.bundle
+    full = measure_frame(bundle, rest[1], rest_px=bundle.rest_px)
+    apart = nearest_same_colour_px(bundle.rest_px, bundle.colour)
+    followed = Follower(bundle, rest[0]).follow(rest[1])
+    near = np.linalg.norm(full.shift_px, axis=1) < SEPARABLE * apart
+    return np.asarray(full.found & near & followed.found)
+
+
+def named_wrongly(
+    bundle: Bundle,
+    sure: BoolArray,
+    rest_px: FloatArray,
+    shift_px: FloatArray,
+    found_px: FloatArray,
+) -> int:
+    """Markers (n,) among the sure ones nearer to the true place of another of their colour.
+
+    Parameters
+    ----------
+    rest_px, shift_px, found_px : (n, 2) float
+        Where each is at rest, its true shift, and where it was found; NaN where it was not.
+    """
+    groups = [np.flatnonzero(sure & (bundle.colour == paint)) for paint in np.unique(bundle.colour)]
+    return sum(swapped(rest_px[own] + shift_px[own], found_px[own]) for own in groups)
 
 
 def add_names(table: Table, label: str, sensor: Sensor, film: Film, sure: BoolArray) -> None:
@@ -224,9 +275,7 @@ def add_names(table: Table, label: str, sensor: Sensor, film: Film, sure: BoolAr
     moved = np.stack([one.position_px for one in seen]) - follower.rest_px
     error = np.linalg.norm(moved - film.shift_px, axis=2)[:, sure]
     swaps = sum(
-        swapped(follower.rest_px[own] + shift[own], one.position_px[own])
-        for paint in np.unique(bundle.colour)
-        for own in [np.flatnonzero(sure & (bundle.colour == paint))]
+        named_wrongly(bundle, sure, follower.rest_px, shift, one.position_px)
         for one, shift in zip(seen, film.shift_px, strict=True)
     )
     largest = float(np.linalg.norm(film.shift_px, axis=2).max())
