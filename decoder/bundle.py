@@ -37,7 +37,7 @@ from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import InputError, cause_of
 from shapes.reading import check_file, read_text
 
-SCHEMA = (1, 9)
+SCHEMA = (1, 10)
 FORMAT = "phytac-decoder-bundle"
 ENDS = ("near", "far")
 META_BYTES_MAX = 1 << 26

@@ -9,7 +9,7 @@ import numpy as np
 from decoder.contact_fit import Noise, Prior
 from decoder.correct import LENGTH, Correction
 from decoder.locate import Locator
-from decoder.pairs import ROWS, Pairs
+from decoder.pairs import Pairs
 from decoder.places import Places
 from decoder.tension import Walls
 from shapes.arrays import FloatArray, IntArray
@@ -19,7 +19,8 @@ PREFIX, PAIR, WALL, RATIO = "places.", "pair_", "wall_", "noise_ratio"
 LEAST_PLACES = 4
 KINDS: dict[str, Any] = {
     "shift_px": np.float32,
-    PAIR + "rows": np.float32,
+    PAIR + "coordinates": np.float32,
+    PAIR + "axes_px": np.float32,
     WALL + "slopes": np.float32,
     WALL + "number": np.int64,
 }
@@ -60,7 +61,7 @@ def places_arrays(places: Places) -> dict[str, Any]:
     """Arrays of tables, and of those of pairs and flat walls if there are any, by name."""
     arrays: dict[str, Any] = _arrays(places, "shift_px")
     if places.pairs is not None:
-        own = _arrays(places.pairs.grid, "rows")
+        own = _arrays(places.pairs.grid, "coordinates") | {"axes_px": places.pairs.axes_px}
         arrays |= {PAIR + name: value for name, value in own.items()}
     if places.walls is not None:
         walls = places.walls
@@ -95,14 +96,17 @@ def places_from(arrays: Mapping[str, Any], radius_mm: float, top_N: float = np.i
             walls=walls,
         )
 
-    paired, walls = PAIR + "rows" in arrays, None
+    pairs, walls = None, None
+    # Up to schema 1.9 tables of pairs were of another kind, by rows.
+    if PAIR + "coordinates" in arrays:
+        pairs = Pairs(grid=made(PAIR, "coordinates"), axes_px=arrays[PAIR + "axes_px"])
     if WALL + "slopes" in arrays:
         walls = Walls(
             wall=arrays[WALL + "number"],
             slopes=arrays[WALL + "slopes"],
             most=float(arrays[WALL + "most"][0]),
         )
-    return made("", "shift_px", Pairs(grid=made(PAIR, "rows")) if paired else None, walls)
+    return made("", "shift_px", pairs, walls)
 
 
 def locator_arrays(locator: Locator) -> dict[str, Any]:
@@ -139,6 +143,8 @@ def locator_from(
         for name, value in arrays.items()
         if name.startswith(PREFIX)
     }
+    if PAIR + "rows" in own:  # of schema 1.9 and before, see places_from
+        own = {name: value for name, value in own.items() if not name.startswith(PAIR)}
     _check(own, 2 * len(position_mm), learnt="learnt" in table, folder=folder)
     correction = None
     if "learnt" in table:
@@ -221,7 +227,9 @@ def _wanted(own: Mapping[str, Any], *, learnt: bool) -> list[str]:
     """Names of all arrays that must be there."""
     wanted = ["point_mm", "along", "around", "shift_px", *(["centre", "weight"] if learnt else [])]
     if _some(own, PAIR):
-        wanted += [PAIR + name for name in ("point_mm", "along", "around", "rows")]
+        wanted += [
+            PAIR + name for name in ("point_mm", "along", "around", "coordinates", "axes_px")
+        ]
     if _some(own, WALL):
         wanted += [WALL + name for name in ("number", "slopes", "most")]
     return wanted
@@ -236,7 +244,8 @@ def _expected(own: Mapping[str, Any], columns: int, *, learnt: bool) -> dict[str
     if _some(own, PAIR):
         pairs = len(own[PAIR + "point_mm"])
         expected |= dict.fromkeys((PAIR + n for n in ("point_mm", "along", "around")), (pairs, 3))
-        expected |= {PAIR + "rows": (pairs, ROWS, pairs)}
+        axes = own[PAIR + "axes_px"].shape[0] if own[PAIR + "axes_px"].ndim else 0
+        expected |= {PAIR + "coordinates": (pairs, pairs, axes), PAIR + "axes_px": (axes, columns)}
     if _some(own, WALL):
         slopes = own[WALL + "slopes"]
         # Powers of v from 0, of which the first stands for rows of the force's.

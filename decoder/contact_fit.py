@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from decoder.contact_shifts import UNKNOWNS, State, explained
+from decoder.contact_shifts import UNKNOWNS, State, explained, point_of
 from decoder.places import Places
 from shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -124,13 +124,6 @@ class Fit:
     covariance: FloatArray
     cost: float
     misfit: float
-
-
-def point_of(places: Places, state: State) -> FloatArray:
-    """Centre (3,) mm of a contact."""
-    x, y = state.x[1:3]
-    along, around = places.along[state.place], places.around[state.place]
-    return np.asarray(places.point_mm[state.place] + x * along + y * around)
 
 
 def signal_of(state: State) -> float:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from decoder.pairs import with_mixed
 from decoder.places import Places
 from decoder.tension import lost_share, powers_of
 from shapes.arrays import FloatArray, IntArray
@@ -32,6 +33,8 @@ class State:
         Derivatives of the tables at the place.
     markers : (m,) int
         Switches that it was started from.
+    suspected : bool
+        It may be there: the others do not take its force, and it is not told.
     """
 
     place: int
@@ -40,6 +43,7 @@ class State:
     place_sd_mm: float
     tables: NDArray[np.float32]
     markers: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    suspected: bool = False
 
     def copy(self) -> "State":
         """One that can be fitted on its own."""
@@ -49,7 +53,8 @@ class State:
 def explained(places: Places, states: Sequence[State]) -> list[tuple[FloatArray, FloatArray]]:
     """Shifts and slopes of each of all contacts at once, see :func:`explain`.
 
-    What a contact does to others on its flat wall counts as its own slope.
+    What a contact does to others, on its flat wall or by mixed terms, counts as its own slope; a
+    mixed term's shifts count half as the one's and half as the other's.
     """
     out = {}
     wall = places.walls.wall[[state.place for state in states]] if places.walls else None
@@ -59,7 +64,18 @@ def explained(places: Places, states: Sequence[State]) -> list[tuple[FloatArray,
         elif k not in out:
             own = np.flatnonzero(wall == wall[k]).tolist()
             out |= dict(zip(own, _on_wall(places, [states[i] for i in own]), strict=True))
-    return [out[k] for k in range(len(states))]
+    parts = [out[k] for k in range(len(states))]
+    if places.pairs is None or len(states) == 1:
+        return parts
+    points = np.stack([point_of(places, state) for state in states])
+    return with_mixed(places.pairs, points, np.array([state.x[0] for state in states]), parts)
+
+
+def point_of(places: Places, state: State) -> FloatArray:
+    """Centre (3,) mm of a contact."""
+    x, y = state.x[1:3]
+    along, around = places.along[state.place], places.around[state.place]
+    return np.asarray(places.point_mm[state.place] + x * along + y * around)
 
 
 def explain(state: State, orders: int, *, top_N: float = np.inf) -> tuple[FloatArray, FloatArray]:

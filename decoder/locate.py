@@ -22,15 +22,13 @@ from decoder.contact_fit import (
     Seen,
     fit,
     nothing,
-    point_of,
     signal_of,
     start,
 )
-from decoder.contact_shifts import UNKNOWNS, State
+from decoder.contact_shifts import UNKNOWNS, State, point_of
 from decoder.contacts import contact_groups
 from decoder.correct import Correction
 from decoder.nonnegative import nonnegative_least_squares
-from decoder.pairs import mixed_off_N
 from decoder.places import Places
 from shapes.arrays import FloatArray, IntArray
 from shapes.discs import disc_overlap_share
@@ -40,8 +38,11 @@ SILENT_MAX = 4
 SILENT_GAIN = 40.0
 """Fall of the weighted sum of squares from which on one is believed: six standard deviations, for
 tables are not exact, and what they leave looks like a contact to quiet markers."""
+SUSPECTED_GAIN = 20.0
+"""The same from which on one is fitted with the others, so that they do not take its force, but
+not told: on sensors whose tables know what contacts at once do to each other."""
 SILENT_MISFIT = 1.15
-"""Weighted sum of squares per number from which on it is worth a look."""
+"""Weighted sum of squares per number from which on something is left unexplained."""
 SILENT_OVER = 2.0
 """A switch off may carry this many times its threshold: prints scatter, and places are guessed."""
 REACH = 1.5
@@ -107,7 +108,7 @@ class Found:
     misfit : float
         Weighted sum of squares of what is left, per number: 1 where noise is as expected.
     shift_px : (2n,) float
-        What the contacts explain.
+        What the contacts explain, and those that are suspected.
     """
 
     contacts: list[Located]
@@ -209,17 +210,24 @@ class Locator:
 
     def _searched(self, best: Fit, seen: Seen) -> Fit:
         """The same with contacts that no switch tells."""
+        koi = seen.koi
+        # Without them, what tables err by where contacts are at once looks like contacts.
+        suspecting = len(koi) > 0 and self.places.pairs is not None
         for _ in range(SILENT_MAX):
-            if best.misfit < SILENT_MISFIT:
+            unexplained = best.misfit >= SILENT_MISFIT
+            if not unexplained and not suspecting:
                 break
-            another = self._silent(best, seen)
+            least = SUSPECTED_GAIN if suspecting else SILENT_GAIN
+            another = self._silent(best, seen, least)
             if another is None:
                 break
             more = self._fit([*(state.copy() for state in best.states), another], seen)
-            if best.cost - more.cost < SILENT_GAIN or not self._could_be_silent(more, seen.koi):
+            gain = best.cost - more.cost
+            if gain < least or not self._could_be_silent(more, koi):
                 break
-            if not len(seen.koi) and not len(self._unread(more.states[-1])):
+            if not len(koi) and not len(self._unread(more.states[-1])):
                 break
+            more.states[-1].suspected = not unexplained or gain < SILENT_GAIN
             best = more
         return best
 
@@ -265,14 +273,14 @@ class Locator:
             rows = rows[~mine]
         return parts
 
-    def _silent(self, best: Fit, seen: Seen) -> State | None:
-        """The contact that would explain most of what is left; None if none would."""
+    def _silent(self, best: Fit, seen: Seen, least: float) -> State | None:
+        """The contact that would explain most of what is left; None if none explains so much."""
         left = best.inverse * (seen.shift_px - best.explained)
         pull = self._first @ left.astype(np.float32)
         size = np.maximum(self._squares @ best.inverse.astype(np.float32), 1e-12)
         gain = np.where(pull > 0.0, pull, 0.0) ** 2 / size
         place = int(np.argmax(gain))
-        if gain[place] < SILENT_GAIN:
+        if gain[place] < least:
             return None
         return start(
             self.places,
@@ -308,18 +316,16 @@ class Locator:
 
     def _told(self, best: Fit, koi: IntArray) -> Found:
         """Contacts in words of the user's: corrected, with their switches."""
-        if not best.states:
+        sure = [k for k, state in enumerate(best.states) if not state.suspected]
+        if not sure:
             return Found(contacts=[], misfit=best.misfit, shift_px=best.explained)
-        sd = np.sqrt(np.diagonal(best.covariance)).reshape(-1, UNKNOWNS)
-        points = np.stack([point_of(self.places, state) for state in best.states])
-        radius = self._radii(best.states)
-        raw = np.array([state.x[0] for state in best.states])
-        if self.places.pairs is not None:
-            raw = raw - mixed_off_N(
-                self.places.pairs, self.places, best.states, self.noise.centroid_px
-            )
-        owner = self._owners(points, radius, raw, best.states, koi)
-        signal = np.array([signal_of(state) for state in best.states])
+        states = [best.states[k] for k in sure]
+        sd = np.sqrt(np.diagonal(best.covariance)).reshape(-1, UNKNOWNS)[sure]
+        points = np.stack([point_of(self.places, state) for state in states])
+        radius = self._radii(states)
+        raw = np.array([state.x[0] for state in states])
+        owner = self._owners(points, radius, raw, states, koi)
+        signal = np.array([signal_of(state) for state in states])
         if self.correction is None:
             force, spread_N = raw, np.hypot(sd[:, 0], PRINT_SHARE * raw)
         else:
@@ -328,7 +334,7 @@ class Locator:
         tripped = [koi[owner == k] for k in range(len(points))]
         tripped = [
             on if len(on) else self._unread(state)
-            for on, state in zip(tripped, best.states, strict=True)
+            for on, state in zip(tripped, states, strict=True)
         ]
         contacts = [
             Located(
@@ -344,7 +350,7 @@ class Locator:
                 moments_mm2=state.x[3:].copy(),
                 signal_px=float(signal[k]),
             )
-            for k, state in enumerate(best.states)
+            for k, state in enumerate(states)
         ]
         contacts.sort(key=lambda contact: len(contact.markers) == 0)
         return Found(contacts=contacts, misfit=best.misfit, shift_px=best.explained)

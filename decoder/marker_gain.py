@@ -8,12 +8,13 @@ near 0. What is left then is its noise.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from decoder.contact_fit import point_of, start
-from decoder.contact_shifts import explained
+from decoder.contact_fit import start
+from decoder.contact_shifts import explained, point_of
 from decoder.locate import Locator
 from decoder.places import Places
 from decoder.samples import FAILED, Samples
@@ -202,10 +203,18 @@ def noise_of(seen: Shown, parts: Sequence[LeftOut]) -> tuple[FloatArray, float |
 
 def with_gain(places: Places, gain: FloatArray) -> Places:
     """Tables of a sensor whose markers show motion by ``1 + gain`` (n, 2, 2)."""
-    rows = places.shift_px.reshape(*places.shift_px.shape[:2], -1, 2)
+    pairs = places.pairs
+    if pairs is not None:
+        pairs = replace(pairs, axes_px=_shown(pairs.axes_px, gain))
+    return places.with_rows(_shown(places.shift_px, gain), pairs)
+
+
+def _shown(images_px: NDArray[np.float32], gain: FloatArray) -> NDArray[np.float32]:
+    """Images (…, 2n) with gains (n, 2, 2)."""
+    rows = images_px.reshape(*images_px.shape[:-1], -1, 2)
     whole = gain.astype(np.float32) + np.eye(2, dtype=np.float32)
     x, y = rows[..., 0], rows[..., 1]
     shown = np.empty_like(rows)
     for k in range(2):
         np.add(x * whole[:, k, 0], y * whole[:, k, 1], out=shown[..., k])
-    return places.with_rows(shown.reshape(places.shift_px.shape), places.pairs)
+    return shown.reshape(images_px.shape)

@@ -60,6 +60,14 @@ class ElementStiffness:
     bending: FloatArray
     shear: FloatArray
 
+    def pick(self, elements: slice) -> "ElementStiffness":
+        """Those of some of the elements."""
+        return ElementStiffness(
+            membrane=self.membrane[elements],
+            bending=self.bending[elements],
+            shear=self.shear[elements],
+        )
+
     def combine(
         self, *, modulus_MPa: float | FloatArray, thickness_mm: float | FloatArray
     ) -> FloatArray:

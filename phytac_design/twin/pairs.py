@@ -1,35 +1,49 @@
-r"""Koiter's mixed term of two discs, as a fit that does not know it takes it for force.
+r"""Koiter's mixed term of two discs, as the cameras see it.
 
 With x the linear motion of a newton on a disc and Π the shell's energy, the mixed term of discs i
-and k solves ``K·x_ik = -Π‴(x_i, x_k)``. What it moves of the image, along a row g, is one number::
+and k solves ``K·x_ik = -Π‴(x_i, x_k)``, and the image sees it by its slope H, and what the two
+motions do together to the image by its bend (the lens, and arms that turn)::
 
-    g·x_ik = -Π‴(x_i, x_k, z)      K·z = gᵀ of the image's rows on the wall
+    M = H·x_ik + x_i·H'·x_k
 
-(derived here: the third derivative of an energy is symmetric), linear in x_k: a place costs one
-solve and one difference of internal forces for each of its rows, and pairs only products.
+Images of some pairs, drawn at random, tell the axes along which most of all of them lies (Halko,
+Martinsson and Tropp 2011 find a range so). Along an axis g ::
+
+    g·H·x_ik = -Π‴(x_i, x_k, z)      K·z = Hᵀ·g
+
+(derived here: the third derivative of an energy is symmetric): a matrix over the DOFs for each
+axis, and pairs only products.
 """
 
-import numpy as np
+from collections.abc import Callable
 
-from decoder.contact_fit import Prior, start
-from decoder.contact_shifts import explain
-from decoder.pairs import ROWS, Pairs
+import numpy as np
+from numpy.typing import NDArray
+
+from decoder.pairs import Pairs
 from decoder.places import Places
-from phytac_design.mechanics.large.resting import Resting
+from phytac_design.mechanics.large.third import DOFS, third_derivatives
 from phytac_design.mechanics.pressure import tangent_frame
 from phytac_design.twin.pressed import Pressed, Seen
 from shapes.arrays import FloatArray, IntArray
 
-SHARE = 1.5
+SHARE = 2.2
 """Distance of places over the disc's radius."""
-MOST = 1000
+MOST = 250
 """Places at most: tables grow by their square."""
+ELEMENTS_MOST = 40000
+"""Shells of more have no such tables: time and memory grow with both."""
+AXES = 64
+"""Of the images, at most."""
+DRAWN = 6
+"""Pairs drawn at random, for each axis."""
+NEAR, NEAR_SHARE = 6.0, 0.6
+"""Distance over the disc's radius up to which pairs count as near, and the share of those drawn
+that are: they do more to each other, and differ more."""
 BATCH = 32
 """Loads solved together."""
-FAINT = 1e-9
-"""Least square of the shifts of a place over the most: on a clamped rim nothing moves."""
-BENT_RAD, STEP_RAD = 1e-3, 1e-6
-"""Turn of the wall at which its stiffness is taken, and that of the differences for it."""
+MOVED = 1e-2
+"""Motion (mm and rad) of the differences for the image's bend."""
 
 
 def pair_spacing_mm(area_mm2: float, radius_mm: float) -> float:
@@ -40,10 +54,10 @@ def pair_spacing_mm(area_mm2: float, radius_mm: float) -> float:
 def make_pairs(
     shell: Pressed,
     see: Seen,
-    places: Places,
     *,
     uv: FloatArray,
-    turned: IntArray,
+    radius_mm: float,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> Pairs:
     """Tables of pairs of places on a shell.
 
@@ -51,85 +65,121 @@ def make_pairs(
     ----------
     shell, see : Pressed, Seen
         The sensor's shell, and what its cameras see.
-    places : Places
-        Its tables of single discs.
     uv : (p, 2) float
-        Places of the pairs.
-    turned : (p, p) int
-        Row i turns the sensor such that place i comes from place ``turned[i, i]``: that and all
-        the others, before it was turned. ``turned[i, k] = k`` without turning.
+        Places.
+    radius_mm : float
+        Of the disc.
     """
-    resting = Resting(shell.model)
-    linear = Places(
-        point_mm=places.point_mm,
-        along=places.along,
-        around=places.around,
-        shift_px=np.ascontiguousarray(places.shift_px[:, :1]),
-        radius_mm=places.radius_mm,
-    )
-    solved = np.unique(np.diagonal(turned))
-    points = shell.surface.point(uv)
+    mixed = Mixed(shell, see, uv, radius_mm)
+    axes = mixed.axes()
+    progress(f"places: pairs of contacts, {len(axes)} axes")
+    point = shell.surface.point(uv)
     along, around = tangent_frame(shell.surface, uv)
-    pulls = np.empty((3 * len(solved), resting.held.size), dtype=np.float32)
-    square = np.empty(len(solved))
-    for first in range(0, len(solved), BATCH):
-        batch = solved[first : first + BATCH]
-        motion = shell.linear(uv[batch], places.radius_mm)[1]
-        for row, k in enumerate(batch.tolist()):
-            rows = _rows(linear, points[k], along[k], around[k])
-            at = 3 * (first + row)
-            square[first + row] = rows[0] @ rows[0]
-            pulls[at : at + 3] = _pulls(resting, shell, see, motion[:, row], rows)
-    seen = np.empty((3 * len(solved), len(uv)), dtype=np.float32)
-    for first in range(0, len(uv), BATCH):
-        part = slice(first, first + BATCH)
-        motion = shell.linear(uv[part], places.radius_mm)[1]
-        seen[:, part] = pulls @ motion.astype(np.float32)
-    square = np.maximum(square, FAINT * square.max())
-    of_solved = seen.reshape(len(solved), 3, len(uv)) / square[:, None, None]
-    table = np.empty((len(uv), ROWS, len(uv)), dtype=np.float32)
-    for i in range(len(uv)):
-        own = int(np.searchsorted(solved, turned[i, i]))
-        force, down, aside = of_solved[own][:, turned[i]]
-        table[i, 0] = force
-        table[i, 1:] = along[i][:, None] * down + around[i][:, None] * aside
-    return Pairs(
-        grid=Places(
-            point_mm=points,
-            along=along,
-            around=around,
-            shift_px=table,
-            radius_mm=places.radius_mm,
-        )
+    grid = Places(
+        point_mm=point,
+        along=along,
+        around=around,
+        shift_px=mixed.coordinates(axes),
+        radius_mm=radius_mm,
     )
+    return Pairs(grid=grid, axes_px=axes.astype(np.float32))
 
 
-def _rows(
-    linear: Places, point_mm: FloatArray, along: FloatArray, around: FloatArray
-) -> FloatArray:
-    """Shifts (3, 2n) px by a newton at a point, and their slopes along and around, px/mm."""
-    state = start(linear, Prior(place_mm=1.0), point_mm, 1.0)
-    rows = explain(state, 1)[1][:3]
-    frame = np.stack([linear.along[state.place], linear.around[state.place]])
-    rows[1:] = np.stack([along, around]) @ frame.T @ rows[1:]
-    return rows
+class Mixed:
+    """Mixed terms of discs at p places.
 
-
-def _pulls(
-    resting: Resting, shell: Pressed, see: Seen, motion: FloatArray, rows: FloatArray
-) -> FloatArray:
-    """What the mixed term of a disc's motion (6N,) with another's makes of rows (3, 2n), (3, 6N).
-
-    Its product with the other's motion is told, per newton of each.
+    Parameters
+    ----------
+    shell, see : Pressed, Seen
+        The sensor's shell, and what its cameras see.
+    uv : (p, 2) float
+        Places.
+    radius_mm : float
+        Of the discs.
     """
-    push = np.stack([shell.feet.matrix.T @ see.pull(row).ravel() for row in rows], axis=1)
-    push[resting.held] = 0.0
-    stirred = resting.solved(push.copy())
-    bend = BENT_RAD / resting.reach(motion)
-    bent = resting.internal(bend * motion)
-    out = np.empty((len(rows), len(motion)))
-    for k, z in enumerate(stirred.T):
-        step = STEP_RAD / resting.reach(z)
-        tangent = (resting.internal(bend * motion + step * z) - bent) / step
-        out[k] = np.where(resting.held, 0.0, -(tangent - push[:, k]) / bend)
+
+    def __init__(self, shell: Pressed, see: Seen, uv: FloatArray, radius_mm: float) -> None:
+        self.shell, self.see, self.radius_mm = shell, see, radius_mm
+        self.held = shell.model.fixed.ravel()
+        parts = [uv[k : k + BATCH] for k in range(0, len(uv), BATCH)]
+        # A newton's linear motions, (6N, p), and those of receptors, (p, n, 6).
+        self.motion = np.concatenate([shell.linear(part, radius_mm)[1] for part in parts], axis=1)
+        self.feet = np.stack([shell.feet.linear(motion) for motion in self.motion.T])
+        self.bend = bend_of(see, self.feet.shape[1])
+        self.point_mm = shell.surface.point(uv)
+        quads = shell.model.quads
+        # DOFs (E, 24) of the elements.
+        self.dofs = (6 * quads[:, :, None] + np.arange(6)).reshape(len(quads), DOFS)
+
+    def axes(self) -> FloatArray:
+        """Axes (r, 2n) of the images, each of unit length."""
+        _, size, axes = np.linalg.svd(self.images(self.drawn()), full_matrices=False)
+        return np.asarray(axes[:AXES][size[:AXES] > 0.0])
+
+    def drawn(self) -> IntArray:
+        """Pairs (k, 2) of places that do not overlap, near ones more often."""
+        gap = np.linalg.norm(self.point_mm[:, None] - self.point_mm[None], axis=2)
+        pairs = np.argwhere(np.triu(gap > 2.0 * self.radius_mm))
+        near = gap[pairs[:, 0], pairs[:, 1]] < NEAR * self.radius_mm
+        rng, count = np.random.default_rng(0), DRAWN * AXES
+        some = rng.permutation(np.flatnonzero(near))[: round(NEAR_SHARE * count)]
+        rest = rng.permutation(np.setdiff1d(np.arange(len(pairs)), some))[: count - len(some)]
+        return np.asarray(pairs[np.sort(np.concatenate([some, rest]))])
+
+    def images(self, pairs: IntArray) -> FloatArray:
+        """M (k, 2n) px/N² of pairs of places (k, 2), each solved for itself."""
+        push = np.zeros((len(pairs), len(self.motion)))
+        for some, third in third_derivatives(self.shell.model):
+            own = self.motion[self.dofs[some]].astype(np.float32)
+            for k, (i, j) in enumerate(pairs):
+                by_one = third @ own[:, None, :, i, None]
+                force = by_one[..., 0] @ own[:, :, j, None]
+                np.add.at(push[k], self.dofs[some].ravel(), -force.ravel())
+        push[:, self.held] = 0.0
+        out = []
+        for first in range(0, len(pairs), BATCH):
+            part = slice(first, first + BATCH)
+            moved = self.shell.model.solve(push[part].T).motion.reshape(len(self.motion), -1)
+            for (i, j), motion in zip(pairs[part], moved.T, strict=True):
+                slope = np.einsum("nij,nj->ni", self.see.slope, self.shell.feet.linear(motion))
+                bent = np.einsum("nj,nijk,nk->ni", self.feet[i], self.bend, self.feet[j])
+                out.append((slope + bent).ravel())
+        return np.array(out).reshape(len(pairs), -1)
+
+    def coordinates(self, axes: FloatArray) -> NDArray[np.float32]:
+        """M (p, p, r) of all pairs along axes (r, 2n), px/N²."""
+        push = np.stack([self.shell.feet.matrix.T @ self.see.pull(g).ravel() for g in axes], axis=1)
+        push[self.held] = 0.0
+        stirred = self.shell.model.solve(push).motion.reshape(push.shape)
+        count = self.motion.shape[1]
+        told = np.zeros((len(axes), count, count), dtype=np.float32)
+        for some, third in third_derivatives(self.shell.model):
+            own = self.motion[self.dofs[some]].astype(np.float32)
+            z = stirred[self.dofs[some]].astype(np.float32)
+            flat = own.reshape(-1, count)
+            along = (third.reshape(len(third), -1, DOFS) @ z).transpose(2, 0, 1)
+            for number, matrix in enumerate(along):
+                pulls = matrix.reshape(-1, DOFS, DOFS) @ own
+                told[number] -= flat.T @ pulls.reshape(-1, count)
+        feet = self.feet.reshape(count, -1)
+        for number, axis in enumerate(axes):
+            bend = np.einsum("ni,nijk->njk", axis.reshape(-1, 2), self.bend)
+            turned = np.einsum("pnj,njk->pnk", self.feet, bend).reshape(count, -1)
+            told[number] += (turned @ feet.T).astype(np.float32)
+        return np.ascontiguousarray(told.transpose(1, 2, 0))
+
+
+def bend_of(see: Seen, count: int) -> FloatArray:
+    """Second derivatives (n, 2, 6, 6) of the images of n markers by their motion."""
+    step = MOVED * np.eye(6)
+
+    def at(motion: FloatArray) -> FloatArray:
+        return see.shift(np.tile(motion, (count, 1)))
+
+    out = np.empty((count, 2, 6, 6))
+    for i in range(6):
+        for k in range(i + 1):
+            one, two = step[i] + step[k], step[i] - step[k]
+            bent = at(one) + at(-one) - at(two) - at(-two)
+            out[:, :, i, k] = out[:, :, k, i] = bent / (4.0 * MOVED**2)
     return out

@@ -20,7 +20,7 @@ from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.pressure import tangent_frame
 from phytac_design.mechanics.solve import ShellModel
 from phytac_design.spec import Design
-from phytac_design.twin.pairs import make_pairs, pair_spacing_mm
+from phytac_design.twin.pairs import ELEMENTS_MOST, make_pairs, pair_spacing_mm
 from phytac_design.twin.pressed import Pressed, Seen
 from phytac_design.twin.walls import with_walls
 from shapes import Surface
@@ -60,27 +60,6 @@ class Rings:
     uv: FloatArray
     base: IntArray
     turns: IntArray
-
-    def turned_back(self, wanted: BoolArray) -> IntArray:
-        """Which of the wanted places (p,) each is, once row i has turned place i to its base.
-
-        Returns
-        -------
-        (q, q) int
-            Places counted among the wanted ones.
-        """
-        count, sectors = len(self.base), int(self.turns.max()) + 1
-        at = np.full((count, sectors), -1)
-        at[self.base, self.turns] = np.arange(count)
-        # What lies on the axis stays where it is.
-        alone = at[:, 1:].max(axis=1, initial=-1) < 0
-        at[alone] = at[alone, :1]
-        turn = (self.turns[None] - self.turns[:, None]) % sectors
-        back = at[self.base[None], turn]
-        number = np.cumsum(wanted) - 1
-        back = back[np.ix_(wanted, wanted)]
-        ok = (back >= 0) & wanted[back]
-        return np.where(ok.all(axis=1)[:, None], number[back], np.arange(int(wanted.sum())))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,7 +247,7 @@ def make_places(
     # Of contacts on flat walls tension tells; beyond the expansion pairs on other flat parts
     # would double the errors, while on curved walls they still help (patch).
     holds = unsure == 0 and not give and (shell.beyond == 0 or not places.flat.any())
-    pairs = _pairs(shell, see, places, sectors, near, holds=holds)
+    pairs = _pairs(shell, see, radius, near, progress) if holds else None
     return Tabulated(
         places=replace(places, pairs=pairs),
         solves=solves,
@@ -297,21 +276,19 @@ def _wanted(
 def _pairs(
     shell: Pressed,
     see: Seen,
-    places: Places,
-    sectors: int,
+    radius_mm: float,
     near: Callable[[float, FloatArray], BoolArray] | None,
-    *,
-    holds: bool,
+    progress: Callable[[str], None],
 ) -> Pairs | None:
-    """Tables of pairs of places; None where no expansion holds, or too few places are wanted."""
-    if not holds:
+    """Tables of pairs of places; None where too few are wanted, or the shell is too large."""
+    if len(shell.model.quads) > ELEMENTS_MOST:
         return None
-    apart = pair_spacing_mm(shell.surface.area_mm2(), places.radius_mm)
-    ring = rings(shell.surface, apart, sectors)
-    wanted = _wanted(ring.uv, apart, near)
-    if not _enough(ring.uv, apart, near):
+    apart = pair_spacing_mm(shell.surface.area_mm2(), radius_mm)
+    uv = rings(shell.surface, apart, 1).uv
+    if not _enough(uv, apart, near):
         return None
-    return make_pairs(shell, see, places, uv=ring.uv[wanted], turned=ring.turned_back(wanted))
+    wanted = uv[_wanted(uv, apart, near)]
+    return make_pairs(shell, see, uv=wanted, radius_mm=radius_mm, progress=progress)
 
 
 def between(places: Places, points_mm: FloatArray) -> FloatArray:

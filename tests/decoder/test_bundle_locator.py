@@ -14,7 +14,7 @@ from decoder.bundle import Bundle, load_bundle, save_bundle
 from decoder.contact_fit import Noise, Prior
 from decoder.correct import Correction
 from decoder.locate import Locator
-from decoder.pairs import ROWS, Pairs
+from decoder.pairs import Pairs
 from decoder.places import Places
 from decoder.tension import Walls
 from shapes.errors import InputError
@@ -39,9 +39,10 @@ def bundle() -> Bundle:
                     point_mm=points[:9],
                     along=ones[:9] * [0.0, 1.0, 0.0],
                     around=ones[:9] * [-1.0, 0.0, 0.0],
-                    shift_px=1e-3 * rng.normal(size=(9, ROWS, 9)).astype(np.float32),
+                    shift_px=1e-3 * rng.normal(size=(9, 9, 4)).astype(np.float32),
                     radius_mm=4.0,
-                )
+                ),
+                axes_px=rng.normal(size=(4, 2 * count)).astype(np.float32),
             ),
             walls=Walls(
                 wall=np.arange(len(points)) % 3 - 1,
@@ -96,6 +97,7 @@ def test_bundle_keeps_it_whole(tmp_path: Path) -> None:
         assert two.places.pairs is not None
         own, kept = one.places.pairs.grid, two.places.pairs.grid
         np.testing.assert_array_equal(getattr(own, name), getattr(kept, name))
+        np.testing.assert_array_equal(one.places.pairs.axes_px, two.places.pairs.axes_px)
     assert one.places.walls is not None
     assert two.places.walls is not None
     np.testing.assert_array_equal(one.places.walls.wall, two.places.walls.wall)
@@ -130,6 +132,20 @@ def test_corrections_reach_as_far_as_they_did_in_older_bundles(tmp_path: Path) -
     assert locator.correction.lengths == (0.33, 0.33, 0.33)
 
 
+def test_tables_of_pairs_of_older_bundles_are_passed_over(tmp_path: Path) -> None:
+    """Up to schema 1.9 they held what a fit without them takes for force."""
+    save_bundle(bundle(), tmp_path)
+    path = tmp_path / "bundle.safetensors"
+    arrays = {name: value.copy() for name, value in load_file(path).items()}
+    del arrays["places.pair_axes_px"], arrays["places.pair_coordinates"]
+    arrays["places.pair_rows"] = np.zeros((9, 4, 9), dtype=np.float32)
+    save_file(arrays, path)
+    locator = load_bundle(tmp_path).model.locator
+    assert locator is not None
+    assert locator.places.pairs is None
+    assert locator.places.walls is not None
+
+
 def test_bundle_without_it_says_so(tmp_path: Path) -> None:
     save_bundle(toy_bundle(), tmp_path)
     model = load_bundle(tmp_path).model
@@ -160,15 +176,29 @@ def _unlearnt(arrays: dict[str, Any]) -> None:
 
 
 def _pairs_cut(arrays: dict[str, Any]) -> None:
-    arrays["places.pair_rows"] = np.ascontiguousarray(arrays["places.pair_rows"][:, :, :-1])
+    rows = arrays["places.pair_coordinates"]
+    arrays["places.pair_coordinates"] = np.ascontiguousarray(rows[:, :, :-1])
 
 
 def _pairs_nan(arrays: dict[str, Any]) -> None:
-    arrays["places.pair_rows"][3, 1, 4] = np.nan
+    arrays["places.pair_coordinates"][3, 1, 2] = np.nan
 
 
 def _pairs_gone(arrays: dict[str, Any]) -> None:
-    del arrays["places.pair_rows"]
+    del arrays["places.pair_coordinates"]
+
+
+def _axes_gone(arrays: dict[str, Any]) -> None:
+    del arrays["places.pair_axes_px"]
+
+
+def _axes_cut(arrays: dict[str, Any]) -> None:
+    axes = arrays["places.pair_axes_px"]
+    arrays["places.pair_axes_px"] = np.ascontiguousarray(axes[:, :-2])
+
+
+def _axes_one(arrays: dict[str, Any]) -> None:
+    arrays["places.pair_axes_px"] = np.array(1.0, dtype=np.float32)
 
 
 def _slopes_cut(arrays: dict[str, Any]) -> None:
@@ -221,7 +251,10 @@ def _few(arrays: dict[str, Any]) -> None:
         (_noise_none, "holds 0, expected numbers above zero"),
         (_pairs_cut, "different builds"),
         (_pairs_nan, "not finite"),
-        (_pairs_gone, "lacks 'places.pair_rows'"),
+        (_pairs_gone, "lacks 'places.pair_coordinates'"),
+        (_axes_gone, "lacks 'places.pair_axes_px'"),
+        (_axes_cut, "different builds"),
+        (_axes_one, "different builds"),
         (_slopes_cut, "different builds"),
         (_slopes_of_more_powers, "different builds"),
         (_slopes_flat, "different builds"),

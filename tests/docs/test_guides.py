@@ -25,10 +25,10 @@ from tests.docs.pages import PAGES, ROOT, blocks, listing
 GUIDES = ROOT / "docs" / "guides"
 CAMERA, PRINTER = GUIDES / "own-camera.md", GUIDES / "own-printer.md"
 FIGURES = (
-    ("0.11 N, 1.0 %", "decoder", "cylinder60 unit 1, frames: auto, middle heights (651 contacts)"),
-    ("0.41 N, 3.1 %", "decoder", "cylinder60 unit 1, frames: auto, all heights (991 contacts)"),
-    ("0.19 N, 1.5 %", "decoder", "cone unit 1, frames: auto, middle heights (81 contacts)"),
-    ("0.53 N, 4.7 %", "decoder", "hemisphere unit 1, frames: auto, middle heights (120 contacts)"),
+    ("0.09 N, 0.86 %", "decoder", "cylinder60 unit 1, frames: auto, middle heights (651 contacts)"),
+    ("0.40 N, 3.0 %", "decoder", "cylinder60 unit 1, frames: auto, all heights (991 contacts)"),
+    ("0.18 N, 1.4 %", "decoder", "cone unit 1, frames: auto, middle heights (81 contacts)"),
+    ("0.52 N, 4.6 %", "decoder", "hemisphere unit 1, frames: auto, middle heights (120 contacts)"),
     ("1.2 N, 10 %", "decoder", "plane unit 1, frames: auto, middle heights (35 contacts)"),
 )
 """What the comparison says of this project, and the cases it comes from."""

@@ -8,10 +8,12 @@ import pytest
 from decoder.places import Places
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.meshing.mesh import marker_mesh
+from phytac_design.mechanics.pressure import tangent_frame
 from phytac_design.mechanics.receptors import sensor_model
 from phytac_design.optics.view import Readers, cameras_of
 from phytac_design.spec import Design
 from phytac_design.twin.contacts import Contacts
+from phytac_design.twin.pairs import Mixed, bend_of, make_pairs
 from phytac_design.twin.places import (
     Tabulated,
     between,
@@ -178,47 +180,76 @@ def test_higher_powers_between_places_are_those_that_would_be_solved() -> None:
     assert float(np.median(gaps)) < 0.01
 
 
-def test_pairs_of_contacts_tell_what_both_do_beyond_their_sum() -> None:
-    """On the simulated sensor's shell, with large displacements."""
+@pytest.mark.parametrize(("far_mm", "way"), [(11.0, 0), (11.0, 1), (15.0, 0)])
+def test_pairs_of_contacts_tell_what_both_do_beyond_their_sum(far_mm: float, way: int) -> None:
+    """On the simulated sensor's shell, with large displacements; along the axis and around it."""
     places = tabulated().places
     assert places.pairs is not None
-    grid = places.pairs.grid
-    # A place that is a turned copy: what was solved was turned the right way.
-    one = int(grid.nearest(SURFACE.point(np.array([[30.0, 2.0]])))[0])
-    gap = np.linalg.norm(grid.point_mm - grid.point_mm[one], axis=1)
-    two = int(np.argmax(np.where(gap > 11.0, np.abs(grid.shift_px[one, 0]), 0.0)))
-    uv = SURFACE.chart(grid.point_mm[[one, two]])
+    middle = SURFACE.domain.mean(axis=1)[None]
+    one, frame = SURFACE.point(middle)[0], tangent_frame(SURFACE, middle)
+    uv = SURFACE.chart(np.stack([one, one + far_mm * frame[way][0]]))
     force, radius = 2.0, places.radius_mm
     alone = [true_shifts(uv[[k]], radius, force) for k in (0, 1)]
-    beyond = true_shifts(uv, radius, force) - alone[0] - alone[1]
-    first = between(places, grid.point_mm[[one]])[0, 0]
-    wanted = float(first @ beyond) / float(first @ first) / force**2
-    told = float(places.pairs.between(grid.point_mm[[one, two]])[0, 1, 0])
-    # The simulated sensor's mesh is twice as fine.
-    assert told == pytest.approx(wanted, rel=0.3)
+    wanted = (true_shifts(uv, radius, force) - alone[0] - alone[1]) / force**2
+    (told,) = places.pairs.between(SURFACE.point(uv))
+    # Places are 12 mm apart, and the simulated sensor's mesh is twice as fine.
+    assert off(told, wanted) < 0.4
+    assert told @ wanted > 0.97 * np.linalg.norm(told) * np.linalg.norm(wanted)
 
 
-@pytest.mark.parametrize(("kind", "sectors"), [("hemisphere", 6), ("cylinder", 5), ("plane", 1)])
-def test_pairs_turn_with_the_sensor(kind: str, sectors: int) -> None:
-    """Also where a place lies on the axis: it turns into itself."""
-    surface = drawn(kind, 3).surface()
-    ring = rings(surface, 0.12 * float(np.ptp(surface.bounds_mm(), axis=0).max()), sectors)
-    point = surface.point(ring.uv)
-    every = np.ones(len(point), dtype=np.bool_)
-    back = ring.turned_back(every)
-    np.testing.assert_array_equal(np.diagonal(back), ring.base)
-    assert all(len(np.unique(row)) == len(row) for row in back)
-    gap = np.linalg.norm(point[:, None] - point[None], axis=2)
-    for row in back:
-        np.testing.assert_allclose(gap[row][:, row], gap, atol=1e-6 * gap.max())
-        np.testing.assert_allclose(point[row][:, 2], point[:, 2], atol=1e-6 * gap.max())
-    # Of a part of the surface each place stands for itself wherever its copies are not all there.
-    some = np.arange(len(point)) % 4 != 1
-    part = ring.turned_back(some)
-    assert part.shape == (some.sum(), some.sum())
-    kept = gap[np.ix_(some, some)]
-    for row in part:
-        np.testing.assert_allclose(kept[row][:, row], kept, atol=1e-6 * gap.max())
+def test_coordinates_of_pairs_are_those_of_their_own_images(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Along axes by the third derivative, and each solved for itself: two ways to one image."""
+    monkeypatch.setattr("phytac_design.twin.pairs.AXES", 12)
+    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=3)
+    model = sensor_model(DESIGN, MARKERS, mesh, receptors=True)
+    shell = Pressed(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=1)
+    uv, radius = rings(SURFACE, 9.0, 1).uv, 4.0
+    made = make_pairs(shell, SEE, uv=uv, radius_mm=radius)
+    axes = made.axes_px.astype(float)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(len(axes)), atol=1e-5)
+    mixed = Mixed(shell, SEE, uv, radius)
+    some = mixed.drawn()[::5]
+    images = mixed.images(some)
+    wanted = images @ axes.T
+    size = np.linalg.norm(wanted, axis=1, keepdims=True)
+    for i, k in (some.T, some.T[::-1]):
+        assert np.abs((made.grid.shift_px[i, k] - wanted) / size).max() < 1e-3
+    left = np.linalg.norm(images - wanted @ axes) / np.linalg.norm(images)
+    assert left < 0.4
+
+
+def test_shells_of_too_many_elements_have_no_tables_of_pairs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=2)
+    made = []
+    for most in (len(mesh.quads), len(mesh.quads) - 1):
+        monkeypatch.setattr("phytac_design.twin.places.ELEMENTS_MOST", most)
+        monkeypatch.setattr("phytac_design.twin.pairs.AXES", 2)
+        done = make_places(
+            DESIGN,
+            SURFACE,
+            MARKERS,
+            mesh=mesh,
+            model=sensor_model(DESIGN, MARKERS, mesh, receptors=True),
+            see=SEE,
+            spacing_mm=8.0,
+            orders=3,
+        )
+        made.append(done.places.pairs is not None)
+    assert made == [True, False]
+
+
+def test_images_bend_as_the_lens_and_the_arms_do() -> None:
+    rng = np.random.default_rng(4)
+    one, two = 1e-2 * rng.normal(size=(2, MARKERS.count, 6))
+    bend = bend_of(SEE, MARKERS.count)
+    told = np.einsum("nj,nijk,nk->ni", one, bend, two)
+    ends = [SEE.shift(a * one + b * two) for a, b in ((1, 1), (-1, -1), (1, -1), (-1, 1))]
+    np.testing.assert_allclose(told, (ends[0] + ends[1] - ends[2] - ends[3]) / 4.0, atol=2e-4)
+    assert np.abs(told).max() > 0.01
 
 
 def test_linear_theory_alone_is_the_first_power() -> None:

@@ -24,16 +24,33 @@ class Elastic:
     ----------
     model : ShellModel
         The shell: its mesh and section.
+    apart : slice, optional
+        Of these elements (e) alone, each with four nodes of its own: 4e nodes in their order.
+
+    Attributes
+    ----------
+    size : int
+        DOFs.
+    extent_mm : (e,) float
+        Mean distance of the elements' corners from their middle.
     """
 
-    def __init__(self, model: ShellModel) -> None:
-        corner = model.nodes_mm[model.quads]
-        self.size = 6 * len(model.nodes_mm)
-        self._quads = np.ascontiguousarray(model.quads, dtype=np.int64)
+    def __init__(self, model: ShellModel, *, apart: slice | None = None) -> None:
+        some = slice(None) if apart is None else apart
+        quads, self.size = model.quads[some], 6 * len(model.nodes_mm)
+        corner = model.nodes_mm[quads]
+        modulus, thickness = (
+            value if np.ndim(value) == 0 else value[some]
+            for value in (np.asarray(model.modulus_MPa), np.asarray(model.thickness_mm))
+        )
+        if apart is not None:
+            quads, self.size = np.arange(4 * len(quads)).reshape(-1, 4), 24 * len(quads)
+        self._quads = np.ascontiguousarray(quads, dtype=np.int64)
         self._arms = np.ascontiguousarray(corner - corner.mean(axis=1, keepdims=True))
         self._stiffness = np.ascontiguousarray(
-            model.elements.combine(modulus_MPa=model.modulus_MPa, thickness_mm=model.thickness_mm)
+            model.elements.pick(some).combine(modulus_MPa=modulus, thickness_mm=thickness)
         )
+        self.extent_mm = np.linalg.norm(self._arms, axis=2).mean(axis=1)
 
     def internal(self, state: Configuration) -> FloatArray:
         """Forces (N) and moments (N mm, on spins) that balance the elements, (6N,).
