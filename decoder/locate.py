@@ -212,7 +212,7 @@ class Locator:
         """The same with contacts that no switch tells."""
         koi = seen.koi
         # Without them, what tables err by where contacts are at once looks like contacts.
-        suspecting = len(koi) > 0 and self.places.pairs is not None
+        suspecting, sure = len(koi) > 0 and self.places.pairs is not None, True
         for _ in range(SILENT_MAX):
             unexplained = best.misfit >= SILENT_MISFIT
             if not unexplained and not suspecting:
@@ -227,7 +227,9 @@ class Locator:
                 break
             if not len(koi) and not len(self._unread(more.states[-1])):
                 break
-            more.states[-1].suspected = not unexplained or gain < SILENT_GAIN
+            # What only comes to light with one that is suspected is no surer.
+            sure = sure and unexplained and gain >= SILENT_GAIN
+            more.states[-1].suspected = not sure
             best = more
         return best
 

@@ -1,12 +1,13 @@
 """Contacts that soften each other, on a sensor in closed form."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from decoder.contact_fit import Prior, start
+from decoder.contact_fit import Fit, Prior, Seen, nothing, start
 from decoder.contact_shifts import State, explained, point_of
 from decoder.locate import Found, Locator
 from decoder.marker_gain import with_gain
@@ -219,3 +220,31 @@ def test_one_that_is_suspected_is_not_told_and_takes_its_own_force(
     monkeypatch.setattr("decoder.locate.SUSPECTED_GAIN", 1e9)
     (unsuspected,) = locator.find(seen.reshape(-1, 2), koi).contacts
     assert unsuspected.force_N == alone.force_N
+
+
+def test_what_comes_to_light_with_one_that_is_suspected_is_suspected_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where tables err by more than noise, one faint contact after another explains some of it."""
+    locator = aware(flat_locator())
+    state = states(locator.places, force_N=[0.2, 0.2])[0]
+    seen = Seen(
+        shift_px=np.zeros(2 * len(MARKERS)),
+        found=np.ones(2 * len(MARKERS), dtype=np.bool_),
+        koi=np.array([44]),
+    )
+    begun = replace(nothing(seen, locator.noise), states=[state], cost=1000.0, misfit=2.0)
+    monkeypatch.setattr(Locator, "_silent", lambda *_: state.copy())
+    for falls, wanted in (
+        ((50.0, 45.0, 5.0), [False, False, False]),
+        ((30.0, 50.0, 5.0), [False, True, True]),
+        ((50.0, 30.0, 60.0, 5.0), [False, False, True, True]),
+    ):
+        costs = iter(1000.0 - np.cumsum(falls))
+
+        def fitted(_: Locator, found: list[State], __: Seen, costs: Iterator[float] = costs) -> Fit:
+            return replace(begun, states=found, cost=float(next(costs)))
+
+        monkeypatch.setattr(Locator, "_fit", fitted)
+        best = locator._searched(begun, seen)
+        assert [one.suspected for one in best.states] == wanted
