@@ -27,6 +27,8 @@ from shapes.reading import read_text
 MANIFEST = "manifest.json"
 OLD_MANIFEST = f".{MANIFEST}.old"
 """Where it stands while files change: what is half-written never looks finished."""
+PROBE = ".writable"
+"""Written and taken away at once, to see whether a folder can be written."""
 PARTS = (
     "numpy",
     "scipy",
@@ -244,18 +246,23 @@ def _claim(out: Path, design: Design, *, force: bool) -> None:
                 f"{out} holds the design {name!r}, not {design.name!r}; "
                 "choose another --out, or overwrite it with --force"
             )
-    elif out.is_dir() and any(out.iterdir()) and not (out / "design.toml").is_file() and not force:
+    elif out.is_dir() and _foreign(out) and not (out / "design.toml").is_file() and not force:
         raise OutputError(
             f"{out} is not empty and not a build; choose another --out, or use --force"
         )
     try:
         out.mkdir(parents=True, exist_ok=True)
-        probe = out / ".writable"
+        probe = out / PROBE
         probe.write_text("")
         # Another build may have just taken it away.
         probe.unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"cannot write {out}: {error.strerror}; choose another --out") from None
+
+
+def _foreign(out: Path) -> bool:
+    """Whether a folder holds anything but what another build looks with whether it can write."""
+    return any(path.name != PROBE for path in out.iterdir())
 
 
 @contextmanager
