@@ -15,19 +15,16 @@ import numpy as np
 
 from benchmarks.decoder_speed import (
     FORCE_N,
-    PRESETS,
     SMALL,
     WHOLE,
     Hand,
     Sensor,
+    before_camera,
     named_wrongly,
     told_apart,
 )
 from benchmarks.harness import Table, arguments
 from decoder.follow import Follower
-from phytac_design.build import copy_of
-from phytac_design.design_file import load_design
-from phytac_design.spec import CAMERA_PRESETS
 
 DESIGN = "cylinder60"
 GRIPS = 34
@@ -74,9 +71,7 @@ def hand(number: int) -> Hand:
 
 def followed(number: int, frames: int = WHOLE) -> Followed:
     """Render one grip and follow its markers from rest."""
-    design, camera = load_design(DESIGN), CAMERA_PRESETS[PRESETS[SMALL]]
-    pixel_um = design.camera.pixel_um * design.camera.width_px / camera["width_px"]
-    sensor = Sensor.of(copy_of(design, camera=camera | {"pixel_um": pixel_um}))
+    sensor = Sensor.of(before_camera(DESIGN, SMALL))
     eyes, bundle, rng = sensor.eyes, sensor.bundle, np.random.default_rng([7, number])
     still, off = np.zeros((eyes.count, 6)), np.zeros(eyes.count, dtype=np.bool_)
     rest = [eyes.frame(still, off, 1.0, rng)[0] for _ in range(2)]

@@ -364,14 +364,19 @@ def add_speed(
         )
 
 
+def before_camera(name: str, size: str) -> Design:
+    """A shipped design before the paper's camera of a size, its view unchanged."""
+    design, camera = load_design(name), CAMERA_PRESETS[PRESETS[size]]
+    pixel_um = design.camera.pixel_um * design.camera.width_px / camera["width_px"]
+    return copy_of(design, camera=camera | {"pixel_um": pixel_um})
+
+
 def add_rows(table: Table, *, quick: bool, size: str = SMALL) -> None:
     """All designs before a camera; ``quick``: one, and few frames of it."""
     cv2.setNumThreads(1)
-    camera, whole = CAMERA_PRESETS[PRESETS[size]], size == SMALL and not quick
+    whole = size == SMALL and not quick
     for name in DESIGNS[:1] if quick else DESIGNS:
-        design = load_design(name)
-        pixel_um = design.camera.pixel_um * design.camera.width_px / camera["width_px"]
-        sensor = Sensor.of(copy_of(design, camera=camera | {"pixel_um": pixel_um}))
+        sensor = Sensor.of(before_camera(name, size))
         film = film_of(sensor, range(WHOLE) if whole else range(FIRST, FIRST + FEW))
         label = f"{name} {size}, {sensor.eyes.count} markers"
         sure = add_accuracy(table, label, sensor, film)

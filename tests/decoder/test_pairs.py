@@ -25,7 +25,6 @@ from tests.decoder.flat_sensor import (
 )
 
 REACH_MM = 25.0
-STEP_MM = 0.05
 PUSHED_MM = 0.05
 AXES = 80
 AT = [np.array([20.0, 20.0, 0.0]), np.array([38.0, 31.0, 0.0])]
