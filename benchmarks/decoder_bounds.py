@@ -7,7 +7,7 @@ import numpy as np
 from decoder.calibrate import second_moments
 from decoder.contact_fit import start
 from decoder.contact_shifts import UNKNOWNS, explain
-from decoder.locate import Found
+from decoder.found import Found
 from decoder.samples import Samples
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
@@ -45,12 +45,15 @@ class Bounds:
     shaped_N : (c,) float
         As the last, of contacts of which three second moments are unknown, not a radius alone:
         balls, edges and discs that are turned anyhow.
+    tips_N : (c,) float
+        As the last, with the scatter of markers whose red tip is out.
     """
 
     force_N: FloatArray
     alone_N: FloatArray
     pixels_N: FloatArray
     shaped_N: FloatArray
+    tips_N: FloatArray
 
     def pick(self, rows: IntArray) -> "Bounds":
         """Of some contacts."""
@@ -59,6 +62,7 @@ class Bounds:
             alone_N=self.alone_N[rows],
             pixels_N=self.pixels_N[rows],
             shaped_N=self.shaped_N[rows],
+            tips_N=self.tips_N[rows],
         )
 
 
@@ -90,7 +94,11 @@ def noise_of(found: list[Found | None], samples: Samples) -> FloatArray:
 
 
 def bounds(
-    context: Context, samples: Samples, noise_px: FloatArray, pixels_px: FloatArray | float = 0.0
+    context: Context,
+    samples: Samples,
+    noise_px: FloatArray,
+    pixels_px: FloatArray | float = 0.0,
+    switched_px: float = 0.0,
 ) -> Bounds:
     """Bounds of all contacts of samples, by the decoder's own shell, linear.
 
@@ -105,11 +113,14 @@ def bounds(
     pixels_px : (n, 2) float
         Standard deviation of the error of a place that depends on where on the pixels it is; of a
         marker that moves, shifts have it twice: of where it is and of where it was.
+    switched_px : float
+        Standard deviation of shifts of markers whose tip is out, besides.
     """
     touches, truth = samples.touches, samples.truth
     assert touches is not None
     assert truth is not None
     assert samples.shift_px is not None
+    assert samples.bits_read is not None
     design = context.design
     tripped = np.isin(np.arange(len(touches.sample)), truth.touch) & (touches.force_N > 0.0)
     prior = cell_prior(
@@ -120,7 +131,7 @@ def bounds(
     )
     rows = np.flatnonzero(tripped)
     signals = _signals(context, samples, tripped)
-    force, alone, pixels, shaped = np.full((4, len(tripped)), np.nan)
+    force, alone, pixels, shaped, tips = np.full((5, len(tripped)), np.nan)
     slopes, known = _by_moments(context, samples, tripped, prior)
     twice = np.broadcast_to(2.0 * np.asarray(pixels_px) ** 2, noise_px.shape)
     start = np.searchsorted(touches.sample[rows], np.arange(samples.count + 1))
@@ -139,7 +150,9 @@ def bounds(
         weight = seen / noise.reshape(-1)
         pixels[rows[own]] = _sample(mine, newtons, weight, prior)[0]
         shaped[rows[own]] = _least(slopes[own] * weight, known)
-    return Bounds(force_N=force, alone_N=alone, pixels_N=pixels, shaped_N=shaped)
+        noise = np.hypot(noise, switched_px * samples.bits_read[sample][:, None])
+        tips[rows[own]] = _least(slopes[own] * (seen / noise.reshape(-1)), known)
+    return Bounds(force_N=force, alone_N=alone, pixels_N=pixels, shaped_N=shaped, tips_N=tips)
 
 
 def _sample(

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.decoder_bounds import MEAN_SIZE, Bounds, bounds, noise_of
 from decoder.bundle import Bundle
 from decoder.estimators import ForceModel
-from decoder.locate import Found
+from decoder.found import Found
 from decoder.samples import FAILED, Samples
 from phytac_design.accuracy import Preset
 from phytac_design.build import run_stages, select_stages
@@ -238,6 +238,8 @@ class Verdict:
         Of the decoder's mechanics.
     pixels_px : (n, 2) float or 0
         What the place on the pixels adds to the noise of markers that move, where it is known.
+    switched_px : float
+        What was learnt of the scatter of markers whose tip is out.
     """
 
     data: DataSet
@@ -247,6 +249,7 @@ class Verdict:
     claims: Claims
     context: Context
     pixels_px: FloatArray | float = 0.0
+    switched_px: float = 0.0
 
     def group(self, section: str, name: str) -> BoolArray:
         """Mask (c,); a name may be only begun. Empty for a group without contacts."""
@@ -272,7 +275,9 @@ class Verdict:
     @cached_property
     def bounds(self) -> Bounds:
         """Of the judged contacts, (c,)."""
-        all_ = bounds(self.context, self.data.samples, self.noise_px, self.pixels_px)
+        all_ = bounds(
+            self.context, self.data.samples, self.noise_px, self.pixels_px, self.switched_px
+        )
         return all_.pick(self.decoded.touch)
 
     def over_bound(self, mask: BoolArray) -> tuple[float, float, float]:
@@ -287,7 +292,14 @@ class Verdict:
 
     def over_shaped(self, mask: BoolArray) -> tuple[float, float, float]:
         """The same where second moments are unknown too; and the least mean of |error| / force."""
-        own = self.bounds.shaped_N[mask]
+        return self._over(self.bounds.shaped_N, mask)
+
+    def over_tips(self, mask: BoolArray) -> tuple[float, float, float]:
+        """The same with the scatter of markers whose tip is out."""
+        return self._over(self.bounds.tips_N, mask)
+
+    def _over(self, least_N: FloatArray, mask: BoolArray) -> tuple[float, float, float]:
+        own = least_N[mask]
         share = MEAN_SIZE * float((own / self.decoded.force_N[mask]).mean())
         return self._rmse(mask) / _rms(own), _rms(own), share
 
@@ -341,4 +353,11 @@ def verdict(
         found=found,
         claims=claims_of(found, samples, decoded),
         context=context,
+        switched_px=_switched_px(model),
     )
+
+
+def _switched_px(model: ForceModel) -> float:
+    """Scatter of markers whose tip is out; 0 where none was learnt."""
+    noise = model.locator.noise if model.locator else None
+    return noise.switched_px if noise and noise.ratio is not None else 0.0

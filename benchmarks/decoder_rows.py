@@ -182,6 +182,19 @@ def add_bounds(table: Table, head: str, judged: Verdict, *, target: str | None) 
             source="linear tables of the design; moments scatter as those of these contacts do",
             note=f"RMS of the bound {least_N:.3g} N; it allows {100.0 * share:.2g} % in the mean",
         )
+        if judged.switched_px > 0.0:
+            ratio, least_N, share = judged.over_tips(mask)
+            table.add(
+                f"{head}: auto, {WORDS[group]}: RMSE over the RMS of that bound with the scatter "
+                "of markers whose tip is out besides",
+                ratio,
+                "ratio",
+                reference=1.0,
+                source="the same, and what known contacts leave of markers whose tip is out, in "
+                "the samples that were learnt from",
+                note=f"RMS of the bound {least_N:.3g} N; it allows {100.0 * share:.2g} % in the "
+                f"mean; scatter {judged.switched_px:.3f} px",
+            )
         table.add(
             f"{head}: {WORDS[group]}: least mean relative error that the bound allows",
             100.0 * least,

@@ -9,7 +9,8 @@ import numpy as np
 
 from decoder.contact_fit import Noise, Prior
 from decoder.correct import Correction, learn_correction
-from decoder.locate import Found, Located, Locator
+from decoder.found import Found, Located
+from decoder.locate import Locator
 from decoder.marker_gain import LeftOut, gains, left_out, noise_of, shown, with_gain
 from decoder.samples import FAILED, Samples, TouchRows
 from decoder.uneven import Uneven

@@ -5,7 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from decoder.locate import Found, Locator
+from decoder.found import Found
+from decoder.locate import Locator
 from decoder.network import CascadeNetwork, network_features
 from decoder.nonnegative import nonnegative_least_squares
 from shapes.arrays import FloatArray, IntArray

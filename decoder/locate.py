@@ -28,6 +28,7 @@ from decoder.contact_fit import (
 from decoder.contact_shifts import UNKNOWNS, State, point_of
 from decoder.contacts import contact_groups
 from decoder.correct import Correction
+from decoder.found import Found, Located
 from decoder.nonnegative import nonnegative_least_squares
 from decoder.places import Places
 from shapes.arrays import FloatArray, IntArray
@@ -43,6 +44,9 @@ SUSPECTED_GAIN = 20.0
 not told: on sensors whose tables know what contacts at once do to each other."""
 SILENT_MISFIT = 1.15
 """Weighted sum of squares per number from which on something is left unexplained."""
+SILENT_SURE = 5.0
+"""Standard deviations, as they are told, that its force is from 0 at least: those learnt from the
+sensor's own data know of more than noise."""
 SILENT_OVER = 2.0
 """A switch off may carry this many times its threshold: prints scatter, and places are guessed."""
 REACH = 1.5
@@ -53,74 +57,9 @@ PRINT_SHARE = 0.11
 """Standard deviation of the stiffness of prints of one design, relative: 5 % of modulus, and 3 % of
 thickness as a whole and 3 % from place to place, to the power of 2.3. Forces of a decoder that has
 seen no data of its print are no surer."""
+NO_MARKERS: IntArray = np.zeros(0, dtype=np.int64)
 SPREAD_LEAST = 0.2
 """Least second moment of a contact over that of the tables' disc."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Located:
-    """One contact.
-
-    Attributes
-    ----------
-    markers : (m,) int
-        Key nodes of interest that it tripped, and switches that cannot be read which it must have;
-        none for one found by motion alone that reaches no switch's threshold.
-    share : (m,) float
-        Share of the force that each of them carries.
-    force_N, sd_N : float
-        Normal force, and its standard deviation.
-    raw_N, raw_sd_N : float
-        The same before what was learnt from the sensor's own data, or is presumed of prints.
-    point_mm : (3,) float
-        Centre, on the tangent plane of the outer face.
-    radius_mm : float
-        Of the even disc with the same second moment.
-    sd_mm : (2,) float
-        Standard deviations of the centre, along and around.
-    moments_mm2 : (3,) float
-        Second moments xx, xy, yy less those of the tables' disc.
-    signal_px : float
-        Shift of all markers together, px per newton.
-    """
-
-    markers: IntArray
-    share: FloatArray
-    force_N: float
-    sd_N: float
-    raw_N: float
-    raw_sd_N: float
-    point_mm: FloatArray
-    radius_mm: float
-    sd_mm: FloatArray
-    moments_mm2: FloatArray
-    signal_px: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Found:
-    """What one frame tells.
-
-    Attributes
-    ----------
-    contacts : list of Located
-        Those with switches first.
-    misfit : float
-        Weighted sum of squares of what is left, per number: 1 where noise is as expected.
-    shift_px : (2n,) float
-        What the contacts explain, and those that are suspected.
-    """
-
-    contacts: list[Located]
-    misfit: float
-    shift_px: FloatArray
-
-    def receptor_forces_N(self, count: int) -> FloatArray:
-        """Force (n,) N on each marker: contacts' forces shared among their switches."""
-        out = np.zeros(count)
-        for contact in self.contacts:
-            out[contact.markers] += contact.force_N * contact.share
-        return out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,14 +138,31 @@ class Locator:
     def _switched(self, seen: Seen) -> Fit:
         """Contacts that the switches tell."""
         force = self._switch_forces(seen)
-        best = self._fit(self._starts(seen.koi, force), seen)
-        if best.misfit >= SILENT_MISFIT:
-            parted = self._starts(seen.koi, force, reach_mm=self._reach_mm)
-            if len(parted) > len(best.states):
-                more = self._fit(parted, seen)
-                if best.cost - more.cost >= SILENT_GAIN * (len(parted) - len(best.states)):
-                    best = more
+        starts = self._starts(seen.koi, force)
+        best = self._fit(starts, seen)
+        # Noise that is only presumed may be far too much: then the misfit says little.
+        if self.noise.ratio is not None and best.misfit < SILENT_MISFIT:
+            return best
+        parted = self._starts(seen.koi, force, reach_mm=self._reach_mm)
+        if len(parted) > len(starts):
+            more = self._fit(parted, seen)
+            if best.cost - more.cost >= SILENT_GAIN * (len(parted) - len(starts)):
+                best, starts = more, parted
+        for unread in self._unread_starts(seen):
+            more = self._fit([*starts, unread], seen)
+            if best.cost - more.cost >= SILENT_GAIN and self._could_be_silent(more, seen.koi):
+                best, starts = more, [*starts, unread]
         return best
+
+    def _unread_starts(self, seen: Seen) -> list[State]:
+        """Contacts on switches that cannot be read and that motion says are pressed."""
+        if len(self.blind) == 0:
+            return []
+        asked = np.union1d(seen.koi, self.blind)
+        force = self._switch_forces(replace(seen, koi=asked))
+        pressed = ~np.isin(asked, seen.koi) & (force >= self.threshold_N[asked])
+        parts = self._parts(asked, force, np.flatnonzero(pressed), self._reach_mm)
+        return [replace(self._start(asked, force, rows), markers=NO_MARKERS) for rows in parts]
 
     def _searched(self, best: Fit, seen: Seen) -> Fit:
         """The same with contacts that no switch tells."""
@@ -214,14 +170,14 @@ class Locator:
         # Without them, what tables err by where contacts are at once looks like contacts.
         suspecting, sure = len(koi) > 0 and self.places.pairs is not None, True
         for _ in range(SILENT_MAX):
-            unexplained = best.misfit >= SILENT_MISFIT
+            unexplained = not best.states or best.misfit >= SILENT_MISFIT
             if not unexplained and not suspecting:
                 break
             least = SUSPECTED_GAIN if suspecting else SILENT_GAIN
             another = self._silent(best, seen, least)
             if another is None:
                 break
-            more = self._fit([*(state.copy() for state in best.states), another], seen)
+            more = self._fit([*best.states, another], seen)
             gain = best.cost - more.cost
             if gain < least or not self._could_be_silent(more, koi):
                 break
@@ -234,7 +190,8 @@ class Locator:
         return best
 
     def _fit(self, states: list[State], seen: Seen) -> Fit:
-        return fit(self.places, states, seen, prior=self.prior, noise=self.noise)
+        own = [state.copy() for state in states]
+        return fit(self.places, own, seen, prior=self.prior, noise=self.noise)
 
     @property
     def _reach_mm(self) -> float:
@@ -253,14 +210,18 @@ class Locator:
         self, koi: IntArray, force_N: FloatArray, *, reach_mm: float = np.inf
     ) -> list[State]:
         """A contact for each group of neighbouring switches, and each part that is within reach."""
-        states = []
-        for group in contact_groups(koi, self.neighbours):
-            for rows in self._parts(koi, force_N, np.array(group), reach_mm):
-                weight = np.maximum(force_N[rows], 1e-3)
-                point = weight @ self.position_mm[koi[rows]] / weight.sum()
-                most = max(float(force_N[rows].sum()), START_N)
-                states.append(start(self.places, self.prior, point, most, markers=koi[rows]))
-        return states
+        return [
+            self._start(koi, force_N, rows)
+            for group in contact_groups(koi, self.neighbours)
+            for rows in self._parts(koi, force_N, np.array(group), reach_mm)
+        ]
+
+    def _start(self, koi: IntArray, force_N: FloatArray, rows: IntArray) -> State:
+        """A contact on switches ``koi[rows]`` by the forces on all."""
+        weight = np.maximum(force_N[rows], 1e-3)
+        point = weight @ self.position_mm[koi[rows]] / weight.sum()
+        most = max(float(force_N[rows].sum()), START_N)
+        return start(self.places, self.prior, point, most, markers=koi[rows])
 
     def _parts(
         self, koi: IntArray, force_N: FloatArray, rows: IntArray, reach_mm: float
@@ -334,6 +295,8 @@ class Locator:
             force = raw * self.correction.factor(points, raw, signal)
             spread_N = self.correction.spread_N(force, sd[:, 0])
         tripped = [koi[owner == k] for k in range(len(points))]
+        silent = np.array([len(on) == 0 for on in tripped])
+        told = np.flatnonzero(~silent | (force >= SILENT_SURE * spread_N))
         tripped = [
             on if len(on) else self._unread(state)
             for on, state in zip(tripped, states, strict=True)
@@ -349,10 +312,10 @@ class Locator:
                 point_mm=points[k],
                 radius_mm=float(radius[k]),
                 sd_mm=sd[k, 1:3],
-                moments_mm2=state.x[3:].copy(),
+                moments_mm2=states[k].x[3:].copy(),
                 signal_px=float(signal[k]),
             )
-            for k, state in enumerate(states)
+            for k in told
         ]
         contacts.sort(key=lambda contact: len(contact.markers) == 0)
         return Found(contacts=contacts, misfit=best.misfit, shift_px=best.explained)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from decoder.locate import Found, Located
+from decoder.found import Found, Located
 from shapes.arrays import FloatArray
 
 

@@ -24,7 +24,7 @@ from benchmarks.decoder_rows import (
 )
 from benchmarks.decoder_shapes import add_rows_cycles
 from benchmarks.harness import Table
-from decoder.locate import Found
+from decoder.found import Found
 from decoder.samples import FAILED, Samples
 from decoder.samples_write import write_samples
 from phytac_design.twin.bound import cell_prior
@@ -235,6 +235,9 @@ def test_moments_that_are_unknown_only_raise_the_bound(judged: Verdict) -> None:
     found, twice = (bounds(context, samples, factor * noise) for factor in (1.0, 2.0))
     assert np.isnan(found.shaped_N[judged.decoded.touch[~judged.decoded.tripped]]).all()
     assert np.all(twice.shaped_N[rows] > found.shaped_N[rows])
+    assert found.tips_N[rows] == pytest.approx(found.shaped_N[rows])
+    tips = bounds(context, samples, noise, switched_px=0.5)
+    assert np.all(tips.tips_N[rows] > found.shaped_N[rows])
     from benchmarks.decoder_bounds import _by_moments, _least, _signals
 
     assert samples.touches is not None

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from decoder.locate import Locator
+from decoder.contact_fit import Noise
+from decoder.locate import SILENT_MISFIT, Locator
+from decoder.switches import TipModel
 from shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import MARKERS, flat_locator, nearest, shifts, together
 
@@ -37,6 +39,41 @@ def test_a_switch_that_cannot_be_read_does_not_speak_against_a_contact() -> None
     # All of them would be off, were they read: then there is no telling.
     alone = blind_at(point(45.0, 57.0)).find(both.reshape(-1, 2), np.array([nearest(loud)]))
     assert len(alone.contacts) == 1
+
+
+def test_an_unread_contact_is_found_though_noise_is_presumed_too_much() -> None:
+    loud, unread = point(15.0, 15.0), point(45.0, 45.0)
+    both = together([loud, unread], [10.0, 3.0]).reshape(-1, 2)
+    timid = replace(blind_at(unread), noise=Noise(centroid_px=0.5))
+    found = timid.find(both, np.array([nearest(loud)]))
+    first, second = found.contacts
+    assert (first.force_N, second.force_N) == pytest.approx((10.0, 3.0), rel=0.05)
+    assert nearest(unread) in second.markers
+    # Noise by the design file, more than there is: what is missed is no misfit.
+    missed = replace(timid, blind=timid.blind[:0]).find(both, np.array([nearest(loud)]))
+    assert missed.misfit < SILENT_MISFIT
+    assert len(missed.contacts) == 1
+    # Nor is what is missed alone.
+    none = np.zeros(0, dtype=np.int64)
+    (alone,) = timid.find(shifts(unread, 3.0).reshape(-1, 2), none).contacts
+    assert alone.force_N == pytest.approx(3.0, rel=0.05)
+
+
+def test_what_would_turn_on_switches_that_are_off_is_no_contact_on_unread_ones() -> None:
+    loud, other = point(15.0, 15.0), point(42.0, 42.0)
+    both = together([loud, other], [10.0, 12.0]).reshape(-1, 2)
+    # One of those it must have turned on cannot be read; the others are off.
+    part = replace(LOCATOR, blind=np.array([nearest(point(45.0, 45.0))]))
+    assert len(part.find(both, np.array([nearest(loud)])).contacts) == 1
+
+
+def test_red_that_hardly_grows_cannot_be_read() -> None:
+    rest = np.array([580.0, 600.0, 0.0])
+    tips = TipModel(
+        on_px=np.zeros((3, 2)), red_rest_px=rest, red_on_px=np.array([740.0, 795.0, 60.0])
+    )
+    assert tips.readable.tolist() == [False, True, True]
+    assert tips.blind(np.array([True, False, False])).tolist() == [0]
 
 
 def test_motion_alone_tells_of_a_switch_that_cannot_be_read() -> None:

@@ -9,7 +9,8 @@ import pytest
 
 from decoder.contact_fit import Fit, Prior, Seen, nothing, start
 from decoder.contact_shifts import State, explained, point_of
-from decoder.locate import Found, Locator
+from decoder.found import Found
+from decoder.locate import Locator
 from decoder.marker_gain import with_gain
 from decoder.pairs import MOST, Pairs
 from decoder.places import Places
