@@ -28,8 +28,8 @@ FIGURES = (
     ("0.09 N, 0.86 %", "decoder", "cylinder60 unit 1, frames: auto, middle heights (651 contacts)"),
     ("0.40 N, 3.0 %", "decoder", "cylinder60 unit 1, frames: auto, all heights (991 contacts)"),
     ("0.18 N, 1.4 %", "decoder", "cone unit 1, frames: auto, middle heights (81 contacts)"),
-    ("0.52 N, 4.6 %", "decoder", "hemisphere unit 1, frames: auto, middle heights (120 contacts)"),
-    ("1.2 N, 10 %", "decoder", "plane unit 1, frames: auto, middle heights (35 contacts)"),
+    ("0.35 N, 2.9 %", "decoder", "hemisphere unit 1, frames: auto, middle heights (120 contacts)"),
+    ("1.3 N, 11 %", "decoder", "plane unit 1, frames: auto, middle heights (35 contacts)"),
 )
 """What the comparison says of this project, and the cases it comes from."""
 
