@@ -1,6 +1,7 @@
 """Tables of the estimator ``auto`` against the simulated sensor's own, finer shell."""
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -40,8 +41,8 @@ ARM = MARKERS.tip_mm - MARKERS.mid_mm
 SEE = Seen(READERS, MARKERS.mid_mm, ARM)
 
 
-@cache
-def tabulated(orders: int = 3, spacing_mm: float = 3.0, refine: int = 4) -> Tabulated:
+def made(refine: int, **how: Any) -> Tabulated:
+    """Tables by a mesh of its own."""
     mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=refine)
     return make_places(
         DESIGN,
@@ -50,9 +51,13 @@ def tabulated(orders: int = 3, spacing_mm: float = 3.0, refine: int = 4) -> Tabu
         mesh=mesh,
         model=sensor_model(DESIGN, MARKERS, mesh, receptors=True),
         see=SEE,
-        spacing_mm=spacing_mm,
-        orders=orders,
+        **how,
     )
+
+
+@cache
+def tabulated(orders: int = 3, spacing_mm: float = 3.0, refine: int = 4) -> Tabulated:
+    return made(refine, spacing_mm=spacing_mm, orders=orders)
 
 
 def truth(place: int, places: Places, force_N: float) -> FloatArray:
@@ -224,22 +229,13 @@ def test_shells_of_too_many_elements_have_no_tables_of_pairs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=2)
-    made = []
+    has_pairs = []
     for most in (len(mesh.quads), len(mesh.quads) - 1):
         monkeypatch.setattr("phytac_design.twin.places.ELEMENTS_MOST", most)
         monkeypatch.setattr("phytac_design.twin.pairs.AXES", 2)
-        done = make_places(
-            DESIGN,
-            SURFACE,
-            MARKERS,
-            mesh=mesh,
-            model=sensor_model(DESIGN, MARKERS, mesh, receptors=True),
-            see=SEE,
-            spacing_mm=8.0,
-            orders=3,
-        )
-        made.append(done.places.pairs is not None)
-    assert made == [True, False]
+        done = made(2, spacing_mm=8.0, orders=3)
+        has_pairs.append(done.places.pairs is not None)
+    assert has_pairs == [True, False]
 
 
 def test_images_bend_as_the_lens_and_the_arms_do() -> None:
@@ -276,17 +272,7 @@ def test_no_place_is_far_from_the_tables(kind: str) -> None:
 
 def test_tables_that_would_fill_the_memory_are_coarser(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("phytac_design.twin.places.BYTES_MAX", 2e5)
-    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=3)
-    done = make_places(
-        DESIGN,
-        SURFACE,
-        MARKERS,
-        mesh=mesh,
-        model=sensor_model(DESIGN, MARKERS, mesh, receptors=True),
-        see=SEE,
-        spacing_mm=1.0,
-        orders=1,
-    )
+    done = made(3, spacing_mm=1.0, orders=1)
     assert done.places.shift_px.nbytes < 4e5
 
 
@@ -297,18 +283,7 @@ def test_a_small_part_has_places_enough_for_the_higher_powers() -> None:
         del spacing_mm
         return np.asarray(np.linalg.norm(SURFACE.point(uv) - middle, axis=1) < 5.0)
 
-    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=3)
-    done = make_places(
-        DESIGN,
-        SURFACE,
-        MARKERS,
-        mesh=mesh,
-        model=sensor_model(DESIGN, MARKERS, mesh, receptors=True),
-        see=SEE,
-        spacing_mm=3.0,
-        orders=3,
-        near=near,
-    )
+    done = made(3, spacing_mm=3.0, orders=3, near=near)
     assert done.places.orders == 3
     assert done.bent == done.solves
 
