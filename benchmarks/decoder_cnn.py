@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 
 from benchmarks.decoder_data import SEED, data_folder, data_set, job_of, origin, small_design
+from benchmarks.decoder_speed import SMALL, before_camera
 from benchmarks.harness import Table
 from decoder.samples import FAILED, Samples
 from decoder.train import split_samples
-from phytac_design.build import copy_of
 from phytac_design.design_file import load_design
 from phytac_design.evaluate.scores import Bootstrap
 from phytac_design.layout import make_markers
 from phytac_design.learn.cnn import CnnTrained, Lessons, train_cnn
 from phytac_design.learn.cnn_data import marker_forces, places_in_frame, read_frames
 from phytac_design.optics.view import camera_of
-from phytac_design.spec import CAMERA_PRESETS, Design
 from phytac_design.twin.run.job import Job
 from shapes.arrays import FloatArray, IntArray
 
@@ -50,24 +49,22 @@ def job(*, quick: bool) -> tuple[str, Job, tuple[int, ...]]:
     if quick:
         linear: dict[str, object] = {"displacement": "linear"}
         made = job_of(
-            _low(small_design()), unit=1, samples=24, route="frames", accuracy="draft", solve=linear
+            before_camera(small_design(), SMALL),
+            unit=1,
+            samples=24,
+            route="frames",
+            accuracy="draft",
+            solve=linear,
         )
         return "quick-cnn", replace(made, keep="frames"), (18,)
     made = job_of(
-        _low(load_design("cylinder60")),
+        before_camera(load_design("cylinder60"), SMALL),
         unit=1,
         samples=COUNTS[-1] + JUDGE,
         route="frames",
         accuracy="draft",
     )
     return "cnn", replace(made, keep="frames"), COUNTS
-
-
-def _low(design: Design) -> Design:
-    """The design before the paper's fast camera."""
-    camera = CAMERA_PRESETS["paper_480fps"]
-    pixel_um = design.camera.pixel_um * design.camera.width_px / camera["width_px"]
-    return copy_of(design, camera=camera | {"pixel_um": pixel_um})
 
 
 def learn(

@@ -25,6 +25,7 @@ from benchmarks.decoder_speed import (
 )
 from benchmarks.harness import Table, arguments
 from decoder.follow import Follower
+from phytac_design.design_file import load_design
 
 DESIGN = "cylinder60"
 GRIPS = 34
@@ -71,7 +72,7 @@ def hand(number: int) -> Hand:
 
 def followed(number: int, frames: int = WHOLE) -> Followed:
     """Render one grip and follow its markers from rest."""
-    sensor = Sensor.of(before_camera(DESIGN, SMALL))
+    sensor = Sensor.of(before_camera(load_design(DESIGN), SMALL))
     eyes, bundle, rng = sensor.eyes, sensor.bundle, np.random.default_rng([7, number])
     still, off = np.zeros((eyes.count, 6)), np.zeros(eyes.count, dtype=np.bool_)
     rest = [eyes.frame(still, off, 1.0, rng)[0] for _ in range(2)]

@@ -364,9 +364,9 @@ def add_speed(
         )
 
 
-def before_camera(name: str, size: str) -> Design:
-    """A shipped design before the paper's camera of a size, its view unchanged."""
-    design, camera = load_design(name), CAMERA_PRESETS[PRESETS[size]]
+def before_camera(design: Design, size: str) -> Design:
+    """A design before the paper's camera of a size, its view unchanged."""
+    camera = CAMERA_PRESETS[PRESETS[size]]
     pixel_um = design.camera.pixel_um * design.camera.width_px / camera["width_px"]
     return copy_of(design, camera=camera | {"pixel_um": pixel_um})
 
@@ -376,7 +376,7 @@ def add_rows(table: Table, *, quick: bool, size: str = SMALL) -> None:
     cv2.setNumThreads(1)
     whole = size == SMALL and not quick
     for name in DESIGNS[:1] if quick else DESIGNS:
-        sensor = Sensor.of(before_camera(name, size))
+        sensor = Sensor.of(before_camera(load_design(name), size))
         film = film_of(sensor, range(WHOLE) if whole else range(FIRST, FIRST + FEW))
         label = f"{name} {size}, {sensor.eyes.count} markers"
         sure = add_accuracy(table, label, sensor, film)

@@ -51,40 +51,6 @@ def pair_spacing_mm(area_mm2: float, radius_mm: float) -> float:
     return max(SHARE * radius_mm, float(np.sqrt(area_mm2 / MOST)))
 
 
-def make_pairs(
-    shell: Pressed,
-    see: Seen,
-    *,
-    uv: FloatArray,
-    radius_mm: float,
-    progress: Callable[[str], None] = lambda _: None,
-) -> Pairs:
-    """Tables of pairs of places on a shell.
-
-    Parameters
-    ----------
-    shell, see : Pressed, Seen
-        The sensor's shell, and what its cameras see.
-    uv : (p, 2) float
-        Places.
-    radius_mm : float
-        Of the disc.
-    """
-    mixed = Mixed(shell, see, uv, radius_mm)
-    axes = mixed.axes()
-    progress(f"places: pairs of contacts, {len(axes)} axes")
-    point = shell.surface.point(uv)
-    along, around = tangent_frame(shell.surface, uv)
-    grid = Places(
-        point_mm=point,
-        along=along,
-        around=around,
-        shift_px=mixed.coordinates(axes),
-        radius_mm=radius_mm,
-    )
-    return Pairs(grid=grid, axes_px=axes.astype(np.float32))
-
-
 class Mixed:
     """Mixed terms of discs at p places.
 
@@ -99,7 +65,7 @@ class Mixed:
     """
 
     def __init__(self, shell: Pressed, see: Seen, uv: FloatArray, radius_mm: float) -> None:
-        self.shell, self.see, self.radius_mm = shell, see, radius_mm
+        self.shell, self.see, self.uv, self.radius_mm = shell, see, uv, radius_mm
         self.held = shell.model.fixed.ravel()
         parts = [uv[k : k + BATCH] for k in range(0, len(uv), BATCH)]
         # A newton's linear motions, (6N, p), and those of receptors, (p, n, 6).
@@ -110,6 +76,20 @@ class Mixed:
         quads = shell.model.quads
         # DOFs (E, 24) of the elements.
         self.dofs = (6 * quads[:, :, None] + np.arange(6)).reshape(len(quads), DOFS)
+
+    def pairs(self, progress: Callable[[str], None] = lambda _: None) -> Pairs:
+        """Tables of all pairs of the places."""
+        axes = self.axes()
+        progress(f"places: pairs of contacts, {len(axes)} axes")
+        along, around = tangent_frame(self.shell.surface, self.uv)
+        grid = Places(
+            point_mm=self.point_mm,
+            along=along,
+            around=around,
+            shift_px=self.coordinates(axes),
+            radius_mm=self.radius_mm,
+        )
+        return Pairs(grid=grid, axes_px=axes.astype(np.float32))
 
     def axes(self) -> FloatArray:
         """Axes (r, 2n) of the images, each of unit length."""

@@ -20,7 +20,7 @@ from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.pressure import tangent_frame
 from phytac_design.mechanics.solve import ShellModel
 from phytac_design.spec import Design
-from phytac_design.twin.pairs import ELEMENTS_MOST, make_pairs, pair_spacing_mm
+from phytac_design.twin.pairs import ELEMENTS_MOST, Mixed, pair_spacing_mm
 from phytac_design.twin.pressed import Pressed, Seen
 from phytac_design.twin.walls import with_walls
 from shapes import Surface
@@ -185,7 +185,7 @@ def make_places(
     least = np.sqrt(surface.area_mm2() * orders * 8.0 * markers.count / BYTES_MAX)
     spacing = max(spacing_mm, float(least))
 
-    def table(powers: int, apart_mm: float) -> tuple[Places, int, Pressed, int]:
+    def table(powers: int, apart_mm: float) -> tuple[Places, FloatArray, int, Pressed, int]:
         ring = rings(surface, apart_mm, sectors)
         wanted = np.flatnonzero(_wanted(ring.uv, apart_mm, near))
         if len(wanted) < LEAST_PLACES:
@@ -222,9 +222,9 @@ def make_places(
             shift_px=out,
             radius_mm=radius,
         )
-        return places, len(solved), shell, unsure
+        return places, ring.uv[wanted], len(solved), shell, unsure
 
-    places, solves, _, _ = table(1, spacing)
+    places, uv, solves, _, _ = table(1, spacing)
     if orders == 1:
         return Tabulated(
             places=places, solves=solves, bent=0, large=0, unsure=0, spacing_mm=spacing, give=[]
@@ -235,12 +235,10 @@ def make_places(
         if _enough(rings(surface, APART * spacing, sectors).uv, APART * spacing, near)
         else spacing
     )
-    higher, bent, shell, unsure = table(orders, apart)
+    higher, _, bent, shell, unsure = table(orders, apart)
     more = between(higher, places.point_mm)[:, 1:].astype(np.float32)
     whole = np.concatenate([places.shift_px, more], axis=1)
     places = replace(places, shift_px=whole, top_N=float(shell.forces[-1]))
-    all_uv = rings(surface, spacing, sectors).uv
-    uv = all_uv[_wanted(all_uv, spacing, near)]
     progress("places: flat walls")
     places, give = with_walls(shell, see, places, uv)
     progress("places: pairs of contacts")
@@ -288,7 +286,7 @@ def _pairs(
     if not _enough(uv, apart, near):
         return None
     wanted = uv[_wanted(uv, apart, near)]
-    return make_pairs(shell, see, uv=wanted, radius_mm=radius_mm, progress=progress)
+    return Mixed(shell, see, wanted, radius_mm).pairs(progress)
 
 
 def between(places: Places, points_mm: FloatArray) -> FloatArray:

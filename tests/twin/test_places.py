@@ -14,7 +14,7 @@ from phytac_design.mechanics.receptors import sensor_model
 from phytac_design.optics.view import Readers, cameras_of
 from phytac_design.spec import Design
 from phytac_design.twin.contacts import Contacts
-from phytac_design.twin.pairs import Mixed, bend_of, make_pairs
+from phytac_design.twin.pairs import Mixed, bend_of
 from phytac_design.twin.places import (
     Tabulated,
     between,
@@ -211,10 +211,10 @@ def test_coordinates_of_pairs_are_those_of_their_own_images(
     model = sensor_model(DESIGN, MARKERS, mesh, receptors=True)
     shell = Pressed(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=1)
     uv, radius = rings(SURFACE, 9.0, 1).uv, 4.0
-    made = make_pairs(shell, SEE, uv=uv, radius_mm=radius)
+    mixed = Mixed(shell, SEE, uv, radius)
+    made = mixed.pairs()
     axes = made.axes_px.astype(float)
     np.testing.assert_allclose(axes @ axes.T, np.eye(len(axes)), atol=1e-5)
-    mixed = Mixed(shell, SEE, uv, radius)
     some = mixed.drawn()[::5]
     images = mixed.images(some)
     wanted = images @ axes.T
