@@ -116,6 +116,11 @@ class ContactTracker:
         time_s : float
             When it was taken.
         """
+        self._tracks = {
+            number: track
+            for number, track in self._tracks.items()
+            if not track.absent or time_s - track.seen_s <= HOLD_S
+        }
         tracks = list(self._tracks.values())
         found = self._same_markers(tracks, contacts)
         if found is None:
@@ -199,7 +204,8 @@ class ContactTracker:
             for alone in track.inside
         ]
         members, track.inside = track.inside, []
-        del self._tracks[track.id]
+        # More pieces than members leave one without: it is a new contact.
+        del self._tracks[track.id], found[row]
         pairs = pair(cost)
         for member, piece in pairs:
             alone = members[member]

@@ -3,11 +3,13 @@
 import json
 import math
 import os
+import select
 import stat
+import threading
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from shapes.errors import InputError
 
@@ -15,13 +17,18 @@ LINE_MAX_BYTES = 4096
 HELD = 4096
 """Samples of a port that wait for the frame they belong to."""
 AXES = 3
+WAIT_S = 0.1
+"""A port that gives nothing is asked again after so long whether to go on."""
+IDLE_S = 0.005
+"""And one at its end, such as a pipe that nobody writes to, whether there is more."""
 
 
 class Imu:
     """Lines of JSON: ``{"t": seconds, "gyro": [x, y, z], "accel": [x, y, z]}``.
 
-    A file is read as frames go on. A port (a serial device or a named pipe) is read without ever
-    waiting for it; a sample without ``t`` gets the time at which it arrived.
+    A file is read as frames go on, also one that is still being written. A port (a serial device or
+    a named pipe) is read by a thread of its own, and never waited for; a sample without ``t`` gets
+    the time at which it arrived.
 
     Parameters
     ----------
@@ -45,8 +52,9 @@ class Imu:
         self._waiting: deque[dict[str, Any]] = deque(maxlen=HELD)
         self._now: dict[str, Any] | None = None
         self._held = b""
-        self._lines: Iterator[bytes] | None = None
+        self._file: BinaryIO | None = None
         self._port = -1
+        self._lock, self._closed = threading.Lock(), threading.Event()
         self.bad_lines = 0
         try:
             mode = path.stat().st_mode
@@ -54,73 +62,91 @@ class Imu:
                 self._port = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
             else:
                 self._file = path.open("rb")
-                self._lines = iter(lambda: self._file.readline(LINE_MAX_BYTES), b"")
         except OSError as error:
             raise InputError(
                 f"no motion samples at {path} ({error.strerror}); give a file or a port of JSON "
                 'lines such as {"t": 0.01, "gyro": [0, 0, 0], "accel": [0, 0, 9.81]}'
             ) from None
+        if self.is_port:
+            self._thread = threading.Thread(target=self._listen, name="imu", daemon=True)
+            self._thread.start()
 
     @property
     def is_port(self) -> bool:
         """Whether samples come as they are taken."""
-        return self._lines is None
+        return self._file is None
 
     def latest(self, time_s: float) -> dict[str, Any] | None:
         """Latest sample not newer than ``time_s``; None while there is none."""
-        if self._lines is None:
-            self._read_port()
-        else:
-            while not self._waiting or self._waiting[-1]["t"] <= time_s:
-                line = next(self._lines, b"")
-                if not line:
-                    break
-                self._take(line)
-        while self._waiting and self._waiting[0]["t"] <= time_s:
-            self._now = self._waiting.popleft()
-        return self._now
+        if self._file is not None and not self._closed.is_set():
+            self._read_file(self._file, time_s)
+        with self._lock:
+            while self._waiting and self._waiting[0]["t"] <= time_s:
+                self._now = self._waiting.popleft()
+            return self._now
 
     def close(self) -> None:
         """Close file or port."""
-        if self._port >= 0:
-            os.close(self._port)
-            self._port = -1
-        elif self._lines is not None:
+        if self._closed.is_set():
+            return
+        self._closed.set()
+        if self._file is not None:
             self._file.close()
-            self._lines = iter(())
+        else:
+            self._thread.join()
+            os.close(self._port)
 
-    def _read_port(self) -> None:
-        while self._port >= 0:
+    def _read_file(self, file: BinaryIO, time_s: float) -> None:
+        """Read on to the first sample newer than ``time_s``, or to the end."""
+        while not self._waiting or self._waiting[-1]["t"] <= time_s:
+            more = file.readline(LINE_MAX_BYTES)
+            if not more:
+                return
+            line, self._held = self._held + more, b""
+            ends = line.endswith(b"\n") or len(line) >= LINE_MAX_BYTES
+            if not ends and _sample(line, None) is None:
+                # The rest of it has not been written yet.
+                self._held = line
+                return
+            self._take(line)
+
+    def _listen(self) -> None:
+        """Take samples off the port as they arrive."""
+        held = b""
+        while not self._closed.is_set():
             try:
+                if not select.select([self._port], [], [], WAIT_S)[0]:
+                    continue
                 data = os.read(self._port, 65536)
             except BlockingIOError:
-                return
+                continue
             except OSError as error:
                 self._report(f"{self._path} gives no more motion samples ({error.strerror})")
-                self.close()
                 return
             if not data:
-                return
-            *lines, self._held = (self._held + data).split(b"\n")
-            self._held = self._held[-LINE_MAX_BYTES:]
+                self._closed.wait(IDLE_S)
+                continue
+            *lines, held = (held + data).split(b"\n")
+            held = held[-LINE_MAX_BYTES:]
             for line in lines:
                 self._take(line)
 
     def _take(self, line: bytes) -> None:
         if not line.strip():
             return
-        sample = _sample(line, None if self._lines is not None else self._clock())
-        last = self._waiting[-1] if self._waiting else self._now
-        if sample is None or (last is not None and sample["t"] < last["t"]):
+        sample = _sample(line, self._clock() if self.is_port else None)
+        with self._lock:
+            last = self._waiting[-1] if self._waiting else self._now
+            if sample is not None and (last is None or sample["t"] >= last["t"]):
+                self._waiting.append(sample)
+                return
             self.bad_lines += 1
-            if self.bad_lines == 1:
-                self._report(
-                    f"{self._path}: {line[:60]!r} is no motion sample, or older than the one "
-                    'before; expected {"t": seconds, "gyro": [x, y, z], "accel": [x, y, z]}; such '
-                    "lines are skipped"
-                )
-            return
-        self._waiting.append(sample)
+        if self.bad_lines == 1:
+            self._report(
+                f"{self._path}: {line[:60]!r} is no motion sample, or older than the one before; "
+                'expected {"t": seconds, "gyro": [x, y, z], "accel": [x, y, z]}; such lines are '
+                "skipped"
+            )
 
 
 def _sample(line: bytes, arrived_s: float | None) -> dict[str, Any] | None:

@@ -1,5 +1,6 @@
 """A stream's contacts, and the forces of its regions, as CSV."""
 
+import contextlib
 import csv
 import io
 from collections.abc import Sequence
@@ -50,16 +51,21 @@ class _Rows:
 
     def __init__(self, path: Path, columns: Sequence[str], option: str) -> None:
         self._path = path
-        self.rows = 0
+        self.rows, self._whole_bytes = 0, 0
         try:
-            self._file = path.open("x", encoding="utf-8", newline="")
+            self._file = path.open("xb", buffering=0)
         except FileExistsError:
             raise OutputError(
                 f"{path} is there already; give {option} another name, or remove it"
             ) from None
         except OSError as error:
             raise OutputError(f"{path} cannot be written ({error.strerror})") from None
-        self._put([columns])
+        try:
+            self._put([columns])
+        except OutputError:
+            self._file.close()
+            path.unlink()
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -75,11 +81,17 @@ class _Rows:
     def _put(self, rows: Sequence[Sequence[object]]) -> None:
         text = io.StringIO(newline="")
         csv.writer(text, lineterminator="\n").writerows(rows)
+        data = text.getvalue().encode()
+        left = memoryview(data)
         try:
-            self._file.write(text.getvalue())
-            self._file.flush()
+            while left:
+                left = left[self._file.write(left) :]
         except OSError as error:
+            # Half a row would spoil those before it.
+            with contextlib.suppress(OSError):
+                self._file.truncate(self._whole_bytes)
             raise OutputError(f"{self._path} cannot be written ({error.strerror})") from None
+        self._whole_bytes += len(data)
 
 
 class Recorder(_Rows):

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from decoder.bundle import Bundle
@@ -13,6 +12,7 @@ from decoder.limits import in_play, named, scene_of
 from decoder.matching import Matched, carried, match_markers
 from decoder.segmentation import check_image, segment
 from decoder.switches import read_switches
+from decoder.tracks import whole_image
 from shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from shapes.errors import InputError
 
@@ -148,14 +148,11 @@ def read_image(path: Path) -> ImageArray:
     Raises
     ------
     InputError
-        If the file is missing or not an image.
+        If the file is missing, cut off or not an image.
     """
     if not path.is_file():
         raise InputError(f"no image at {path}")
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if image is None:
-        raise InputError(f"{path} is not an image that can be read (PNG, JPEG, BMP, TIFF)")
-    return np.asarray(image, dtype=np.uint8)
+    return whole_image(path)
 
 
 def frames_of(bundle: Bundle, frames: Frames) -> tuple[ImageArray, ...]:

@@ -201,7 +201,8 @@ class Stream:
         now, source = self.progress, self.source
         reported_s, reported_frames, told_s = self.started_s, 0, -np.inf
         for frame in source:
-            message = self._message(frame)
+            # Of the frames before this one; a camera goes on counting while it is decoded.
+            message = self._message(frame, source.missed + source.skipped)
             self.publish(message)
             if not message["valid"]:
                 now.unread += 1
@@ -221,7 +222,7 @@ class Stream:
                 now.latency_ms.clear()
         now.missed, now.skipped = source.missed, source.skipped
 
-    def _message(self, frame: Frame) -> Message:
+    def _message(self, frame: Frame, missed: int) -> Message:
         try:
             reading = self.decode(frame)
         except (PhytacError, cv2.error, np.linalg.LinAlgError) as error:
@@ -233,7 +234,7 @@ class Stream:
             timestamp_s=frame.timestamp_s,
             decoded_s=done_s - self.started_s,
             latency_ms=1000.0 * (done_s - frame.ready_s),
-            missed=self.source.missed + self.source.skipped,
+            missed=missed,
             imu=self.imu.latest(frame.timestamp_s) if self.imu else None,
         )
 

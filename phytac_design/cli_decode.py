@@ -346,8 +346,17 @@ def _check_files(wanted: Wanted) -> None:
     for option, path in wanted.files:
         if path.exists():
             raise OutputError(f"{path} is there already; give {option} another name, or remove it")
+    if len({path.absolute() for _, path in wanted.files}) < len(wanted.files):
+        each = ", ".join(f"{option} {path}" for option, path in wanted.files)
+        raise OutputError(f"two of {each} are one file; give each a name of its own")
     if wanted.parquet:
         parquet_library()
+        rows = _scratch(wanted.parquet)
+        if wanted.csv is None and rows.exists():
+            raise OutputError(
+                f"{rows} is there already, the rows of a run that was cut off; keep them with "
+                f"`phytac convert {rows} {wanted.parquet}`, or remove it"
+            )
 
 
 def _scratch(parquet: Path) -> Path:
@@ -362,7 +371,6 @@ def _recorders(
     contacts = wanted.csv
     if wanted.parquet and contacts is None:
         contacts = _scratch(wanted.parquet)
-        contacts.unlink(missing_ok=True)
     return open_recorders(stack, contacts, wanted.record_regions, names)
 
 
@@ -373,7 +381,10 @@ def _written(wanted: Wanted, kept: "dict[Path, Recorder | RegionRecorder]") -> s
     rows = {path: recorder.rows for path, recorder in kept.items()}
     if wanted.parquet:
         source = wanted.csv or _scratch(wanted.parquet)
-        rows[wanted.parquet], _ = to_parquet(source, wanted.parquet)
+        try:
+            rows[wanted.parquet], _ = to_parquet(source, wanted.parquet)
+        except OutputError as error:
+            raise OutputError(f"{error}; {rows[source]} rows are kept in {source}") from None
         if wanted.csv is None:
             rows.pop(source)
             source.unlink()

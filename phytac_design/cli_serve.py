@@ -204,7 +204,7 @@ def convert(
     """Turn a recording into Parquet, its columns with their types."""
     from phytac_design.recording import to_parquet
 
-    rows, columns = to_parquet(recording, target, force=force)
+    rows, columns = to_parquet(recording, target, force=force, report=say)
     typer.echo(f"{target}: {rows} rows, {columns} columns")
 
 

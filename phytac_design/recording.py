@@ -1,5 +1,6 @@
 """Recordings of a stream as Parquet."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,13 @@ WORDS = ("markers", "region")
 REAL = ("timestamp_s", "total_N", "force_N", "x_mm", "y_mm", "z_mm", "size_mm", "since_s")
 
 
-def to_parquet(recording: Path, target: Path, *, force: bool = False) -> tuple[int, int]:
+def to_parquet(
+    recording: Path,
+    target: Path,
+    *,
+    force: bool = False,
+    report: Callable[[str], None] = lambda _: None,
+) -> tuple[int, int]:
     """Write a CSV of ``phytac serve`` as Parquet; the number of rows and columns.
 
     Columns keep their names. ``valid`` becomes a truth value, ``markers`` a list of whole numbers,
@@ -25,6 +32,8 @@ def to_parquet(recording: Path, target: Path, *, force: bool = False) -> tuple[i
         File to make; whole or not there.
     force : bool
         Overwrite it.
+    report : callable
+        Told of a last row that is cut off; it is left out.
 
     Raises
     ------
@@ -38,7 +47,7 @@ def to_parquet(recording: Path, target: Path, *, force: bool = False) -> tuple[i
     arrow = parquet_library()
     if target.exists() and not force:
         raise OutputError(f"{target} is there already; add --force, or choose another name")
-    table = _read(arrow, recording)
+    table = _read(arrow, recording, report)
     half = target.with_name(target.name + ".part")
     try:
         arrow.parquet.write_table(table, half, compression="zstd")
@@ -69,16 +78,19 @@ def parquet_library() -> Any:
     return pa
 
 
-def _read(arrow: Any, recording: Path) -> Any:
+def _read(arrow: Any, recording: Path, report: Callable[[str], None]) -> Any:
     """The recording's table, typed."""
     types = dict.fromkeys(WHOLE, arrow.int64()) | dict.fromkeys(REAL, arrow.float64())
     types |= dict.fromkeys(WORDS, arrow.string()) | {"valid": arrow.bool_()}
     try:
-        with recording.open(encoding="utf-8") as file:
-            names = file.readline().rstrip("\r\n").split(",")
+        data = recording.read_bytes()
+        rows = data[: data.rfind(b"\n") + 1]
+        if len(rows) < len(data):
+            report(f"{recording}: the last row does not end; it is left out")
+        names = rows.partition(b"\n")[0].decode().rstrip("\r").split(",")
         types |= {name: arrow.float64() for name in names if name.startswith("region_")}
         table = arrow.csv.read_csv(
-            recording,
+            arrow.BufferReader(rows),
             convert_options=arrow.csv.ConvertOptions(
                 column_types=types,
                 true_values=["1"],

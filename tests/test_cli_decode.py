@@ -156,6 +156,18 @@ def test_a_file_that_is_there_is_kept(toy: Path, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
 
 
+def test_rows_of_a_run_that_was_cut_off_are_kept(toy: Path, tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow.parquet")
+    table, rows = tmp_path / "out.parquet", tmp_path / "out.parquet.csv"
+    rows.write_text("mine")
+    with pytest.raises(OutputError, match=f"phytac convert {rows} {table}"):
+        run(toy / "decoder", toy / "frames", "--parquet", table)
+    assert rows.read_text() == "mine"
+    assert not table.exists()
+    with pytest.raises(OutputError, match="are one file; give each a name of its own"):
+        run(toy / "decoder", toy / "frames", "--csv", table, "--parquet", table)
+
+
 def test_parquet_without_its_library_is_refused_first(
     toy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

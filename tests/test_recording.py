@@ -67,6 +67,15 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("out.parquet*"))
 
 
+def test_a_last_row_that_was_cut_off_is_left_out_and_told(tmp_path: Path) -> None:
+    contacts, _ = recorded(tmp_path)
+    contacts.write_bytes(contacts.read_bytes()[:-8])
+    target = tmp_path / "out.parquet"
+    made = phytac("convert", str(contacts), str(target))
+    assert (made.returncode, made.stdout) == (0, f"{target}: 3 rows, {len(COLUMNS)} columns\n")
+    assert f"{contacts}: the last row does not end; it is left out" in made.stderr
+
+
 def test_the_command_says_what_it_wrote_and_overwrites_nothing(tmp_path: Path) -> None:
     contacts, _ = recorded(tmp_path)
     target = tmp_path / "out.parquet"

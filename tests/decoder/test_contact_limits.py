@@ -110,3 +110,34 @@ def test_merged_contacts_that_slide_over_one_old_place_are_still_both(sign: floa
     found = ids_of(tracker(), [*meet, *slide])
     (one,) = found[len(meet) - 1]
     assert found[len(meet) :] == [[one]] * len(slide)
+
+
+def at(*places_mm: float) -> list[Contact]:
+    """Small contacts along x."""
+    return [
+        Contact(force_N=1.0, position_mm=(x, 0.0, 0.0), size_mm=2.0, markers=(int(x),))
+        for x in places_mm
+    ]
+
+
+def test_more_pieces_than_merged_have_ids_of_their_own() -> None:
+    watch = ContactTracker(spacing_mm=10.0)
+    one = Contact(force_N=2.0, position_mm=(25.0, 0.0, 0.0), size_mm=2.0, markers=(5, 25, 45))
+    frames = (at(5.0, 45.0), [one], at(0.0, 25.0, 50.0), at(0.0, 25.0, 50.0))
+    found = [
+        [contact.id for contact in watch.update(contacts, number / FPS)]
+        for number, contacts in enumerate(frames)
+    ]
+    assert found == [[0, 1], [0], [0, 2, 1], [0, 2, 1]]
+
+
+def test_a_contact_that_was_not_looked_for_in_time_is_a_new_one() -> None:
+    """Frames in between may have been missed, or unreadable."""
+    watch = ContactTracker(spacing_mm=10.0)
+    assert [contact.id for contact in watch.update(at(20.0), 0.0)] == [0]
+    assert watch.update([], 0.1) == []
+    (soon,) = watch.update(at(20.0), HOLD_S)
+    assert (soon.id, soon.since_s) == (0, 0.0)
+    assert watch.update([], HOLD_S + 0.1) == []
+    (late,) = watch.update(at(20.0), 60.0)
+    assert (late.id, late.since_s) == (1, 60.0)

@@ -1,6 +1,7 @@
 """Frames of images, folders, videos and cameras: order, times, pace, torn files, pairs."""
 
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 
 from decoder import live
 from decoder.frame import Frame, Source
+from decoder.run import read_image
 from decoder.sources import Recording, first_frames, open_source
 from decoder.tracks import Folder
 from shapes.arrays import ImageArray
@@ -367,3 +369,21 @@ def test_a_cameras_first_frames_leave_it_free(cameras: list[FakeCamera]) -> None
 def test_a_camera_that_is_not_there_is_refused(cameras: list[FakeCamera]) -> None:
     with pytest.raises(InputError, match="camera 9 cannot be opened; is it plugged in"):
         open_source(["0", "9"])
+
+
+def test_one_image_is_whole_or_refused(tmp_path: Path) -> None:
+    """OpenCV gives half a picture for half a file."""
+    noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), dtype=np.uint8)
+    for name in ("a.jpg", "a.png"):
+        cv2.imwrite(str(tmp_path / name), noise)
+        data = (tmp_path / name).read_bytes()
+        assert read_image(tmp_path / name).shape == noise.shape
+        (tmp_path / name).write_bytes(data[: int(0.7 * len(data))])
+        with pytest.raises(InputError, match=f"{name} is cut off, or no"):
+            read_image(tmp_path / name)
+    # As wide and high as a header can say.
+    head = data[12:16] + (60000).to_bytes(4, "big") * 2 + data[24:29]
+    wide = data[:12] + head + zlib.crc32(head).to_bytes(4, "big") + data[33:]
+    (tmp_path / "a.png").write_bytes(wide)
+    with pytest.raises(InputError, match=r"a\.png cannot be decoded"):
+        read_image(tmp_path / "a.png")

@@ -179,3 +179,24 @@ def test_following_knows_how_long_frames_were_missed_and_the_estimator(
         found = follow(Frame(number=number, timestamp_s=0.0, images=(image,), ready_s=0.0))
     assert elapsed == [1.0, 1.0, 3.0, 1.0, 1.0, 1.0]
     assert found.forces_N[14] == pytest.approx(1.0, abs=0.2)
+
+
+class Busy(Frames):
+    """A camera that loses a frame while another is decoded."""
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frame in super().__iter__():
+            yield frame
+            self.skipped += 1
+
+
+def test_missed_frames_are_those_before() -> None:
+    source = Busy([toy_frame()] * 3)
+
+    def decode(frame: Frame) -> Reading:
+        source.missed += 2
+        return Reading.none(f"frame {frame.number}")
+
+    sent, stream = run([], source=source, decode=decode)
+    assert [message["missed"] for message in sent] == [0, 3, 6]
+    assert (stream.progress.missed, stream.progress.skipped) == (6, 3)

@@ -1,9 +1,12 @@
 """Messages of a stream: what they say, exact on the wire, and no number that is none."""
 
+import io
 import json
 import os
 import struct
+import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -221,20 +224,55 @@ def test_motion_samples_go_with_the_frame_they_are_not_newer_than(tmp_path: Path
         Imu(tmp_path / "none", clock=lambda: 0.0, report=said.append)
 
 
+def test_a_file_of_motion_samples_may_still_be_written(tmp_path: Path) -> None:
+    path = tmp_path / "imu.jsonl"
+    said: list[str] = []
+    with path.open("w") as file:
+        file.write('{"t": 0.1, "gyro": [1, 1, 1]}\n')
+        file.flush()
+        imu = Imu(path, clock=lambda: 0.0, report=said.append)
+        assert imu.latest(1.0) == {"t": 0.1, "gyro": [1, 1, 1]}
+        file.write('{"t": 1.1, "gyro": [2, ')
+        file.flush()
+        assert imu.latest(1.2) == {"t": 0.1, "gyro": [1, 1, 1]}
+        file.write('2, 2]}\n{"t": 1.9, "gyro": [3, 3, 3]}\n')
+        file.flush()
+        assert imu.latest(1.5) == {"t": 1.1, "gyro": [2, 2, 2]}
+        assert imu.latest(2.0) == {"t": 1.9, "gyro": [3, 3, 3]}
+    imu.close()
+    assert said == []
+
+
+def come(imu: Imu, time_s: float, wanted: dict[str, Any]) -> None:
+    """Wait for a sample to come off a port."""
+    end = time.monotonic() + 10.0
+    while imu.latest(time_s) != wanted:
+        assert time.monotonic() < end, imu.latest(time_s)
+        time.sleep(0.002)
+
+
 def test_a_port_of_motion_samples_is_never_waited_for(tmp_path: Path) -> None:
-    path, now = tmp_path / "port", 5.0
+    path, now = tmp_path / "port", [5.0]
     os.mkfifo(path)
-    imu = Imu(path, clock=lambda: now, report=lambda _: None)
+    imu = Imu(path, clock=lambda: now[0], report=lambda _: None)
     assert imu.latest(9.0) is None
     writer = os.open(path, os.O_WRONLY)
     os.write(writer, b'{"t": 1.0, "gyro": [1, 1, 1]}\n{"gyro": [2, ')
-    assert imu.latest(9.0) == {"t": 1.0, "gyro": [1, 1, 1]}
-    os.write(writer, b"2, 2]}\n")
-    assert imu.latest(4.9) == {"t": 1.0, "gyro": [1, 1, 1]}
-    assert imu.latest(5.0) == {"t": 5.0, "gyro": [2, 2, 2]}
+    come(imu, 9.0, {"t": 1.0, "gyro": [1, 1, 1]})
+    os.write(writer, b'2, 2]}\n{"t": 5.5, "gyro": [3, 3, 3]}\n')
+    come(imu, 5.6, {"t": 5.5, "gyro": [3, 3, 3]})
+    # Its time is that of its coming, not of the frame that asks for it.
+    now[0] = 6.0
+    os.write(writer, b'{"gyro": [4, 4, 4]}\n')
+    while not imu._waiting:
+        time.sleep(0.002)
+    now[0] = 7.0
+    assert imu.latest(5.9) == {"t": 5.5, "gyro": [3, 3, 3]}
+    assert imu.latest(6.0) == {"t": 6.0, "gyro": [4, 4, 4]}
     os.close(writer)
-    assert imu.latest(6.0) == {"t": 5.0, "gyro": [2, 2, 2]}
+    assert imu.latest(8.0) == {"t": 6.0, "gyro": [4, 4, 4]}
     imu.close()
+    assert imu.latest(8.0) == {"t": 6.0, "gyro": [4, 4, 4]}
 
 
 def test_a_recording_has_a_row_for_each_contact_and_loses_none(tmp_path: Path) -> None:
@@ -270,3 +308,32 @@ def test_a_recording_of_regions_has_a_row_for_each_frame(tmp_path: Path) -> None
     assert recorder.rows == 2
     with pytest.raises(OutputError, match="give --record-regions another name"):
         RegionRecorder(path, [])
+
+
+class Full(io.FileIO):
+    """A file on a disk that takes few bytes more."""
+
+    room = 150
+
+    def write(self, data: Any) -> int:
+        if self.room <= 0:
+            raise OSError(28, "No space left on device")
+        part = bytes(data)[: self.room]
+        self.room -= len(part)
+        return super().write(part)
+
+
+def test_a_full_disk_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "out.csv"
+    monkeypatch.setattr(Path, "open", lambda self, mode, **_: Full(self, mode.strip("b")))
+    with Recorder(path) as recorder:
+        recorder.add(messages().frame(reading({}), sequence=0, timestamp_s=0.0))
+        whole = path.read_bytes()
+        with pytest.raises(OutputError, match=r"cannot be written \(No space left on device\)"):
+            recorder.add(messages().frame(reading({7: 3.0, 28: 1.0}), sequence=1, timestamp_s=0.1))
+    assert path.read_bytes() == whole
+    assert whole.endswith(b",,\n")
+    monkeypatch.setattr(Full, "room", 20)
+    with pytest.raises(OutputError, match="No space left"):
+        Recorder(tmp_path / "none.csv")
+    assert not (tmp_path / "none.csv").exists()
