@@ -13,8 +13,8 @@ from shapes.errors import InputError
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 STAMP_NS = re.compile(r"\d{16,19}")
 STAMP_S = re.compile(r"\d+\.\d+")
-ENDS_OF_FILES = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
-"""What a whole file ends with; OpenCV gives half a picture for a file that was cut off."""
+ENDS_OF_FILES = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8": b"\xff\xd9"}
+"""What a whole PNG or JPEG begins and ends with; OpenCV gives half a picture for half a file."""
 
 
 class Track(ABC):
@@ -179,10 +179,11 @@ def whole_image(path: Path) -> ImageArray:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror})") from None
-    ending = ENDS_OF_FILES.get(path.suffix.lower())
     # Some cameras pad their files.
-    if ending and not data.rstrip(b"\0").endswith(ending):
-        raise InputError(f"{path} is cut off, or no {path.suffix[1:].upper()} file")
+    body = data.rstrip(b"\0")
+    ends = ENDS_OF_FILES.items()
+    if not data or any(data.startswith(head) and not body.endswith(tail) for head, tail in ends):
+        raise InputError(f"{path} is cut off; it holds {len(data)} bytes")
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
     except cv2.error as error:

@@ -379,7 +379,10 @@ def test_one_image_is_whole_or_refused(tmp_path: Path) -> None:
         data = (tmp_path / name).read_bytes()
         assert read_image(tmp_path / name).shape == noise.shape
         (tmp_path / name).write_bytes(data[: int(0.7 * len(data))])
-        with pytest.raises(InputError, match=f"{name} is cut off, or no"):
+        with pytest.raises(InputError, match=f"{name} is cut off"):
+            read_image(tmp_path / name)
+        (tmp_path / name).write_text("hello")
+        with pytest.raises(InputError, match=f"{name} is not an image"):
             read_image(tmp_path / name)
     # As wide and high as a header can say.
     head = data[12:16] + (60000).to_bytes(4, "big") * 2 + data[24:29]
