@@ -16,10 +16,11 @@ from benchmarks.decoder_stream_clients import READERS, clients
 from benchmarks.harness import Table, arguments
 from decoder.bundle import Bundle, load_bundle
 from decoder.frame import Frame, Source
+from decoder.reading import Reading
 from decoder.run import read_image, rest_positions
 from decoder.serve import Limits, Server
 from decoder.stream import Decode, Stream, frame_decoder
-from decoder.wire import Message, Messages, Reading
+from decoder.wire import Message, Messages
 from phytac_design.build import build
 from phytac_design.design_file import load_design, parse_design
 from shapes.arrays import ImageArray

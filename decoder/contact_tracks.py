@@ -167,7 +167,8 @@ class ContactTracker:
         reach = GATE_SPACINGS * self.spacing_mm + 0.5 * max(track.size_mm, contact.size_mm)
         if not shared and away > reach:
             return FAR
-        return away - self.spacing_mm * shared / len(track.markers)
+        # One that tripped no switch has none.
+        return away - self.spacing_mm * shared / max(len(track.markers), 1)
 
     def _part(
         self, found: dict[int, _Track], row: int, track: _Track, contacts: Sequence[Contact]

@@ -42,6 +42,8 @@ class Contact:
         Stays with the contact from frame to frame; -1 before it is tracked.
     since_s : float
         When it was first seen, on the source's clock.
+    sd_N : float, optional
+        Standard deviation of the force, where the estimator knows it.
     """
 
     markers: tuple[int, ...]
@@ -50,6 +52,7 @@ class Contact:
     size_mm: float
     id: int = -1
     since_s: float = 0.0
+    sd_N: float | None = None
 
 
 def contact_groups(koi: IntArray, neighbours: IntArray) -> list[list[int]]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from decoder.bundle import Bundle
 from decoder.contacts import contact_groups
+from decoder.found import Found
 from decoder.locate import SILENT_MISFIT
 from shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -51,10 +52,14 @@ class Explained:
         Shift of each marker; NaN where not found.
     koi : (m,) int
         Switches that are on.
+    found : Found, optional
+        What ``auto`` has found in it already.
     """
 
-    def __init__(self, bundle: Bundle, shift_px: FloatArray, koi: IntArray) -> None:
-        self.bundle, self.koi, model = bundle, koi, bundle.model
+    def __init__(
+        self, bundle: Bundle, shift_px: FloatArray, koi: IntArray, found: Found | None = None
+    ) -> None:
+        self.bundle, self.koi, self._found, model = bundle, koi, found, bundle.model
         self._gram = _gram(_Same(model.compliance_px))
         self.inverse_N = model.forces("koi_inverse", shift_px, koi)
         self._plain = (model.compliance_px @ self.inverse_N).reshape(-1, 2)
@@ -130,7 +135,7 @@ class Explained:
         model = self.bundle.model
         if model.locator is None or not len(self.koi) or not 1 <= len(markers) <= EXCUSED_MOST:
             return False
-        found = model.contacts(self._seen, self.koi)
+        found = self._found or model.contacts(self._seen, self.koi)
         silent = any(len(contact.markers) == 0 for contact in found.contacts)
         if silent or found.misfit > SILENT_MISFIT:
             return False

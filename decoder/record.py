@@ -26,6 +26,7 @@ COLUMNS = (
     "size_mm",
     "since_s",
     "region",
+    "sd_N",
 )
 REGION_COLUMNS = ("sequence", "timestamp_s", "valid", "total_N")
 """Before one column for each region, ``region_NAME_N``."""
@@ -137,6 +138,7 @@ class Recorder(_Rows):
                 contact["size_mm"],
                 contact["since_s"],
                 contact.get("region", ""),
+                contact.get("sd_N", ""),
             )
             for number, contact in enumerate(contacts)
         ]

@@ -8,6 +8,7 @@ import numpy as np
 
 from decoder.bundle import Bundle
 from decoder.doubts import Explained
+from decoder.found import Found
 from decoder.limits import in_play, named, scene_of
 from decoder.matching import Matched, carried, match_markers
 from decoder.segmentation import check_image, segment
@@ -58,7 +59,12 @@ class Measured:
         return bundle.model.forces(estimator, self.shift_px, self.koi)
 
     def warnings(
-        self, bundle: Bundle, forces_N: FloatArray, *, estimator: str | None = None
+        self,
+        bundle: Bundle,
+        forces_N: FloatArray,
+        *,
+        estimator: str | None = None,
+        found: Found | None = None,
     ) -> list[str]:
         """Reasons to distrust these forces, each as a sentence; empty for a sound frame.
 
@@ -72,6 +78,8 @@ class Measured:
             From :meth:`forces_N`.
         estimator : str, optional
             That gave them; all of them if not given.
+        found : Found, optional
+            What ``auto`` has found in this frame already.
         """
         out = []
         share = float(self.found.mean())
@@ -99,7 +107,7 @@ class Measured:
                 f"read: this decoder was made for {scene_of(bundle)}"
             )
         if still:
-            out += self._doubts(bundle, forces_N)
+            out += self._doubts(bundle, forces_N, found)
         useless = self.koi[~bundle.stiffness_usable[self.koi]]
         if len(useless) and estimator not in WITHOUT_STIFFNESS:
             out.append(
@@ -111,7 +119,7 @@ class Measured:
             out.append(f"{len(self.koi)} of {len(self.found)} switches read as on")
         return out
 
-    def _doubts(self, bundle: Bundle, forces_N: FloatArray) -> list[str]:
+    def _doubts(self, bundle: Bundle, forces_N: FloatArray, found: Found | None) -> list[str]:
         """What the markers' motion speaks against."""
         out = []
         if len(self.merged):
@@ -119,7 +127,7 @@ class Measured:
                 f"the paint of {len(self.merged)} markers ({named(self.merged)}) is one with "
                 "another's: they are left out; clean or repaint them"
             )
-        motion = Explained(bundle, self.shift_px, self.koi)
+        motion = Explained(bundle, self.shift_px, self.koi, found)
         weak = motion.powerless(forces_N)
         if len(weak):
             least = bundle.threshold_N[weak].min()

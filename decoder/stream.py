@@ -11,9 +11,10 @@ from decoder.bundle import Bundle
 from decoder.follow import Follower
 from decoder.frame import Frame, Source
 from decoder.imu import Imu
+from decoder.reading import Reading, read
 from decoder.record import Recorder, RegionRecorder
-from decoder.run import Measured, measure_frame
-from decoder.wire import Message, Messages, Reading
+from decoder.run import measure_frame
+from decoder.wire import Message, Messages
 from shapes.arrays import FloatArray, ImageArray
 from shapes.errors import InputError, OutputError, PhytacError
 
@@ -44,7 +45,7 @@ def frame_decoder(
 
     def decode(frame: Frame) -> Reading:
         measured = measure_frame(bundle, frame.images, rest_px=rest_px)
-        return _reading(bundle, measured, estimator)
+        return read(bundle, measured, estimator)
 
     return decode
 
@@ -79,7 +80,7 @@ def follow_decoder(
         nonlocal last
         elapsed, last = max(frame.number - last, 1), frame.number
         seen = follower.follow(frame.images, elapsed=float(elapsed))
-        found = _reading(bundle, seen, estimator)
+        found = read(bundle, seen, estimator)
         return replace(found, warnings=[*found.warnings, *seen.flags])
 
     return decode
@@ -89,12 +90,6 @@ def _known(bundle: Bundle, estimator: str) -> None:
     known = bundle.model.estimators
     if estimator not in known:
         raise InputError(f"the decoder has no estimator {estimator!r}; known: {', '.join(known)}")
-
-
-def _reading(bundle: Bundle, measured: Measured, estimator: str) -> Reading:
-    forces = measured.forces_N(bundle, estimator)
-    warnings = measured.warnings(bundle, forces, estimator=estimator)
-    return Reading(koi=measured.koi, forces_N=forces, warnings=warnings)
 
 
 @dataclass(kw_only=True)

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from decoder.frame import Frame
+from decoder.reading import Reading
 from decoder.stream import Decode
-from decoder.wire import Reading
 from shapes.arrays import FloatArray, ImageArray, IntArray
 
 ROWS, BAND_px = 32, 640

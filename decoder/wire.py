@@ -6,7 +6,7 @@
 import json
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -15,13 +15,15 @@ import numpy as np
 from decoder.bundle import Bundle
 from decoder.contact_tracks import ContactTracker
 from decoder.contacts import Contact, ContactFinder
+from decoder.found import Located
 from decoder.limits import named
+from decoder.reading import Reading, nearest_marker, pushes
 from decoder.regions import Region, RegionForces
 from shapes.arrays import FloatArray, IntArray
 from shapes.errors import InputError, cause_of
 
 FORMAT = "phytac-stream"
-VERSION = "1.1"
+VERSION = "1.2"
 FRAMINGS = ("lines", "length")
 """JSON lines, or each message after its length in bytes (4 bytes, big-endian)."""
 MESSAGE_MAX_BYTES = 1 << 24
@@ -35,34 +37,6 @@ TIME_DIGITS = 6
 UNITS = {"force": "N", "length": "mm", "time": "s", "latency": "ms", "frame": "sensor"}
 
 Message = dict[str, Any]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Reading:
-    """What a decoder makes of one frame.
-
-    Attributes
-    ----------
-    koi : (m,) int
-        Key nodes of interest: markers whose switch is on.
-    forces_N : (n,) float
-        Inward force on every marker; zero off the key nodes of interest.
-    warnings : sequence of str
-        Reasons to distrust them.
-    valid : bool
-        Whether the frame could be decoded at all.
-    """
-
-    koi: IntArray
-    forces_N: FloatArray
-    warnings: Sequence[str] = ()
-    valid: bool = True
-
-    @classmethod
-    def none(cls, reason: str) -> "Reading":
-        """Of a frame that could not be decoded, with the reason."""
-        nothing = np.zeros(0)
-        return cls(koi=nothing.astype(np.int64), forces_N=nothing, warnings=(reason,), valid=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,6 +150,10 @@ class Messages:
                 "they are left out"
             )
         koi = koi[good]
+        if reading.located is not None:
+            sound = [one for one in reading.located if abs(one.force_N) <= FORCE_LIMIT_N]
+            reading = replace(reading, located=tuple(sound))
+        pressed = pushes(reading, koi, self.bundle.position_mm)
         out: Message = {
             "type": "frame",
             "sequence": sequence,
@@ -183,7 +161,7 @@ class Messages:
             "decoded_s": _rounded(decoded_s, TIME_DIGITS),
             "latency_ms": _rounded(latency_ms, 3),
             "valid": reading.valid and not len(broken),
-            "total_N": _rounded(forces[koi].sum(), FORCE_DIGITS),
+            "total_N": _rounded(pressed.force_N.sum(), FORCE_DIGITS),
             "contacts": self._contacts(reading, koi, timestamp_s),
             "koi": koi.tolist(),
             "forces_N": np.round(forces[koi], FORCE_DIGITS).tolist(),
@@ -192,10 +170,10 @@ class Messages:
         }
         if self.normals is not None:
             # Pressing acts along the inward normal.
-            net = -(forces[koi] @ self.normals[koi])
+            net = -(pressed.force_N @ self.normals[pressed.markers])
             out["net_force_N"] = [_rounded(part, FORCE_DIGITS) for part in net]
         if self.regions:
-            sums = self.region_forces.of(koi, forces[koi])
+            sums = self.region_forces.of(pressed.markers, pressed.force_N)
             out["regions"] = [
                 {"name": region.name, "force_N": _rounded(force, FORCE_DIGITS)}
                 for region, force in zip(self.regions, sums, strict=True)
@@ -208,7 +186,12 @@ class Messages:
         """Contacts with their ids, the strongest first."""
         if not reading.valid:
             return []
-        found = self.tracker.update(self.finder.find(reading.forces_N, koi), time_s)
+        if reading.located is None:
+            contacts = self.finder.find(reading.forces_N, koi)
+        else:
+            strongest = sorted(reading.located, key=lambda one: -one.force_N)
+            contacts = [_as_found(one) for one in strongest]
+        found = self.tracker.update(contacts, time_s)
         return [self._contact(contact, reading.forces_N) for contact in found]
 
     def _contact(self, contact: Contact, forces_N: FloatArray) -> Message:
@@ -220,10 +203,26 @@ class Messages:
             "size_mm": _rounded(contact.size_mm, SIZE_DIGITS),
             "since_s": _rounded(contact.since_s, TIME_DIGITS),
         }
+        if contact.sd_N is not None:
+            out["sd_N"] = _rounded(contact.sd_N, FORCE_DIGITS)
         if self.regions:
-            forces = forces_N[list(contact.markers)].tolist()
-            out["region"] = self.region_forces.home(contact.markers, forces)
+            markers = list(contact.markers)
+            if not markers:
+                place = np.array(contact.position_mm)
+                markers = [nearest_marker(place, self.bundle.position_mm)]
+            out["region"] = self.region_forces.home(markers, forces_N[markers].tolist())
         return out
+
+
+def _as_found(located: Located) -> Contact:
+    x, y, z = located.point_mm.tolist()
+    return Contact(
+        markers=tuple(sorted(located.markers.tolist())),
+        force_N=located.force_N,
+        position_mm=(x, y, z),
+        size_mm=2.0 * located.radius_mm,
+        sd_N=located.sd_N,
+    )
 
 
 def end_message(reason: str) -> Message:

@@ -139,6 +139,7 @@ def is_image(where: str) -> bool:
 def _decode_frame(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: Wanted) -> None:
     """One frame of each camera, in full."""
     from decoder.calibrate_colours import calibrate_rest
+    from decoder.reading import pushes, read
     from decoder.regions import RegionForces
     from decoder.run import measure_frame, read_image
 
@@ -147,16 +148,16 @@ def _decode_frame(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: Wante
         bundle = calibrate_rest(bundle, rest_images(bundle, wanted.rest, [], 0))
     measured = measure_frame(bundle, images)
     chosen = wanted.chosen
-    forces = measured.forces_N(bundle, chosen)
-    warnings = measured.warnings(bundle, forces, estimator=chosen)
-    contacts = (
-        bundle.model.contacts(measured.shift_px, measured.koi).contacts if chosen == "auto" else []
-    )
+    reading = read(bundle, measured, chosen)
+    koi, forces, warnings = reading.koi, reading.forces_N, reading.warnings
+    contacts = reading.located or ()
+    pressed = pushes(reading, koi, bundle.position_mm)
+    total_N = float(pressed.force_N.sum())
     sums = RegionForces(regions=regions, markers=len(forces))
     held = dict(
         zip(
             [region.name for region in regions],
-            sums.of(measured.koi, forces[measured.koi]),
+            sums.of(pressed.markers, pressed.force_N),
             strict=True,
         )
     )
@@ -167,8 +168,8 @@ def _decode_frame(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: Wante
             "design": bundle.design,
             "estimator": chosen,
             "found": int(measured.found.sum()),
-            "forces_N": {str(i): round(float(forces[i]), 4) for i in measured.koi},
-            "total_N": round(float(forces.sum()), 4),
+            "forces_N": {str(i): round(float(forces[i]), 4) for i in koi},
+            "total_N": round(total_N, 4),
             "contacts": [
                 {
                     "force_N": round(contact.force_N, 4),
@@ -187,7 +188,7 @@ def _decode_frame(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: Wante
         typer.echo(json.dumps(result, indent=1))
         return
     typer.echo(f"{bundle.design}: {int(measured.found.sum())} of {len(forces)} markers found")
-    for marker in measured.koi:
+    for marker in koi:
         x, y, z = bundle.position_mm[marker]
         typer.echo(
             f"  marker {marker:4d} at ({x:6.1f}, {y:6.1f}, {z:6.1f}) mm  {forces[marker]:7.2f} N"
@@ -201,7 +202,8 @@ def _decode_frame(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: Wante
         )
     for name, force in held.items():
         typer.echo(f"  region {name}  {force:.2f} N")
-    typer.echo(f"total {forces.sum():.2f} N on {len(measured.koi)} switched receptors")
+    aside = f" and {len(reading.silent)} contacts without one" if reading.silent else ""
+    typer.echo(f"total {total_N:.2f} N on {len(koi)} switched receptors{aside}")
 
 
 @dataclass(kw_only=True)
@@ -251,9 +253,9 @@ def _row(message: "Message") -> str:
     for contact in message["contacts"]:
         x, y, z = contact["position_mm"]
         region = f" {contact['region']}" if contact.get("region") else ""
-        parts.append(
-            f"#{contact['id']} {contact['force_N']:.2f} N at ({x:.1f}, {y:.1f}, {z:.1f}) mm{region}"
-        )
+        spread = f" ± {contact['sd_N']:.2f}" if "sd_N" in contact else ""
+        force = f"#{contact['id']} {contact['force_N']:.2f}{spread} N"
+        parts.append(f"{force} at ({x:.1f}, {y:.1f}, {z:.1f}) mm{region}")
     parts += [f"{one['name']} {one['force_N']:.2f} N" for one in message.get("regions", ())]
     if message["warnings"]:
         parts.append("doubtful")

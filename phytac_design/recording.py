@@ -9,7 +9,7 @@ from shapes.errors import InputError, MissingPartError, OutputError, cause_of
 WHOLE = ("sequence", "contacts", "contact", "id")
 """Columns of whole numbers; empty where a frame has no contact."""
 WORDS = ("markers", "region")
-REAL = ("timestamp_s", "total_N", "force_N", "x_mm", "y_mm", "z_mm", "size_mm", "since_s")
+REAL = ("timestamp_s", "total_N", "force_N", "x_mm", "y_mm", "z_mm", "size_mm", "since_s", "sd_N")
 
 
 def to_parquet(

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from decoder.reading import Reading
 from decoder.record import COLUMNS, Recorder, RegionRecorder
 from decoder.regions import Region
-from decoder.wire import Messages, Reading
+from decoder.wire import Messages
 from phytac_design.recording import to_parquet
 from shapes.errors import InputError, OutputError
 from tests.decoder.toy_sensor import toy_bundle

@@ -14,12 +14,14 @@ import matplotlib as mpl
 import numpy as np
 
 from decoder.bundle import Bundle, load_bundle
+from decoder.reading import Reading
+from decoder.reading import read as read_measured
 from decoder.record import Recorder, RegionRecorder
 from decoder.regions import Region, load_regions
 from decoder.run import Measured
 from decoder.samples import FAILED, Samples
 from decoder.samples_read import read_samples
-from decoder.wire import Message, Messages, Reading
+from decoder.wire import Message, Messages
 from phytac_design.build import build
 from phytac_design.design_file import load_design
 from phytac_design.region_chart import chart_of_design
@@ -141,9 +143,7 @@ def read(sensor: Handle, shift_px: FloatArray, bits: BoolArray) -> Reading:
     """Forces from markers and switches, by the decoder."""
     found = np.isfinite(shift_px[:, 0])
     measured = Measured(koi=np.flatnonzero(bits), shift_px=shift_px, found=found)
-    forces = measured.forces_N(sensor.bundle, sensor.estimator)
-    warnings = measured.warnings(sensor.bundle, forces, estimator=sensor.estimator)
-    return Reading(koi=measured.koi, forces_N=forces, warnings=warnings)
+    return read_measured(sensor.bundle, measured, sensor.estimator)
 
 
 def record(sensor: Handle, messages: Sequence[Message], name: str) -> None:

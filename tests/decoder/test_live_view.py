@@ -14,8 +14,9 @@ import pytest
 
 from decoder.live_view import CURVE_MAX, VIEWERS_MAX, LiveView, unrolled
 from decoder.live_view_page import PAGE
+from decoder.reading import Reading
 from decoder.regions import Region
-from decoder.wire import Message, Messages, Reading
+from decoder.wire import Message, Messages
 from shapes.errors import OutputError
 from tests.decoder.toy_sensor import toy_bundle
 

@@ -12,9 +12,10 @@ import pytest
 from decoder.follow import Follower
 from decoder.frame import Frame, Source
 from decoder.imu import Imu
+from decoder.reading import Reading
 from decoder.sources import open_source
 from decoder.stream import Progress, Stream, follow_decoder, frame_decoder
-from decoder.wire import Message, Messages, Reading
+from decoder.wire import Message, Messages
 from shapes.arrays import ImageArray
 from shapes.errors import InputError
 from tests.decoder.test_eyes import lattice

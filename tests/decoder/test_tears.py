@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from decoder.frame import Frame
+from decoder.reading import Reading
 from decoder.tears import STREAK, BAND_px, Tears, watched
-from decoder.wire import Reading
 from shapes.arrays import ImageArray
 from shapes.errors import InputError
 

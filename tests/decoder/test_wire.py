@@ -14,13 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from decoder.imu import Imu
+from decoder.reading import Reading
 from decoder.record import COLUMNS, Recorder, RegionRecorder
 from decoder.regions import Region
 from decoder.wire import (
     FRAMINGS,
     MESSAGE_MAX_BYTES,
     Messages,
-    Reading,
     Splitter,
     encode,
     json_bytes,
@@ -45,7 +45,7 @@ def reading(forces_N: dict[int, float], *warnings: str) -> Reading:
 
 def test_hello_tells_what_the_numbers_mean() -> None:
     hello = messages().hello()
-    assert (hello["type"], hello["format"], hello["version"]) == ("hello", "phytac-stream", "1.1")
+    assert (hello["type"], hello["format"], hello["version"]) == ("hello", "phytac-stream", "1.2")
     assert hello["design"] == "toy"
     assert hello["markers"] == len(hello["positions_mm"]) == COUNT
     assert hello["positions_mm"][7] == [10.0, 10.0, 0.0]
@@ -283,10 +283,11 @@ def test_a_recording_has_a_row_for_each_contact_and_loses_none(tmp_path: Path) -
     # Not closed: what a killed program leaves.
     head, *rows = [line.split(",") for line in path.read_text().splitlines()]
     assert tuple(head) == COLUMNS
+    first, second = ["4", "0.5", "1", "2", "0"], ["4", "0.5", "1", "2", "1"]
     assert rows == [
-        ["4", "0.5", "1", "2", "0", "4.0", "12.5", "12.5", "0.0", "7 14", "0", "20.82", "0.5", ""],
-        ["4", "0.5", "1", "2", "1", "0.5", "40.0", "40.0", "0.0", "28", "1", "11.55", "0.5", ""],
-        ["6", "0.75", "1", "0", *[""] * 10],
+        [*first, "4.0", "12.5", "12.5", "0.0", "7 14", "0", "20.82", "0.5", "", ""],
+        [*second, "0.5", "40.0", "40.0", "0.0", "28", "1", "11.55", "0.5", "", ""],
+        ["6", "0.75", "1", "0", *[""] * 11],
     ]
     with pytest.raises(OutputError, match="is there already; give --record another name"):
         Recorder(path)

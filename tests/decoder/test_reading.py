@@ -1,0 +1,165 @@
+"""What an estimator that finds contacts itself tells of a frame, and what goes on the wire."""
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from decoder import reading as reading_module
+from decoder.bundle import Bundle, load_bundle
+from decoder.estimators import ForceModel
+from decoder.found import Found, Located
+from decoder.reading import Reading, read
+from decoder.record import Recorder
+from decoder.regions import Region
+from decoder.run import Measured, measure_frame, read_image
+from decoder.wire import Messages
+from phytac_design.build import BuildResult
+from tests.decoder.toy_sensor import toy_bundle
+
+COUNT = 30
+
+
+def located(force_N: float, point_mm: tuple[float, float, float], *markers: int) -> Located:
+    """A contact that shares its force evenly among its switches."""
+    on = np.array(markers, dtype=np.int64)
+    return Located(
+        markers=on,
+        share=np.full(len(on), 1.0 / max(len(on), 1)),
+        force_N=force_N,
+        sd_N=0.05 * force_N,
+        raw_N=force_N,
+        raw_sd_N=0.0,
+        point_mm=np.array(point_mm),
+        radius_mm=4.0,
+        sd_mm=np.full(2, 0.1),
+        moments_mm2=np.zeros(3),
+        signal_px=1.0,
+    )
+
+
+def reading(*contacts: Located) -> Reading:
+    """Of these contacts."""
+    found = Found(contacts=list(contacts), misfit=1.0, shift_px=np.zeros(2 * COUNT))
+    forces = found.receptor_forces_N(COUNT)
+    return Reading(koi=np.flatnonzero(forces), forces_N=forces, located=tuple(contacts))
+
+
+def messages() -> Messages:
+    """A stream with the normals of a plane and two regions."""
+    bundle = toy_bundle()
+    left = Region(name="left", markers=(7, 8))
+    right = Region(name="right", markers=(28, 29))
+    return Messages(
+        bundle=bundle,
+        estimator="auto",
+        normals=np.tile([0.0, 0.0, 1.0], (COUNT, 1)),
+        regions=(left, right),
+    )
+
+
+def test_contacts_are_told_as_they_were_found() -> None:
+    """Between switches, with their own size and standard deviation; not as groups of switches."""
+    # Neighbouring switches of two contacts, and one that tripped none beside marker 29.
+    one, other = located(4.0, (11.0, 9.5, 0.1), 7), located(6.0, (21.0, 10.0, 0.0), 8)
+    silent = located(1.0, (49.0, 40.5, 0.0))
+    message = messages().frame(reading(one, other, silent), sequence=0, timestamp_s=0.0)
+    assert [contact["force_N"] for contact in message["contacts"]] == [6.0, 4.0, 1.0]
+    assert [contact["sd_N"] for contact in message["contacts"]] == [0.3, 0.2, 0.05]
+    assert [contact["markers"] for contact in message["contacts"]] == [[8], [7], []]
+    assert message["contacts"][1]["position_mm"] == [11.0, 9.5, 0.1]
+    assert message["contacts"][1]["size_mm"] == 8.0
+    assert [contact["region"] for contact in message["contacts"]] == ["left", "left", "right"]
+    # What presses is summed whole; on switches there is but what presses on them.
+    assert (message["koi"], message["forces_N"]) == ([7, 8], [4.0, 6.0])
+    assert message["total_N"] == 11.0
+    assert message["net_force_N"] == [0.0, 0.0, -11.0]
+    assert [region["force_N"] for region in message["regions"]] == [10.0, 1.0]
+
+
+def test_a_contact_without_a_switch_keeps_its_id() -> None:
+    make, ids = messages(), []
+    for k in range(5):
+        silent = located(1.0 + 0.1 * k, (45.0 + 0.5 * k, 40.0, 0.0))
+        message = make.frame(
+            reading(located(3.0, (10.0, 10.0, 0.0), 7), silent), sequence=k, timestamp_s=0.01 * k
+        )
+        ids.append([contact["id"] for contact in message["contacts"]])
+    assert ids == [[0, 1]] * 5
+
+
+def test_what_is_no_force_is_left_out() -> None:
+    wild = located(1e9, (49.0, 40.5, 0.0))
+    message = messages().frame(
+        reading(located(3.0, (10.0, 10.0, 0.0), 7), wild), sequence=0, timestamp_s=0.0
+    )
+    assert len(message["contacts"]) == 1
+    assert message["total_N"] == 3.0
+
+
+def test_recordings_hold_standard_deviations_where_there_are_any(tmp_path: Path) -> None:
+    make = messages()
+    grouped = replace(reading(located(2.0, (10.0, 10.0, 0.0), 7)), located=None)
+    with Recorder(tmp_path / "r.csv") as rows:
+        for k, each in enumerate((reading(located(2.0, (10.0, 10.0, 0.0), 7)), grouped)):
+            rows.add(make.frame(each, sequence=k, timestamp_s=float(k)))
+    table = list(csv.DictReader((tmp_path / "r.csv").read_text().splitlines()))
+    assert [row["sd_N"] for row in table] == ["0.1", ""]
+
+
+@pytest.fixture
+def pressed(built: BuildResult) -> tuple[Bundle, Measured]:
+    """A sensor's decoder and one of its frames."""
+    bundle = load_bundle(built.out / "decoder")
+    return bundle, measure_frame(bundle, read_image(built.out / "views" / "frame_pressed.png"))
+
+
+def test_a_frame_is_fitted_once(
+    pressed: tuple[Bundle, Measured], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bundle, measured = pressed
+    # A switch that is not read: doubts look at what contacts explain.
+    measured = replace(measured, koi=measured.koi[1:])
+    whole, asked = ForceModel.contacts, []
+
+    def counted(model: ForceModel, shift_px: np.ndarray, koi: np.ndarray) -> Found:
+        asked.append(len(koi))
+        return whole(model, shift_px, koi)
+
+    monkeypatch.setattr(ForceModel, "contacts", counted)
+    monkeypatch.setattr("decoder.doubts.EXCUSED_MOST", 1000)
+    got = read(bundle, measured, "auto")
+    assert len(asked) == 1
+    assert got.located
+    assert got.forces_N.sum() == pytest.approx(
+        sum(contact.force_N for contact in got.located if len(contact.markers))
+    )
+    assert measured.forces_N(bundle, "auto") == pytest.approx(got.forces_N)
+    assert got.warnings == measured.warnings(bundle, got.forces_N, estimator="auto")
+
+
+def test_forces_on_switches_that_cannot_be_read_are_among_those_told(
+    pressed: tuple[Bundle, Measured], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bundle, measured = pressed
+    unread = int(np.setdiff1d(np.arange(len(measured.found)), measured.koi)[0])
+    contact = located(5.0, tuple(bundle.position_mm[unread]), unread)
+    found = Found(contacts=[contact], misfit=1.0, shift_px=np.zeros(2 * len(measured.found)))
+    monkeypatch.setattr(ForceModel, "contacts", lambda *_: found)
+    got = reading_module.read(bundle, measured, "auto")
+    assert unread in got.koi
+    told = Messages(bundle=bundle, estimator="auto").frame(got, sequence=0, timestamp_s=0.0)
+    assert dict(zip(told["koi"], told["forces_N"], strict=True))[unread] == 5.0
+    assert told["total_N"] == 5.0
+
+
+def test_other_estimators_leave_grouping_to_the_stream(pressed: tuple[Bundle, Measured]) -> None:
+    bundle, measured = pressed
+    got = read(bundle, measured, "koi_inverse")
+    assert got.located is None
+    assert got.koi.tolist() == measured.koi.tolist()
+    told = Messages(bundle=bundle, estimator="koi_inverse").frame(got, sequence=0, timestamp_s=0.0)
+    assert told["contacts"]
+    assert all("sd_N" not in contact for contact in told["contacts"])
