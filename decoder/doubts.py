@@ -6,8 +6,6 @@ for a fault. Few markers that seem pressed all the same, as beside a rim, are he
 tables of ``auto`` as well, which know large displacement, where the decoder has them.
 """
 
-from functools import lru_cache
-
 import numpy as np
 
 from decoder.bundle import Bundle
@@ -60,13 +58,13 @@ class Explained:
         self, bundle: Bundle, shift_px: FloatArray, koi: IntArray, found: Found | None = None
     ) -> None:
         self.bundle, self.koi, self._found, model = bundle, koi, found, bundle.model
-        self._gram = _gram(_Same(model.compliance_px))
+        self._rows, self._gram = model.patterns
         self.inverse_N = model.forces("koi_inverse", shift_px, koi)
-        self._plain = (model.compliance_px @ self.inverse_N).reshape(-1, 2)
+        self._plain = (self.inverse_N[koi] @ self._rows[koi]).reshape(-1, 2)
         self._seen = np.asarray(shift_px, dtype=np.float64)
         # A marker that was not found does as it should.
         self._shift = np.where(np.isfinite(shift_px), shift_px, self._plain)
-        self._right = model.compliance_px.T @ self._shift.reshape(-1)
+        self._right = self._rows @ self._shift.reshape(-1)
         neighbours = model.neighbours
         self._near = np.where(neighbours >= 0, neighbours, np.arange(len(neighbours))[:, None])
 
@@ -106,14 +104,14 @@ class Explained:
         bundle, model = self.bundle, self.bundle.model
         allowed = self.around(self.koi) if len(self.koi) else self.koi
         forces = self.forces_on(allowed)
-        motion = (model.compliance_px[:, allowed] @ forces).reshape(-1, 2)
+        motion = (forces @ self._rows[allowed]).reshape(-1, 2)
         size = np.linalg.norm(motion, axis=1)
         off = np.linalg.norm(self._shift - motion, axis=1)
         usual = STRAY_SHARE * size[self._near].max(axis=1, initial=0.0)
         noise = bundle.noise_centroid_px
         astray = off > STRAY_NOISES * noise + usual
         own = np.maximum(self._gram.diagonal(), 1e-300)
-        as_force = (self._right - self._gram[:, allowed] @ forces) / own
+        as_force = (self._right - forces @ self._gram[allowed]) / own
         limit = (
             PRESSED_TIMES * bundle.threshold_N
             + PRESSED_SHARE * self.inverse_N.sum()
@@ -141,7 +139,7 @@ class Explained:
             return False
         left = np.nan_to_num(self._seen.reshape(-1) - found.shift_px)
         own = np.maximum(self._gram.diagonal()[markers], 1e-300)
-        as_force = (model.compliance_px[:, markers].T @ left) / own
+        as_force = (self._rows[markers] @ left) / own
         return bool((as_force <= limit_N).all())
 
     def _unread(self) -> BoolArray:
@@ -149,33 +147,14 @@ class Explained:
 
         Theirs may be pressed beside one that is on, of which the rest is not suspected.
         """
-        bundle, model = self.bundle, self.bundle.model
+        bundle = self.bundle
         blind = ~bundle.tips.readable
         blind[self.koi] = False
         if not blind.any():
             return blind
         own = np.arange(len(blind))
-        unit = np.linalg.norm(model.compliance_px.reshape(len(blind), 2, -1)[own, :, own], axis=1)
+        unit = np.linalg.norm(self._rows.reshape(len(blind), -1, 2)[own, own], axis=1)
         off = np.linalg.norm(self._shift - self._plain, axis=1)
         limit = BLIND_TIMES * (bundle.threshold_N * unit + bundle.noise_centroid_px)
         limit += BLIND_SHARE * np.linalg.norm(self._plain, axis=1)
         return np.asarray(blind & (off > limit))
-
-
-class _Same:
-    """An array as a key: the same object, not equal values."""
-
-    def __init__(self, array: FloatArray) -> None:
-        self.array = array
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and other.array is self.array
-
-    def __hash__(self) -> int:
-        return id(self.array)
-
-
-@lru_cache(maxsize=4)
-def _gram(compliance: _Same) -> FloatArray:
-    """CᵀC (n, n) of a compliance (2n, n)."""
-    return np.asarray(compliance.array.T @ compliance.array)

@@ -137,7 +137,7 @@ class ForceModel:
         return out
 
     @cached_property
-    def _patterns(self) -> tuple[FloatArray, FloatArray]:
+    def patterns(self) -> tuple[FloatArray, FloatArray]:
         """Shifts (n, 2n) px/N, one row a force, and their products (n, n): rows side by side."""
         rows = np.ascontiguousarray(self.compliance_px.T)
         return rows, rows @ rows.T
@@ -145,7 +145,7 @@ class ForceModel:
     def _inverse(self, shift_px: FloatArray, koi: IntArray) -> FloatArray:
         """Least squares d = C(:, KOI)·f over all markers that were seen, f >= 0."""
         d = shift_px.reshape(-1)
-        rows, products = self._patterns
+        rows, products = self.patterns
         c = rows[koi]
         gram = products[koi[:, None], koi]
         unseen = np.flatnonzero(~np.isfinite(d))

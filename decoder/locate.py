@@ -138,13 +138,14 @@ class Locator:
     def _switched(self, seen: Seen) -> Fit:
         """Contacts that the switches tell."""
         force = self._switch_forces(seen)
-        starts = self._starts(seen.koi, force)
+        starts = [self._start(seen.koi, force, rows) for rows in self._split(seen.koi, force)]
         best = self._fit(starts, seen)
         # Noise that is only presumed may be far too much: then the misfit says little.
         if self.noise.ratio is not None and best.misfit < SILENT_MISFIT:
             return best
-        parted = self._starts(seen.koi, force, reach_mm=self._reach_mm)
-        if len(parted) > len(starts):
+        parts = self._split(seen.koi, force, reach_mm=self._reach_mm)
+        if len(parts) > len(starts):
+            parted = [self._start(seen.koi, force, rows) for rows in parts]
             more = self._fit(parted, seen)
             if best.cost - more.cost >= SILENT_GAIN * (len(parted) - len(starts)):
                 best, starts = more, parted
@@ -206,12 +207,12 @@ class Locator:
             gram = gram - lost.T @ lost
         return nonnegative_least_squares(gram, seen.shift_px @ self._columns[:, seen.koi])
 
-    def _starts(
+    def _split(
         self, koi: IntArray, force_N: FloatArray, *, reach_mm: float = np.inf
-    ) -> list[State]:
-        """A contact for each group of neighbouring switches, and each part that is within reach."""
+    ) -> list[IntArray]:
+        """Rows of each group of neighbouring switches, and of each part that is within reach."""
         return [
-            self._start(koi, force_N, rows)
+            rows
             for group in contact_groups(koi, self.neighbours)
             for rows in self._parts(koi, force_N, np.array(group), reach_mm)
         ]

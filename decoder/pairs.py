@@ -12,6 +12,7 @@ axes, and M's coordinates over pairs of places.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,9 @@ from shapes.arrays import FloatArray
 MOST = 0.3
 """Largest mixed term over what each of the two does alone: contacts that all but cover each other
 are no pair."""
+
+KEPT = 128
+"""Pairs of places whose blocks are kept; one of cylinder60 holds 100 kB."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,13 +49,30 @@ class Pairs:
 
     def between(self, points_mm: FloatArray) -> NDArray[np.float32]:
         """M (k, 2n) px/N² of each two of points (c, 3), in the order of ``numpy.tril_indices``."""
-        own = [self.grid.shares(point) for point in points_mm]
+        places, counts = self.grid.shares(points_mm)
+        own, weight = places.tolist(), counts.astype(np.float32)
         rows = [
-            np.outer(own[i][1], own[k][1]).astype(np.float32).ravel()
-            @ self.grid.shift_px[own[i][0][:, None], own[k][0]].reshape(-1, len(self.axes_px))
+            weight[k] @ (weight[i] @ self._block(own[i], own[k])).reshape(weight.shape[1], -1)
             for i, k in _each_two(len(points_mm))
         ]
         return np.asarray(np.stack(rows) @ self.axes_px)
+
+    def _block(self, one: int, other: int) -> NDArray[np.float32]:
+        """Coordinates (q, q·r) of M over the places around two places."""
+        block = self._blocks.get((one, other))
+        if block is None:
+            if len(self._blocks) >= KEPT:
+                # The oldest.
+                del self._blocks[next(iter(self._blocks))]
+            near, _ = self.grid.fits
+            block = self.grid.shift_px[near[one][:, None], near[other]]
+            block = self._blocks[one, other] = block.reshape(near.shape[1], -1)
+        return block
+
+    @cached_property
+    def _blocks(self) -> dict[tuple[int, int], NDArray[np.float32]]:
+        """Contacts stay where they are for many rounds, and frames."""
+        return {}
 
 
 def with_mixed(
@@ -69,20 +90,24 @@ def with_mixed(
     points_mm, force_N : (c, 3) float, (c,) float
         The contacts.
     parts : sequence of ((2n,), (u, 2n)) float
-        Shifts of each, and their slopes by its unknowns, of which the first is the force. How M
-        goes with the places is left out of these: it goes little.
+        Shifts of each, and their slopes by its unknowns, of which the first is the force: these
+        are changed. How M goes with the places is left out of them: it goes little.
     """
-    out = [(total.copy(), slope.copy()) for total, slope in parts]
-    size = [float(np.linalg.norm(total)) for total, _ in parts]
-    for (i, k), image in zip(_each_two(len(parts)), pairs.between(points_mm), strict=True):
-        both = float(force_N[i] * force_N[k])
-        much = both * float(np.linalg.norm(image))
-        bound = MOST * min(size[i], size[k])
-        mixed = (min(1.0, bound / much) if much > 0.0 else 1.0) * image
-        for j in (i, k):
-            out[j][0][:] += 0.5 * both * mixed
-        out[i][1][0] += force_N[k] * mixed
-        out[k][1][0] += force_N[i] * mixed
+    size = np.array([np.linalg.norm(total) for total, _ in parts])
+    images = pairs.between(points_mm)
+    # Strictly below the diagonal, row by row, as those are.
+    i, k = np.array(_each_two(len(parts))).T
+    both = force_N[i] * force_N[k]
+    much = both * np.linalg.norm(images, axis=1)
+    share = np.minimum(1.0, MOST * np.minimum(size[i], size[k]) / np.maximum(much, 1e-300))
+    of, pair = np.zeros((2, len(parts), len(images))), np.arange(len(images))
+    of[0, i, pair] = of[0, k, pair] = 0.5 * both * share
+    of[1, i, pair], of[1, k, pair] = force_N[k] * share, force_N[i] * share
+    more = (of.astype(np.float32).reshape(-1, len(images)) @ images).reshape(2, len(parts), -1)
+    out = []
+    for (total, slope), add, grows in zip(parts, *more, strict=True):
+        slope[0] += grows
+        out.append((total + add, slope))
     return out
 
 

@@ -179,13 +179,19 @@ class Places:
         powers = size[:, None] ** np.array([a + b for a, b in TERMS])
         return near, fit * (scale / powers)[:, :, None]
 
-    def shares(self, point_mm: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Places (q,) around a point (3,), and what each one's rows count in the cubic there."""
-        place = int(self.nearest(point_mm[None])[0])
-        x, y = self.aside(place, point_mm)
-        near, weights = self.fits
-        powers = [x**a * y**b / (FACTORIALS[a] * FACTORIALS[b]) for a, b in TERMS]
-        return near[place], np.array(powers) @ weights[place]
+    def shares(self, points_mm: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Place (m,) nearest to each of points (m, 3), and what rows count in the cubic there.
+
+        Counts (m, q) are those of the rows of the places (q,) that it is fitted to, see
+        :attr:`fits`.
+        """
+        place = self.nearest(points_mm)
+        arm = points_mm - self.point_mm[place]
+        x, y = _laid(arm, self.along[place], self.around[place]).T
+        xx, xy, yy = x * x / 2.0, x * y, y * y / 2.0
+        cubic = (x * xx / 3.0, xx * y, x * yy, y * yy / 3.0)
+        powers = np.stack([np.ones_like(x), x, y, xx, xy, yy, *cubic], axis=1)
+        return place, np.einsum("mt,mtq->mq", powers, self.fits[1][place])
 
     def cubic(self, place: int) -> Any:
         """Derivatives (10, k, 2n) float32 of the rows at a place; see :attr:`fits`."""

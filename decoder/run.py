@@ -90,10 +90,10 @@ class Measured:
             )
         still = True
         for number in range(len(bundle.cameras)):
-            own = (bundle.read_by == number) & self.found
+            own = (bundle.read_by == number) & self.found & np.isfinite(self.shift_px[:, 0])
             if not own.any():
                 continue
-            moved = np.nanmedian(self.shift_px[own], axis=0)
+            moved = np.median(self.shift_px[own], axis=0)
             if float(np.linalg.norm(moved)) > MOVED_PX:
                 still = False
                 out.append(

@@ -170,7 +170,7 @@ def test_a_fit_leaves_what_it_starts_from() -> None:
     """Another fit may start from the same."""
     at, koi = point(21.0, 21.0), np.array([nearest(point(24.0, 24.0))])
     seen = Seen(shift_px=shifts(at, 9.0), found=np.ones(2 * COUNT, dtype=np.bool_), koi=koi)
-    begun = LOCATOR._starts(koi, np.array([1.0]))
+    begun = [LOCATOR._start(koi, np.array([1.0]), np.array([0]))]
     before = begun[0].x.copy()
     assert LOCATOR._fit(begun, seen).states[0].x[0] == pytest.approx(9.0, rel=0.01)
     assert begun[0].x.tolist() == before.tolist()
