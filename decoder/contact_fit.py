@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from decoder.contact_shifts import UNKNOWNS, State, explained, point_of
+from decoder.contact_shifts import UNKNOWNS, State, explained
+from decoder.pairs import Images
 from decoder.places import Places
 from shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -145,7 +146,7 @@ def start(
 ) -> State:
     """A contact to begin with."""
     place = int(places.nearest(point_mm[None])[0])
-    xy = places.aside(place, point_mm)
+    xy = places.beside([place], point_mm[None])[0]
     return State(
         place=place,
         x=np.array([force_N, *xy, *prior.moments_mm2]),
@@ -156,8 +157,21 @@ def start(
     )
 
 
-def fit(places: Places, states: list[State], seen: Seen, *, prior: Prior, noise: Noise) -> Fit:
-    """Move contacts to where they are most likely; changes ``states``."""
+def fit(
+    places: Places,
+    states: list[State],
+    seen: Seen,
+    *,
+    prior: Prior,
+    noise: Noise,
+    firm: int = FIRM,
+    rounds: int = ROUNDS,
+) -> Fit:
+    """Move contacts to where they are most likely; changes ``states``.
+
+    All markers count in the first ``firm`` rounds; none need if the contacts begin where they were
+    a frame ago.
+    """
     weight = np.concatenate(
         [
             np.array([FORCE_SD_N, s.place_sd_mm, s.place_sd_mm, *prior.moments_sd_mm2]) ** -2.0
@@ -165,25 +179,26 @@ def fit(places: Places, states: list[State], seen: Seen, *, prior: Prior, noise:
         ]
     )
     switched = np.concatenate([2 * seen.koi, 2 * seen.koi + 1])
+    images = Images(pairs=places.pairs) if places.pairs else None
     moved, doubting = np.inf, False
-    for number in range(ROUNDS + 1):
-        parts = explained(places, states)
+    for number in range(rounds + 1):
+        parts = explained(places, states, images)
         total = np.sum([part[0] for part in parts], axis=0)
         slope = np.concatenate([part[1] for part in parts])
         spread = noise.each_px**2 + (noise.share * total) ** 2
         spread[switched] += noise.switched_px**2
         inverse = np.where(seen.found, 1.0 / spread, 0.0)
         left = seen.shift_px - total
-        off = np.concatenate([_off(places, state, prior) for state in states])
+        off = _off(places, states, prior)
         square, settled = float(left @ (inverse * left)), False
-        if doubting or number >= FIRM or moved < STILL:
+        if doubting or number >= firm or moved < STILL:
             square, share = _doubted(left, inverse)
             inverse = inverse * share
             settled = moved < STILL and (doubting or bool((share == 1.0).all()))
             doubting = True
         hessian = (slope * inverse) @ slope.T + np.diag(weight)
         # Ends where all has been looked at that is told.
-        if settled or number == ROUNDS:
+        if settled or number == rounds:
             break
         step = np.linalg.solve(hessian, slope @ (inverse * left) - weight * off)
         moved = _moved(places, states, step)
@@ -229,31 +244,39 @@ def _doubted(left: FloatArray, inverse: FloatArray) -> tuple[float, FloatArray]:
     return total, np.repeat(1.0 / over, 2)
 
 
-def _off(places: Places, state: State, prior: Prior) -> FloatArray:
-    """How far a contact is from what is known beforehand, (6,)."""
-    begun = places.aside(state.place, state.start_mm)
-    moments = state.x[3:] - np.array(prior.moments_mm2)
-    return np.array([0.0, *(state.x[1:3] - begun), *moments])
+def _off(places: Places, states: Sequence[State], prior: Prior) -> FloatArray:
+    """How far contacts are from what is known beforehand, (6c,)."""
+    x = np.array([state.x for state in states])
+    starts = np.array([state.start_mm for state in states])
+    off = np.zeros_like(x)
+    off[:, 1:3] = x[:, 1:3] - places.beside([state.place for state in states], starts)
+    off[:, 3:] = x[:, 3:] - np.array(prior.moments_mm2)
+    return off.reshape(-1)
+
+
+_LONGEST = np.array([np.inf, STEP_MM, STEP_MM, STEP_MM2, STEP_MM2, STEP_MM2])
 
 
 def _moved(places: Places, states: Sequence[State], step: FloatArray) -> float:
     """Take a step, bounded; its size, see :data:`STILL`."""
-    most = 0.0
-    bound = np.array([np.inf, STEP_MM, STEP_MM, STEP_MM2, STEP_MM2, STEP_MM2])
-    for state, own in zip(states, step.reshape(-1, UNKNOWNS), strict=True):
-        new = state.x + np.clip(own, -bound, bound)
-        force = float(state.x[0])
-        new[0] = min(max(float(new[0]), 0.3 * force, FORCE_LEAST_N), 3.0 * force + 1.0)
-        aside = float(np.abs(new[1:3] - state.x[1:3]).max()) / 10.0
-        most = max(most, abs(float(new[0]) - force) / max(force, 0.5), aside)
-        state.x = new
-        point = point_of(places, state)
-        place = int(places.nearest(point[None])[0])
+    old = np.array([state.x for state in states])
+    new = old + np.clip(step.reshape(-1, UNKNOWNS), -_LONGEST, _LONGEST)
+    force = old[:, 0]
+    least = np.maximum(0.3 * force, FORCE_LEAST_N)
+    new[:, 0] = np.minimum(np.maximum(new[:, 0], least), 3.0 * force + 1.0)
+    aside = np.abs(new[:, 1:3] - old[:, 1:3]).max(axis=1) / 10.0
+    more = np.abs(new[:, 0] - force) / np.maximum(force, 0.5)
+    own = [state.place for state in states]
+    points = places.point_mm[own] + new[:, 1:2] * places.along[own]
+    points += new[:, 2:3] * places.around[own]
+    nearest = places.nearest(points)
+    for state, place, point, x in zip(states, nearest.tolist(), points, new, strict=True):
         if place != state.place:
             state.place, state.tables = place, places.cubic(place)
-            state.x[1:3] = places.aside(place, point)
+            x[1:3] = places.beside([place], point[None])[0]
         # Every place of the surface is nearer to the tables: beyond a rim there is none.
-        far = float(np.hypot(*state.x[1:3])) / (OFF_SPACINGS * places.spacing_mm)
+        far = float(np.hypot(*x[1:3])) / (OFF_SPACINGS * places.spacing_mm)
         if far > 1.0:
-            state.x[1:3] /= far
-    return most
+            x[1:3] /= far
+        state.x = x
+    return float(max(aside.max(), more.max()))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from decoder.pairs import with_mixed
+from decoder.pairs import Images, with_mixed
 from decoder.places import Places
 from decoder.tension import lost_share, powers_of
 from shapes.arrays import FloatArray, IntArray
@@ -50,11 +50,14 @@ class State:
         return replace(self, x=self.x.copy())
 
 
-def explained(places: Places, states: Sequence[State]) -> list[tuple[FloatArray, FloatArray]]:
+def explained(
+    places: Places, states: Sequence[State], images: Images | None = None
+) -> list[tuple[FloatArray, FloatArray]]:
     """Shifts and slopes of each of all contacts at once, see :func:`explain`.
 
     What a contact does to others, on its flat wall or by mixed terms, counts as its own slope; a
-    mixed term's shifts count half as the one's and half as the other's.
+    mixed term's shifts count half as the one's and half as the other's. ``images`` are those of
+    mixed terms, kept from where the contacts were before.
     """
     out = {}
     wall = places.walls.wall[[state.place for state in states]] if places.walls else None
@@ -67,8 +70,9 @@ def explained(places: Places, states: Sequence[State]) -> list[tuple[FloatArray,
     parts = [out[k] for k in range(len(states))]
     if places.pairs is None or len(states) == 1:
         return parts
+    images = images or Images(pairs=places.pairs)
     points = np.stack([point_of(places, state) for state in states])
-    return with_mixed(places.pairs, points, np.array([state.x[0] for state in states]), parts)
+    return with_mixed(images.between(points), np.array([state.x[0] for state in states]), parts)
 
 
 def point_of(places: Places, state: State) -> FloatArray:

@@ -67,8 +67,12 @@ class ForceModel:
         """The estimator to use where none is asked for."""
         return "koi_inverse" if self.locator is None else "auto"
 
-    def contacts(self, shift_px: FloatArray, koi: IntArray) -> Found:
+    def contacts(
+        self, shift_px: FloatArray, koi: IntArray, *, before: Found | None = None
+    ) -> Found:
         """Contacts behind shifts (n, 2) px: place, size, force and its standard deviation.
+
+        ``before`` is what the frame before showed, if there was one: then it is much faster.
 
         Raises
         ------
@@ -80,7 +84,7 @@ class ForceModel:
                 "this bundle has no tables to find contacts with (estimator auto); build the "
                 "design again"
             )
-        return self.locator.find(shift_px, koi)
+        return self.locator.find(shift_px, koi, before=before)
 
     def apparent_mm(self, shift_px: FloatArray) -> FloatArray:
         """Apparent u (n,) mm, positive inward, of pixel shifts (n, 2)."""

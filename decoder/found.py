@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from decoder.contact_fit import Fit
 from shapes.arrays import FloatArray, IntArray
 
 
@@ -48,6 +49,28 @@ class Located:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Stand:
+    """How the fit of a frame stands.
+
+    Attributes
+    ----------
+    fit : Fit
+        With contacts that are suspected.
+    koi : (m,) int
+        Switches that are on.
+    misfit : float
+        That of the last frame whose contacts were looked for anew.
+    age : int
+        Frames since that one.
+    """
+
+    fit: Fit
+    koi: IntArray
+    misfit: float
+    age: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Found:
     """What one frame tells.
 
@@ -59,11 +82,14 @@ class Found:
         Weighted sum of squares of what is left, per number: 1 where noise is as expected.
     shift_px : (2n,) float
         What the contacts explain, and those that are suspected.
+    stand : Stand, optional
+        To go on from in the next frame.
     """
 
     contacts: list[Located]
     misfit: float
     shift_px: FloatArray
+    stand: Stand | None = None
 
     def receptor_forces_N(self, count: int) -> FloatArray:
         """Force (n,) N on each marker: contacts' forces shared among their switches."""

@@ -108,7 +108,12 @@ function drawFlat(force) {
 }
 
 function strongest(contact, force) {
-  return contact.markers.reduce((a, b) => force[b] > force[a] ? b : a);
+  // A contact that was found by motion alone has no switch: the marker beside it.
+  const at = contact.position_mm, away = k =>
+    Math.hypot(...hello.positions_mm[k].map((x, i) => x - at[i]));
+  return contact.markers.length
+    ? contact.markers.reduce((a, b) => force[b] > force[a] ? b : a)
+    : hello.positions_mm.reduce((near, _, k) => away(k) < away(near) ? k : near, 0);
 }
 
 function disc(pen, x, y, radius, force) {
@@ -209,9 +214,11 @@ function rows(table, head, lines) {
 
 function drawSide() {
   const wide = frame.contacts.some(contact => contact.region);
-  rows($("contacts"), ["id", "N", "mm wide", "since s", ...(wide ? ["in"] : [])],
-    frame.contacts.map(c => [c.id, number(c.force_N, 2), number(c.size_mm, 0),
-      number(c.since_s, 2), ...(wide ? [c.region] : [])]));
+  const sure = frame.contacts.some(contact => "sd_N" in contact);
+  rows($("contacts"), ["id", "N", ...(sure ? ["\u00b1"] : []), "mm wide", "since s",
+    ...(wide ? ["in"] : [])],
+    frame.contacts.map(c => [c.id, number(c.force_N, 2), ...(sure ? [number(c.sd_N, 2)] : []),
+      number(c.size_mm, 0), number(c.since_s, 2), ...(wide ? [c.region] : [])]));
   if (frame.regions) {
     $("regionsHead").hidden = false;
     rows($("regions"), ["", "N"], frame.regions.map(r => [r.name, number(r.force_N, 2)]));
@@ -234,8 +241,8 @@ function draw() {
   if (!hello) return;
   const force = forces();
   for (const f of force) most = Math.max(most, f);
-  drawFlat(force); drawTurned(force); drawCurve();
   if (frame) drawSide();
+  drawFlat(force); drawTurned(force); drawCurve();
 }
 
 function soon() {

@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decoder.contact_fit import (
+    FIRM,
+    ROUNDS,
     Fit,
     Noise,
     Prior,
@@ -28,10 +30,10 @@ from decoder.contact_fit import (
 from decoder.contact_shifts import UNKNOWNS, State, point_of
 from decoder.contacts import contact_groups
 from decoder.correct import Correction
-from decoder.found import Found, Located
+from decoder.found import Found, Located, Stand
 from decoder.nonnegative import nonnegative_least_squares
 from decoder.places import Places
-from shapes.arrays import FloatArray, IntArray
+from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.discs import disc_overlap_share
 
 SILENT_MAX = 4
@@ -57,6 +59,16 @@ PRINT_SHARE = 0.11
 """Standard deviation of the stiffness of prints of one design, relative: 5 % of modulus, and 3 % of
 thickness as a whole and 3 % from place to place, to the power of 2.3. Forces of a decoder that has
 seen no data of its print are no surer."""
+WORSE = 1.15
+"""Contacts go on from frame to frame until what they leave has grown by so much: of 700 numbers it
+varies by 5 %."""
+WARM = 3
+"""Rounds of a fit that goes on from the frame before, at most: the next one goes on from there."""
+LOOK = 4
+"""Every so many frames that are gone on, what is left is searched for contacts without a switch."""
+ANEW = (480, 16)
+"""Frames after which contacts are looked for anew all the same, and where one of them tripped no
+switch."""
 NO_MARKERS: IntArray = np.zeros(0, dtype=np.int64)
 SPREAD_LEAST = 0.2
 """Least second moment of a contact over that of the tables' disc."""
@@ -121,19 +133,55 @@ class Locator:
     def _squares(self) -> NDArray[np.float32]:
         return np.asarray(self._first**2)
 
-    def find(self, shift_px: FloatArray, koi: IntArray) -> Found:
+    def find(self, shift_px: FloatArray, koi: IntArray, *, before: Found | None = None) -> Found:
         """Contacts behind shifts (n, 2) px, NaN where a marker was not found.
 
         Without a switch that is on there is no contact, and nothing is solved, unless some switch
-        cannot be read.
+        cannot be read. Contacts of the frame ``before`` go on where the same switches are on, as
+        long as they explain what is seen as well as they did.
         """
         d = np.asarray(shift_px, dtype=np.float64).reshape(-1)
         found = np.isfinite(d)
         seen = Seen(shift_px=np.where(found, d, 0.0), found=found, koi=koi)
-        best = self._switched(seen) if len(koi) else nothing(seen, self.noise)
-        if len(koi) or len(self.blind):
-            best = self._searched(best, seen)
-        return self._told(best, koi)
+        stand = self._gone_on(before.stand, seen) if before and before.stand else None
+        if stand is None:
+            best = self._switched(seen) if len(koi) else nothing(seen, self.noise)
+            if len(koi) or len(self.blind):
+                best = self._searched(best, seen)
+            stand = Stand(fit=best, koi=koi, misfit=best.misfit)
+        return replace(self._told(stand.fit, koi), stand=stand)
+
+    def _gone_on(self, stand: Stand, seen: Seen) -> Stand | None:
+        """Contacts of the frame before in this one; None where they have to be looked for."""
+        states = stand.fit.states
+        aside = [state for state in states if not len(state.markers)]
+        if not states or not np.array_equal(stand.koi, seen.koi) or stand.age >= ANEW[bool(aside)]:
+            return None
+        best = self._fit(self._again(states, seen), seen, firm=0, rounds=WARM)
+        # Below 1 a fit by learnt noise is as good as can be.
+        good = 1.0 if self.noise.ratio is not None else 0.0
+        if best.misfit > WORSE * max(stand.misfit, good):
+            return None
+        sd = np.sqrt(np.diagonal(best.covariance)[::UNKNOWNS])
+        for state, spread_N in zip(best.states, sd, strict=True):
+            least = SUSPECTED_GAIN if state.suspected else SILENT_GAIN
+            if not len(state.markers) and state.x[0] ** 2 < least * spread_N**2:
+                return None
+        age = stand.age + 1
+        look = age % LOOK == 0 and len(aside) < SILENT_MAX
+        if look and len(self._searched(best, seen).states) > len(best.states):
+            return None
+        return Stand(fit=best, koi=seen.koi, misfit=stand.misfit, age=age)
+
+    def _again(self, states: Sequence[State], seen: Seen) -> list[State]:
+        """The same contacts, about where this frame's switches say that they are."""
+        force = self._switch_forces(seen)
+        out = []
+        for state in states:
+            rows = np.flatnonzero(self._among(state.markers, seen.koi))
+            point = self._middle(seen.koi, force, rows)[0] if len(rows) else state.start_mm
+            out.append(replace(state, start_mm=point))
+        return out
 
     def _switched(self, seen: Seen) -> Fit:
         """Contacts that the switches tell."""
@@ -190,9 +238,13 @@ class Locator:
             best = more
         return best
 
-    def _fit(self, states: list[State], seen: Seen) -> Fit:
+    def _fit(
+        self, states: list[State], seen: Seen, *, firm: int = FIRM, rounds: int = ROUNDS
+    ) -> Fit:
         own = [state.copy() for state in states]
-        return fit(self.places, own, seen, prior=self.prior, noise=self.noise)
+        return fit(
+            self.places, own, seen, prior=self.prior, noise=self.noise, firm=firm, rounds=rounds
+        )
 
     @property
     def _reach_mm(self) -> float:
@@ -219,10 +271,16 @@ class Locator:
 
     def _start(self, koi: IntArray, force_N: FloatArray, rows: IntArray) -> State:
         """A contact on switches ``koi[rows]`` by the forces on all."""
+        point, most = self._middle(koi, force_N, rows)
+        return start(self.places, self.prior, point, max(most, START_N), markers=koi[rows])
+
+    def _middle(
+        self, koi: IntArray, force_N: FloatArray, rows: IntArray
+    ) -> tuple[FloatArray, float]:
+        """Where switches ``koi[rows]`` say that their contact is (3,), and their force."""
         weight = np.maximum(force_N[rows], 1e-3)
         point = weight @ self.position_mm[koi[rows]] / weight.sum()
-        most = max(float(force_N[rows].sum()), START_N)
-        return start(self.places, self.prior, point, most, markers=koi[rows])
+        return point, float(force_N[rows].sum())
 
     def _parts(
         self, koi: IntArray, force_N: FloatArray, rows: IntArray, reach_mm: float
@@ -288,7 +346,10 @@ class Locator:
         points = np.stack([point_of(self.places, state) for state in states])
         radius = self._radii(states)
         raw = np.array([state.x[0] for state in states])
-        owner = self._owners(points, radius, raw, states, koi)
+        gap, covered = self._covered(points, radius, koi)
+        # Where no disc reaches a switch, it belongs to the contact that it started.
+        started = np.array([self._among(state.markers, koi) for state in states])
+        owner = np.argmax(raw[:, None] * covered + 1e-6 * started - 1e-9 * gap, axis=0)
         signal = np.array([signal_of(state) for state in states])
         if self.correction is None:
             force, spread_N = raw, np.hypot(sd[:, 0], PRINT_SHARE * raw)
@@ -296,16 +357,16 @@ class Locator:
             force = raw * self.correction.factor(points, raw, signal)
             spread_N = self.correction.spread_N(force, sd[:, 0])
         tripped = [koi[owner == k] for k in range(len(points))]
+        share = [covered[k, owner == k] for k in range(len(points))]
         silent = np.array([len(on) == 0 for on in tripped])
         told = np.flatnonzero(~silent | (force >= SILENT_SURE * spread_N))
-        tripped = [
-            on if len(on) else self._unread(state)
-            for on, state in zip(tripped, states, strict=True)
-        ]
+        for k in np.flatnonzero(silent):
+            tripped[k] = self._unread(states[k])
+            share[k] = self._covered(points[k : k + 1], radius[k : k + 1], tripped[k])[1][0]
         contacts = [
             Located(
                 markers=tripped[k],
-                share=self._shares(points[k], float(radius[k]), tripped[k]),
+                share=(share[k] + 1e-6) / np.sum(share[k] + 1e-6),
                 force_N=float(force[k]),
                 sd_N=float(spread_N[k]),
                 raw_N=float(raw[k]),
@@ -321,23 +382,15 @@ class Locator:
         contacts.sort(key=lambda contact: len(contact.markers) == 0)
         return Found(contacts=contacts, misfit=best.misfit, shift_px=best.explained)
 
-    def _shares(self, point_mm: FloatArray, radius_mm: float, markers: IntArray) -> FloatArray:
-        """Share (m,) of a contact's force on each of its switches: that of its disc."""
-        gap = np.linalg.norm(point_mm - self.position_mm[markers], axis=1)
-        share = disc_overlap_share(gap, radius_mm, self.footprint_mm) + 1e-6
-        return np.asarray(share / share.sum())
+    def _covered(
+        self, points_mm: FloatArray, radius_mm: FloatArray, markers: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Distance (c, m) mm of discs from switches, and the share of each disc on each."""
+        gap = np.linalg.norm(points_mm[:, None] - self.position_mm[markers][None], axis=2)
+        return gap, disc_overlap_share(gap, radius_mm[:, None], self.footprint_mm)
 
-    def _owners(
-        self,
-        points: FloatArray,
-        radius: FloatArray,
-        force: FloatArray,
-        states: Sequence[State],
-        koi: IntArray,
-    ) -> IntArray:
-        """Contact that presses most on each switch that is on, (m,)."""
-        gap = np.linalg.norm(points[:, None] - self.position_mm[koi][None], axis=2)
-        pressed = force[:, None] * disc_overlap_share(gap, radius[:, None], self.footprint_mm)
-        # Where no disc reaches a switch, it belongs to the contact that it started.
-        started = np.array([np.isin(koi, state.markers) for state in states])
-        return np.asarray(np.argmax(pressed + 1e-6 * started - 1e-9 * gap, axis=0))
+    def _among(self, markers: IntArray, koi: IntArray) -> BoolArray:
+        """Which of switches (m,) are among a contact's."""
+        mine = np.zeros(len(self.position_mm), dtype=np.bool_)
+        mine[markers] = True
+        return mine[koi]

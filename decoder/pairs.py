@@ -24,6 +24,8 @@ MOST = 0.3
 """Largest mixed term over what each of the two does alone: contacts that all but cover each other
 are no pair."""
 
+NEAR_MM = 0.05
+"""M changes over a patch, of some millimetres, and is a few hundredths of the response."""
 KEPT = 128
 """Pairs of places whose blocks are kept; one of cylinder60 holds 100 kB."""
 
@@ -75,9 +77,30 @@ class Pairs:
         return {}
 
 
+@dataclass(kw_only=True)
+class Images:
+    """Mixed terms while one fit moves its contacts: made anew where they have moved.
+
+    Attributes
+    ----------
+    pairs : Pairs
+        Tables.
+    """
+
+    pairs: Pairs
+    _points_mm: FloatArray | None = None
+    _images: NDArray[np.float32] | None = None
+
+    def between(self, points_mm: FloatArray) -> NDArray[np.float32]:
+        """Those of points (c, 3), or of others less than :data:`NEAR_MM` away; as of the pairs."""
+        last = self._points_mm
+        if self._images is None or last is None or np.abs(points_mm - last).max() > NEAR_MM:
+            self._images, self._points_mm = self.pairs.between(points_mm), points_mm
+        return self._images
+
+
 def with_mixed(
-    pairs: Pairs,
-    points_mm: FloatArray,
+    images: NDArray[np.float32],
     force_N: FloatArray,
     parts: Sequence[tuple[FloatArray, FloatArray]],
 ) -> list[tuple[FloatArray, FloatArray]]:
@@ -85,16 +108,15 @@ def with_mixed(
 
     Parameters
     ----------
-    pairs : Pairs
-        Tables.
-    points_mm, force_N : (c, 3) float, (c,) float
-        The contacts.
+    images : (k, 2n) float32
+        M px/N² of each two, see :meth:`Pairs.between`.
+    force_N : (c,) float
+        Of the contacts.
     parts : sequence of ((2n,), (u, 2n)) float
         Shifts of each, and their slopes by its unknowns, of which the first is the force: these
         are changed. How M goes with the places is left out of them: it goes little.
     """
     size = np.array([np.linalg.norm(total) for total, _ in parts])
-    images = pairs.between(points_mm)
     # Strictly below the diagonal, row by row, as those are.
     i, k = np.array(_each_two(len(parts))).T
     both = force_N[i] * force_N[k]

@@ -14,7 +14,7 @@ second moments about it that are not the disc's, ::
 so that one table serves discs, balls and edges of any size and turn (derived here).
 """
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -134,13 +134,10 @@ class Places:
         arm = points_mm - self.point_mm[place]
         return _laid(arm, self.along[place], self.around[place])
 
-    def aside(self, place: int, point_mm: FloatArray) -> FloatArray:
-        """The same (2,) of one point (3,), sooner."""
-        arm = point_mm - self.point_mm[place]
-        x, y = float(arm @ self.along[place]), float(arm @ self.around[place])
-        flat = math.hypot(x, y)
-        stretch = min(math.sqrt(float(arm @ arm)) / flat, 2.0) if flat > 0.0 else 1.0
-        return np.array([stretch * x, stretch * y])
+    def beside(self, places: Sequence[int], points_mm: FloatArray) -> FloatArray:
+        """The same (m, 2) of points (m, 3), each about a place of its own."""
+        arm = points_mm - self.point_mm[places]
+        return _laid(arm, self.along[places], self.around[places])
 
     @cached_property
     def fits(self) -> tuple[IntArray, NDArray[np.float32]]:
@@ -186,8 +183,7 @@ class Places:
         :attr:`fits`.
         """
         place = self.nearest(points_mm)
-        arm = points_mm - self.point_mm[place]
-        x, y = _laid(arm, self.along[place], self.around[place]).T
+        x, y = self.beside(place.tolist(), points_mm).T
         xx, xy, yy = x * x / 2.0, x * y, y * y / 2.0
         cubic = (x * xx / 3.0, xx * y, x * yy, y * yy / 3.0)
         powers = np.stack([np.ones_like(x), x, y, xx, xy, yy, *cubic], axis=1)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from decoder.bundle import Bundle
-from decoder.found import Located
+from decoder.found import Found, Located
 from decoder.run import Measured
 from shapes.arrays import FloatArray, IntArray
 
@@ -25,7 +25,7 @@ class Reading:
         Reasons to distrust them.
     valid : bool
         Whether the frame could be decoded at all.
-    located : tuple of Located, optional
+    found : Found, optional
         Contacts, by an estimator that finds them itself (``auto``); their forces are those on the
         switches, and besides those of contacts that tripped none.
     """
@@ -34,7 +34,7 @@ class Reading:
     forces_N: FloatArray
     warnings: Sequence[str] = ()
     valid: bool = True
-    located: tuple[Located, ...] | None = None
+    found: Found | None = None
 
     @classmethod
     def none(cls, reason: str) -> "Reading":
@@ -44,7 +44,8 @@ class Reading:
     @property
     def silent(self) -> list[Located]:
         """Contacts that tripped no switch."""
-        return [contact for contact in self.located or () if not len(contact.markers)]
+        contacts = self.found.contacts if self.found else []
+        return [contact for contact in contacts if not len(contact.markers)]
 
 
 _NO_KOI: IntArray = np.zeros(0, dtype=np.int64)
@@ -91,7 +92,9 @@ def nearest_marker(point_mm: FloatArray, position_mm: FloatArray) -> int:
     return int(np.argmin(np.linalg.norm(position_mm - point_mm, axis=1)))
 
 
-def read(bundle: Bundle, measured: Measured, estimator: str) -> Reading:
+def read(
+    bundle: Bundle, measured: Measured, estimator: str, *, before: Reading | None = None
+) -> Reading:
     """Forces and contacts of what one frame shows, each solved for once.
 
     Parameters
@@ -102,17 +105,20 @@ def read(bundle: Bundle, measured: Measured, estimator: str) -> Reading:
         Markers and switches.
     estimator : str
         One of the decoder's.
+    before : Reading, optional
+        Of the frame before, by the same estimator: ``auto`` goes on from its contacts.
     """
     koi = measured.koi
     if estimator == "auto":
-        found = bundle.model.contacts(measured.shift_px, koi)
+        last = before.found if before else None
+        found = bundle.model.contacts(measured.shift_px, koi, before=last)
         forces = found.receptor_forces_N(len(measured.shift_px))
         warnings = measured.warnings(bundle, forces, estimator=estimator, found=found)
         return Reading(
             koi=np.union1d(koi, np.flatnonzero(forces)),
             forces_N=forces,
             warnings=warnings,
-            located=tuple(found.contacts),
+            found=found,
         )
     forces = measured.forces_N(bundle, estimator)
     warnings = measured.warnings(bundle, forces, estimator=estimator)

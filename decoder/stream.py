@@ -75,13 +75,14 @@ def follow_decoder(
     """
     _known(bundle, estimator)
     follower, last = Follower(bundle, rest, stride=stride), -1
+    before: Reading | None = None
 
     def decode(frame: Frame) -> Reading:
-        nonlocal last
+        nonlocal last, before
         elapsed, last = max(frame.number - last, 1), frame.number
         seen = follower.follow(frame.images, elapsed=float(elapsed))
-        found = read(bundle, seen, estimator)
-        return replace(found, warnings=[*found.warnings, *seen.flags])
+        before = read(bundle, seen, estimator, before=before)
+        return replace(before, warnings=[*before.warnings, *seen.flags])
 
     return decode
 

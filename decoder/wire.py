@@ -150,9 +150,9 @@ class Messages:
                 "they are left out"
             )
         koi = koi[good]
-        if reading.located is not None:
-            sound = [one for one in reading.located if abs(one.force_N) <= FORCE_LIMIT_N]
-            reading = replace(reading, located=tuple(sound))
+        if reading.found is not None:
+            sound = [one for one in reading.found.contacts if abs(one.force_N) <= FORCE_LIMIT_N]
+            reading = replace(reading, found=replace(reading.found, contacts=sound))
         pressed = pushes(reading, koi, self.bundle.position_mm)
         out: Message = {
             "type": "frame",
@@ -186,10 +186,10 @@ class Messages:
         """Contacts with their ids, the strongest first."""
         if not reading.valid:
             return []
-        if reading.located is None:
+        if reading.found is None:
             contacts = self.finder.find(reading.forces_N, koi)
         else:
-            strongest = sorted(reading.located, key=lambda one: -one.force_N)
+            strongest = sorted(reading.found.contacts, key=lambda one: -one.force_N)
             contacts = [_as_found(one) for one in strongest]
         found = self.tracker.update(contacts, time_s)
         return [self._contact(contact, reading.forces_N) for contact in found]

@@ -150,7 +150,7 @@ def _decode_frame(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: Wante
     chosen = wanted.chosen
     reading = read(bundle, measured, chosen)
     koi, forces, warnings = reading.koi, reading.forces_N, reading.warnings
-    contacts = reading.located or ()
+    contacts = reading.found.contacts if reading.found else []
     pressed = pushes(reading, koi, bundle.position_mm)
     total_N = float(pressed.force_N.sum())
     sums = RegionForces(regions=regions, markers=len(forces))

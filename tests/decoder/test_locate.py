@@ -95,14 +95,14 @@ def test_one_contact_between_places(force: float) -> None:
     assert contact.markers.tolist() == [nearest(at)]
 
 
-def test_one_point_is_laid_as_many_are() -> None:
+def test_points_about_their_own_places_are_laid_as_those_about_one() -> None:
     places = flat_places()
     tilted = replace(places, along=places.along + np.array([0.0, 0.0, 0.3]))
     points = np.random.default_rng(2).normal(size=(6, 3)) * [9.0, 9.0, 2.0]
     points[0] = tilted.point_mm[4]
     points[1] = tilted.point_mm[4] + [0.0, 0.0, 3.0]
     many = tilted.laid(4, points)
-    one = [tilted.aside(4, point) for point in points]
+    one = tilted.beside([4] * len(points), points)
     np.testing.assert_allclose(one, many, rtol=1e-12, atol=1e-12)
 
 

@@ -3,6 +3,7 @@
 import csv
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,7 +45,7 @@ def reading(*contacts: Located) -> Reading:
     """Of these contacts."""
     found = Found(contacts=list(contacts), misfit=1.0, shift_px=np.zeros(2 * COUNT))
     forces = found.receptor_forces_N(COUNT)
-    return Reading(koi=np.flatnonzero(forces), forces_N=forces, located=tuple(contacts))
+    return Reading(koi=np.flatnonzero(forces), forces_N=forces, found=found)
 
 
 def messages() -> Messages:
@@ -101,7 +102,7 @@ def test_what_is_no_force_is_left_out() -> None:
 
 def test_recordings_hold_standard_deviations_where_there_are_any(tmp_path: Path) -> None:
     make = messages()
-    grouped = replace(reading(located(2.0, (10.0, 10.0, 0.0), 7)), located=None)
+    grouped = replace(reading(located(2.0, (10.0, 10.0, 0.0), 7)), found=None)
     with Recorder(tmp_path / "r.csv") as rows:
         for k, each in enumerate((reading(located(2.0, (10.0, 10.0, 0.0), 7)), grouped)):
             rows.add(make.frame(each, sequence=k, timestamp_s=float(k)))
@@ -124,17 +125,17 @@ def test_a_frame_is_fitted_once(
     measured = replace(measured, koi=measured.koi[1:])
     whole, asked = ForceModel.contacts, []
 
-    def counted(model: ForceModel, shift_px: np.ndarray, koi: np.ndarray) -> Found:
-        asked.append(len(koi))
-        return whole(model, shift_px, koi)
+    def counted(model: ForceModel, *words: Any, **more: Any) -> Found:
+        asked.append(words)
+        return whole(model, *words, **more)
 
     monkeypatch.setattr(ForceModel, "contacts", counted)
     monkeypatch.setattr("decoder.doubts.EXCUSED_MOST", 1000)
     got = read(bundle, measured, "auto")
     assert len(asked) == 1
-    assert got.located
+    assert got.found
     assert got.forces_N.sum() == pytest.approx(
-        sum(contact.force_N for contact in got.located if len(contact.markers))
+        sum(contact.force_N for contact in got.found.contacts if len(contact.markers))
     )
     assert measured.forces_N(bundle, "auto") == pytest.approx(got.forces_N)
     assert got.warnings == measured.warnings(bundle, got.forces_N, estimator="auto")
@@ -147,7 +148,7 @@ def test_forces_on_switches_that_cannot_be_read_are_among_those_told(
     unread = int(np.setdiff1d(np.arange(len(measured.found)), measured.koi)[0])
     contact = located(5.0, tuple(bundle.position_mm[unread]), unread)
     found = Found(contacts=[contact], misfit=1.0, shift_px=np.zeros(2 * len(measured.found)))
-    monkeypatch.setattr(ForceModel, "contacts", lambda *_: found)
+    monkeypatch.setattr(ForceModel, "contacts", lambda *_, **__: found)
     got = reading_module.read(bundle, measured, "auto")
     assert unread in got.koi
     told = Messages(bundle=bundle, estimator="auto").frame(got, sequence=0, timestamp_s=0.0)
@@ -158,7 +159,7 @@ def test_forces_on_switches_that_cannot_be_read_are_among_those_told(
 def test_other_estimators_leave_grouping_to_the_stream(pressed: tuple[Bundle, Measured]) -> None:
     bundle, measured = pressed
     got = read(bundle, measured, "koi_inverse")
-    assert got.located is None
+    assert got.found is None
     assert got.koi.tolist() == measured.koi.tolist()
     told = Messages(bundle=bundle, estimator="koi_inverse").frame(got, sequence=0, timestamp_s=0.0)
     assert told["contacts"]

@@ -1,0 +1,226 @@
+"""The decoder on a hand that grips and is hit, at 480 fps: each frame by itself, and gone on.
+
+What a stream does with each frame after its markers are found: forces, contacts, doubts. Five
+fingers grip cylinder60, and after a tenth of a second something hits what they hold: forces kick
+by up to 11 N within 5 ms, ring, and the fingers slip by 1.5 mm. Part ``moving`` of ``decoder``.
+``python -m benchmarks.decoder_moving [--quick]``
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.decoder_accuracy import bench
+from benchmarks.decoder_data import LINEAR, SEED, Case, data_set, units
+from benchmarks.decoder_judge import taught
+from benchmarks.harness import Table, arguments
+from decoder.bundle import Bundle
+from decoder.reading import Reading, read
+from decoder.run import Measured
+from decoder.samples import Samples
+from phytac_design.spec import Design
+from phytac_design.twin.run.job import Job
+from phytac_design.twin.scenario.file import parse_scenario
+from shapes.arrays import FloatArray
+
+FPS = 480.0
+PERIOD_ms = 1e3 / FPS
+FRAMES = 96
+HIT_S, ON_S, RINGS_HZ, FADES_S, SLIPS_S = 0.1, 0.005, 55.0, 0.02, 0.01
+ALONG = (0.62, 0.88, 0.63, 0.38, 0.13)
+AROUND = (0.15, 0.62, 0.62, 0.62, 0.62)
+"""Thumb and four fingers, shares of length and circumference."""
+HELD_N = np.array([10.0, 6.5, 8.0, 8.0, 7.0])
+KICKED_N = np.array([9.0, 11.0, 5.0, -1.5, 6.0])
+SLIP_SHARE = 1.5 / 110.0
+RADIUS_mm = 6.0
+ROUNDS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A film decoded.
+
+    Attributes
+    ----------
+    readings : list of Reading
+        One a frame.
+    ms : (frames,) float
+        What each took.
+    """
+
+    readings: list[Reading]
+    ms: FloatArray
+
+
+def forces() -> FloatArray:
+    """True force (frames, 5) N of each finger."""
+    at = np.arange(FRAMES) / FPS
+    grip = np.clip(at / 0.06, 0.05, 1.0) ** 2
+    after = np.clip(at - HIT_S, 0.0, None)
+    pulse = np.where(after < ON_S, np.sin(np.pi * after / ON_S), 0.0)
+    kick = pulse + 0.5 * np.exp(-after / FADES_S) * np.sin(2.0 * np.pi * RINGS_HZ * after)
+    return np.asarray(np.maximum(np.outer(grip, HELD_N) + np.outer(kick, KICKED_N), 0.3))
+
+
+def job(design: Design, *, quick: bool) -> Job:
+    """The hand on the print that the decoder was trained on, a sample a frame."""
+    true_N = forces()[:: FRAMES // 8] if quick else forces()
+    at = np.arange(FRAMES)[:: FRAMES // 8] / FPS if quick else np.arange(FRAMES) / FPS
+    slid = SLIP_SHARE * (1.0 - np.exp(-np.clip(at - HIT_S, 0.0, None) / SLIPS_S))
+    touches = [
+        {
+            "sample": k,
+            "along": ALONG[finger] + float(slid[k]),
+            "around": AROUND[finger],
+            "force_N": float(true_N[k, finger]),
+            "radius_mm": RADIUS_mm,
+            "indenter": "sphere",
+        }
+        for k in range(len(true_N))
+        for finger in range(len(ALONG))
+    ]
+    scenario = {
+        "name": "stroke",
+        "description": "A hand that grips, and is hit.",
+        "kind": "presses",
+        "touch": {"samples": len(true_N), "at": touches},
+        "unit": {"number": 1},
+        "solve": {"route": "points", **(LINEAR if quick else {})},
+    }
+    return Job(
+        design=design,
+        scenario=parse_scenario(scenario, "stroke"),
+        seed=SEED,
+        accuracy="draft" if quick else "standard",
+    )
+
+
+def measured(samples: Samples) -> list[Measured]:
+    """What the eyes gave of each frame."""
+    assert samples.shift_px is not None
+    assert samples.bits_read is not None
+    return [
+        Measured(koi=np.flatnonzero(bits), shift_px=shift, found=np.isfinite(shift[:, 0]))
+        for shift, bits in zip(samples.shift_px, samples.bits_read, strict=True)
+    ]
+
+
+def decoded(
+    bundle: Bundle,
+    frames: Sequence[Measured],
+    estimator: str,
+    *,
+    follow: bool,
+    rounds: int = ROUNDS,
+) -> Run:
+    """All frames in their order; of each the shortest of some rounds' times."""
+    took = np.full(len(frames), np.inf)
+    readings: list[Reading] = []
+    # Tables are prepared once, before the first frame of a stream.
+    read(bundle, frames[-1], estimator)
+    for _ in range(rounds):
+        readings, before = [], None
+        for k, frame in enumerate(frames):
+            start = time.process_time()
+            last = read(bundle, frame, estimator, before=before)
+            took[k] = min(took[k], 1e3 * (time.process_time() - start))
+            readings.append(last)
+            before = last if follow else None
+    return Run(readings=readings, ms=took)
+
+
+def error_N(run: Run, true_N: FloatArray) -> FloatArray:
+    """Error (frames,) N of the sum of all contacts."""
+    total = [
+        sum(contact.force_N for contact in reading.found.contacts)
+        if reading.found
+        else float(reading.forces_N.sum())
+        for reading in run.readings
+    ]
+    return np.asarray(total - true_N.sum(axis=1))
+
+
+def add_rows(table: Table, *, quick: bool) -> None:
+    """Time and error of each estimator that streams, by design and trained."""
+    first = units(quick=quick)[0]
+    here = bench(first)
+    film = Case(name="stroke", job=job(first.job.design, quick=quick), train=0)
+    samples, _ = data_set(film.name, film.job)
+    frames, true_N = measured(samples), forces()[:: FRAMES // 8] if quick else forces()
+    bundle, _ = taught(here.plain, here.train, names=("auto",))
+    head = f"{first.job.design.name} unit 1, five fingers at 480 fps"
+    note = (
+        f"{len(frames)} frames by points, up to {true_N.sum(axis=1).max():.0f} N in all; forces, "
+        "contacts and doubts, after the eyes; processor time of one core, the shortest of "
+        f"{ROUNDS} rounds of each frame"
+    )
+    for name, model in (("by design", here.plain), ("trained", bundle)):
+        inverse = decoded(model, frames, "koi_inverse", follow=False)
+        alone = decoded(model, frames, "auto", follow=False)
+        followed = decoded(model, frames, "auto", follow=True)
+        for words, run in (
+            ("koi_inverse", inverse),
+            ("auto, each frame by itself", alone),
+            ("auto, gone on from the frame before", followed),
+        ):
+            _time_rows(table, f"{head}, {name}: {words}", run, note)
+            off = error_N(run, true_N)
+            table.add(
+                f"{head}, {name}: {words}: error of the sum of forces",
+                float(np.sqrt(np.mean(off**2))),
+                "N RMS",
+                reference=float(true_N.sum(axis=1).mean()),
+                source="mean of the true sum, N",
+            )
+        _difference_rows(table, f"{head}, {name}", alone, followed)
+
+
+def _time_rows(table: Table, head: str, run: Run, note: str) -> None:
+    for name, share in (("p50", 50), ("p99", 99)):
+        table.add(
+            f"{head}: a frame, {name}",
+            float(np.percentile(run.ms, share)),
+            "ms of one core",
+            reference=PERIOD_ms,
+            source="a frame's period at 480 fps",
+            note=note,
+        )
+
+
+def _difference_rows(table: Table, head: str, alone: Run, followed: Run) -> None:
+    """How far what is gone on is from what each frame says by itself."""
+    apart, other = [], 0
+    for one, two in zip(alone.readings, followed.readings, strict=True):
+        assert one.found is not None
+        assert two.found is not None
+        if len(one.found.contacts) != len(two.found.contacts):
+            other += 1
+            continue
+        apart += [
+            abs(a.force_N - b.force_N) / a.sd_N
+            for a, b in zip(one.found.contacts, two.found.contacts, strict=True)
+        ]
+    went = sum(
+        bool(two.found and two.found.stand and two.found.stand.age) for two in followed.readings
+    )
+    table.add(
+        f"{head}: auto, gone on against by itself: forces apart, p99",
+        float(np.percentile(apart, 99)) if apart else 0.0,
+        "standard deviations",
+        reference=0.0,
+        source="the same frames, each by itself",
+        note=f"largest {max(apart, default=0.0):.2f}; {other} of {len(alone.readings)} frames with "
+        f"another number of contacts; {went} frames were gone on",
+    )
+
+
+def main() -> None:
+    """Print the rows; ``decoder`` writes them."""
+    add_rows(Table("decoder_moving"), quick=arguments(__doc__ or "").quick)
+
+
+if __name__ == "__main__":
+    main()
