@@ -18,6 +18,8 @@ HOLD_S = 0.5
 SPEED_KEPT = 0.5
 """Share of its former speed in a contact's speed."""
 STILL: Place = (0.0, 0.0, 0.0)
+INSIDE_MAX = 8
+"""Contacts that one may be made of."""
 FAR = 1e9
 """Cost of a pair that does not go together: more than any that does."""
 
@@ -179,7 +181,7 @@ class ContactTracker:
         pieces = [row] + [
             other
             for other, contact in enumerate(contacts)
-            if other not in found and self._cost(track, track.place, contact) < FAR
+            if other not in found and self._was_in(track, contact)
         ]
         if len(pieces) == 1:
             self._hand_over(found, row, track, contacts[row])
@@ -216,6 +218,12 @@ class ContactTracker:
                 nearest = min(pairs, key=lambda known: cost[member][known[1]])
                 self._join(members[nearest[0]], alone, contacts[pieces[nearest[1]]])
 
+    def _was_in(self, track: _Track, contact: Contact) -> bool:
+        """Whether a contact lay in another's switches a frame ago, and has not come beside it."""
+        if contact.markers:
+            return not track.markers.isdisjoint(contact.markers)
+        return self._cost(track, track.place, contact) < FAR
+
     def _hand_over(
         self, found: dict[int, _Track], row: int, track: _Track, contact: Contact
     ) -> None:
@@ -231,6 +239,8 @@ class ContactTracker:
         if not host.inside:
             host.inside = [replace(host, inside=[], speed_mm_s=STILL)]
         host.inside += guest.inside or [replace(guest, speed_mm_s=STILL)]
+        # Who taps beside a resting hand is in it with each tap: those of long ago are forgotten.
+        del host.inside[1 : len(host.inside) - INSIDE_MAX + 1]
         host.merged_at = contact.position_mm
         self._tracks.pop(guest.id, None)
 

@@ -189,6 +189,13 @@ class Places:
         powers = np.stack([np.ones_like(x), x, y, xx, xy, yy, *cubic], axis=1)
         return place, np.einsum("mt,mtq->mq", powers, self.fits[1][place])
 
+    def normals(self, points_mm: FloatArray) -> FloatArray:
+        """Outward unit normals (m, 3) at points (m, 3) of the outer face."""
+        place, counts = self.shares(points_mm)
+        each = np.cross(self.along, self.around)[self.fits[0][place]]
+        out = np.einsum("mq,mqi->mi", counts, each)
+        return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
+
     def cubic(self, place: int) -> Any:
         """Derivatives (10, k, 2n) float32 of the rows at a place; see :attr:`fits`."""
         near, weights = self.fits

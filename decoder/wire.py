@@ -56,7 +56,8 @@ class Messages:
     started_unix_s : float
         Unix time at which ``decoded_s`` is 0.
     normals : (n, 3) float, optional
-        Outward unit normals of the surface at the markers; without them there is no net vector.
+        Outward unit normals of the surface at the markers. Those of the tables of ``auto`` if not
+        given; without either there is no net vector.
     regions : sequence of Region
         Whose forces are told, see :func:`decoder.regions.load_regions`.
     """
@@ -79,6 +80,14 @@ class Messages:
     def tracker(self) -> ContactTracker:
         """Knows the contacts so far."""
         return ContactTracker(spacing_mm=self.finder.spacing_mm)
+
+    @cached_property
+    def outward(self) -> FloatArray | None:
+        """Outward unit normals (n, 3) at the markers, where they are known."""
+        locator = self.bundle.model.locator
+        if self.normals is not None or locator is None:
+            return self.normals
+        return locator.places.normals(self.bundle.position_mm)
 
     @cached_property
     def region_forces(self) -> RegionForces:
@@ -151,7 +160,7 @@ class Messages:
             )
         koi = koi[good]
         if reading.found is not None:
-            sound = [one for one in reading.found.contacts if abs(one.force_N) <= FORCE_LIMIT_N]
+            sound = [one for one in reading.found.contacts if _is_sound(one)]
             reading = replace(reading, found=replace(reading.found, contacts=sound))
         pressed = pushes(reading, koi, self.bundle.position_mm)
         out: Message = {
@@ -168,9 +177,9 @@ class Messages:
             "warnings": warnings,
             "missed": missed,
         }
-        if self.normals is not None:
+        if self.outward is not None:
             # Pressing acts along the inward normal.
-            net = -(pressed.force_N @ self.normals[pressed.markers])
+            net = -(pressed.force_N @ self.outward[pressed.markers])
             out["net_force_N"] = [_rounded(part, FORCE_DIGITS) for part in net]
         if self.regions:
             sums = self.region_forces.of(pressed.markers, pressed.force_N)
@@ -212,6 +221,11 @@ class Messages:
                 markers = [nearest_marker(place, self.bundle.position_mm)]
             out["region"] = self.region_forces.home(markers, forces_N[markers].tolist())
         return out
+
+
+def _is_sound(located: Located) -> bool:
+    told = [located.sd_N, located.radius_mm, *located.point_mm]
+    return abs(located.force_N) <= FORCE_LIMIT_N and bool(np.isfinite(told).all())
 
 
 def _as_found(located: Located) -> Contact:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from decoder.contact_tracks import FAR, HOLD_FRAMES, ContactTracker, assign, pair
+from decoder.contact_tracks import FAR, HOLD_FRAMES, INSIDE_MAX, ContactTracker, assign, pair
 from decoder.contacts import Contact, ContactFinder, Skin, contact_groups
 from shapes.arrays import FloatArray
 
@@ -292,3 +292,37 @@ def test_a_hand_at_480_fps_keeps_five_ids(seed: int) -> None:
     # Fingers that come near share key nodes and are one for a while; others never are.
     assert len(names) >= apart > 50
     assert len(set(names)) == 1
+
+
+def hand_that_is_tapped(tracker: ContactTracker, taps: int) -> tuple[float, list[Contact]]:
+    """A finger slides into a resting hand, which grips harder, and is lifted there; how it ends."""
+    time_s, out = 0.0, tracker.update(press((60.0, 60.0, 8.0, 3.0)), 0.0)
+    for tap in range(taps):
+        hand = (60.0, 60.0, 8.0 if tap == 0 else 14.0, 6.0)
+        for x in (96.0, 90.0, 84.0, 78.0, 74.0):
+            time_s += 1.0 / 60.0
+            out = tracker.update(press(hand, (x, 60.0, 6.0, 3.0)), time_s)
+        for _ in range(6):
+            time_s += 1.0 / 60.0
+            out = tracker.update(press((60.0, 60.0, 16.0, 8.0)), time_s)
+    return time_s, out
+
+
+def test_what_lands_beside_a_hand_that_has_swallowed_a_finger_is_new() -> None:
+    tracker = ContactTracker(spacing_mm=PLANE.spacing_mm)
+    time_s, (hand,) = hand_that_is_tapped(tracker, 1)
+    time_s += 60.0
+    tracker.update(press((60.0, 60.0, 16.0, 8.0)), time_s)
+    both = tracker.update(press((60.0, 60.0, 16.0, 8.0), (87.0, 60.0, 3.0, 2.0)), time_s + 0.02)
+    old, new = sorted(both, key=lambda contact: contact.position_mm[0])
+    assert old.id == hand.id
+    assert new.id not in {0, 1}
+    assert new.since_s == time_s + 0.02
+
+
+def test_a_hand_that_is_tapped_all_day_is_no_slower() -> None:
+    tracker = ContactTracker(spacing_mm=PLANE.spacing_mm)
+    _, (hand,) = hand_that_is_tapped(tracker, 40)
+    (track,) = tracker._tracks.values()
+    assert 1 < len(track.inside) <= INSIDE_MAX
+    assert track.inside[0].id == hand.id

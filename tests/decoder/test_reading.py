@@ -16,9 +16,11 @@ from decoder.reading import Reading, read
 from decoder.record import Recorder
 from decoder.regions import Region
 from decoder.run import Measured, measure_frame, read_image
-from decoder.wire import Messages
+from decoder.wire import Messages, json_bytes
 from phytac_design.build import BuildResult
+from phytac_design.layout.make import make_markers
 from tests.decoder.toy_sensor import toy_bundle
+from tests.designs import small
 
 COUNT = 30
 
@@ -91,13 +93,24 @@ def test_a_contact_without_a_switch_keeps_its_id() -> None:
     assert ids == [[0, 1]] * 5
 
 
-def test_what_is_no_force_is_left_out() -> None:
-    wild = located(1e9, (49.0, 40.5, 0.0))
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"force_N": 1e9},
+        {"force_N": np.nan},
+        {"sd_N": np.nan},
+        {"radius_mm": np.inf},
+        {"point_mm": np.array([np.nan, 0.0, 0.0])},
+    ],
+)
+def test_what_is_no_number_is_left_out(changes: dict[str, Any]) -> None:
+    wild = replace(located(1.0, (49.0, 40.5, 0.0)), **changes)
     message = messages().frame(
         reading(located(3.0, (10.0, 10.0, 0.0), 7), wild), sequence=0, timestamp_s=0.0
     )
     assert len(message["contacts"]) == 1
     assert message["total_N"] == 3.0
+    assert b"NaN" not in json_bytes(message)
 
 
 def test_recordings_hold_standard_deviations_where_there_are_any(tmp_path: Path) -> None:
@@ -154,6 +167,21 @@ def test_forces_on_switches_that_cannot_be_read_are_among_those_told(
     told = Messages(bundle=bundle, estimator="auto").frame(got, sequence=0, timestamp_s=0.0)
     assert dict(zip(told["koi"], told["forces_N"], strict=True))[unread] == 5.0
     assert told["total_N"] == 5.0
+
+
+def test_the_net_force_acts_along_the_surfaces_normals(
+    pressed: tuple[Bundle, Measured], built: BuildResult
+) -> None:
+    """With the bundle alone: a stream has no design beside it."""
+    bundle, measured = pressed
+    surface = small().surface()
+    normal = make_markers(small(), surface).normal
+    make = Messages(bundle=bundle, estimator="koi_inverse")
+    got = read(bundle, measured, "koi_inverse")
+    told = make.frame(got, sequence=0, timestamp_s=0.0)
+    net = -(got.forces_N @ normal)
+    assert np.linalg.norm(net) > 1.0
+    assert told["net_force_N"] == pytest.approx(net, abs=1e-3)
 
 
 def test_other_estimators_leave_grouping_to_the_stream(pressed: tuple[Bundle, Measured]) -> None:
