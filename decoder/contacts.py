@@ -84,6 +84,36 @@ def contact_groups(koi: IntArray, neighbours: IntArray) -> list[list[int]]:
     return list(groups.values())
 
 
+def rows_of(
+    markers: Sequence[IntArray], koi: IntArray, neighbours: IntArray
+) -> list[IntArray] | None:
+    """Rows of ``koi`` that are each contact's, by those that were its own a frame ago.
+
+    A switch that has come is that of the contact beside it. None where that is none or any of
+    several, or where a contact has lost all of its own.
+
+    Parameters
+    ----------
+    markers : sequence of (k,) int
+        Key nodes of each contact; a contact may have none, and gets none.
+    koi : (m,) int
+        Key nodes of this frame.
+    neighbours : (n, 8) int
+        Neighbour ids, -1 beyond a rim.
+    """
+    owner = {marker: k for k, own in enumerate(markers) for marker in own.tolist()}
+    rows: list[list[int]] = [[] for _ in markers]
+    for row, marker in enumerate(koi.tolist()):
+        near = [marker] if marker in owner else neighbours[marker].tolist()
+        of = {owner[each] for each in near if each in owner}
+        if len(of) != 1:
+            return None
+        rows[of.pop()].append(row)
+    if any(len(own) and not left for own, left in zip(markers, rows, strict=True)):
+        return None
+    return [np.array(left, dtype=np.int64) for left in rows]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Skin:
     """The outer face around each of n markers: p + x·a + y·b + (c · [x, y, x², xy, y²])·normal.

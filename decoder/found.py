@@ -56,8 +56,6 @@ class Stand:
     ----------
     fit : Fit
         With contacts that are suspected.
-    koi : (m,) int
-        Switches that are on.
     misfit : float
         That of the last frame whose contacts were looked for anew.
     age : int
@@ -65,7 +63,6 @@ class Stand:
     """
 
     fit: Fit
-    koi: IntArray
     misfit: float
     age: int = 0
 

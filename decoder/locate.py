@@ -28,7 +28,7 @@ from decoder.contact_fit import (
     start,
 )
 from decoder.contact_shifts import UNKNOWNS, State, point_of
-from decoder.contacts import contact_groups
+from decoder.contacts import contact_groups, rows_of
 from decoder.correct import Correction
 from decoder.found import Found, Located, Stand
 from decoder.nonnegative import nonnegative_least_squares
@@ -60,8 +60,7 @@ PRINT_SHARE = 0.11
 thickness as a whole and 3 % from place to place, to the power of 2.3. Forces of a decoder that has
 seen no data of its print are no surer."""
 WORSE = 1.15
-"""Contacts go on from frame to frame until what they leave has grown by so much: of 700 numbers it
-varies by 5 %."""
+"""Contacts go on until what they leave has grown by so much: of 700 numbers it varies by 5 %."""
 WARM = 3
 """Rounds of a fit that goes on from the frame before, at most: the next one goes on from there."""
 LOOK = 4
@@ -137,8 +136,8 @@ class Locator:
         """Contacts behind shifts (n, 2) px, NaN where a marker was not found.
 
         Without a switch that is on there is no contact, and nothing is solved, unless some switch
-        cannot be read. Contacts of the frame ``before`` go on where the same switches are on, as
-        long as they explain what is seen as well as they did.
+        cannot be read. Contacts of the frame ``before`` go on as long as each switch that is on is
+        one's own or beside one's own, and they explain what is seen as well as they did.
         """
         d = np.asarray(shift_px, dtype=np.float64).reshape(-1)
         found = np.isfinite(d)
@@ -148,16 +147,19 @@ class Locator:
             best = self._switched(seen) if len(koi) else nothing(seen, self.noise)
             if len(koi) or len(self.blind):
                 best = self._searched(best, seen)
-            stand = Stand(fit=best, koi=koi, misfit=best.misfit)
+            stand = Stand(fit=best, misfit=best.misfit)
         return replace(self._told(stand.fit, koi), stand=stand)
 
     def _gone_on(self, stand: Stand, seen: Seen) -> Stand | None:
         """Contacts of the frame before in this one; None where they have to be looked for."""
         states = stand.fit.states
         aside = [state for state in states if not len(state.markers)]
-        if not states or not np.array_equal(stand.koi, seen.koi) or stand.age >= ANEW[bool(aside)]:
+        if not states or stand.age >= ANEW[bool(aside)]:
             return None
-        best = self._fit(self._again(states, seen), seen, firm=0, rounds=WARM)
+        again = self._again(states, seen)
+        if again is None:
+            return None
+        best = self._fit(again, seen, firm=0, rounds=WARM)
         # Below 1 a fit by learnt noise is as good as can be.
         good = 1.0 if self.noise.ratio is not None else 0.0
         if best.misfit > WORSE * max(stand.misfit, good):
@@ -171,16 +173,18 @@ class Locator:
         look = age % LOOK == 0 and len(aside) < SILENT_MAX
         if look and len(self._searched(best, seen).states) > len(best.states):
             return None
-        return Stand(fit=best, koi=seen.koi, misfit=stand.misfit, age=age)
+        return Stand(fit=best, misfit=stand.misfit, age=age)
 
-    def _again(self, states: Sequence[State], seen: Seen) -> list[State]:
+    def _again(self, states: Sequence[State], seen: Seen) -> list[State] | None:
         """The same contacts, about where this frame's switches say that they are."""
+        rows = rows_of([state.markers for state in states], seen.koi, self.neighbours)
+        if rows is None:
+            return None
         force = self._switch_forces(seen)
         out = []
-        for state in states:
-            rows = np.flatnonzero(self._among(state.markers, seen.koi))
-            point = self._middle(seen.koi, force, rows)[0] if len(rows) else state.start_mm
-            out.append(replace(state, start_mm=point))
+        for state, own in zip(states, rows, strict=True):
+            point = self._middle(seen.koi, force, own)[0] if len(own) else state.start_mm
+            out.append(replace(state, start_mm=point, markers=seen.koi[own]))
         return out
 
     def _switched(self, seen: Seen) -> Fit:

@@ -59,11 +59,32 @@ def test_contacts_that_move_and_grow_are_as_by_themselves() -> None:
     assert max(rounds[1:]) < rounds[0]
 
 
+def test_switches_that_come_and_go_beside_their_contact_are_its_own() -> None:
+    first = LOCATOR.find(frame(0, (8.0, 8.0)), KOI)
+    beside = int(LOCATOR.neighbours[nearest(FIRST)].max())
+    more = np.array(sorted([*KOI, beside]))
+    grown = LOCATOR.find(frame(1, (8.0, 8.0)), more, before=first)
+    assert age_of(grown) == 1
+    assert beside in grown.contacts[0].markers or beside in grown.contacts[1].markers
+    assert age_of(LOCATOR.find(frame(2, (8.0, 8.0)), KOI, before=grown)) == 2
+
+
 def test_other_switches_are_looked_at_anew() -> None:
     first = LOCATOR.find(frame(0, (8.0, 8.0)), KOI)
-    more = np.array(sorted([*KOI, nearest(np.array([30.0, 6.0, 0.0]))]))
-    assert age_of(LOCATOR.find(frame(1, (8.0, 8.0)), more, before=first)) == 0
-    assert age_of(LOCATOR.find(frame(1, (8.0, 8.0)), KOI, before=first)) == 1
+    away = np.array(sorted([*KOI, nearest(np.array([30.0, 6.0, 0.0]))]))
+    for koi in (away, KOI[:1]):
+        assert age_of(LOCATOR.find(frame(1, (8.0, 8.0)), koi, before=first)) == 0
+
+
+def test_a_switch_between_two_contacts_is_looked_at_anew() -> None:
+    middle, arm = np.array([30.0, 30.0, 0.0]), np.array([6.0, 0.0, 0.0])
+    close = [middle - arm, middle + arm]
+    clean = together(close, [8.0, 8.0]).reshape(-1, 2)
+    own = np.array(sorted(nearest(each) for each in close))
+    first = LOCATOR.find(clean, own)
+    assert age_of(LOCATOR.find(clean, own, before=first)) == 1
+    both = np.array(sorted([*own, nearest(middle)]))
+    assert age_of(LOCATOR.find(clean, both, before=first)) == 0
 
 
 def test_what_they_no_longer_explain_is_looked_at_anew() -> None:
