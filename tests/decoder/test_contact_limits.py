@@ -122,7 +122,8 @@ def at(*places_mm: float) -> list[Contact]:
 
 def test_more_pieces_than_merged_have_ids_of_their_own() -> None:
     watch = ContactTracker(spacing_mm=10.0)
-    one = Contact(force_N=2.0, position_mm=(25.0, 0.0, 0.0), size_mm=2.0, markers=(5, 25, 45))
+    spread = (0, 5, 25, 45, 50)
+    one = Contact(force_N=2.0, position_mm=(25.0, 0.0, 0.0), size_mm=2.0, markers=spread)
     frames = (at(5.0, 45.0), [one], at(0.0, 25.0, 50.0), at(0.0, 25.0, 50.0))
     found = [
         [contact.id for contact in watch.update(contacts, number / FPS)]
