@@ -9,6 +9,7 @@ import numpy as np
 
 from decoder.frame import Frame, Source
 from decoder.live import Live
+from decoder.steps import InStep
 from decoder.tracks import SUFFIXES, Folder, Track, Video
 from shapes.arrays import ImageArray
 from shapes.errors import InputError
@@ -67,6 +68,7 @@ class Recording(Source):
         self._tracks, self._fps, self._every, self._loop = tracks, fps, every, loop
         self._report, self._clock_s, self._sleep = report, clock, sleep
         self.count = min((count for count in counts if count is not None), default=None)
+        self._steps = InStep(tracks, report)
         self._started_s: float | None = None
         self._stamps: list[float] = []
         self._offset_s = 0.0
@@ -81,7 +83,8 @@ class Recording(Source):
     def __iter__(self) -> Iterator[Frame]:
         number, useful = 0, 0
         while True:
-            if not self._grab(number):
+            steps = self._steps.grab(number)
+            if not steps:
                 if not useful:
                     raise InputError(f"not one frame of {self.said} could be read")
                 if not self._loop:
@@ -89,6 +92,8 @@ class Recording(Source):
                 useful = 0
                 self._rewind()
                 continue
+            self.skipped += steps - 1
+            number += steps - 1
             missed = self.missed
             frame = self._frame(number)
             number += 1
@@ -129,16 +134,8 @@ class Recording(Source):
             return False
         return (self._clock_s() - self._started_s) * self._fps >= number + 1
 
-    def _grab(self, number: int) -> bool:
-        more = [track.grab() for track in self._tracks]
-        if any(more) and not all(more):
-            short = self._tracks[more.index(False)].said
-            self._report(f"{short} ends after {number} frames, before the other camera's")
-        return all(more)
-
     def _rewind(self) -> None:
-        for track in self._tracks:
-            track.rewind()
+        self._steps.rewind()
         if self._stamps:
             first, last, steps = self._stamps[0], self._stamps[-1], len(self._stamps) - 1
             # One usual interval between the last frame and the first of the next round.
