@@ -18,7 +18,7 @@ CAMERAS_MAX = 2
 
 
 class Recording(Source):
-    """Recorded pictures of one camera or two, in step.
+    """Recorded pictures of one camera or two, in step: see :class:`decoder.steps.InStep`.
 
     Parameters
     ----------
@@ -43,7 +43,8 @@ class Recording(Source):
     Raises
     ------
     InputError
-        If two recordings differ in length, or the rate is none.
+        If two recordings differ in length and no times tell what belongs together, or the rate is
+        none.
     """
 
     def __init__(
@@ -60,7 +61,8 @@ class Recording(Source):
         if fps is not None and not 0.0 < fps <= 1e6:
             raise InputError(f"a rate lies above 0 and up to 1e6 fps (got {fps:g}); change --fps")
         counts = {track.count for track in tracks}
-        if len(counts) > 1 and None not in counts:
+        self._steps = InStep(tracks, report)
+        if len(counts) > 1 and None not in counts and not self._steps.by_time:
             said = " and ".join(f"{track.count} in {track.said}" for track in tracks)
             raise InputError(
                 f"frames of two cameras come in pairs (got {said}); give as many of each"
@@ -68,7 +70,6 @@ class Recording(Source):
         self._tracks, self._fps, self._every, self._loop = tracks, fps, every, loop
         self._report, self._clock_s, self._sleep = report, clock, sleep
         self.count = min((count for count in counts if count is not None), default=None)
-        self._steps = InStep(tracks, report)
         self._started_s: float | None = None
         self._stamps: list[float] = []
         self._offset_s = 0.0

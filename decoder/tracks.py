@@ -1,5 +1,6 @@
 """Recorded pictures of one camera: a folder of images, or a video."""
 
+import math
 import re
 from abc import ABC, abstractmethod
 from pathlib import Path
@@ -34,6 +35,10 @@ class Track(ABC):
         Whether the recording says when they were taken.
     announced : int or None
         How many its header speaks of, which some formats only estimate.
+    interval_s : float
+        Usual time from picture to picture; 0 where not known.
+    span_s : tuple of float
+        Times of the first and the last; infinity where not known.
     at : int
         Pictures up to the one gone to, this and lost ones included.
     """
@@ -42,6 +47,8 @@ class Track(ABC):
     count: int | None
     stamped: bool
     announced: int | None = None
+    interval_s: float = 0.0
+    span_s: tuple[float, float] = (0.0, math.inf)
     at: int = 0
 
     @abstractmethod
@@ -108,6 +115,8 @@ class Folder(Track):
         self._files = [files[i] for i in order]
         self._times = [times[i] for i in order]
         self.count = len(files)
+        self.span_s = self._times[0], self._times[-1]
+        self.interval_s = float(np.median(np.diff(self._times))) if len(files) > 1 else 0.0
 
     def grab(self) -> bool:
         """Go on to the next picture; False after the last."""
@@ -154,6 +163,9 @@ class Video(Track):
             )
         count = float(self._video.get(cv2.CAP_PROP_FRAME_COUNT))
         self.announced = int(count) if 0.0 < count < COUNT_MAX else None
+        rate = float(self._video.get(cv2.CAP_PROP_FPS))
+        self.interval_s = 1.0 / rate if 0.0 < rate < math.inf else 0.0
+        self.span_s = 0.0, (self.announced or math.inf) * (self.interval_s or math.inf)
         self.at, self._last_s = 0, 0.0
 
     def grab(self) -> bool:
