@@ -61,13 +61,14 @@ class Outlet:
         self.ended = False
         self._framing, self._size, self._patience_s = framing, queue, patience_s
         self._waiting: deque[bytes] = deque()
+        self._due: bytes | None = None
         self._going = memoryview(framed(with_dropped(first, 0), framing))
         self._moved_s = time.monotonic()
 
     @property
     def idle(self) -> bool:
         """Whether everything is sent."""
-        return not self._going and not self._waiting
+        return not self._going and not self._waiting and self._due is None
 
     @property
     def stalled(self) -> bool:
@@ -87,6 +88,15 @@ class Outlet:
         self._waiting.append(text)
         return lost
 
+    def next(self, text: bytes) -> None:
+        """Send a message's JSON before all that waits; it takes no place, and none drives it out.
+
+        One that is still due is replaced.
+        """
+        if self.idle:
+            self._moved_s = time.monotonic()
+        self._due = text
+
     def flush(self) -> None:
         """Send what goes without waiting.
 
@@ -97,10 +107,11 @@ class Outlet:
         """
         while True:
             if not self._going:
-                if not self._waiting:
+                if self.idle:
                     return
-                text = with_dropped(self._waiting.popleft(), self.dropped)
-                self._going = memoryview(framed(text, self._framing))
+                text = self._due or self._waiting.popleft()
+                self._due = None
+                self._going = memoryview(framed(with_dropped(text, self.dropped), self._framing))
                 self.sent += 1
             try:
                 went = self.handle.send(self._going)

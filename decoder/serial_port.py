@@ -51,6 +51,8 @@ class SerialPort:
         try:
             tty.setraw(self._handle)
             settings = termios.tcgetattr(self._handle)
+            # Raw leaves the stop bits and the flow control of whoever used it before.
+            settings[2] &= ~(termios.CSTOPB | termios.PARENB | getattr(termios, "CRTSCTS", 0))
             settings[2] |= termios.CLOCAL | termios.CREAD
             settings[4] = settings[5] = rates[baud]
             termios.tcsetattr(self._handle, termios.TCSANOW, settings)

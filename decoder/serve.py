@@ -224,7 +224,7 @@ class Server:
                     self._wake_in.recv(65536)
             now = time.monotonic()
             if self._serial and now - hello_s > HELLO_AGAIN_S:
-                self._serial.offer(self._serial_hello)
+                self._serial.next(self._serial_hello)
                 hello_s = now
             # Asked before: what is published before the end is handed out before it.
             stopping = self._stopping.is_set()

@@ -9,6 +9,7 @@ import numpy as np
 
 from decoder.frame import Frame, Source
 from decoder.live import Live
+from decoder.steps import InStep
 from decoder.tracks import SUFFIXES, Folder, Track, Video
 from shapes.arrays import ImageArray
 from shapes.errors import InputError
@@ -17,7 +18,7 @@ CAMERAS_MAX = 2
 
 
 class Recording(Source):
-    """Recorded pictures of one camera or two, in step.
+    """Recorded pictures of one camera or two, in step: see :class:`decoder.steps.InStep`.
 
     Parameters
     ----------
@@ -42,7 +43,8 @@ class Recording(Source):
     Raises
     ------
     InputError
-        If two recordings differ in length, or the rate is none.
+        If two recordings differ in length and no times tell what belongs together, or the rate is
+        none.
     """
 
     def __init__(
@@ -59,7 +61,8 @@ class Recording(Source):
         if fps is not None and not 0.0 < fps <= 1e6:
             raise InputError(f"a rate lies above 0 and up to 1e6 fps (got {fps:g}); change --fps")
         counts = {track.count for track in tracks}
-        if len(counts) > 1 and None not in counts:
+        self._steps = InStep(tracks, report)
+        if len(counts) > 1 and None not in counts and not self._steps.by_time:
             said = " and ".join(f"{track.count} in {track.said}" for track in tracks)
             raise InputError(
                 f"frames of two cameras come in pairs (got {said}); give as many of each"
@@ -81,7 +84,8 @@ class Recording(Source):
     def __iter__(self) -> Iterator[Frame]:
         number, useful = 0, 0
         while True:
-            if not self._grab(number):
+            steps = self._steps.grab(number)
+            if not steps:
                 if not useful:
                     raise InputError(f"not one frame of {self.said} could be read")
                 if not self._loop:
@@ -89,6 +93,8 @@ class Recording(Source):
                 useful = 0
                 self._rewind()
                 continue
+            self.skipped += steps - 1
+            number += steps - 1
             missed = self.missed
             frame = self._frame(number)
             number += 1
@@ -129,16 +135,8 @@ class Recording(Source):
             return False
         return (self._clock_s() - self._started_s) * self._fps >= number + 1
 
-    def _grab(self, number: int) -> bool:
-        more = [track.grab() for track in self._tracks]
-        if any(more) and not all(more):
-            short = self._tracks[more.index(False)].said
-            self._report(f"{short} ends after {number} frames, before the other camera's")
-        return all(more)
-
     def _rewind(self) -> None:
-        for track in self._tracks:
-            track.rewind()
+        self._steps.rewind()
         if self._stamps:
             first, last, steps = self._stamps[0], self._stamps[-1], len(self._stamps) - 1
             # One usual interval between the last frame and the first of the next round.

@@ -1,5 +1,6 @@
 """Recorded pictures of one camera: a folder of images, or a video."""
 
+import math
 import re
 from abc import ABC, abstractmethod
 from pathlib import Path
@@ -15,6 +16,10 @@ STAMP_NS = re.compile(r"\d{16,19}")
 STAMP_S = re.compile(r"\d+\.\d+")
 ENDS_OF_FILES = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8": b"\xff\xd9"}
 """What a whole PNG or JPEG begins and ends with; OpenCV gives half a picture for half a file."""
+TRIES = 300
+"""A damaged place in a video may take so many grabs to get over; each fails at once."""
+COUNT_MAX = 10**9
+"""Headers that speak of more pictures know of none."""
 
 
 class Track(ABC):
@@ -28,15 +33,27 @@ class Track(ABC):
         How many there are; None where only reading them tells.
     stamped : bool
         Whether the recording says when they were taken.
+    announced : int or None
+        How many its header speaks of, which some formats only estimate.
+    interval_s : float
+        Usual time from picture to picture; 0 where not known.
+    span_s : tuple of float
+        Times of the first and the last; infinity where not known.
+    at : int
+        Pictures up to the one gone to, this and lost ones included.
     """
 
     said: str
     count: int | None
     stamped: bool
+    announced: int | None = None
+    interval_s: float = 0.0
+    span_s: tuple[float, float] = (0.0, math.inf)
+    at: int = 0
 
     @abstractmethod
     def grab(self) -> bool:
-        """Go on to the next picture; False after the last."""
+        """Go on to the next picture that is there; False after the last."""
 
     @abstractmethod
     def retrieve(self) -> ImageArray:
@@ -98,28 +115,31 @@ class Folder(Track):
         self._files = [files[i] for i in order]
         self._times = [times[i] for i in order]
         self.count = len(files)
-        self._at = -1
+        self.span_s = self._times[0], self._times[-1]
+        self.interval_s = float(np.median(np.diff(self._times))) if len(files) > 1 else 0.0
 
     def grab(self) -> bool:
         """Go on to the next picture; False after the last."""
-        self._at += 1
-        return self._at < len(self._files)
+        if self.at == len(self._files):
+            return False
+        self.at += 1
+        return True
 
     def retrieve(self) -> ImageArray:
         """The picture gone to."""
-        return whole_image(self._files[self._at])
+        return whole_image(self._files[self.at - 1])
 
     def time_s(self) -> float:
         """What its name says."""
-        return self._times[self._at]
+        return self._times[self.at - 1]
 
     def rewind(self) -> None:
         """Before the first picture."""
-        self._at = -1
+        self.at = 0
 
 
 class Video(Track):
-    """A video that OpenCV reads.
+    """A video that OpenCV reads, on beyond places that are damaged.
 
     Raises
     ------
@@ -141,10 +161,33 @@ class Video(Track):
                 f"{self.said} is not a video or image that can be read; give an image (PNG, JPEG), "
                 "a folder of images, a video, or a camera's number"
             )
+        count = float(self._video.get(cv2.CAP_PROP_FRAME_COUNT))
+        self.announced = int(count) if 0.0 < count < COUNT_MAX else None
+        rate = float(self._video.get(cv2.CAP_PROP_FPS))
+        self.interval_s = 1.0 / rate if 0.0 < rate < math.inf else 0.0
+        self.span_s = 0.0, (self.announced or math.inf) * (self.interval_s or math.inf)
+        self.at, self._last_s = 0, 0.0
 
     def grab(self) -> bool:
-        """Go on to the next picture; False after the last."""
-        return bool(self._video.grab())
+        """Go on to the next picture that is there; False after the last."""
+        left = (self.announced or 0) - self.at
+        failed = 0
+        while not self._video.grab():
+            if failed >= min(left, TRIES):
+                return False
+            failed += 1
+        now_s = self.time_s()
+        self.at += 1 + (self._lost(failed, now_s, left - 1) if failed else 0)
+        self._last_s = now_s
+        return True
+
+    def _lost(self, failed: int, now_s: float, most: int) -> int:
+        """Pictures that a damaged place has cost: one failure may stand for several."""
+        usual_s = self._last_s / (self.at - 1) if self.at > 1 else 0.0
+        passed_s = now_s - self._last_s
+        if usual_s > 0.0 and passed_s > 0.0:
+            failed = max(round(passed_s / usual_s) - 1, 0)
+        return max(min(failed, most), 0)
 
     def retrieve(self) -> ImageArray:
         """The picture gone to."""

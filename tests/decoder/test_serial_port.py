@@ -1,0 +1,69 @@
+"""A serial port: how it is set up, and what goes out of it to whoever listens late."""
+
+import contextlib
+import os
+import termios
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from decoder import serve
+from decoder.serial_port import SerialPort
+from decoder.serve import Server
+from decoder.wire import Message, Splitter
+
+
+def test_settings_of_an_earlier_user_go() -> None:
+    master, slave = os.openpty()
+    before = termios.tcgetattr(slave)
+    before[2] |= termios.CSTOPB | termios.CRTSCTS | termios.PARENB | termios.PARODD
+    termios.tcsetattr(slave, termios.TCSANOW, before)
+    port = SerialPort(Path(os.ttyname(slave)))
+    flags = termios.tcgetattr(slave)[2]
+    assert not flags & (termios.CSTOPB | termios.CRTSCTS | termios.PARENB)
+    assert flags & termios.CSIZE == termios.CS8
+    assert flags & termios.CLOCAL
+    port.close()
+    os.close(slave)
+    os.close(master)
+
+
+def test_hello_comes_again_however_full_the_port_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames come faster than they go out, so that two always wait."""
+    monkeypatch.setattr(serve, "HELLO_AGAIN_S", 0.3)
+    master, slave = os.openpty()
+    port = SerialPort(Path(os.ttyname(slave)))
+    hello = {"type": "hello", "name": "x" * 100}
+    got: list[Message] = []
+    done = threading.Event()
+
+    def read() -> None:
+        splitter = Splitter("lines")
+        os.set_blocking(master, False)
+        while not done.is_set():
+            with contextlib.suppress(BlockingIOError):
+                got.extend(splitter.feed(os.read(master, 256)))
+            time.sleep(0.002)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    with Server(hello, port=0, serial=port, serial_hello=hello) as server:
+        until = time.monotonic() + 4.0
+        sent = 0
+        while time.monotonic() < until:
+            server.publish({"type": "frame", "sequence": sent, "pad": "y" * 5000})
+            sent += 1
+            time.sleep(0.005)
+        hellos = [message for message in got if message["type"] == "hello"]
+        frames = [message for message in got if message["type"] == "frame"]
+        done.set()
+    reader.join()
+    assert len(hellos) >= 8
+    # Hello drives out no frame: what is missing between two of them was dropped, or waits.
+    assert frames[-1]["dropped"] - frames[0]["dropped"] == (
+        frames[-1]["sequence"] - frames[0]["sequence"] + 1 - len(frames)
+    )
+    os.close(slave)
+    os.close(master)
