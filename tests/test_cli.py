@@ -1,6 +1,9 @@
 """The command line as a person uses it: output, exit codes, one line for every error."""
 
+import contextlib
+import io
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -8,12 +11,43 @@ from pathlib import Path
 import pytest
 
 from phytac_design.build import BuildResult
+from phytac_design.cli import main
 
 PHYTAC = [sys.executable, "-c", "from phytac_design.cli import main; main()"]
+"""A process of its own: starting one takes a second."""
 
 
 def phytac(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*PHYTAC, *words], capture_output=True, text=True, check=False, cwd=cwd)
+    """The same in this process."""
+    out, errors, code = io.StringIO(), io.StringIO(), 0
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(errors),
+    ):
+        patch.setattr(sys, "argv", ["phytac", *words])
+        if cwd is not None:
+            patch.chdir(cwd)
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+    return subprocess.CompletedProcess(words, code, out.getvalue(), errors.getvalue())
+
+
+def test_a_process_says_the_same(tmp_path: Path) -> None:
+    for words in (["check", str(tmp_path / "nowhere.toml")], ["shapes"]):
+        alone = subprocess.run([*PHYTAC, *words], capture_output=True, text=True, check=False)
+        here = phytac(*words)
+        assert (here.returncode, here.stdout, here.stderr) == (
+            alone.returncode,
+            alone.stdout,
+            alone.stderr,
+        )
+        assert bool(alone.stderr) == bool(alone.returncode)
 
 
 def test_help_lists_the_commands() -> None:

@@ -1,8 +1,6 @@
 """A design from a face of the user's own CAD: round trip through STEP, and one clear error."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import cadquery as cq
@@ -13,8 +11,7 @@ from phytac_design.checkup import checkup
 from phytac_design.design_file import load_design, write_new_design
 from phytac_design.new_from_step import patch_changes
 from shapes.errors import InputError
-
-PHYTAC = [sys.executable, "-c", "from phytac_design.cli import main; main()"]
+from tests.test_cli import phytac
 
 
 def dome_z(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -61,9 +58,7 @@ def test_the_face_comes_back_on_the_cameras_axis(step: Path, tmp_path: Path) -> 
 
 def test_the_command_writes_a_design(step: Path, tmp_path: Path) -> None:
     words = ("new", "mine", "--from-step", str(step), "--rows", "5", "--columns", "6")
-    out = subprocess.run(
-        [*PHYTAC, *words], capture_output=True, text=True, check=False, cwd=tmp_path
-    )
+    out = phytac(*words, cwd=tmp_path)
     assert out.returncode == 0, out.stderr
     assert "a face of 60.3" in out.stdout
     assert "through 5 x 6 points" in out.stdout
@@ -92,10 +87,7 @@ def test_bad_files_get_one_error(step: Path, tmp_path: Path) -> None:
     cq.exporters.export(huge, str(other))
     with pytest.raises(InputError, match="spans 3000 mm, more than 1000"):
         patch_changes(other)
-    out = subprocess.run(
-        [*PHYTAC, "new", "mine", "--from-step", str(tmp_path / "nowhere.step")],
-        capture_output=True, text=True, check=False, cwd=tmp_path,
-    )  # fmt: skip
+    out = phytac("new", "mine", "--from-step", str(tmp_path / "nowhere.step"), cwd=tmp_path)
     assert out.returncode == InputError.exit_code
     assert out.stderr.startswith("error: no STEP file at")
     assert len(out.stderr.splitlines()) == 1

@@ -169,7 +169,9 @@ def test_a_killed_command_goes_on_and_gives_the_same_files(whole: Path, tmp_path
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     assert not (out / TABLE).exists()
-    done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
+    # How many processes work makes no difference; one starts sooner.
+    again = [word if word != "2" else "1" for word in command] + ["--json"]
+    done = subprocess.run(again, capture_output=True, text=True, check=True)
     facts = json.loads(done.stdout)
     assert 0 < facts["solved"] < 6
     assert "were done before" in done.stderr
