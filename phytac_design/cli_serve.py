@@ -10,7 +10,7 @@ import typer
 from phytac_design.cli_options import say
 from phytac_design.reports import Reports
 from shapes.arrays import ImageArray
-from shapes.errors import InputError
+from shapes.errors import InputError, OutputError
 
 if TYPE_CHECKING:
     from decoder.bundle import Bundle
@@ -313,12 +313,16 @@ def open_recorders(
     InputError
         If regions are to be kept and there are none.
     OutputError
-        If a file cannot be made.
+        If a file cannot be made, or both are one.
     """
     from decoder.record import Recorder, RegionRecorder
 
     if record_regions and not names:
         raise InputError("--record-regions keeps the forces of regions; name them with --regions")
+    if record and record_regions and record.resolve() == record_regions.resolve():
+        raise OutputError(
+            f"--record and --record-regions are one file ({record}); give each a name of its own"
+        )
     kept: dict[Path, Recorder | RegionRecorder] = {}
     if record:
         kept[record] = stack.enter_context(Recorder(record))

@@ -164,3 +164,10 @@ def test_a_video_that_lost_pictures_without_a_word_stays_in_step(tmp_path: Path)
         if not 20 <= frame.number <= 40:
             np.testing.assert_array_equal(frame.images[0], frame.images[1])
     assert "far.mkv has none of that time" in said[0]
+
+
+def test_companions_of_macos_are_no_frames(tmp_path: Path) -> None:
+    folder = stamped_folder(tmp_path / "f", [1.0, 1.5, 2.0])
+    (folder / "._1.0000.png").write_bytes(b"\0\5\x16\7" + bytes(100))
+    source = open_source([str(folder)], report=pytest.fail)
+    assert [frame.timestamp_s for frame in source] == [1.0, 1.5, 2.0]
