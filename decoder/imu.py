@@ -16,6 +16,10 @@ from shapes.errors import InputError
 LINE_MAX_BYTES = 4096
 HELD = 4096
 """Samples of a port that wait for the frame they belong to."""
+AHEAD_S = 60.0
+"""A sample so far after the frame is believed only if those behind it are as late."""
+BELIEVED = 8
+"""So many of a file are read to see that."""
 AXES = 3
 WAIT_S = 0.1
 """A port that gives nothing is asked again after so long whether to go on."""
@@ -37,7 +41,7 @@ class Imu:
     clock : callable
         Seconds on the frames' clock, for samples that have no time.
     report : callable
-        Told once about lines that are no samples.
+        Told once about lines that are no samples, and once about a time far ahead of the others.
 
     Raises
     ------
@@ -55,6 +59,8 @@ class Imu:
         self._file: BinaryIO | None = None
         self._port = -1
         self._lock, self._closed = threading.Lock(), threading.Event()
+        self._frame_s = math.inf
+        self._told: set[str] = set()
         self.bad_lines = 0
         try:
             mode = path.stat().st_mode
@@ -78,6 +84,7 @@ class Imu:
 
     def latest(self, time_s: float) -> dict[str, Any] | None:
         """Latest sample not newer than ``time_s``; None while there is none."""
+        self._frame_s = time_s
         if self._file is not None and not self._closed.is_set():
             self._read_file(self._file, time_s)
         with self._lock:
@@ -98,7 +105,7 @@ class Imu:
 
     def _read_file(self, file: BinaryIO, time_s: float) -> None:
         """Read on to the first sample newer than ``time_s``, or to the end."""
-        while not self._waiting or self._waiting[-1]["t"] <= time_s:
+        while self._wants(time_s):
             more = file.readline(LINE_MAX_BYTES)
             if not more:
                 return
@@ -109,6 +116,15 @@ class Imu:
                 self._held = line
                 return
             self._take(line)
+
+    def _wants(self, time_s: float) -> bool:
+        """Whether the frame's sample may not have been read yet."""
+        if not self._waiting or self._waiting[-1]["t"] <= time_s:
+            return True
+        return self._far(self._waiting[-1]) and len(self._waiting) < BELIEVED
+
+    def _far(self, sample: dict[str, Any]) -> bool:
+        return bool(sample["t"] > self._frame_s + AHEAD_S)
 
     def _listen(self) -> None:
         """Take samples off the port as they arrive."""
@@ -136,17 +152,39 @@ class Imu:
             return
         sample = _sample(line, self._clock() if self.is_port else None)
         with self._lock:
+            far = self._drop_far(sample) if sample else None
             last = self._waiting[-1] if self._waiting else self._now
-            if sample is not None and (last is None or sample["t"] >= last["t"]):
+            good = sample is not None and (last is None or sample["t"] >= last["t"])
+            if sample is not None and good:
                 self._waiting.append(sample)
-                return
-            self.bad_lines += 1
-        if self.bad_lines == 1:
-            self._report(
-                f"{self._path}: {line[:60]!r} is no motion sample, or older than the one before; "
-                'expected {"t": seconds, "gyro": [x, y, z], "accel": [x, y, z]}; such lines are '
-                "skipped"
+            self.bad_lines += not good
+        if far:
+            self._tell_once(
+                "far",
+                f"a sample of {far['t']:g} s, far after the frames and those behind it; such are "
+                "skipped",
             )
+        if not good:
+            self._tell_once(
+                "bad",
+                f"{line[:60]!r} is no motion sample, or older than the one before; expected "
+                '{"t": seconds, "gyro": [x, y, z], "accel": [x, y, z]}; such lines are skipped',
+            )
+
+    def _drop_far(self, sample: dict[str, Any]) -> dict[str, Any] | None:
+        """Let samples go that lie far ahead and after one that follows them; the first of these."""
+        far = None
+        while (
+            self._waiting and self._far(self._waiting[-1]) and sample["t"] < self._waiting[-1]["t"]
+        ):
+            far = self._waiting.pop()
+            self.bad_lines += 1
+        return far
+
+    def _tell_once(self, kind: str, text: str) -> None:
+        if kind not in self._told:
+            self._told.add(kind)
+            self._report(f"{self._path}: {text}")
 
 
 def _sample(line: bytes, arrived_s: float | None) -> dict[str, Any] | None:

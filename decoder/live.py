@@ -15,6 +15,11 @@ SILENT_S = 5.0
 """A camera that gives no frame for this long has gone."""
 RATE_AGREES = 0.01
 """A camera's rate may differ from the one asked for by this fraction."""
+PERIOD_S = 1.0 / 30.0
+"""Usual time from frame to frame, until two have come."""
+AGAIN_S = 0.005
+"""After a frame that could not be read, the next is asked for no sooner."""
+PERIOD_MAX_S = 0.5
 
 
 class Live(Source):
@@ -97,28 +102,39 @@ class Live(Source):
 
     def _read(self) -> None:
         started, number = time.monotonic(), 0
+        period_s, last_s = PERIOD_S, -1.0
         while not self._stop:
+            asked = time.monotonic()
             # All are grabbed before any is unpacked, so that they are of one instant.
             grabbed = [camera.grab() for camera in self._cameras]
             now = time.monotonic()
             read = [camera.retrieve() for camera in self._cameras] if all(grabbed) else []
             if not read or not all(good and image is not None for good, image in read):
-                self.skipped += 1
-                if self.skipped == 1:
-                    self._report(f"{self.said}: a frame could not be read; such are skipped")
-                time.sleep(0.005)
+                self._skip()
+                # One that fails at once has not lost a frame each time.
+                rest_s = 0.0 if read else period_s - (now - asked)
+                time.sleep(max(rest_s, AGAIN_S))
+                last_s = -1.0
             else:
-                frame = Frame(
-                    number=number,
-                    timestamp_s=now - started,
-                    images=tuple(np.asarray(image, dtype=np.uint8) for _, image in read),
-                    ready_s=now,
+                if last_s >= 0.0:
+                    period_s = min(now - last_s, PERIOD_MAX_S)
+                last_s = now
+                images = tuple(np.asarray(image, dtype=np.uint8) for _, image in read)
+                self._put(
+                    Frame(number=number, timestamp_s=now - started, images=images, ready_s=now)
                 )
-                with self._news:
-                    self.missed += self._slot is not None
-                    self._slot = frame
-                    self._news.notify()
             number += 1
+
+    def _skip(self) -> None:
+        self.skipped += 1
+        if self.skipped == 1:
+            self._report(f"{self.said}: a frame could not be read; such are skipped")
+
+    def _put(self, frame: Frame) -> None:
+        with self._news:
+            self.missed += self._slot is not None
+            self._slot = frame
+            self._news.notify()
 
     def close(self) -> None:
         """Let the cameras go."""

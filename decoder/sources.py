@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from decoder.frame import Frame, Source
 from decoder.live import Live
@@ -223,24 +224,25 @@ def first_frames(
         If there are fewer, they differ in size, or see :func:`open_source`.
     """
     source = open_source(wheres, pace=False, size_px=size_px, report=report)
+    totals: list[NDArray[np.uint32]] = []
+    got = 0
     try:
-        frames = [frame.images for frame, _ in zip(source, range(count), strict=False)]
+        # Of large frames, as many as may be asked for are more than memory holds.
+        for _, frame in zip(range(count), source, strict=False):
+            totals = totals or [np.zeros(image.shape, np.uint32) for image in frame.images]
+            for total, image in zip(totals, frame.images, strict=True):
+                if total.shape != image.shape:
+                    raise InputError(f"frames of {source.said} differ in size; give one recording")
+                np.add(total, image, out=total)
+            got += 1
     finally:
         source.close()
-    if len(frames) < count:
+    if got < count:
         raise InputError(
-            f"{source.said} gave {len(frames)} frames, fewer than the {count} that show the "
+            f"{source.said} gave {got} frames, fewer than the {count} that show the "
             "unloaded sensor; ask for fewer"
         )
-    out = []
-    for images in zip(*frames, strict=True):
-        if len({image.shape for image in images}) > 1:
-            raise InputError(f"frames of {source.said} differ in size; give one recording")
-        total = np.zeros(images[0].shape)
-        for image in images:
-            total += image
-        out.append(np.rint(total / count).astype(np.uint8))
-    return out
+    return [np.rint(total / count).astype(np.uint8) for total in totals]
 
 
 def _device(where: str) -> int | str | None:

@@ -93,7 +93,7 @@ class Folder(Track):
         self.said = str(where)
         if where.is_dir():
             try:
-                files = [item for item in where.iterdir() if item.suffix.lower() in SUFFIXES]
+                files = [item for item in where.iterdir() if _is_image(item.name)]
             except OSError as error:
                 raise InputError(f"no frames at {where} ({error.strerror})") from None
         else:
@@ -234,6 +234,11 @@ def whole_image(path: Path) -> ImageArray:
     if image is None:
         raise InputError(f"{path} is not an image that can be read (PNG, JPEG, BMP, TIFF)")
     return np.asarray(image, dtype=np.uint8)
+
+
+def _is_image(name: str) -> bool:
+    # macOS puts a ._ file beside each on foreign disks; it holds no picture.
+    return name.lower().endswith(SUFFIXES) and not name.startswith("._")
 
 
 def _natural(name: str) -> list[tuple[str, int]]:

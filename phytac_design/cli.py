@@ -171,5 +171,5 @@ def main() -> None:
     try:
         app()
     except PhytacError as error:
-        typer.echo(f"error: {error}", err=True)
+        say(f"error: {error}")
         sys.exit(error.exit_code)

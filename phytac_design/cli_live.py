@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from phytac_design.cli_options import say
 from phytac_design.cli_serve import (
     DesignOption,
     EstimatorOption,
@@ -25,6 +24,7 @@ from phytac_design.cli_serve import (
     open_recorders,
     rest_images,
 )
+from phytac_design.reports import Reports
 
 
 def live(
@@ -63,13 +63,14 @@ def live(
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     stopped = False
     with contextlib.ExitStack() as stack:
+        tell = stack.enter_context(Reports())
         frames = open_source(
             source,
             fps=fps,
             every=every,
             loop=loop,
             size_px=(loaded.camera.width_px, loaded.camera.height_px),
-            report=say,
+            report=tell,
         )
         stack.callback(frames.close)
         messages = Messages(
@@ -82,14 +83,14 @@ def live(
         )
         view = stack.enter_context(LiveView(messages.hello(), port=port))
         kept = open_recorders(stack, record, None, [])
-        say(f"{loaded.design}: {frames.said}; look at {view.url}; Ctrl-C stops")
+        tell(f"{loaded.design}: {frames.said}; look at {view.url}; Ctrl-C stops")
         stream = Stream(
             source=frames,
             decode=decode,
             messages=messages,
             publish=view.publish,
             recorders=list(kept.values()),
-            report=say,
+            report=tell,
         )
         try:
             stream.run()

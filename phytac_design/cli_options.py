@@ -1,5 +1,8 @@
 """What the commands share: arguments, options, and progress on standard error."""
 
+import errno
+import os
+import sys
 from enum import StrEnum
 from typing import Annotated
 
@@ -20,5 +23,16 @@ SeedOption = Annotated[int, typer.Option(help="Seed of everything random.", min=
 
 
 def say(text: str) -> None:
-    """Progress goes to standard error, so that standard output stays clean."""
-    typer.echo(text, err=True)
+    """Progress goes to standard error, so that standard output stays clean.
+
+    Whoever reads it may have gone; the work goes on.
+    """
+    try:
+        typer.echo(text, err=True)
+    except OSError as error:
+        if error.errno not in {errno.EPIPE, errno.EIO}:
+            return
+        # What is left in the buffer would fail again at the exit, and spoil its code.
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, sys.stderr.fileno())
+        os.close(nothing)

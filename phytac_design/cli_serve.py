@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from phytac_design.cli_options import say
+from phytac_design.reports import Reports
 from shapes.arrays import ImageArray
-from shapes.errors import InputError
+from shapes.errors import InputError, OutputError
 
 if TYPE_CHECKING:
     from decoder.bundle import Bundle
@@ -129,13 +130,14 @@ def serve(
     # Whoever runs it as a service stops it by SIGTERM.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with contextlib.ExitStack() as stack:
+        tell = stack.enter_context(Reports())
         frames = open_source(
             source,
             fps=fps,
             every=every,
             loop=loop,
             size_px=(camera.width_px, camera.height_px),
-            report=say,
+            report=tell,
         )
         stack.callback(frames.close)
         started_s = time.monotonic()
@@ -149,7 +151,7 @@ def serve(
         )
         motion = None
         if imu is not None:
-            motion = Imu(imu, clock=lambda: time.monotonic() - started_s, report=say)
+            motion = Imu(imu, clock=lambda: time.monotonic() - started_s, report=tell)
             stack.callback(motion.close)
             check_motion(loop=loop, port=motion.is_port)
         server = stack.enter_context(
@@ -160,16 +162,16 @@ def serve(
                 framing=framing.value,
                 serial=SerialPort(serial, baud=baud) if serial else None,
                 serial_hello=messages.hello(positions=False),
-                report=say,
+                report=tell,
             )
         )
         kept = open_recorders(stack, record, record_regions, [region.name for region in named])
         for warning in (*loaded.limits(), *open_to_others(server.host)):
-            say(f"warning: {warning}")
-        say(f"{loaded.design}: {frames.said} to {server.host} port {server.port}; Ctrl-C stops")
+            tell(f"warning: {warning}")
+        tell(f"{loaded.design}: {frames.said} to {server.host} port {server.port}; Ctrl-C stops")
 
         def each_second(now: Progress) -> None:
-            say(now.text(clients=server.clients, dropped=server.dropped))
+            tell(now.text(clients=server.clients, dropped=server.dropped))
 
         stream = Stream(
             source=frames,
@@ -179,7 +181,7 @@ def serve(
             started_s=started_s,
             imu=motion,
             recorders=list(kept.values()),
-            report=say,
+            report=tell,
             each_second=each_second,
         )
         try:
@@ -311,12 +313,16 @@ def open_recorders(
     InputError
         If regions are to be kept and there are none.
     OutputError
-        If a file cannot be made.
+        If a file cannot be made, or both are one.
     """
     from decoder.record import Recorder, RegionRecorder
 
     if record_regions and not names:
         raise InputError("--record-regions keeps the forces of regions; name them with --regions")
+    if record and record_regions and record.resolve() == record_regions.resolve():
+        raise OutputError(
+            f"--record and --record-regions are one file ({record}); give each a name of its own"
+        )
     kept: dict[Path, Recorder | RegionRecorder] = {}
     if record:
         kept[record] = stack.enter_context(Recorder(record))

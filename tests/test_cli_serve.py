@@ -81,6 +81,19 @@ def test_a_recording_goes_to_clients_and_to_csv(toy: tuple[str, str], tmp_path: 
     assert printed[1] == f"1 {rows[1]['force_N']} N at [20.0, 20.0, 0.0]"
 
 
+def test_the_example_passes_over_messages_of_later_versions() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        client = [sys.executable, str(ROOT / "examples" / "stream" / "client.py"), "127.0.0.1"]
+        listener.settimeout(PATIENCE_S)
+        port = str(listener.getsockname()[1])
+        with subprocess.Popen([*client, port], stdout=subprocess.PIPE, text=True) as done:
+            link, _ = listener.accept()
+            with link:
+                link.sendall(b'{"type":"later","dropped":0}\n{"type":"end","reason":"enough"}\n')
+            printed, _ = done.communicate(timeout=PATIENCE_S)
+    assert (done.returncode, printed) == (0, "end: enough\n")
+
+
 def test_motion_samples_and_lengths(toy: tuple[str, str], tmp_path: Path) -> None:
     (tmp_path / "imu").write_text('{"t": 0.0, "gyro": [1, 2, 3]}\n{"t": 0.02, "accel": [0, 0, 1]}')
     more = ("--fps", "100", "--every", "--wait", "--imu", str(tmp_path / "imu"))
@@ -193,4 +206,9 @@ def test_regions_that_cannot_be_are_refused(toy: tuple[str, str], tmp_path: Path
         out = phytac("serve", *toy, "--port", "0", *words, cwd=tmp_path)
         assert (out.returncode, len(out.stderr.splitlines())) == (4, 1), out.stderr
         assert message in out.stderr
+    (tmp_path / "regions.toml").write_text(REGIONS)
+    files = ("--regions", "regions.toml", "--record", "x.csv", "--record-regions", "./x.csv")
+    out = phytac("serve", *toy, "--port", "0", *files, cwd=tmp_path)
+    assert out.returncode == 3, out.stderr
+    assert "are one file (x.csv); give each a name of its own" in out.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["regions.toml"]

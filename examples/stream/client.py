@@ -15,6 +15,8 @@ with socket.create_connection((host, port)) as link, link.makefile("rb") as line
             print(message["design"], message["markers"], "markers, protocol", message["version"])
         elif message["type"] == "end":
             print("end:", message["reason"])
+        elif message["type"] != "frame":
+            continue  # of a later version
         elif not message["valid"]:
             print(message["sequence"], "not valid:", *message["warnings"])
         else:

@@ -1,5 +1,6 @@
 """Videos with damaged places, gone through to their ends and in step."""
 
+import tracemalloc
 from pathlib import Path
 
 import cv2
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from decoder.frame import Frame
-from decoder.sources import open_source
+from decoder.sources import first_frames, open_source
 from shapes.arrays import ImageArray
 
 FPS = 25.0
@@ -164,3 +165,26 @@ def test_a_video_that_lost_pictures_without_a_word_stays_in_step(tmp_path: Path)
         if not 20 <= frame.number <= 40:
             np.testing.assert_array_equal(frame.images[0], frame.images[1])
     assert "far.mkv has none of that time" in said[0]
+
+
+def test_companions_of_macos_are_no_frames(tmp_path: Path) -> None:
+    folder = stamped_folder(tmp_path / "f", [1.0, 1.5, 2.0])
+    (folder / "._1.0000.png").write_bytes(b"\0\5\x16\7" + bytes(100))
+    source = open_source([str(folder)], report=pytest.fail)
+    assert [frame.timestamp_s for frame in source] == [1.0, 1.5, 2.0]
+
+
+def test_first_frames_are_not_all_held(tmp_path: Path) -> None:
+    folder = tmp_path / "f"
+    folder.mkdir()
+    image = np.zeros((480, 640, 3), dtype=np.uint8)
+    for number in range(60):
+        cv2.imwrite(str(folder / f"{number}.jpg"), image + np.uint8(number % 2))
+    tracemalloc.start()
+    try:
+        (mean,) = first_frames([str(folder)], 60)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert mean.shape == image.shape
+    assert peak < 40 * image.nbytes

@@ -243,6 +243,37 @@ def test_a_file_of_motion_samples_may_still_be_written(tmp_path: Path) -> None:
     assert said == []
 
 
+def test_a_sample_far_ahead_costs_none_of_the_others(tmp_path: Path) -> None:
+    path = tmp_path / "imu.jsonl"
+    times = [0.1 * k for k in range(100)]
+    ahead = {30: 1e6, 31: 1e6 + 0.1, 60: 200.0}
+    for k, wrong in ahead.items():
+        times[k] = wrong
+    path.write_text("".join(json.dumps({"t": t, "gyro": [1, 1, 1]}) + "\n" for t in times))
+    said: list[str] = []
+    imu = Imu(path, clock=lambda: 0.0, report=said.append)
+    for k in range(100):
+        sample = imu.latest(0.1 * k + 0.05)
+        assert sample is not None
+        good = max(j for j in range(k + 1) if j not in ahead)
+        assert sample["t"] == pytest.approx(0.1 * good)
+    imu.close()
+    assert imu.bad_lines == 3
+    (told,) = said
+    assert "far after the frames and those behind it" in told
+
+
+def test_samples_that_all_begin_late_are_kept(tmp_path: Path) -> None:
+    path = tmp_path / "imu.jsonl"
+    lines = [json.dumps({"t": 100.0 + k, "gyro": [1, 1, 1]}) + "\n" for k in range(30)]
+    path.write_text("".join(lines))
+    imu = Imu(path, clock=lambda: 0.0, report=pytest.fail)
+    for k in range(135):
+        sample = imu.latest(float(k))
+        assert (sample and sample["t"]) == (None if k < 100 else min(k, 129))
+    imu.close()
+
+
 def come(imu: Imu, time_s: float, wanted: dict[str, Any]) -> None:
     """Wait for a sample to come off a port."""
     end = time.monotonic() + 10.0
