@@ -16,12 +16,14 @@ from safetensors.numpy import load_file, save_file
 
 from decoder.bundle_camera import camera_from, camera_table
 from decoder.bundle_check import (
+    above_zero,
     check_arrays,
     check_count,
     check_indices,
     check_shown,
     fault_of,
     no_number,
+    numbers,
     positive,
 )
 from decoder.bundle_locator import locator_arrays, locator_from, locator_table
@@ -29,7 +31,7 @@ from decoder.camera import Camera
 from decoder.estimators import ForceModel
 from decoder.limits import NOISE_SHARE_MAX, check_scene, in_play, limits_of
 from decoder.locate import Locator
-from decoder.network import ACTIVATIONS, CascadeNetwork
+from decoder.network import ACTIVATIONS, INPUTS, CascadeNetwork
 from decoder.regions import Region, regions_from, regions_table
 from decoder.segmentation import ColourModel
 from decoder.switches import TipModel
@@ -316,8 +318,8 @@ def _assemble(
         name: CascadeNetwork(
             parameters=arrays[f"network.{name}"],
             activation=item["activation"],
-            scale_in=np.asarray(item["scale_in"], dtype=np.float64),
-            scale_out=float(item["scale_out"]),
+            scale_in=np.array([above_zero(each) for each in numbers(item["scale_in"], INPUTS)]),
+            scale_out=float(numbers([item["scale_out"]], 1)[0]),
         )
         for name, item in meta["networks"].items()
     }

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from decoder.network import parameter_count
+from shapes.arrays import FloatArray
 from shapes.errors import InputError
 
 INTEGERS = ("colour", "neighbours", "read_by")
@@ -160,3 +161,31 @@ def positive(value: Any, name: str) -> float:
 def no_number(name: str) -> float:
     """Refuse NaN and infinity, which JSON has not."""
     raise ValueError(f"{name} is no number of JSON")
+
+
+def numbers(values: Any, count: int) -> FloatArray:
+    """So many finite numbers (count,).
+
+    Raises
+    ------
+    ValueError
+        If they are not.
+    """
+    out = np.asarray(values, dtype=np.float64)
+    if out.shape != (count,) or not np.isfinite(out).all():
+        raise ValueError(f"expected {count} finite numbers (got {values!r})")
+    return out
+
+
+def above_zero(value: Any) -> float:
+    """A finite number above zero.
+
+    Raises
+    ------
+    ValueError
+        If it is not.
+    """
+    number = float(numbers([value], 1)[0])
+    if number <= 0.0:
+        raise ValueError(f"expected a number above zero (got {value!r})")
+    return number

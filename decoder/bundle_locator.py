@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from decoder.bundle_check import above_zero, numbers
 from decoder.contact_fit import Noise, Prior
 from decoder.correct import LENGTH, Correction
 from decoder.locate import Locator
@@ -154,34 +155,34 @@ def locator_from(
         correction = Correction(
             centre=own["centre"],
             weight=own["weight"],
-            low_mm=_numbers(said["low_mm"], 3),
-            size_mm=_positive(said["size_mm"]),
-            force_max_N=_positive(said["force_max_N"]),
-            spread=_positive(said["spread"]),
-            spread_share=float(_numbers([said["spread_share"]], 1)[0]),
-            lengths=(_positive(place), _positive(force), _positive(signal)),
+            low_mm=numbers(said["low_mm"], 3),
+            size_mm=above_zero(said["size_mm"]),
+            force_max_N=above_zero(said["force_max_N"]),
+            spread=above_zero(said["spread"]),
+            spread_share=float(numbers([said["spread_share"]], 1)[0]),
+            lengths=(above_zero(place), above_zero(force), above_zero(signal)),
         )
-    radius_mm = _positive(table["radius_mm"])
+    radius_mm = above_zero(table["radius_mm"])
     prior, noise = table["prior"], table["noise"]
-    mean, sd = _numbers(prior["moments_mm2"], 3), _numbers(prior["moments_sd_mm2"], 3)
+    mean, sd = numbers(prior["moments_mm2"], 3), numbers(prior["moments_sd_mm2"], 3)
     return Locator(
         # Up to schema 1.7 there was none.
         places=places_from(
-            own, radius_mm, _positive(table["top_N"]) if "top_N" in table else np.inf
+            own, radius_mm, above_zero(table["top_N"]) if "top_N" in table else np.inf
         ),
         position_mm=position_mm,
         neighbours=neighbours,
-        footprint_mm=_positive(table["footprint_mm"]),
+        footprint_mm=above_zero(table["footprint_mm"]),
         threshold_N=threshold_N,
         prior=Prior(
-            place_mm=_positive(prior["place_mm"]),
+            place_mm=above_zero(prior["place_mm"]),
             moments_mm2=(float(mean[0]), float(mean[1]), float(mean[2])),
-            moments_sd_mm2=(_positive(sd[0]), _positive(sd[1]), _positive(sd[2])),
+            moments_sd_mm2=(above_zero(sd[0]), above_zero(sd[1]), above_zero(sd[2])),
         ),
         noise=Noise(
-            centroid_px=_positive(noise["centroid_px"]),
-            share=float(_numbers([noise["share"]], 1)[0]),
-            switched_px=float(_numbers([noise["switched_px"]], 1)[0]),
+            centroid_px=above_zero(noise["centroid_px"]),
+            share=float(numbers([noise["share"]], 1)[0]),
+            switched_px=float(numbers([noise["switched_px"]], 1)[0]),
             # Up to schema 1.5 there was none.
             ratio=own.get(RATIO),
         ),
@@ -258,17 +259,3 @@ def _expected(own: Mapping[str, Any], columns: int, *, learnt: bool) -> dict[str
     if learnt:
         expected |= {"weight": (len(own["weight"]),), "centre": (len(own["weight"]), 5)}
     return expected
-
-
-def _numbers(values: Any, count: int) -> FloatArray:
-    out = np.asarray(values, dtype=np.float64)
-    if out.shape != (count,) or not np.isfinite(out).all():
-        raise ValueError(f"expected {count} finite numbers (got {values!r})")
-    return out
-
-
-def _positive(value: Any) -> float:
-    number = float(_numbers([value], 1)[0])
-    if number <= 0.0:
-        raise ValueError(f"expected a number above zero (got {value!r})")
-    return number

@@ -140,7 +140,7 @@ def calibrated(
     plain = replace(locator, correction=None, prior=learnt_prior(locator, samples, chosen))
     plain, first = _scaled(plain, samples, few[:FIRST_SAMPLES], rounds=SCALE_ROUNDS)
     seen, pressed = shown(plain, samples, chosen, _moments(plain, samples))
-    gain, parts, design = gains(seen), left_out(seen, PARTS), plain.places
+    gain, parts, design = gains(seen), left_out(seen, PARTS, samples.sequence[chosen]), plain.places
     noise = _noise(plain.noise, *noise_of(seen, parts))
     uneven = Uneven(seen, parts, pressed, design, noise)
     plain = replace(plain, noise=noise)
@@ -167,6 +167,7 @@ def calibrated(
             signal_px=matches.signal_px,
             sd_N=matches.sd_N,
             truth_N=matches.truth_N,
+            block=_blocks(samples, matches.touch),
         )
     facts = {
         "contacts": len(matches.force_N),
@@ -180,6 +181,16 @@ def calibrated(
         "spread_share": correction.spread_share,
     }
     return replace(plain, correction=correction), facts
+
+
+def _blocks(samples: Samples, touch: IntArray) -> IntArray:
+    """What contacts (c,) are left out together: those of a sequence of several samples."""
+    touches, *_ = samples.points()
+    sample = touches.sample[touch]
+    sequence, count = np.unique(samples.sequence, return_counts=True)
+    several = np.isin(samples.sequence[sample], sequence[count > 1])
+    alone = -1 - np.arange(len(touch))
+    return np.where(several, samples.sequence[sample], alone)
 
 
 def _scaled(

@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from shapes.arrays import FloatArray
+from shapes.arrays import FloatArray, IntArray
 
 AMPLITUDE, AMPLITUDE_MAX = 0.05, 0.5
 """Least and greatest standard deviation of the logarithm that is presumed: that of the data."""
@@ -123,11 +123,13 @@ def learn_correction(
     signal_px: FloatArray,
     sd_N: FloatArray,
     truth_N: FloatArray,
+    block: IntArray | None = None,
 ) -> Correction:
     """Learn from c contacts: fitted places, forces, signals and spread, and the truth.
 
     The spread is set so that 90 % of the truths lie within the central 90 %, by residuals that
-    leave each contact out (ibid., eq. 5.12), and contacts weigh by it.
+    leave each contact out (ibid., eq. 5.12), with those of its ``block`` (c,), which are frames of
+    one press; and contacts weigh by it.
 
     Parameters
     ----------
@@ -143,10 +145,9 @@ def learn_correction(
         noise = (spread * sd_N / force_N) ** 2 + max(share, SHARE) ** 2
         if number == 1:  # the first pass has told the noise
             lengths = _likeliest(own, log, noise, size)
-        inverse = np.linalg.inv(size**2 * kernel(own, own, lengths) + np.diag(noise))
+        inverse = np.asarray(np.linalg.inv(size**2 * kernel(own, own, lengths) + np.diag(noise)))
         weight = inverse @ log
-        # Leave-one-out: what the others say of each.
-        left = weight / np.diagonal(inverse)
+        left = _left_out(inverse, weight, block)
         error = np.abs(truth_N - force_N * np.exp(log - left))
         spread, share = calibrated_spread(error, sd_N, force_N)
     return Correction(
@@ -159,6 +160,16 @@ def learn_correction(
         spread_share=share,
         lengths=lengths,
     )
+
+
+def _left_out(inverse: FloatArray, weight: FloatArray, block: IntArray | None) -> FloatArray:
+    """How far each contact (c,) is from what those of other blocks say of it."""
+    left = weight / np.diagonal(inverse)
+    names, count = np.unique(np.arange(len(left)) if block is None else block, return_counts=True)
+    for name in names[count > 1]:
+        own = np.flatnonzero(block == name)
+        left[own] = np.linalg.solve(inverse[np.ix_(own, own)], weight[own])
+    return np.asarray(left)
 
 
 def _likeliest(own: FloatArray, log: FloatArray, noise: FloatArray, size: float) -> Lengths:

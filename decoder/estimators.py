@@ -90,6 +90,11 @@ class ForceModel:
         """Apparent u (n,) mm, positive inward, of pixel shifts (n, 2)."""
         return np.asarray(np.einsum("ni,ni->n", self.shift_to_mm, shift_px))
 
+    @property
+    def stiffness_size_N_mm(self) -> float:
+        """Norm of K: one number by which the mechanics behind K·u are known."""
+        return float(np.linalg.norm(self.stiffness))
+
     @cached_property
     def stiffness_noise_N_px(self) -> FloatArray:
         """Noise of (K·u)_i per pixel of centroid noise, (n,) N/px: the root of Σ (K_ij·|a_j|)².

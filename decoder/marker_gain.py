@@ -162,14 +162,26 @@ class LeftOut:
     gain: FloatArray
 
 
-def left_out(seen: Shown, parts: int) -> list[LeftOut]:
-    """Samples in so many parts."""
-    count = len(seen.left_px)
-    part = np.arange(count) % min(parts, count)
+def left_out(seen: Shown, parts: int, sequence: IntArray | None = None) -> list[LeftOut]:
+    """Samples in so many parts.
+
+    Frames of one press are much alike: ``sequence`` (s,) says which samples are, and these stay in
+    one part.
+    """
+    order = np.arange(len(seen.left_px)) if sequence is None else _numbered(sequence)
+    part = order % min(parts, int(order.max()) + 1)
     return [
         LeftOut(rows=part == k, gain=gains(seen.pick(part != k)))
         for k in range(int(part.max()) + 1)
     ]
+
+
+def _numbered(sequence: IntArray) -> IntArray:
+    """Sequences (s,) by numbers from 0, in the order in which they come."""
+    _, first, own = np.unique(sequence, return_index=True, return_inverse=True)
+    place = np.empty(len(first), dtype=np.int64)
+    place[np.argsort(first)] = np.arange(len(first))
+    return np.asarray(place[own])
 
 
 def noise_of(seen: Shown, parts: Sequence[LeftOut]) -> tuple[FloatArray, float | None]:

@@ -19,6 +19,8 @@ from shapes.errors import InputError
 
 SHARES = (0.85, 0.05, 0.10)
 """Training, validation and test (paper)."""
+SAME_SHARE = 1e-4
+"""Norms of K of one accuracy differ less, of two by percents."""
 HEIGHT_MM = 1e-6
 """Heights of markers that are the same differ by less than this."""
 
@@ -132,11 +134,25 @@ def check_inputs(item: DataSet, model: ForceModel, accuracy: str) -> None:
             f"decoder is trained at {accuracy}, whose K·u is another; add --accuracy {made}, or "
             "make the data with --keep points, which go with any"
         )
+    if not item.meta.simulated:
+        _check_mechanics(item, model)
     if not np.allclose(nodes.height_z_mm, model.height_z_mm, rtol=0.0, atol=HEIGHT_MM):
         raise InputError(
             f"{item.folder} holds inputs of the networks whose marker heights are not this "
             "design's; make it again with this version of the program"
         )
+
+
+def _check_mechanics(item: DataSet, model: ForceModel) -> None:
+    """Refuse inputs that were measured, if other mechanics made them."""
+    made, ours = item.meta.notes.get("stiffness_size_N_mm"), model.stiffness_size_N_mm
+    if isinstance(made, float) and abs(made - ours) <= SAME_SHARE * ours:
+        return
+    got = "which one is not said" if made is None else f"norm {made:.6g} N/mm, here {ours:.6g}"
+    raise InputError(
+        f"{item.folder} holds inputs of the networks by the K·u of another decoder ({got}); add "
+        "--accuracy as that decoder was built with, or import with --keep points, which go with any"
+    )
 
 
 def rows_of(item: DataSet, model: ForceModel, noise_px: float) -> KeyNodeRows:

@@ -21,6 +21,7 @@ from phytac_design.build import build
 from phytac_design.cli_import import import_
 from phytac_design.design_file import design_hash, load_design
 from phytac_design.layout import make_markers
+from phytac_design.learn.data import DataSet, check_inputs
 from phytac_design.optics.camera_files import write_lens
 from phytac_design.stages import views
 from phytac_design.twin.contacts import Contacts, switch_states
@@ -164,7 +165,7 @@ def check_forces(samples: Samples, decoder: Bundle) -> None:
     assert np.corrcoef(total, samples.total_N)[0, 1] > 0.95
 
 
-def test_inputs_alone(bring: Import, tmp_path: Path) -> None:
+def test_inputs_alone(bring: Import, bundle: Path, tmp_path: Path) -> None:
     whole = bring().samples
     shutil.rmtree(tmp_path / "data")
     samples = bring(keep="inputs").samples
@@ -176,6 +177,16 @@ def test_inputs_alone(bring: Import, tmp_path: Path) -> None:
     np.testing.assert_allclose(got.key_nodes.force_N, whole.truth.force_N, atol=5e-4)
     assert samples.key_nodes is not None
     assert got.key_nodes.inputs_mm.shape == (len(whole.truth.marker), 10)
+    # They go with the mechanics that made them, whatever those were called.
+    read, meta = read_samples(tmp_path / "data")
+    item = DataSet(folder=tmp_path / "data", samples=read, meta=meta, sha256="")
+    model = load_bundle(bundle).model
+    check_inputs(item, model, "draft")
+    with pytest.raises(InputError, match=r"K·u of another decoder \(norm .* N/mm, here"):
+        check_inputs(item, replace(model, stiffness=1.02 * model.stiffness), "draft")
+    silent = replace(item, meta=replace(meta, notes={}))
+    with pytest.raises(InputError, match="which one is not said"):
+        check_inputs(silent, model, "draft")
 
 
 def test_a_video_gives_what_its_images_give(bring: Import, tmp_path: Path) -> None:

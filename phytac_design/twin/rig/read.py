@@ -175,6 +175,7 @@ def import_rig(
     )
     if chosen.keep == "inputs":
         model, noise_px = rig.bundle.model, rig.bundle.noise_centroid_px
+        notes["stiffness_size_N_mm"] = model.stiffness_size_N_mm
         rows = key_nodes(model, samples, noise_px=noise_px)
         samples = inputs_alone(samples, rows)
     pictures = numbers[:, sorted(seen)] if chosen.keep == "frames" else numbers[:, :0]

@@ -1,0 +1,40 @@
+"""Scales of a bundle's networks: what is no scale is refused, and not a force of NaN."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from decoder.bundle import load_bundle
+from phytac_design.build import BuildResult
+from shapes.errors import InputError
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("scale_in", lambda value: [None, *value[1:]]),
+        ("scale_in", lambda value: [0.0, *value[1:]]),
+        ("scale_in", lambda value: [-1.0, *value[1:]]),
+        ("scale_in", lambda value: value[1:]),
+        ("scale_in", lambda _: 1.0),
+        ("scale_out", lambda _: None),
+        ("scale_out", lambda _: [1.0, 2.0]),
+        ("scale_out", lambda _: 1e999),
+    ],
+)
+def test_what_is_no_scale_is_refused(
+    built: BuildResult, tmp_path: Path, name: str, change: Any
+) -> None:
+    folder = tmp_path / "decoder"
+    shutil.copytree(built.out / "decoder", folder)
+    assert load_bundle(folder).model.networks["fem_nn"].scale_in.shape == (10,)
+    path = folder / "bundle.json"
+    meta = json.loads(path.read_text())
+    network = meta["networks"]["fem_nn"]
+    network[name] = change(network[name])
+    path.write_text(json.dumps(meta))
+    with pytest.raises(InputError, match=r"bundle\.json"):
+        load_bundle(folder)
