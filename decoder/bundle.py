@@ -7,6 +7,7 @@ given another meaning only with a major one.
 
 import json
 from dataclasses import dataclass, field, replace
+from hashlib import file_digest
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ from shapes.arrays import BoolArray, FloatArray, IntArray
 from shapes.errors import InputError, cause_of
 from shapes.reading import check_file, read_text
 
-SCHEMA = (1, 10)
+SCHEMA = (1, 11)
 FORMAT = "phytac-decoder-bundle"
 ENDS = ("near", "far")
 META_BYTES_MAX = 1 << 26
@@ -221,8 +222,14 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
         {name: np.ascontiguousarray(value) for name, value in sorted(arrays.items())},
         folder / "bundle.safetensors",
     )
+    meta["arrays_sha256"] = _sha256(folder)
     text = json.dumps(meta, indent=1, sort_keys=True, ensure_ascii=False)
     (folder / "bundle.json").write_text(text + "\n", encoding="utf-8")
+
+
+def _sha256(folder: Path) -> str:
+    with (folder / "bundle.safetensors").open("rb") as file:
+        return file_digest(file, "sha256").hexdigest()
 
 
 def load_bundle(folder: Path) -> Bundle:
@@ -231,7 +238,8 @@ def load_bundle(folder: Path) -> Bundle:
     Raises
     ------
     InputError
-        If a file is missing, truncated, of a newer schema, or its arrays don't fit together.
+        If a file is missing, truncated, of a newer schema, its arrays don't fit together, or its
+        files are of two decoders.
     """
     meta = _read_meta(folder)
     try:
@@ -272,6 +280,12 @@ def load_bundle(folder: Path) -> Bundle:
         raise InputError(
             f"{folder}/bundle.json is not a decoder bundle: {fault_of(error)}; rebuild the decoder"
         ) from error
+    # A copy that was cut short leaves one file of each. Up to schema 1.10 none was told.
+    if "arrays_sha256" in meta and meta["arrays_sha256"] != _sha256(folder):
+        raise InputError(
+            f"{folder}: bundle.json and bundle.safetensors are of two decoders; build or train "
+            "this one again"
+        )
     return bundle
 
 

@@ -79,10 +79,12 @@ def written(out: Path, table: str) -> Iterator[Path]:
     try:
         scratch = Path(tempfile.mkdtemp(prefix=".part-", dir=out))
         yield scratch
+        paths = sorted(scratch.iterdir(), key=lambda item: (item.name == table, item.name))
+        # A copy has the user's own permissions; some writers let only the owner read. All are made
+        # before the first takes its place: a full disk leaves what was there.
+        copies = [shutil.copyfile(path, scratch / f"{path.name}.copy") for path in paths]
         (out / table).unlink(missing_ok=True)
-        for path in sorted(scratch.iterdir(), key=lambda item: (item.name == table, item.name)):
-            # A copy has the user's own permissions; some writers let only the owner read.
-            copy = shutil.copyfile(path, scratch / f"{path.name}.copy")
+        for path, copy in zip(paths, copies, strict=True):
             copy.replace(out / path.name)
     except OSError as error:
         raise OutputError(

@@ -232,6 +232,8 @@ def test_spoilt_bundles_are_refused(tmp_path: Path) -> None:
     camera = {**json.loads(meta)["camera"], "width_px": -5}
     meta_path.write_text(json.dumps({**json.loads(meta), "cameras": [camera]}))
     refused("its sizes positive")
+    save_file({**arrays, "stiffness": 1.01 * arrays["stiffness"]}, arrays_path)
+    refused("bundle.json and bundle.safetensors are of two decoders")
     with pytest.raises(InputError, match="no decoder bundle"):
         load_bundle(tmp_path / "nowhere")
 

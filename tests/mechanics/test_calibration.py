@@ -340,6 +340,7 @@ def test_positions_are_given_in_three_ways(tmp_path: Path) -> None:
         ("", "holds no measurements"),
         (GOOD.splitlines()[0], "holds no measurements"),
         (GOOD.replace("0.02", "nan"), r"line 3: displacement_mm is not a finite number"),
+        (GOOD.replace("0.02", "0_02"), r"line 3: displacement_mm is not a finite number"),
         (GOOD.replace("0.02", ""), r"line 3: displacement_mm is not a finite number"),
         (GOOD.replace("0.02", "0,02"), r"line 3: 5 fields for 4 columns"),
         (GOOD.replace("force_N", "force"), r"unknown column 'force'; did you mean 'force_N'"),

@@ -325,6 +325,8 @@ def test_times_in_file_names(tmp_path: Path) -> None:
     times = folder_of(seconds, ["9.5.png", "12.250.png"]).time_s
     assert times is not None
     np.testing.assert_allclose(np.sort(times), [9.5, 12.25])
+    # A rate is for names that say nothing.
+    np.testing.assert_array_equal(Folder(seconds, 20.0).time_s, times)
     ns = tmp_path / "ns"
     ns.mkdir()
     made = folder_of(ns, ["1700000000250000000.png", "1700000000500000000.png"])
@@ -333,6 +335,20 @@ def test_times_in_file_names(tmp_path: Path) -> None:
     counted.mkdir()
     assert folder_of(counted, ["a1.png", "a2.png"]).time_s is None
     np.testing.assert_allclose(Folder(counted, 20.0).time_s, [0.0, 0.05])
+
+
+def test_a_contact_that_stands_twice_counts_once(tmp_path: Path) -> None:
+    head, one, other = "sample,frame,marker,force_N", "a,1,5,7.0", "a,1,9,7.0"
+    _, problems = read(tmp_path, head, one, other, "b,2,5,7.0")
+    assert not problems.found
+    _, problems = read(tmp_path, head, one, other, one)
+    assert problems.samples.tolist() == [0]
+    assert "line 4: the same as line 2, in one sample; remove one" in problems.text()
+
+
+def test_digits_are_not_grouped(tmp_path: Path) -> None:
+    _, problems = read(tmp_path, "frame,marker,force_N", "1,5,1_2")
+    assert "force_N is not a" in problems.text()
 
 
 def test_no_pictures(tmp_path: Path) -> None:

@@ -145,7 +145,7 @@ def _check_names(path: Path, names: list[str]) -> None:
 
 def _number(path: Path, line: int, name: str, text: str) -> float:
     try:
-        value = float(text)
+        value = np.nan if "_" in text else float(text)
     except ValueError:
         value = np.nan
     if not np.isfinite(value):

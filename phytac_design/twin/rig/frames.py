@@ -113,7 +113,7 @@ class Video(Source):
         rate = fps or float(self._video.get(cv2.CAP_PROP_FPS))
         self.names = tuple(str(number) for number in range(len(times)))
         stamps = np.array(times) - times[0]
-        if fps or np.any(np.diff(stamps) <= 0.0):
+        if np.any(np.diff(stamps) <= 0.0):
             stamps = np.arange(len(times)) / rate
         self.time_s = stamps
         self._open()
@@ -169,13 +169,11 @@ def _trailing(stem: str) -> int:
 
 
 def _times(stems: tuple[str, ...], fps: float | None) -> FloatArray | None:
-    if fps:
-        return np.arange(len(stems)) / fps
     if all(STAMP_S.fullmatch(stem) for stem in stems):
         return np.array([float(stem) for stem in stems])
     if all(STAMP_NS.fullmatch(stem) for stem in stems):
         return np.array([int(stem) / 10**9 for stem in stems])
-    return None
+    return np.arange(len(stems)) / fps if fps else None
 
 
 def match(

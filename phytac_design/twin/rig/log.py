@@ -149,6 +149,7 @@ def read_rig_log(path: Path, problems: Problems) -> RigLog:
     sample = np.array([order[key] for key in keys], dtype=np.int64)
     first = np.unique(sample, return_index=True)[1].astype(np.int64)
     _check_samples(columns, sample, first, line, problems)
+    _check_twice(columns, sample, line, problems)
     numbers = _numbers(columns, sample, line, problems)
     times = numbers.pop("timestamp_s", None)
     return RigLog(
@@ -273,6 +274,21 @@ def _check_samples(
                 )
 
 
+def _check_twice(
+    columns: dict[str, list[str]], sample: IntArray, line: IntArray, problems: Problems
+) -> None:
+    """A contact that stands twice in a sample would count twice."""
+    owner: dict[tuple[str, ...], int] = {}
+    for row, cells in enumerate(zip(*columns.values(), strict=True)):
+        # In a log without samples each row is one of its own.
+        earlier = owner.setdefault((str(sample[row]), *cells), row)
+        if earlier != row:
+            problems.add(
+                int(sample[row]),
+                f"line {line[row]}: the same as line {line[earlier]}, in one sample; remove one",
+            )
+
+
 def _numbers(
     columns: dict[str, list[str]], sample: IntArray, line: IntArray, problems: Problems
 ) -> dict[str, FloatArray]:
@@ -314,7 +330,8 @@ def _floats(cells: list[str]) -> FloatArray:
     out = np.full(len(cells), np.nan)
     for k, cell in enumerate(cells):
         try:
-            out[k] = float(cell)
+            # Python's own grouping of digits is nobody's in a log.
+            out[k] = np.nan if "_" in cell else float(cell)
         except ValueError:
             continue
     return out

@@ -127,7 +127,7 @@ def import_rig(
     OutputError
         If ``out`` is there already, or cannot be written.
     """
-    chosen = settings or Settings()
+    chosen, out = settings or Settings(), out.resolve()
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise OutputError(f"{out} is there already; choose another folder or remove it")
     rig = _rig(design, bundle, frames, chosen)

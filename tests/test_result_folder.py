@@ -1,0 +1,39 @@
+"""Results move to their folder whole: a full disk leaves what was there."""
+
+import errno
+import shutil
+from pathlib import Path
+
+import pytest
+
+from phytac_design.learn.folder import written
+from shapes.errors import OutputError
+
+
+@pytest.mark.parametrize("fails_at", [1, 2, 3])
+def test_a_full_disk_leaves_the_old_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails_at: int
+) -> None:
+    names = ("bundle.json", "bundle.safetensors", "training.json")
+    for name in names:
+        (tmp_path / name).write_text("old")
+    copy, done = shutil.copyfile, []
+
+    def full(source: Path, target: Path) -> Path:
+        done.append(source)
+        if len(done) == fails_at:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return Path(copy(source, target))
+
+    monkeypatch.setattr(shutil, "copyfile", full)
+
+    def train() -> None:
+        with written(tmp_path, "training.json") as scratch:
+            for name in names:
+                (scratch / name).write_text("new")
+
+    with pytest.raises(OutputError, match="No space left on device; make room"):
+        train()
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(
+        names, "old"
+    )
