@@ -4,6 +4,9 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+# Nothing is compiled at installation (below): what Python compiles at the first import is kept, or
+# every process would compile its libraries anew, a second or three each.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: build test pytest lint types system setup clean
 
