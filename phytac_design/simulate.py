@@ -21,7 +21,7 @@ from decoder.limits import named
 from decoder.run import FOUND_WELL
 from decoder.samples import STATUSES, THEORIES, Samples, inputs_alone, key_nodes
 from decoder.samples_read import read_samples
-from decoder.samples_write import FRAMES, TABLE, file_hash, write_samples
+from decoder.samples_write import FILE, FRAMES, TABLE, file_hash, write_samples
 from phytac_design.build import run_stages, select_stages
 from phytac_design.check import check_design
 from phytac_design.optics.exposure import Exposure
@@ -30,7 +30,7 @@ from phytac_design.stages.views import MARKS, png_bytes
 from phytac_design.twin.run.collect import gather, meta_of
 from phytac_design.twin.run.crew import Crew
 from phytac_design.twin.run.job import Job
-from phytac_design.twin.run.journal import Journal, write_whole
+from phytac_design.twin.run.journal import WORK, Journal, write_whole
 from phytac_design.twin.sight.eyes import AtRest, Eyes
 from phytac_design.twin.sight.nominal import expected_views
 from phytac_design.twin.solver import Solver
@@ -309,6 +309,12 @@ def finished(out: Path, job: Job, *, force: bool) -> Samples | None:
         If another data set is there and ``force`` is not set.
     """
     if not (out / TABLE).exists():
+        foreign = [name for name in (FILE, FRAMES) if (out / name).exists()]
+        if foreign and not force and not (out / WORK).exists():
+            raise OutputError(
+                f"{out} holds {' and '.join(foreign)} of something else; choose another --out, or "
+                "add --force to replace them"
+            )
         return None
     try:
         samples, meta = read_samples(out, check_frames=True)

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from decoder.bundle import Bundle, save_bundle
 from decoder.estimators import ForceModel
 from decoder.samples import Meta, Samples
-from decoder.samples_write import write_samples
+from decoder.samples_write import file_hash, write_samples
 from phytac_design.cli import app
 from phytac_design.design_file import design_hash, to_toml
 from phytac_design.evaluate.contacts import decode_contacts
@@ -348,3 +348,15 @@ def test_a_design_tells_heights_and_sides(tmp_path: Path) -> None:
     plain = runner.invoke(app, [*words[:3], "--out", str(tmp_path / "there")])
     assert "koi_inverse" in plain.stdout
     assert "By side" in (tmp_path / "there" / "tables.md").read_text()
+
+
+def test_judging_on_what_was_learnt_from_is_told(
+    judge: Callable[..., Path], tmp_path: Path
+) -> None:
+    said: list[str] = []
+    judge(toy_samples(), progress=said.append)
+    assert not any("was trained on" in text for text in said)
+    trained = replace(TOY, notes={"data_sha256": [file_hash(tmp_path / "data-0" / "dataset.json")]})
+    save_bundle(trained, tmp_path / "decoder")
+    judge(toy_samples(), progress=said.append, force=True)
+    assert sum("data-0 is what this decoder was trained on" in text for text in said) == 1

@@ -198,6 +198,18 @@ def test_force_replaces_a_data_set(tmp_path: Path) -> None:
     assert read(tmp_path / "data").count == 1
 
 
+@pytest.mark.parametrize("name", [FILE, "frames/000000.png"])
+def test_files_of_somebody_else_are_kept(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "own" / name
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"mine")
+    with pytest.raises(
+        OutputError, match=rf"own holds {name.split('/', maxsplit=1)[0]} of something else"
+    ):
+        run(job_of(), tmp_path / "own")
+    assert path.read_bytes() == b"mine"
+
+
 def test_frames_are_kept_and_read_alike(tmp_path: Path) -> None:
     solve = {"route": "frames", "displacement": "linear"}
     job = job_of(tables={"solve": solve, "touch": {"samples": 2}}, keep="frames")

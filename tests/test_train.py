@@ -145,6 +145,11 @@ def test_several_sets_are_learnt_from_together(
     assert sum(facts["samples"].values()) == 240
     with pytest.raises(InputError, match="are the same data set"):
         learn(data, tmp_path / "more", data)
+    # As a longer run of one seed holds a shorter one's samples.
+    samples = pressed(context, 200, 0)
+    write_samples(tmp_path / "part", pick(samples, np.arange(30)), meta_of("tiny", HASH))
+    with pytest.raises(InputError, match=r"^30 samples of .*part are in .*points as well"):
+        learn(data, tmp_path / "part")
 
 
 def test_another_decoder_is_a_start(learn: Callable[..., Path], tmp_path: Path) -> None:

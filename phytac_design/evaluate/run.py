@@ -89,6 +89,11 @@ def evaluate(
                 f"{item.folder} holds no points, so nothing can be decoded; make it again with "
                 "--keep points"
             )
+        if item.sha256 in decoder.notes.get("data_sha256", ()):
+            progress(
+                f"warning: {item.folder} is what this decoder was trained on: these are not "
+                "errors on samples that it has never seen"
+            )
     known = find_design(decoder, bundle, design)
     if known is None:
         progress(

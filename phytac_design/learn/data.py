@@ -87,7 +87,7 @@ def read_sets(folders: Sequence[Path], *, design_hash: str) -> list[DataSet]:
     Raises
     ------
     InputError
-        If there are none, one cannot be read or is of another design, or one is there twice.
+        If there are none, one cannot be read or is of another design, or a sample is there twice.
     """
     if not folders:
         raise InputError("no data set was given; name one or more folders of `phytac simulate`")
@@ -101,8 +101,22 @@ def read_sets(folders: Sequence[Path], *, design_hash: str) -> list[DataSet]:
                     f"{folder} and {other.folder} are the same data set: a sample would be learnt "
                     "and judged, or counted twice; leave one of them out"
                 )
+            if shared := len(_marks(item.samples) & _marks(other.samples)):
+                raise InputError(
+                    f"{shared} samples of {folder} are in {other.folder} as well, and would be "
+                    "learnt and judged, or counted twice; leave one of the two out, or make one "
+                    "with another --seed"
+                )
         sets.append(item)
     return sets
+
+
+def _marks(samples: Samples) -> set[bytes]:
+    """What samples that show anything are known by: their markers' shifts, to the bit."""
+    if samples.shift_px is None:
+        return set()
+    shows = np.any(np.nan_to_num(samples.shift_px) != 0.0, axis=(1, 2))
+    return {row.tobytes() for row in samples.shift_px[shows]}
 
 
 def bundle_hash(folder: Path) -> str:
