@@ -1,6 +1,7 @@
 """A built small sensor, made once for the whole run, in a cache of its own."""
 
 import os
+import signal
 
 # As the command line does, before numpy loads (see ``phytac_design.cli``).
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -10,6 +11,12 @@ import pytest
 from phytac_design.build import BuildResult, build
 from phytac_design.stage import graphics_libraries
 from tests.designs import small
+
+
+@pytest.fixture(autouse=True)
+def _broken_pipes_are_errors() -> None:
+    """As Python begins: what another test has called may have had them end the process."""
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
 
 
 @pytest.fixture(scope="session", autouse=True)
