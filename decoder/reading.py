@@ -1,7 +1,7 @@
 """What a decoder makes of one frame: forces on switches, contacts, reasons to distrust them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -39,16 +39,14 @@ class Reading:
     @classmethod
     def none(cls, reason: str) -> "Reading":
         """Of a frame that could not be decoded, with the reason."""
-        return cls(koi=_NO_KOI, forces_N=np.zeros(0), warnings=(reason,), valid=False)
+        nothing: IntArray = np.zeros(0, dtype=np.int64)
+        return cls(koi=nothing, forces_N=np.zeros(0), warnings=(reason,), valid=False)
 
     @property
     def silent(self) -> list[Located]:
         """Contacts that tripped no switch."""
         contacts = self.found.contacts if self.found else []
         return [contact for contact in contacts if not len(contact.markers)]
-
-
-_NO_KOI: IntArray = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,8 +61,8 @@ class Pushes:
         On each.
     """
 
-    markers: IntArray = field(default_factory=lambda: _NO_KOI)
-    force_N: FloatArray = field(default_factory=lambda: np.zeros(0))
+    markers: IntArray
+    force_N: FloatArray
 
 
 def pushes(reading: Reading, koi: IntArray, position_mm: FloatArray) -> Pushes:
