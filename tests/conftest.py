@@ -6,9 +6,14 @@ import signal
 # As the command line does, before numpy loads (see ``phytac_design.cli``).
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
 import pytest
 
 from phytac_design.build import BuildResult, build
+from phytac_design.mechanics.switch import design, feasible
 from phytac_design.stage import graphics_libraries
 from tests.designs import small
 
@@ -33,6 +38,22 @@ def built(tmp_path_factory: pytest.TempPathFactory, own_cache: None) -> BuildRes
     """The small design, built whole at draft accuracy."""
     out = tmp_path_factory.mktemp("exports") / "small"
     return build(small(), out, accuracy="draft", progress=lambda _: None)
+
+
+@pytest.fixture
+def coarse_switches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Switches on the coarse mesh alone, four times as quick: for tests of what is beside them.
+
+    What is built with them is in a cache of its own: no other test takes them for the exact ones.
+    """
+    monkeypatch.setenv("PHYTAC_CACHE", str(tmp_path / "cache"))
+    for module, name in ((design, "press_bowl"), (design, "limit_load"), (feasible, "press_bowl")):
+        exact = getattr(module, name)
+        monkeypatch.setattr(module, name, partial(_coarse, exact))
+
+
+def _coarse(exact: Callable[..., object], *given: object, **settings: object) -> object:
+    return exact(*given, **{**settings, "refine": 1})
 
 
 NEEDS_CAD = (

@@ -286,6 +286,7 @@ def test_without_graphics_libraries_only_the_step_is_left_out(
     assert report["camera"]["picture"] == "rasteriser"
 
 
+@pytest.mark.usefixtures("coarse_switches")
 def test_a_shell_that_the_cad_kernel_cannot_fuse_is_printed_all_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from phytac_design.build import build
+from phytac_design.mechanics.switch import fit
 from shapes.errors import DesignError
 from tests.designs import small
 
@@ -40,6 +41,7 @@ def test_impossible_designs_write_nothing(change: dict, word: str, tmp_path: Pat
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.usefixtures("coarse_switches")
 def test_markers_that_fuse_stop_the_build_unless_forced(tmp_path: Path) -> None:
     layout = {"kind": "straight", "rows": 12, "columns": 3, "height_far_mm": 2.0}
     design = small(name="one", layout=layout)
@@ -60,9 +62,11 @@ def test_markers_too_small_to_see_are_refused_not_decoded(tmp_path: Path) -> Non
         build(design, tmp_path / "x", accuracy="draft", progress=quiet)
 
 
+@pytest.mark.usefixtures("coarse_switches")
 def test_switches_that_cannot_be_made_stop_the_build_unless_forced(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(fit, "FILLETS", fit.FILLETS[::3])
     design = small(name="unmade", switch={"modulus_MPa": 0.1})
     with pytest.raises(DesignError, match=r"or take a rubber of .* MPa; or go on .*--force"):
         build(design, tmp_path / "x", accuracy="draft", progress=quiet)

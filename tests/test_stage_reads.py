@@ -35,12 +35,15 @@ COARSE = replace(
 )
 
 
+CAMERA = {"width_px": 648, "height_px": 486, "focal_px": 242.0}
+
+
 def tiny(**tables: Any) -> Design:
     """Sixteen markers before a small camera."""
     base: dict[str, Any] = {
         "shape": {"length_mm": 24.0},
         "layout": {"rows": 2, "columns": 8, "height_far_mm": 4.0},
-        "camera": {"width_px": 648, "height_px": 486, "focal_px": 242.0},
+        "camera": CAMERA,
         "training": {"samples": 40, "samples_test": 20},
     }
     for name, change in tables.items():
@@ -186,6 +189,7 @@ def watch(design: Design, trace: Trace, folder: Path, stages: set[str]) -> None:
         folders[stage.name] = own
 
 
+@pytest.mark.usefixtures("coarse_switches")
 def test_stages_read_what_they_say(trace: Trace, tmp_path: Path) -> None:
     design = tiny()
     watch(design, trace, tmp_path, {stage.name for stage in STAGES} - {"report"})
@@ -200,7 +204,7 @@ def test_stages_read_what_they_say(trace: Trace, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["scattered", "sight", "two cameras"])
 def test_other_layouts_read_what_they_say(trace: Trace, tmp_path: Path, name: str) -> None:
     design = {
-        "scattered": lambda: changed("hemisphere", layout={"count": 30}),
+        "scattered": lambda: changed("hemisphere", layout={"count": 30}, camera=CAMERA),
         "sight": lambda: tiny(layout={"heights": "line-of-sight"}),
         "two cameras": lambda: tiny(camera={"ends": "both"}),
     }[name]()

@@ -235,7 +235,7 @@ def test_plot_is_svg(made: SwitchDesign) -> None:
     assert len(list(root.iter(f"{SVG}circle"))) == 2
 
 
-def test_command(tmp_path: Path) -> None:
+def test_command(made: SwitchDesign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     app = typer.Typer()
     app.command()(switch)
     runner = CliRunner()
@@ -249,8 +249,11 @@ def test_command(tmp_path: Path) -> None:
     assert max(facts["curve"]["force_N"]) >= facts["limit_N"] - 1e-4
     assert any("assumed" in text for text in facts["warnings"])
     path.write_text(to_toml(small(switch={"regions": [{"threshold_N": 0.7, "rows": [0, 1]}]})))
+    # The design's own threshold is that of the bowl made before.
+    monkeypatch.setattr(inverse, "design_switch", lambda own, *_: {0.5: made}[own])
     out = runner.invoke(app, [str(path)])
     assert "ask for 0.7 N besides" in out.stderr
+    monkeypatch.undo()
     assert (tmp_path / "c.svg").read_text().startswith("<svg")
     late = runner.invoke(app, [str(path), "--plot", str(tmp_path / "c.png")])
     assert isinstance(late.exception, OutputError)

@@ -39,7 +39,9 @@ class Bench:
 @cache
 def bench(shape: str = "plane", orders: int = 4) -> Bench:
     sizes: dict[str, Any] = {"width_mm": 48.0, "height_mm": 36.0}
+    refine, spacing_mm = 4, 4.0
     if shape == "cuboid":
+        refine, spacing_mm = 3, 6.0  # of the box only signs and bounds are asked
         sizes = {"width_mm": 36.0, "depth_mm": 36.0, "length_mm": 48.0, "edge_radius_mm": 5.0}
     design = of_shape(shape, sizes, dict(STRAIGHT))
     surface = design.surface()
@@ -48,10 +50,17 @@ def bench(shape: str = "plane", orders: int = 4) -> Bench:
         cameras=cameras_of(design, surface), read_by=np.zeros(markers.count, dtype=np.int64)
     )
     see = Seen(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
-    mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=4)
+    mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=refine)
     model = sensor_model(design, markers, mesh, receptors=False)
     made = make_places(
-        design, surface, markers, mesh=mesh, model=model, see=see, spacing_mm=4.0, orders=orders
+        design,
+        surface,
+        markers,
+        mesh=mesh,
+        model=model,
+        see=see,
+        spacing_mm=spacing_mm,
+        orders=orders,
     )
     pressed = Pressed(design, surface, markers, mesh=mesh, model=model, orders=orders)
     return Bench(pressed=pressed, see=see, made=made)
