@@ -5,7 +5,7 @@ negative eigenvalue at n ≥ 1 means that the body leaves the axisymmetric path 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,7 @@ class Waves:
 
     model: AxiModel
     guided: bool = True
+    _patterns: dict[int, Pattern] = field(default_factory=dict, init=False, repr=False)
 
     def equations(self, mode: int) -> tuple[IntArray, FloatArray]:
         """Equation and sign of u_r, u_z, u_θ of all nodes, (N, 3) each.
@@ -64,15 +65,22 @@ class Waves:
 
     def tangent(self, point: Point, mode: int) -> Any:
         """Sparse tangent for ``mode`` ≥ 1 waves at an equilibrium (over π instead of 2 π)."""
-        shape, quads = self.model.geometry, self.model.mesh.quads
-        number, sign = self.equations(mode)
+        shape = self.model.geometry
         response = point.state.response
         blocks = element.tangent(
             shape, self.model.material, element.strain_operator(shape, mode), response
         ) + element.shear_tangent(shape, element.shear_operator(shape, mode), response)
-        where = np.concatenate([number[quads, axis] for axis in range(3)], axis=1)
-        signs = np.concatenate([sign[quads, axis] for axis in range(3)], axis=1)
-        return Pattern(where, int(number.max()) + 1, signs).matrix(0.5 * blocks)
+        return self._pattern(mode).matrix(0.5 * blocks)
+
+    def _pattern(self, mode: int) -> Pattern:
+        """Where the entries of ``mode`` go: the same at all points."""
+        if mode not in self._patterns:
+            number, sign = self.equations(mode)
+            quads = self.model.mesh.quads
+            where = np.concatenate([number[quads, axis] for axis in range(3)], axis=1)
+            signs = np.concatenate([sign[quads, axis] for axis in range(3)], axis=1)
+            self._patterns[mode] = Pattern(where, int(number.max()) + 1, signs)
+        return self._patterns[mode]
 
     def negatives(self, point: Point, mode: int) -> int:
         """Negative eigenvalues for ``mode`` waves at an equilibrium."""
