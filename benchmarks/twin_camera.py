@@ -12,10 +12,8 @@ import numpy as np
 from benchmarks.harness import Table
 from decoder.run import locate_markers
 from phytac_design.build import copy_of
-from phytac_design.kernels import THREADS
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.thresholds import thresholds_N
-from phytac_design.mechanics.large.batch import one_thread_each
 from phytac_design.optics.exposure import CLEAN, Exposure, expose, lens_blur, light_on_chip
 from phytac_design.optics.frame import render_frame, sample_views
 from phytac_design.optics.light import triangle_light
@@ -24,6 +22,7 @@ from phytac_design.optics.raster import rasterise
 from phytac_design.optics.scene import build_scene
 from phytac_design.optics.view import cameras_of, tolerance_mm
 from phytac_design.spec import Design
+from phytac_design.threads import THREADS, one_thread_each
 from phytac_design.twin.contacts import draw_contacts, switch_states
 from phytac_design.twin.response import motion_responses, superpose
 from phytac_design.twin.scenario.tables import SolveSection

@@ -7,8 +7,8 @@ from typing import Any, TypeVar, cast
 
 import numba
 
-THREADS = "PHYTAC_THREADS"
-"""Environment variable that bounds the threads; processes that run side by side set it to 1."""
+from phytac_design.threads import THREADS
+
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 

@@ -5,11 +5,9 @@ is handed from sample to sample: results do not depend on the number of workers,
 Scripts that call this must guard their own start with ``if __name__ == "__main__":``.
 """
 
-import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Any, Literal
@@ -20,11 +18,10 @@ from phytac_design.mechanics.large.estimate import solve_auto
 from phytac_design.mechanics.large.newton import Loading
 from phytac_design.mechanics.large.path import solve_large
 from phytac_design.mechanics.solve import ShellModel
+from phytac_design.threads import one_thread_each
 from shapes.arrays import FloatArray
 from shapes.errors import NumericalError
 
-THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""What tells the common BLAS libraries how many threads to use, read when they load."""
 _model: ShellModel | None = None
 """The model of this worker process, built once."""
 
@@ -152,22 +149,6 @@ def _run(
                 yield futures[future], future.result()
             except BrokenProcessPool:
                 continue
-
-
-@contextmanager
-def one_thread_each(*others: str) -> Iterator[None]:
-    """Processes started inside use one BLAS thread each; ``others`` are set to 1 as well."""
-    names = (*THREADS, *others)
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 def _build(parts: dict[str, Any]) -> None:

@@ -14,9 +14,9 @@ from contextlib import suppress
 from typing import Any
 
 from phytac_design.cache import code_hash
-from phytac_design.kernels import THREADS
 from phytac_design.study.search.ladder import FAILED, Outcome, Task
 from phytac_design.study.search.pool import keep_memory
+from phytac_design.threads import THREADS
 from shapes.errors import InputError, MissingPartError
 
 AHEAD = 2

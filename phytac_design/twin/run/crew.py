@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Any
 
-from phytac_design.kernels import THREADS as KERNEL_THREADS
-from phytac_design.mechanics.large.batch import one_thread_each
+from phytac_design.threads import THREADS, one_thread_each
 
 AHEAD = 2
 """Samples waiting for each worker: enough to keep it busy, few enough to stop at once."""
@@ -55,7 +54,7 @@ class Crew:
             state = self.start(*self.given) if todo else None
             yield from ((index, self.work(state, index)) for index in todo)
             return
-        with one_thread_each(KERNEL_THREADS):
+        with one_thread_each(THREADS):
             done: set[int] = set()
             for index, facts in self._pool(todo, self.workers):
                 done.add(index)

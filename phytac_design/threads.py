@@ -1,0 +1,26 @@
+"""How many threads a process takes, by its environment; nothing heavy is imported for it."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+THREADS = "PHYTAC_THREADS"
+"""Environment variable that bounds the threads; processes that run side by side set it to 1."""
+LIBRARIES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+"""What tells the common BLAS libraries how many threads to use, read when they load."""
+
+
+@contextmanager
+def one_thread_each(*others: str) -> Iterator[None]:
+    """Processes started inside use one BLAS thread each; ``others`` are set to 1 as well."""
+    names = (*LIBRARIES, *others)
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
