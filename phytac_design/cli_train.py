@@ -31,7 +31,7 @@ def train(
         Preset, typer.Option(help="Fineness of the decoder's own mechanics.")
     ] = Preset.standard,
     seed: SeedOption = 0,
-    force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
+    force: Annotated[bool, typer.Option(help="Take a folder that holds something else.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Train the decoder of a design from data sets."""
@@ -76,7 +76,7 @@ def evaluate(
         typer.Option(help="The decoder's design, for heights and sides; looked for if not given."),
     ] = None,
     seed: SeedOption = 0,
-    force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
+    force: Annotated[bool, typer.Option(help="Take a folder that holds something else.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Judge every estimator of a decoder on data sets: tables, contacts, pictures."""

@@ -315,8 +315,10 @@ def test_what_cannot_be_judged_is_refused(judge: Callable[..., Path], tmp_path: 
     assert not (tmp_path / "result").exists()
     (tmp_path / "result").mkdir()
     (tmp_path / "result" / "mine.txt").write_text("mine")
+    said: list[str] = []
     with pytest.raises(OutputError, match=r"holds no evaluation\.json"):
-        judge(samples)
+        judge(samples, progress=said.append)
+    assert not [text for text in said if text.startswith("evaluate:")], "worked before it asked"
     judge(samples, force=True)
 
 

@@ -150,6 +150,13 @@ def test_several_sets_are_learnt_from_together(
     write_samples(tmp_path / "part", pick(samples, np.arange(30)), meta_of("tiny", HASH))
     with pytest.raises(InputError, match=r"^30 samples of .*part are in .*points as well"):
         learn(data, tmp_path / "part")
+    for name, count in (("whole", 200), ("first", 30)):
+        kept = pick(samples, np.arange(count))
+        rows = key_nodes(plain_model(context), kept, noise_px=1e-4)
+        write_samples(tmp_path / name, inputs_alone(kept, rows), meta_of("tiny", HASH))
+    read = len(np.unique(rows.sample))
+    with pytest.raises(InputError, match=rf"^{read} samples of .*first are in .*whole as well"):
+        learn(tmp_path / "whole", tmp_path / "first")
 
 
 def test_another_decoder_is_a_start(learn: Callable[..., Path], tmp_path: Path) -> None:

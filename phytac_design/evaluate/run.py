@@ -102,35 +102,42 @@ def evaluate(
         )
     samples = join([item.samples for item in sets])
     check_markers(decoder, samples)
-    decoded = decode_contacts(
-        decoder.model, samples, progress=lambda name: progress(f"evaluate: {name}")
-    )
-    where = None
-    if known is not None and samples.touches is not None:
-        where = places(known, samples.touches.uv[decoded.touch])
-    groups = groups_of(sets, samples, decoded, where)
-    progress("evaluate: intervals and pictures")
-    facts = {
-        "format": FORMAT,
-        "schema_version": SCHEMA,
-        "design": decoder.design,
-        "design_hash": decoder.design_hash,
-        "bundle_sha256": bundle_hash(bundle),
-        "data": [item.facts() for item in sets],
-        "bootstrap": {"resamples": RESAMPLES, "level": LEVEL, "seed": seed, "over": "samples"},
-        **counts(sets, samples, decoded),
-        "estimators": scores(decoded, groups, seed),
-    }
-    facts = finite(facts)
-    kind = kinds(sets, samples, decoded)
-    with claimed(out, TABLE, decoder.design, force=force), written(out, TABLE) as folder:
-        text = json.dumps(facts, indent=1, sort_keys=True, ensure_ascii=False)
-        (folder / TABLE).write_text(text + "\n", encoding="utf-8")
-        rows = contacts_csv(samples, decoded, where, [KINDS[k] for k in kind])
-        (folder / "contacts.csv").write_text(rows, encoding="utf-8")
-        (folder / "tables.md").write_text(tables_md(facts), encoding="utf-8")
-        for name, picture in draw(facts, decoded).items():
-            (folder / name).write_bytes(picture)
+    with claimed(out, TABLE, decoder.design, force=force):
+        decoded = decode_contacts(
+            decoder.model, samples, progress=lambda name: progress(f"evaluate: {name}")
+        )
+        where = None
+        if known is not None and samples.touches is not None:
+            where = places(known, samples.touches.uv[decoded.touch])
+        groups = groups_of(sets, samples, decoded, where)
+        progress("evaluate: intervals and pictures")
+        facts: dict[str, Any] = finite(
+            {
+                "format": FORMAT,
+                "schema_version": SCHEMA,
+                "design": decoder.design,
+                "design_hash": decoder.design_hash,
+                "bundle_sha256": bundle_hash(bundle),
+                "data": [item.facts() for item in sets],
+                "bootstrap": {
+                    "resamples": RESAMPLES,
+                    "level": LEVEL,
+                    "seed": seed,
+                    "over": "samples",
+                },
+                **counts(sets, samples, decoded),
+                "estimators": scores(decoded, groups, seed),
+            }
+        )
+        kind = kinds(sets, samples, decoded)
+        with written(out, TABLE) as folder:
+            text = json.dumps(facts, indent=1, sort_keys=True, ensure_ascii=False)
+            (folder / TABLE).write_text(text + "\n", encoding="utf-8")
+            rows = contacts_csv(samples, decoded, where, [KINDS[k] for k in kind])
+            (folder / "contacts.csv").write_text(rows, encoding="utf-8")
+            (folder / "tables.md").write_text(tables_md(facts), encoding="utf-8")
+            for name, picture in draw(facts, decoded).items():
+                (folder / name).write_bytes(picture)
     return Evaluation(out=out, facts=facts)
 
 

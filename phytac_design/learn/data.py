@@ -112,11 +112,18 @@ def read_sets(folders: Sequence[Path], *, design_hash: str) -> list[DataSet]:
 
 
 def _marks(samples: Samples) -> set[bytes]:
-    """What samples that show anything are known by: their markers' shifts, to the bit."""
-    if samples.shift_px is None:
+    """What samples that show anything are known by, to the bit.
+
+    It is their markers' shifts; where these were not kept, the networks' inputs.
+    """
+    nodes = samples.key_nodes
+    if samples.shift_px is not None:
+        shows = np.any(np.nan_to_num(samples.shift_px) != 0.0, axis=(1, 2))
+        return {row.tobytes() for row in samples.shift_px[shows]}
+    if nodes is None:
         return set()
-    shows = np.any(np.nan_to_num(samples.shift_px) != 0.0, axis=(1, 2))
-    return {row.tobytes() for row in samples.shift_px[shows]}
+    first = np.flatnonzero(np.diff(nodes.sample)) + 1
+    return {rows.tobytes() for rows in np.split(nodes.u_mm, first) if np.any(rows != 0.0)}
 
 
 def bundle_hash(folder: Path) -> str:
