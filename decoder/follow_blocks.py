@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from decoder.follow_codes import Converter, Floats32, Picture
 from shapes.arrays import BoolArray, FloatArray, IntArray
 
+LAY_MOST = 1 << 20
+"""Most borders times pixels that are laid in one go: 4 MB of numbers."""
 BORDER_LEAST = 0.15
 """A border keeps at least this share of the way between two spots on either side."""
 
@@ -78,6 +80,7 @@ class Block:
         # One sample stands for stride² pixels.
         basis = np.stack([np.ones_like(x), x, y, rim], axis=-1).reshape(-1, 4)
         self._basis = (basis * np.float32(stride**2)).astype(np.float32)
+        self._plane = np.ascontiguousarray(basis[:, :3].T, dtype=np.float32)
         self._picture, self._convert = picture, space.converter.part(spots * taken * side)
         self._rows = self._all_rows(picture.codes, 2)
 
@@ -123,27 +126,26 @@ class Block:
         self._any_cut = bool(self.cut.any())
         if not need.any():
             return
-        mask = np.ones((int(need.sum()), len(self.offset), len(self.offset)), dtype=np.float32)
-        for k in np.flatnonzero(inside.any(axis=0)).tolist():
-            along_x = self.offset * cuts.unit_x[rows, k][need, None]
-            along_y = self.offset * cuts.unit_y[rows, k][need, None]
-            part = (cuts.far[rows, k][need, None] - along_y)[:, :, None] - along_x[:, None, :]
-            np.minimum(mask, part, out=mask)
-        np.maximum(mask, 0.0, out=mask)
-        self.mask[which[need]] = mask
+        crossing = np.flatnonzero(inside.any(axis=0))
+        lines = cuts.lines[rows][need][:, crossing]
+        laid, each = which[need], self._plane.shape[1]
+        step = max(LAY_MOST // (len(crossing) * each), 1)
+        for start in range(0, len(laid), step):
+            # The nearest border counts; a matrix product has all of them in one go.
+            some = lines[start : start + step]
+            mask = (some.reshape(-1, 3) @ self._plane).reshape(*some.shape[:2], each).min(axis=1)
+            self._mask[laid[start : start + step]] = np.maximum(np.minimum(mask, 1.0), 0.0)
 
 
 class Cuts(NamedTuple):
     """Borders of m windows against r rivals each.
 
-    A pixel at p from the window's corner counts ``far - unit · p``, between 0 and 1; ``inside``
-    (m, r) are the borders that cross the window, ``nearest`` (m,) px is the nearest border's
-    distance from the spot.
+    A pixel at (x, y) from the window's corner counts ``lines · (1, x, y)``, between 0 and 1, with
+    ``lines`` (m, r, 3); ``inside`` (m, r) are the borders that cross the window, ``nearest`` (m,)
+    px is the nearest border's distance from the spot.
     """
 
-    far: Floats32
-    unit_x: Floats32
-    unit_y: Floats32
+    lines: Floats32
     inside: BoolArray
     nearest: FloatArray
 
@@ -173,9 +175,7 @@ class Cuts(NamedTuple):
         # The corner of the window that lies farthest along.
         corner = last[:, None] * (np.maximum(x, 0.0) + np.maximum(y, 0.0))
         return cls(
-            far=far.astype(np.float32),
-            unit_x=x.astype(np.float32),
-            unit_y=y.astype(np.float32),
+            lines=np.stack([far, -x, -y], axis=-1, dtype=np.float32, casting="same_kind"),
             inside=far - 1.0 < corner,
             nearest=border.min(axis=1, initial=np.inf),
         )
