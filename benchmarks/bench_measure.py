@@ -8,8 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-
-from shapes.arrays import FloatArray
+from phytac_shapes.arrays import FloatArray
 
 DPI = 400
 MM = 25.4 / DPI

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import Table, run_parts
-from phytac_design.design_file import shipped_designs
+from phytac_design.design.design_file import shipped_designs
 
 PAPER = "paper"
 
@@ -27,7 +27,7 @@ def run(
     words = ["build", design, "--out", str(out), "--accuracy", accuracy, "--json"]
     start = time.perf_counter()
     done = subprocess.run(
-        [sys.executable, "-c", "from phytac_design.cli import main; main()", *words],
+        [sys.executable, "-c", "from phytac_design.cli.app import main; main()", *words],
         env={**os.environ, "PHYTAC_CACHE": str(cache)},
         stdout=subprocess.PIPE,
         text=True,

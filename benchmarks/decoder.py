@@ -14,6 +14,9 @@ from typing import Any
 
 import cv2
 import numpy as np
+from phytac_decoder.estimation.decode import measure_frame, read_image, rest_positions
+from phytac_decoder.io.bundle import Bundle, load_bundle
+from phytac_shapes.arrays import FloatArray, ImageArray
 
 from benchmarks import (
     decoder_accuracy,
@@ -29,21 +32,18 @@ from benchmarks import (
 )
 from benchmarks.harness import Table, run_parts
 from benchmarks.plain_eyes import plain_opencv
-from decoder.bundle import Bundle, load_bundle
-from decoder.run import measure_frame, read_image, rest_positions
-from phytac_design.build import build
-from phytac_design.design_file import load_design
+from phytac_design.design.design_file import load_design
+from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
+from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.optics.frame import add_noise, render_frame
 from phytac_design.optics.picture import render_picture
 from phytac_design.optics.scene import build_scene
-from phytac_design.optics.view import camera_of, tolerance_mm
 from phytac_design.optics.visibility import check_visibility
-from phytac_design.spec import Design
-from phytac_design.twin.contacts import draw_contacts, switch_states
-from phytac_design.twin.response import motion_responses, superpose
-from phytac_design.twin.shell import truth_shell
-from shapes.arrays import FloatArray, ImageArray
+from phytac_design.simulation.contacts import draw_contacts, switch_states
+from phytac_design.simulation.instance_shell import truth_shell
+from phytac_design.simulation.response import motion_responses, superpose
+from phytac_design.stages.build import build
 
 PAPER = {"fem": 0.18, "fem_nn": 0.023, "fem_nn_identity": 0.023}
 PAPER_LOW = {"fem": 0.49}

@@ -5,19 +5,19 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from phytac_decoder.io.bundle import Bundle
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
+from phytac_shapes.errors import InputError
 
-from decoder.bundle import Bundle
-from phytac_design.accuracy import Preset
+from phytac_design.design.accuracy import Preset
+from phytac_design.design.spec import Design
 from phytac_design.optics.exposure import expose
-from phytac_design.simulate import eyes_of, response_of
-from phytac_design.spec import Design
-from phytac_design.twin.run.job import Job
-from phytac_design.twin.scenario.file import Scenario
-from phytac_design.twin.sight.eyes import Eyes
-from phytac_design.twin.sight.nominal import expected_views
-from phytac_design.twin.solver import Solver
-from shapes.arrays import BoolArray, FloatArray, ImageArray
-from shapes.errors import InputError
+from phytac_design.simulation.imaging.imaging_model import Eyes
+from phytac_design.simulation.imaging.nominal import expected_views
+from phytac_design.simulation.run.job import Job
+from phytac_design.simulation.scenario.file import Scenario
+from phytac_design.simulation.solver import Solver
+from phytac_design.workflows.simulate import eyes_of, response_of
 
 REFINE = 7
 """Elements of the twin's mesh per marker pitch."""

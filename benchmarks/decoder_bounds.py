@@ -3,19 +3,19 @@
 from dataclasses import dataclass
 
 import numpy as np
+from phytac_decoder.estimation.contact_estimates import Found
+from phytac_decoder.estimation.contact_fit import start
+from phytac_decoder.estimation.contact_shifts import UNKNOWNS, explain
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-from decoder.calibrate import second_moments
-from decoder.contact_fit import start
-from decoder.contact_shifts import UNKNOWNS, explain
-from decoder.found import Found
-from decoder.samples import Samples
+from phytac_design.datasets.samples import Samples
+from phytac_design.engine.stage import Context
 from phytac_design.mechanics.meshing.mesh import marker_mesh
-from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
-from phytac_design.stage import Context
+from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
+from phytac_design.simulation.bound import Prior, Signals, cell_prior, contact_signals
+from phytac_design.simulation.response import motion_responses
 from phytac_design.stages.places import locator_of
-from phytac_design.twin.bound import Prior, Signals, cell_prior, contact_signals
-from phytac_design.twin.response import motion_responses
-from shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_design.training.locator_calibration import second_moments
 
 QUIET_px = 0.05
 """Markers that contacts move by less tell the noise: what mechanics leave out is far below it."""

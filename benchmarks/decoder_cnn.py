@@ -8,20 +8,20 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray, IntArray
 
 from benchmarks.decoder_data import SEED, data_folder, data_set, job_of, origin, small_design
 from benchmarks.decoder_speed import SMALL, before_camera
 from benchmarks.harness import Table
-from decoder.samples import FAILED, Samples
-from decoder.train import split_samples
-from phytac_design.design_file import load_design
-from phytac_design.evaluate.scores import Bootstrap
+from phytac_design.datasets.samples import FAILED, Samples
+from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
-from phytac_design.learn.cnn import CnnTrained, Lessons, train_cnn
-from phytac_design.learn.cnn_data import marker_forces, places_in_frame, read_frames
-from phytac_design.optics.view import camera_of
-from phytac_design.twin.run.job import Job
-from shapes.arrays import FloatArray, IntArray
+from phytac_design.layout.cameras import camera_of
+from phytac_design.simulation.run.job import Job
+from phytac_design.training.cnn import CnnTrained, Lessons, train_cnn
+from phytac_design.training.cnn_data import marker_forces, places_in_frame, read_frames
+from phytac_design.training.evaluation.scores import Bootstrap
+from phytac_design.training.levenberg_marquardt import split_samples
 
 COUNTS, JUDGE = (598, 3909), 150
 """Samples to learn from, the fewer among the more, and held out from both."""

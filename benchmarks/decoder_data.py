@@ -13,22 +13,22 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from phytac_shapes.arrays import IntArray
+from phytac_shapes.errors import OutputError
 
 from benchmarks.twin_engine import changed
-from decoder.samples import FAILED, Meta, Samples
-from decoder.samples_read import read_samples
-from decoder.samples_write import TABLE, file_hash
-from phytac_design.accuracy import Preset
-from phytac_design.cache import code_hash
-from phytac_design.design_file import design_hash, load_design, parse_design
-from phytac_design.learn.data import DataSet
-from phytac_design.learn.join import pick
-from phytac_design.simulate import simulate
-from phytac_design.spec import Design
-from phytac_design.twin.run.job import Job
-from phytac_design.twin.scenario.file import scenario_hash
-from shapes.arrays import IntArray
-from shapes.errors import OutputError
+from phytac_design.datasets.samples import FAILED, Meta, Samples
+from phytac_design.datasets.samples_reader import read_samples
+from phytac_design.datasets.samples_writer import TABLE, file_hash
+from phytac_design.design.accuracy import Preset
+from phytac_design.design.design_file import design_hash, load_design, parse_design
+from phytac_design.design.spec import Design
+from phytac_design.engine.cache import code_hash
+from phytac_design.simulation.run.job import Job
+from phytac_design.simulation.scenario.file import scenario_hash
+from phytac_design.training.join_datasets import pick
+from phytac_design.training.training_data import DataSet
+from phytac_design.workflows.simulate import simulate
 
 SEED = 1
 """Of all data sets: a unit is drawn from the seed and its number."""

@@ -7,24 +7,24 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from phytac_decoder.estimation.contact_estimates import Found
+from phytac_decoder.estimation.estimators import ForceModel
+from phytac_decoder.io.bundle import Bundle
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from benchmarks.decoder_bounds import MEAN_SIZE, Bounds, bounds, noise_of
-from decoder.bundle import Bundle
-from decoder.estimators import ForceModel
-from decoder.found import Found
-from decoder.samples import FAILED, Samples
-from phytac_design.accuracy import Preset
-from phytac_design.build import run_stages, select_stages
-from phytac_design.evaluate.contacts import Decoded, decode_contacts
-from phytac_design.evaluate.groups import Groups, groups_of, places
-from phytac_design.evaluate.scores import Bootstrap, intervals
-from phytac_design.learn.data import DataSet, share_out
-from phytac_design.learn.fit import MECHANICS
-from phytac_design.learn.trainers import TRAINERS, Lesson
-from phytac_design.spec import Design
-from phytac_design.stage import Context
+from phytac_design.datasets.samples import FAILED, Samples
+from phytac_design.design.accuracy import Preset
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context
+from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder import assemble, plain_model
-from shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_design.training.evaluation.contacts import Decoded, decode_contacts
+from phytac_design.training.evaluation.groups import Groups, groups_of, places
+from phytac_design.training.evaluation.scores import Bootstrap, intervals
+from phytac_design.training.trainers import TRAINERS, Lesson
+from phytac_design.training.training_data import DataSet, share_out
+from phytac_design.workflows.train_decoder import MECHANICS
 
 LEARNT = ("fem_nn", "fem_nn_identity", "auto")
 NEAR_MM = 5.0
@@ -229,7 +229,7 @@ class Verdict:
     decoded : Decoded
         Their contacts and what the estimators say of them.
     groups : dict
-        Masks over these, see :func:`phytac_design.evaluate.groups.groups_of`.
+        Masks over these, see :func:`phytac_design.training.evaluation.groups.groups_of`.
     found : list
         What ``auto`` found in each sample.
     claims : Claims

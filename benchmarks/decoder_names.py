@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from phytac_decoder.vision.tracker import Follower
 
 from benchmarks.decoder_speed import (
     FORCE_N,
@@ -24,8 +25,7 @@ from benchmarks.decoder_speed import (
     told_apart,
 )
 from benchmarks.harness import Table, arguments
-from decoder.follow import Follower
-from phytac_design.design_file import load_design
+from phytac_design.design.design_file import load_design
 
 DESIGN = "cylinder60"
 GRIPS = 34

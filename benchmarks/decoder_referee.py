@@ -6,6 +6,7 @@ networks learnt from the twin's samples of the sensor as designed.
 """
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray
 
 from benchmarks.decoder_data import nominal, set_of
 from benchmarks.decoder_judge import LEARNT, by_design, mechanics, taught, verdict
@@ -13,15 +14,14 @@ from benchmarks.decoder_rows import FULL, TARGETS, add_bounds, add_claims, add_s
 from benchmarks.harness import Table
 from benchmarks.referee.contacts import COUNTS
 from benchmarks.referee.read import Solved, data_file, read_solved
-from decoder.samples import STATUSES, THEORIES, Meta, Samples, TouchRows, truth_rows
-from phytac_design.accuracy import Preset
-from phytac_design.design_file import design_hash, load_design
-from phytac_design.learn.data import DataSet
+from phytac_design.datasets.samples import STATUSES, THEORIES, Meta, Samples, TouchRows, truth_rows
+from phytac_design.design.accuracy import Preset
+from phytac_design.design.design_file import design_hash, load_design
+from phytac_design.engine.stage import Context
 from phytac_design.mechanics.large import rotations as rot
-from phytac_design.stage import Context
-from phytac_design.stages.twin import watch_of
-from phytac_design.twin.contacts import Contacts, switch_states
-from shapes.arrays import FloatArray
+from phytac_design.simulation.contacts import Contacts, switch_states
+from phytac_design.stages.response import watch_of
+from phytac_design.training.training_data import DataSet
 
 SOURCE = "CalculiX NLGEOM, quadratic tetrahedra of the CAD (benchmarks/referee)"
 NOISE_FACTOR = float(np.sqrt(2.0))

@@ -11,19 +11,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from phytac_decoder.estimation.decode import read_image, rest_positions
+from phytac_decoder.estimation.frame_reading import Reading
+from phytac_decoder.io.bundle import Bundle, load_bundle
+from phytac_decoder.io.frame import Frame, Source
+from phytac_decoder.serving.force_server import Limits, Server
+from phytac_decoder.serving.sensor_loop import Decode, Stream, frame_decoder
+from phytac_decoder.serving.wire_protocol import Message, Messages
+from phytac_shapes.arrays import ImageArray
 
 from benchmarks.decoder_stream_clients import READERS, clients
 from benchmarks.harness import Table, arguments
-from decoder.bundle import Bundle, load_bundle
-from decoder.frame import Frame, Source
-from decoder.reading import Reading
-from decoder.run import read_image, rest_positions
-from decoder.serve import Limits, Server
-from decoder.stream import Decode, Stream, frame_decoder
-from decoder.wire import Message, Messages
-from phytac_design.build import build
-from phytac_design.design_file import load_design, parse_design
-from shapes.arrays import ImageArray
+from phytac_design.design.design_file import load_design, parse_design
+from phytac_design.stages.build import build
 
 DESIGN = "cylinder60"
 FPS = 480.0

@@ -11,10 +11,9 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
-
-from decoder.serve import Server
-from decoder.wire import Splitter
-from shapes.arrays import FloatArray
+from phytac_decoder.serving.force_server import Server
+from phytac_decoder.serving.wire_protocol import Splitter
+from phytac_shapes.arrays import FloatArray
 
 READERS = 9
 

@@ -8,21 +8,21 @@ import time
 from dataclasses import replace
 
 import numpy as np
+from phytac_decoder.estimation.locator import Locator
 
 from benchmarks.decoder_data import few_of, units
 from benchmarks.harness import Table
-from decoder.calibrate import calibrated, match
-from decoder.locate import Locator
-from decoder.samples import Samples
-from phytac_design.accuracy import PRESETS
-from phytac_design.build import run_stages, select_stages
+from phytac_design.datasets.samples import Samples
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.engine.stage import Context
 from phytac_design.mechanics.meshing.mesh import marker_mesh
-from phytac_design.mechanics.receptors import sensor_model
-from phytac_design.stage import Context
+from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
+from phytac_design.simulation.response_tables import make_places, place_spacing_mm
+from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder import along_mm, middle_mm
 from phytac_design.stages.places import locator_of
-from phytac_design.stages.twin import watch_of
-from phytac_design.twin.places import make_places, place_spacing_mm
+from phytac_design.stages.response import watch_of
+from phytac_design.training.locator_calibration import calibrated, match
 
 STEPS = ((0.8, 1), (0.8, 3), (0.55, 1), (0.55, 2), (0.55, 3), (0.55, 4), (0.4, 5))
 """Spacing over the patches' mean radius, and powers of the force."""

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from phytac_shapes import Surface
 
 from benchmarks import (
     fabrication_bench,
@@ -23,27 +24,20 @@ from benchmarks import (
     fabrication_switch,
 )
 from benchmarks.harness import Table, median_of, run_parts
-from phytac_design.design_file import load_design, shipped_designs
-from phytac_design.fabrication.cad import (
-    cad_facts,
-    read_step,
-    shell_cad,
-    write_step,
-    write_stl_by_cad,
-)
-from phytac_design.fabrication.export import write_3mf, write_stl
-from phytac_design.fabrication.facts import expected_genus, manifold_facts, trimesh_facts
-from phytac_design.fabrication.profile import wall_mesh
-from phytac_design.fabrication.solid_mesh import (
+from phytac_design.design.design_file import load_design, shipped_designs
+from phytac_design.design.spec import Design, WallSection
+from phytac_design.layout import Markers
+from phytac_design.rules import check_design
+from phytac_design.solids.cad import cad_facts, read_step, shell_cad, write_step, write_stl_by_cad
+from phytac_design.solids.mesh_export import write_3mf, write_stl
+from phytac_design.solids.mesh_facts import expected_genus, manifold_facts, trimesh_facts
+from phytac_design.solids.solid_mesh import (
     TOLERANCE_mm,
     painted_manifolds,
     shell_manifold,
     to_triangles,
 )
-from phytac_design.layout import Markers
-from phytac_design.rules import check_design
-from phytac_design.spec import Design, WallSection
-from shapes import Surface
+from phytac_design.solids.wall_mesh import wall_mesh
 
 ANGLE_rad = 0.5
 """Angular tolerance of OpenCASCADE's mesher: loose, so that the chord alone decides."""

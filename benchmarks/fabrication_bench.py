@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from phytac_shapes import Surface
 
 from benchmarks.bench_measure import (
     fit_shift_mm,
@@ -20,17 +21,16 @@ from benchmarks.bench_measure import (
     tool_axis,
 )
 from benchmarks.harness import Table
-from phytac_design.build import build
-from phytac_design.design_file import load_design, shipped_designs
-from phytac_design.fabrication.bench.materials import DENSITY_g_cm3
-from phytac_design.fabrication.bench.unroll import unroll
-from phytac_design.fabrication.kit.program import make_program
-from phytac_design.fabrication.kit.regions import Regions, frames_at, make_regions
-from phytac_design.fabrication.kit.symmetry import find_symmetry
+from phytac_design.design.design_file import load_design, shipped_designs
+from phytac_design.design.spec import Design
+from phytac_design.fabrication.calibration_rig.program import make_program
+from phytac_design.fabrication.calibration_rig.regions import Regions, frames_at, make_regions
+from phytac_design.fabrication.calibration_rig.symmetry import find_symmetry
+from phytac_design.fabrication.documents.materials import DENSITY_g_cm3
+from phytac_design.fabrication.documents.unroll import unroll
 from phytac_design.layout import Markers, make_markers
-from phytac_design.spec import Design
-from phytac_design.stages.bench import read_stl
-from shapes import Surface
+from phytac_design.stages.build import build
+from phytac_design.stages.documents import read_stl
 
 FAULTS = (
     "Degenerate facets", "Edges fixed", "Facets removed", "Facets added", "Facets reversed",

@@ -13,11 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from phytac_shapes.errors import PhytacError
 
 from benchmarks.harness import Table, arguments
-from phytac_design.accuracy import PRESETS
-from phytac_design.build import copy_of
-from phytac_design.design_file import load_design, shipped_designs
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import load_design, shipped_designs
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context, write_facts
 from phytac_design.fabrication.molds.audit import (
     Audit,
     audit_set,
@@ -26,18 +28,16 @@ from phytac_design.fabrication.molds.audit import (
 )
 from phytac_design.fabrication.molds.make import TURNED, MoldSet, make_molds
 from phytac_design.fabrication.molds.rules import rule_rows
-from phytac_design.fabrication.solid_mesh import to_manifold
-from phytac_design.fabrication.triangles import TriangleMesh
+from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import make_markers
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.switch.design import design_switch
 from phytac_design.mechanics.switch.receptor import rubber_of, space_of
 from phytac_design.mechanics.switch.report import switch_dict
-from phytac_design.spec import Design
-from phytac_design.stage import Context, write_facts
+from phytac_design.solids.solid_mesh import to_manifold
+from phytac_design.stages.build import copy_of
 from phytac_design.stages.mold import MOLD
 from phytac_design.stages.switch import switches_of
-from shapes.errors import PhytacError
 
 WAYS = ("rigid", "silicone-master")
 FAULTS = (

@@ -7,23 +7,23 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 from benchmarks.harness import Table
-from phytac_design.design_file import load_design, shipped_designs
-from phytac_design.fabrication.export import write_stl
-from phytac_design.fabrication.facts import trimesh_facts
+from phytac_design.design.design_file import load_design, shipped_designs
+from phytac_design.design.spec import Design
 from phytac_design.fabrication.printing.check import PrintReport, check_shell
 from phytac_design.fabrication.printing.overhang import stand, suggest
 from phytac_design.fabrication.printing.parting import part_shell
-from phytac_design.fabrication.printing.rays import RayTree
 from phytac_design.fabrication.printing.stl import read_stl
-from phytac_design.fabrication.solid_mesh import shell_manifold, to_manifold, to_triangles
-from phytac_design.fabrication.triangles import TriangleMesh, prisms
+from phytac_design.geometry.ray_tree import RayTree
+from phytac_design.geometry.triangles import TriangleMesh, prisms
 from phytac_design.layout import Markers
 from phytac_design.rules import check_design
-from phytac_design.spec import Design
-from shapes import Surface
-from shapes.arrays import FloatArray
+from phytac_design.solids.mesh_export import write_stl
+from phytac_design.solids.mesh_facts import trimesh_facts
+from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
 
 Case = tuple[Design, Surface, Markers]
 BOX = (

@@ -10,9 +10,10 @@ import time
 from pathlib import Path
 
 import numpy as np
+from phytac_shapes.errors import DesignError
 
 from benchmarks.harness import Table, arguments
-from phytac_design.design_file import shipped_designs
+from phytac_design.design.design_file import shipped_designs
 from phytac_design.mechanics.switch import cases
 from phytac_design.mechanics.switch.bowl import bowl_model
 from phytac_design.mechanics.switch.ccx import ccx_curve
@@ -24,7 +25,6 @@ from phytac_design.mechanics.switch.presets import rubber
 from phytac_design.mechanics.switch.report import curve_plot, range_over_modulus, range_plot
 from phytac_design.mechanics.switch.space import Space
 from phytac_design.mechanics.switch.svg import line_plot, write_svg
-from shapes.errors import DesignError
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 MESCALL = "Mescall 1966, clamped cap R 4.758 in, t 0.01576, a 0.9, ring load at 0.42 a"
@@ -284,7 +284,7 @@ def shipped(table: Table, *, quick: bool) -> None:
             out = Path(scratch) / "out"
             words = ["build", name, "--only", "switch", "--out", str(out)]
             subprocess.run(
-                [sys.executable, "-c", "from phytac_design.cli import main; main()", *words],
+                [sys.executable, "-c", "from phytac_design.cli.app import main; main()", *words],
                 env={**os.environ, "PHYTAC_CACHE": str(Path(scratch) / "cache")},
                 stdout=subprocess.DEVNULL,
                 check=True,

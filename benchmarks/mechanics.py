@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray
 
 from benchmarks import (
     mechanics_calibration,
@@ -25,16 +26,15 @@ from benchmarks import (
     mechanics_speed,
 )
 from benchmarks.harness import Table, holds, median_of, run_parts
-from phytac_design.design_file import load_design
+from phytac_design.design.design_file import load_design
 from phytac_design.layout import Markers, make_markers
-from phytac_design.mechanics.compliance import marker_compliance
-from phytac_design.mechanics.element import element_stiffness
-from phytac_design.mechanics.export import write_inp
-from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
-from phytac_design.mechanics.solve import ShellModel, clamped_model, rigid_modes
+from phytac_design.mechanics.shell.compliance import marker_compliance
+from phytac_design.mechanics.shell.element import element_stiffness
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.mesh_writers import write_inp
+from phytac_design.mechanics.shell.solve import ShellModel, clamped_model, rigid_modes
 from phytac_design.mechanics.verification import cases
-from shapes.arrays import FloatArray
 
 MARKER = 184  # row 11 of 23
 FINGERTIP_MM = 6.0

@@ -12,26 +12,26 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import PhytacError
 
 from benchmarks.harness import Table
-from phytac_design.design_file import load_design
+from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.calibrate.calibration import calibrate
-from phytac_design.mechanics.calibrate.calibration_result import Calibration, Name, Parameters
-from phytac_design.mechanics.calibrate.measurements import Measurements
-from phytac_design.mechanics.calibrate.probe_response import (
+from phytac_design.mechanics.calibration.calibration import calibrate
+from phytac_design.mechanics.calibration.calibration_result import Calibration, Name, Parameters
+from phytac_design.mechanics.calibration.measurements import Measurements
+from phytac_design.mechanics.calibration.probe_response import (
     ProbeResponse,
     Response,
     ResponseModel,
     probe_weights,
 )
-from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.mesh import chart_mesh
-from phytac_design.mechanics.sensitivity import motion_rate, stiffness_rates
-from phytac_design.mechanics.solve import ShellModel, clamped_model
-from shapes import Surface
-from shapes.arrays import FloatArray
-from shapes.errors import PhytacError
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.sensitivity import motion_rate, stiffness_rates
+from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 
 TRUTH = Parameters(modulus=2050.0, thickness=0.86, poisson=0.36)
 PEAK_MM = 0.06

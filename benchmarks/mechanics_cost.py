@@ -18,14 +18,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from phytac_shapes import Cylinder
 
 from benchmarks.harness import Table, median_of
-from phytac_design.mechanics.assembly import assemble, make_pattern
-from phytac_design.mechanics.element import element_stiffness
-from phytac_design.mechanics.factor import SOLVERS, SUPERLU, Factor
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
-from phytac_design.mechanics.solve import ShellModel, clamped_model
-from shapes import Cylinder
+from phytac_design.mechanics.shell.assembly import assemble, make_pattern
+from phytac_design.mechanics.shell.element import element_stiffness
+from phytac_design.mechanics.shell.factor import SOLVERS, SUPERLU, Factor
+from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 
 SIZES = ((36, 48), (62, 84), (114, 150), (200, 260), (370, 450))
 """Elements along and around: 10⁴ to 10⁶ DOF."""

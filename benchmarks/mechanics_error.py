@@ -13,22 +13,22 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray
 
 from benchmarks.harness import Table, arguments
-from phytac_design.design_file import load_design
+from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.discretisation import (
+from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_patch, run_ccx
+from phytac_design.mechanics.meshing.mesh import chart_mesh
+from phytac_design.mechanics.shell.discretisation import (
     DiscretisationError,
     ProbedShell,
     estimate_error,
     sensor_shell,
 )
-from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_patch, run_ccx
-from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.verification import cases
 from phytac_design.mechanics.verification.case_parts import Case, edge_lines, probed
 from phytac_design.mechanics.verification.plate_case import plate_case
-from shapes.arrays import FloatArray
 
 BOTH, END = (True, True), (False, True)
 ROOF_EDGE = 0.25 / (25.0 * np.radians(40.0))

@@ -13,22 +13,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 from benchmarks.harness import Table
-from phytac_design.design_file import load_design
+from phytac_design.design.design_file import load_design
 from phytac_design.mechanics.large.batch import solve_batch
 from phytac_design.mechanics.large.estimate import check_linear
 from phytac_design.mechanics.large.graded import contact_mesh
 from phytac_design.mechanics.large.newton import Equilibrium, Loading, System
 from phytac_design.mechanics.large.path import solve_large, trace_arc, trace_displacement
 from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_patch, run_ccx
-from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.mesh import chart_mesh
-from phytac_design.mechanics.solve import ShellModel, clamped_model
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_design.mechanics.verification import large_cases
 from phytac_design.mechanics.verification.solid_roof import solid_roof
-from shapes.arrays import FloatArray
-from shapes.errors import NumericalError
 
 FINGERTIP_MM = 6.0
 CCX = ((28, 32), (42, 48), (64, 74))

@@ -1,7 +1,7 @@
 """Receptors on the shell: cell models, and whole small sensors as solids of the true CAD.
 
 ``add_rows`` adds to the table of ``mechanics``; ``python -m benchmarks.mechanics_receptors``
-prints the rows alone, ``--table`` makes the tables of ``phytac_design.mechanics.receptors``.
+prints the rows alone, ``--table`` makes the tables of ``phytac_design.mechanics.shell.receptor_stiffness``.
 """
 
 import os
@@ -17,25 +17,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import MissingPartError
 
 from benchmarks.harness import Table, median_of
-from phytac_design.design_file import load_design, parse_design
+from phytac_design.design.design_file import load_design, parse_design
+from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
-from phytac_design.mechanics import receptors as rc
-from phytac_design.mechanics.compliance import marker_compliance, point_motion
-from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.pressing.place import Place
 from phytac_design.mechanics.pressing.press import press
+from phytac_design.mechanics.shell import receptor_stiffness as rc
+from phytac_design.mechanics.shell.compliance import marker_compliance, point_motion
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.solve import clamped_model
 from phytac_design.mechanics.solid.cell import Cell, cell_stiffness, ratio
-from phytac_design.mechanics.solid.export import run_ccx, write_solid_inp
 from phytac_design.mechanics.solid.load import solid_patch_load, tip_means
-from phytac_design.mechanics.solid.mesh import SolidSizes, coarsened, solid_mesh
-from phytac_design.mechanics.solve import clamped_model
-from phytac_design.spec import Design
-from shapes import Surface
-from shapes.arrays import FloatArray
-from shapes.errors import MissingPartError
+from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes, coarsened, solid_mesh
+from phytac_design.mechanics.solid.solid_writers import run_ccx, write_solid_inp
 
 SIZES = SolidSizes(wall_mm=1.6, foot_mm=0.9, tube_mm=1.4, contact_mm=1.2)
 """Mesh of the whole small sensor: about 80 000 nodes."""

@@ -11,20 +11,25 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from phytac_shapes import Cone, Cuboid, Hemisphere, Patch, Plane, Surface
+from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.path import Line
+from phytac_shapes.path import Path as Profile
+from phytac_shapes.revolved import PathRevolved
 
 from benchmarks.harness import Table, arguments
-from phytac_design.mechanics.element import R, S
 from phytac_design.mechanics.large.follower import pressure_forces
 from phytac_design.mechanics.large.quadratic import QuadraticMesh, _serendipity, run_ccx
-from phytac_design.mechanics.loads import _cell_area, curved_points, outer_elements, patch_loads
 from phytac_design.mechanics.meshing.locate import locate
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_size_mm, node_mesh, plain_mesh
-from phytac_design.mechanics.solve import ShellModel
-from shapes import Cone, Cuboid, Hemisphere, Patch, Plane, Surface
-from shapes.arrays import BoolArray, FloatArray
-from shapes.path import Line
-from shapes.path import Path as Profile
-from shapes.revolved import PathRevolved
+from phytac_design.mechanics.shell.element import R, S
+from phytac_design.mechanics.shell.loads import (
+    _cell_area,
+    curved_points,
+    outer_elements,
+    patch_loads,
+)
+from phytac_design.mechanics.shell.solve import ShellModel
 
 FINGERTIP_MM = 6.0
 MODULUS_MPa, POISSON, WALL_MM = 2200.0, 0.38, 0.8

@@ -21,17 +21,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray
 
 from benchmarks import mechanics_cost
 from benchmarks.ccx_linear import Run, run_linear
 from benchmarks.harness import Table, median_of
-from phytac_design.design_file import load_design
+from phytac_design.design.design_file import load_design
 from phytac_design.mechanics.large.graded import contact_mesh
 from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_patch
-from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
-from phytac_design.mechanics.solve import clamped_model
-from shapes.arrays import FloatArray
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.solve import clamped_model
 
 RADIUS_MM = 6.0
 CENTRE = np.array([60.0, np.pi])
@@ -332,7 +332,7 @@ def startup(table: Table, shell: Shell) -> None:
     bare = np.zeros((1, *small.nodes_mm.shape))
     _, start_s = _job(small, bare, shell.kind)
     _, reading = _job(mesh, load, shell.kind)
-    code = "import phytac_design.mechanics.solve, scipy.sparse.linalg"
+    code = "import phytac_design.mechanics.shell.solve, scipy.sparse.linalg"
     table.add(
         "speed: start-up of ccx, smallest mesh, without analysis",
         start_s,

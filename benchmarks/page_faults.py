@@ -19,7 +19,7 @@ from pathlib import Path
 from benchmarks.harness import Table
 from benchmarks.page_faults_desk import Desk, Disk, Look, Run, files_of, kept
 from benchmarks.page_faults_servers import stream, studio
-from phytac_design.build import MANIFEST, OLD_MANIFEST
+from phytac_design.stages.build import MANIFEST, OLD_MANIFEST
 
 WHOLE = "cylinder60"
 STOPS = ("views", "step", "decoder")

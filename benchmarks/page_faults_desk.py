@@ -11,9 +11,9 @@ from types import TracebackType
 from typing import Self
 
 from benchmarks.harness import Table
-from phytac_design import cache
-from phytac_design.build import MANIFEST
-from phytac_design.design_file import to_toml
+from phytac_design.design.design_file import to_toml
+from phytac_design.engine import cache
+from phytac_design.stages.build import MANIFEST
 
 PHYTAC = (sys.executable, "-m", "phytac_design")
 BYTES, BYTES_LIMIT = 150_000, 60_000
@@ -124,7 +124,7 @@ class Desk:
     """
 
     def __init__(self, root: Path) -> None:
-        from phytac_design.design_file import load_design, parse_design
+        from phytac_design.design.design_file import load_design, parse_design
 
         self.root, self.store = root.resolve(), root.resolve() / "cache"
         data = load_design("cylinder60").model_dump(mode="json")

@@ -21,7 +21,7 @@ from typing import Any, Self
 from benchmarks.harness import Table
 from benchmarks.page_faults_desk import Look, Run
 from benchmarks.page_fuzz_change import changed, changed_table, json_text
-from phytac_design.design_file import load_design
+from phytac_design.design.design_file import load_design
 
 HERE = "127.0.0.1"
 WAIT_S = 30.0

@@ -66,7 +66,7 @@ def _toml(name: str, seeds: list[bytes]) -> Callable[[random.Random], Files]:
 
 
 def _design() -> Reader:
-    from phytac_design.design_file import load_design
+    from phytac_design.design.design_file import load_design
 
     # The points of a patch are 80 kB that say one thing.
     small = [seed for seed in shipped("designs") if len(seed) < 20_000]
@@ -87,14 +87,14 @@ def _study() -> Reader:
 
 
 def _scene() -> Reader:
-    from phytac_design.study.plan.scene import load_scene
+    from phytac_design.design.scene import load_scene
 
     make = _toml("x.toml", shipped("scenes"))
     return Reader(make=make, read=lambda at: load_scene(str(at / "x.toml")), weight=80)
 
 
 def _scenario() -> Reader:
-    from phytac_design.twin.scenario.file import load_scenario
+    from phytac_design.simulation.scenario.file import load_scenario
 
     make = _toml("x.toml", shipped("scenarios"))
     return Reader(make=make, read=lambda at: load_scenario(str(at / "x.toml")), weight=80)
@@ -110,15 +110,15 @@ def _folder_of(write: Callable[[Path], Any]) -> Files:
 
 
 def _written(number: int, folder: Path) -> None:
-    from decoder.samples_write import write_samples
+    from phytac_design.datasets.samples_writer import write_samples
     from tests.decoder.drawn_samples import META, drawn
 
     write_samples(folder, drawn(number), META)
 
 
 def _dataset() -> Reader:
-    from decoder.samples_read import read_samples
-    from decoder.samples_write import table_hash
+    from phytac_design.datasets.samples_reader import read_samples
+    from phytac_design.datasets.samples_writer import table_hash
 
     seeds = [_folder_of(partial(_written, number)) for number in range(3)]
     tables = [json.loads(seed["dataset.json"]) for seed in seeds]
@@ -184,7 +184,8 @@ def _changed_zip(rng: random.Random, data: bytes) -> bytes:
 
 
 def _bundle() -> Reader:
-    from decoder.bundle import load_bundle, save_bundle
+    from phytac_decoder.io.bundle import load_bundle, save_bundle
+
     from phytac_design.study.stability.rooms.readers import bundle
 
     seed = _folder_of(lambda at: save_bundle(bundle(), at))
@@ -247,7 +248,7 @@ MEASURED = (
 
 def _calibration() -> Reader:
     from phytac_design.layout import make_markers
-    from phytac_design.mechanics.calibrate.measurements import read_measurements
+    from phytac_design.mechanics.calibration.measurements import read_measurements
     from phytac_design.study.stability.bases import design_of
 
     design = design_of({"shape": "cylinder"})
@@ -261,7 +262,7 @@ def _calibration() -> Reader:
 
 
 def _stream() -> Reader:
-    from decoder.wire import Splitter, encode
+    from phytac_decoder.serving.wire_protocol import Splitter, encode
 
     messages: list[dict[str, Any]] = [
         {"type": "hello", "format": "phytac-stream", "version": "1.1", "units": {"force": "N"}},
@@ -295,7 +296,7 @@ def _stream() -> Reader:
 
 
 def _positions() -> Reader:
-    from phytac_design.positions import read_positions
+    from phytac_design.design.positions import read_positions
     from phytac_design.study.stability.rooms.readers import POSITIONS
 
     seeds = [POSITIONS.encode(), b"x_mm,y_mm,z_mm\n1,2,3\n# a\n4,5,6\n"]
@@ -304,7 +305,7 @@ def _positions() -> Reader:
 
 
 def _body() -> Reader:
-    from phytac_design.fixture_files import read_stl
+    from phytac_design.design.fixture_files import read_stl
     from phytac_design.study.stability.rooms.readers import BODY
 
     binary = b"\0" * 80 + struct.pack("<I", 2) + struct.pack("<12fH", *range(12), 0) * 2
@@ -313,8 +314,9 @@ def _body() -> Reader:
 
 
 def _lens() -> Reader:
-    from decoder.lens import Pinhole
-    from phytac_design.optics.camera_files import FileFormat, read_lens, write_lens
+    from phytac_decoder.camera.lens import Pinhole
+
+    from phytac_design.design.camera_files import FileFormat, read_lens, write_lens
 
     lens = Pinhole(width_px=640, height_px=480, fx_px=240, fy_px=240, cx_px=319, cy_px=239)
     kinds: tuple[FileFormat, ...] = ("opencv", "ros", "kalibr")
@@ -330,8 +332,7 @@ def _lens() -> Reader:
 
 def _regions() -> Reader:
     import numpy as np
-
-    from decoder.regions import load_regions
+    from phytac_decoder.estimation.force_regions import load_regions
 
     place = np.random.default_rng(0).normal(size=(20, 3))
     seed = (
@@ -343,8 +344,8 @@ def _regions() -> Reader:
 
 
 def _logs() -> Reader:
-    from phytac_design.fabrication.kit.log import read_log
-    from phytac_design.twin.rig.log import Problems, read_rig_log
+    from phytac_design.fabrication.calibration_rig.log import read_log
+    from phytac_design.simulation.rig_import.log import Problems, read_rig_log
 
     bench = (
         b"# step 17, frame 203, 41.250 s\ncontact_marker,patch_radius_mm,force_N,displacement_mm\n"
@@ -354,7 +355,7 @@ def _logs() -> Reader:
     make = texts("x.csv", [bench, rig])
 
     def read(at: Path) -> None:
-        from shapes.errors import InputError
+        from phytac_shapes.errors import InputError
 
         try:
             read_log(at / "x.csv")

@@ -6,9 +6,10 @@ import time
 from collections import Counter
 from pathlib import Path
 
+from phytac_shapes.errors import PhytacError
+
 from benchmarks.page_fuzz_change import changed
-from phytac_design.fabrication.step_surface import surface_from_step
-from shapes.errors import PhytacError
+from phytac_design.solids.step_surface import surface_from_step
 
 HOSTILE = (
     b"",
@@ -23,7 +24,7 @@ HOSTILE = (
 
 def seeds(folder: Path) -> list[bytes]:
     """A free-form face and a box, as STEP."""
-    from phytac_design.fabrication.cad_kernel import cadquery
+    from phytac_design.solids.cad_kernel import cadquery
 
     cq = cadquery()
     points = [

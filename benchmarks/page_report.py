@@ -10,14 +10,14 @@ from typing import Any
 
 from benchmarks.harness import Table, median_of
 from benchmarks.page_browser import DESKTOP, PHONE, Seen, chromium, look, paints_s, shown
-from phytac_design.build import BuildResult, build
-from phytac_design.design_file import load_design
+from phytac_design.design.design_file import load_design
 from phytac_design.report.builds import read_builds
 from phytac_design.report.compare import compare_page
+from phytac_design.stages.build import BuildResult, build
 
 DENSE = "cylinder60-dense"
 PICTURES = Path(__file__).parents[1] / "docs" / "images"
-HELP = "from phytac_design.cli import main; main()"
+HELP = "from phytac_design.cli.app import main; main()"
 
 
 def built(name: str, folder: Path) -> BuildResult:

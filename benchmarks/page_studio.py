@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Table
-from phytac_design.design_file import load_design
+from phytac_design.design.design_file import load_design
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 SOFTWARE_GL = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 START = (
-    "import typer; from phytac_design.cli_studio import studio; typer.run(studio)",
+    "import typer; from phytac_design.cli.studio_command import studio; typer.run(studio)",
     "cylinder60",
     "--no-browser",
 )

@@ -2,10 +2,9 @@
 
 import cv2
 import numpy as np
+from phytac_decoder.io.bundle import Bundle
+from phytac_shapes.arrays import ImageArray
 from scipy.optimize import linear_sum_assignment
-
-from decoder.bundle import Bundle
-from shapes.arrays import ImageArray
 
 
 def plain_opencv(bundle: Bundle, frame: ImageArray) -> None:

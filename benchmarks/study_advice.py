@@ -6,8 +6,8 @@ import numpy as np
 
 from benchmarks.harness import Table
 from benchmarks.study_cases import one_thread
-from phytac_design.accuracy import PRESETS
-from phytac_design.design_file import load_design
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import load_design
 from phytac_design.study.advice.advise import Advice, advise
 from phytac_design.study.advice.judge import FORCES, faults_of
 from phytac_design.study.advice.polish import polish

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.decoder_data import data_folder
-from phytac_design.cache import code_hash
+from phytac_design.core.threads import THREADS
+from phytac_design.engine.cache import code_hash
 from phytac_design.study.search.file import Study
 from phytac_design.study.search.ladder import Outcome, climb, spec_of
 from phytac_design.study.search.sampler import sobol
 from phytac_design.study.search.space import Params, Space, make_space
-from phytac_design.threads import THREADS
 
 THIN = {
     "receptor.diameter_outer_mm": 2.4,

@@ -21,13 +21,13 @@ import numpy as np
 
 from benchmarks.harness import Table
 from benchmarks.study_cases import drawn, one_thread, study_of
-from phytac_design.recording import parquet_library
+from phytac_design.core.parquet_recording import parquet_library
+from phytac_design.core.threads import THREADS
 from phytac_design.study.search.dask_pool import WORKERS, DaskPool
 from phytac_design.study.search.drive import Done, run_study
 from phytac_design.study.search.file import Study
 from phytac_design.study.search.ladder import Outcome, Task, climb, spec_of, task_of
 from phytac_design.study.search.space import Space
-from phytac_design.threads import THREADS
 
 RUNGS = ("rules", "sampled")
 GO = "go"

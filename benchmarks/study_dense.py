@@ -7,11 +7,11 @@ import numpy as np
 
 from benchmarks.decoder_data import data_folder
 from benchmarks.harness import Table
-from phytac_design.build import run_stages, select_stages
-from phytac_design.cache import code_hash
-from phytac_design.design_file import load_design
+from phytac_design.design.design_file import load_design
+from phytac_design.design.spec import Design
+from phytac_design.engine.cache import code_hash
 from phytac_design.optics.density import density_of
-from phytac_design.spec import Design
+from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.study.search.dask_pool import DaskPool
 from phytac_design.study.search.drive import run_study
 from phytac_design.study.search.file import Budget, load_study

@@ -8,7 +8,7 @@ import numpy as np
 from benchmarks.decoder_data import data_folder
 from benchmarks.harness import Table
 from benchmarks.study_cases import THIN, one_thread, study_of
-from phytac_design.cache import code_hash
+from phytac_design.engine.cache import code_hash
 from phytac_design.study.search.drive import Kind, run_study
 from phytac_design.study.search.file import Study
 from phytac_design.study.search.front import hypervolume

@@ -1,16 +1,16 @@
 """The estimator ``auto`` itself on the standard contacts, noise-free, with a build's own tables."""
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray
 
-from phytac_design.accuracy import Accuracy
-from phytac_design.build import run_stages, select_stages
-from phytac_design.design_file import load_design
+from phytac_design.design.accuracy import Accuracy
+from phytac_design.design.design_file import load_design
+from phytac_design.simulation.contacts import switch_states
+from phytac_design.simulation.pressed_series import Seen
+from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.places import locator_of
-from phytac_design.stages.twin import watch_of
-from phytac_design.study.trade.force import REFERENCE, ForceError, extrapolation, rms
-from phytac_design.twin.contacts import switch_states
-from phytac_design.twin.pressed import Seen
-from shapes.arrays import FloatArray
+from phytac_design.stages.response import watch_of
+from phytac_design.study.tradeoff.force import REFERENCE, ForceError, extrapolation, rms
 
 
 def auto_errors(name: str, setting: Accuracy) -> tuple[float, float, int]:

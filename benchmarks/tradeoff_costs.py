@@ -7,18 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from phytac_shapes.errors import PhytacError
 
 from benchmarks.harness import Table
 from benchmarks.tradeoff_budget import empty_cache
 from benchmarks.tradeoff_designs import random_designs
 from benchmarks.tradeoff_journal import once
-from phytac_design.accuracy import PRESETS, Accuracy
-from phytac_design.build import run_stages
-from phytac_design.spec import Design
+from phytac_design.design.accuracy import PRESETS, Accuracy
+from phytac_design.design.spec import Design
 from phytac_design.stages import STAGES
-from phytac_design.study.trade import coefficients
-from phytac_design.study.trade.cost import Work, fit, probe_s, terms
-from shapes.errors import PhytacError
+from phytac_design.stages.build import run_stages
+from phytac_design.study.tradeoff import coefficients
+from phytac_design.study.tradeoff.cost import Work, fit, probe_s, terms
 
 DESIGNS, SEED = 16, 11
 HELD_OUT = 4

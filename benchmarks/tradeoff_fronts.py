@@ -5,12 +5,12 @@ from typing import Any
 
 from benchmarks.harness import RESULTS, Table
 from benchmarks.tradeoff_journal import folder
-from phytac_design.accuracy import PRESETS
-from phytac_design.design_file import load_design
-from phytac_design.study.trade.derive import derive
-from phytac_design.study.trade.front import Measured, beaten_by, knee
-from phytac_design.study.trade.plots import whole_front
-from phytac_design.study.trade.run import presets_of, tradeoff
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import load_design
+from phytac_design.study.tradeoff.derive import derive
+from phytac_design.study.tradeoff.front import Measured, beaten_by, knee
+from phytac_design.study.tradeoff.plots import whole_front
+from phytac_design.study.tradeoff.run import presets_of, tradeoff
 
 DESIGNS = ("cylinder60", "hemisphere", "grip")
 FRONTS = RESULTS / "tradeoff_fronts.json"

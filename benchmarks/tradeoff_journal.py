@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.decoder_data import data_folder
-from phytac_design.cache import code_hash
-from phytac_design.design_file import design_hash
-from phytac_design.spec import Design
+from phytac_design.design.design_file import design_hash
+from phytac_design.design.spec import Design
+from phytac_design.engine.cache import code_hash
 
 
 def folder() -> Path:

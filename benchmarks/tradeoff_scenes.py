@@ -2,7 +2,7 @@
 
 Part of ``python -m benchmarks.tradeoff``. Results of stages lie below ``$PHYTAC_DATA``: a run that
 was killed goes on where it was. ``python -m benchmarks.tradeoff_scenes --units`` measures the unit
-costs that plans are made with and writes them into ``phytac_design/study/plan/units.py``.
+costs that plans are made with and writes them into ``phytac_design/study/planning/units.py``.
 """
 
 import json
@@ -16,22 +16,22 @@ from pprint import pformat
 from typing import Any
 
 import numpy as np
+from phytac_decoder.estimation.decode import Measured
+from phytac_decoder.io.bundle import Bundle, load_bundle
 
 from benchmarks.decoder_data import data_folder
 from benchmarks.harness import Table, argument_parser
-from decoder.bundle import Bundle, load_bundle
-from decoder.run import Measured
-from phytac_design.accuracy import PRESETS
-from phytac_design.design_file import load_design
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import load_design
+from phytac_design.design.scene import load_scene
+from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.layout import make_markers
-from phytac_design.stage import EXPORT, Context
-from phytac_design.study.plan.audit import force_errors, reference_presses
-from phytac_design.study.plan.cost import WITHIN, features, fit_units, probe_s
-from phytac_design.study.plan.counts import count, counts_of
-from phytac_design.study.plan.plan import context_of, plan_scene
-from phytac_design.study.plan.resolve import Resolved, resolve
-from phytac_design.study.plan.scene import load_scene
-from phytac_design.twin.dataset import Dataset
+from phytac_design.simulation.dataset import Dataset
+from phytac_design.study.planning.audit import force_errors, reference_presses
+from phytac_design.study.planning.cost import WITHIN, features, fit_units, probe_s
+from phytac_design.study.planning.counts import count, counts_of
+from phytac_design.study.planning.plan import context_of, plan_scene
+from phytac_design.study.planning.resolve import Resolved, resolve
 
 SHAPES = ("cylinder60", "grip")
 SCENES = ("fingertip", "grip5", "occlusion", "fabrication")
@@ -65,7 +65,7 @@ def measured(design: str, accuracy: str, scene: str = "") -> Cost:
     """Build in a process of its own, from what the benchmark's cache lacks."""
     words = [design, accuracy, *([scene] if scene else [])]
     done = subprocess.run(
-        [sys.executable, "-m", "phytac_design.study.plan.measure", *words],
+        [sys.executable, "-m", "phytac_design.study.planning.measure", *words],
         env={**os.environ, "PHYTAC_CACHE": str(data_folder() / "scenes")},
         stdout=subprocess.PIPE,
         text=True,

@@ -5,17 +5,17 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from phytac_shapes.errors import DesignError, PhytacError
 
 from benchmarks.harness import Table
 from benchmarks.tradeoff_designs import random_designs
 from benchmarks.tradeoff_journal import once
-from phytac_design.accuracy import PRESETS
-from phytac_design.design_file import parse_design
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import parse_design
+from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
-from phytac_design.spec import Design
-from phytac_design.study.trade.choose import choose_tolerance
-from phytac_design.study.trade.force import ForceError, rms
-from shapes.errors import DesignError, PhytacError
+from phytac_design.study.tradeoff.choose import choose_tolerance
+from phytac_design.study.tradeoff.force import ForceError, rms
 
 TOLERANCES = (0.10, 0.05, 0.02, 0.01, 0.005)
 DESIGNS, SEED = 40, 40

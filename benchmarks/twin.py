@@ -17,6 +17,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from scipy.sparse import csc_matrix
 
 from benchmarks import twin_decoders, twin_engine, twin_eyes, twin_theory
@@ -25,17 +26,16 @@ from benchmarks.referee import strip
 from benchmarks.referee.contacts import COUNTS, DATA
 from benchmarks.referee.read import Solved, data_file, read_solved
 from benchmarks.referee.solve import Sensor, sensor
-from phytac_design.accuracy import PRESETS
+from phytac_design.design.accuracy import PRESETS
 from phytac_design.mechanics.large.modified import Modified
 from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.pressure import Holes, touch_loads
-from phytac_design.mechanics.solve import ShellModel
-from phytac_design.twin.contacts import Contacts
-from phytac_design.twin.feet import Feet
-from phytac_design.twin.response import point_motions, turned_points
-from phytac_design.twin.shell import truth_shell
-from phytac_design.twin.touch import flat_touches
-from shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_design.mechanics.shell.pressure import Holes, touch_loads
+from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_design.simulation.contacts import Contacts
+from phytac_design.simulation.indenters import flat_touches
+from phytac_design.simulation.instance_shell import truth_shell
+from phytac_design.simulation.receptor_kinematics import Feet
+from phytac_design.simulation.response import point_motions, turned_points
 
 SOURCE = "CalculiX NLGEOM, quadratic tetrahedra of the CAD (benchmarks/referee)"
 QUICK = 4

@@ -8,11 +8,16 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from phytac_decoder.estimation.decode import locate_markers
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.errors import InputError
 
 from benchmarks.harness import Table
-from decoder.run import locate_markers
-from phytac_design.build import copy_of
+from phytac_design.core.threads import THREADS, one_thread_each
+from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.exposure import CLEAN, Exposure, expose, lens_blur, light_on_chip
 from phytac_design.optics.frame import render_frame, sample_views
@@ -20,19 +25,14 @@ from phytac_design.optics.light import triangle_light
 from phytac_design.optics.picture import render_picture
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.scene import build_scene
-from phytac_design.optics.view import cameras_of, tolerance_mm
-from phytac_design.spec import Design
-from phytac_design.threads import THREADS, one_thread_each
-from phytac_design.twin.contacts import draw_contacts, switch_states
-from phytac_design.twin.response import motion_responses, superpose
-from phytac_design.twin.scenario.tables import SolveSection
-from phytac_design.twin.shell import truth_shell
-from phytac_design.twin.sight.eyes import Eyes
-from phytac_design.twin.sight.nominal import expected_views
-from phytac_design.twin.unit import Unit, WallField
-from shapes import Surface
-from shapes.arrays import FloatArray, ImageArray
-from shapes.errors import InputError
+from phytac_design.simulation.contacts import draw_contacts, switch_states
+from phytac_design.simulation.imaging.imaging_model import Eyes
+from phytac_design.simulation.imaging.nominal import expected_views
+from phytac_design.simulation.instance_shell import truth_shell
+from phytac_design.simulation.response import motion_responses, superpose
+from phytac_design.simulation.scenario.tables import SolveSection
+from phytac_design.simulation.sensor_instance import Unit, WallField
+from phytac_design.stages.build import copy_of
 
 FORCE_N = 25.0
 EDGE_LEVELS, EDGE_PX = 8.0, 1

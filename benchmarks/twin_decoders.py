@@ -8,19 +8,19 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from phytac_decoder.io.bundle import Bundle, load_bundle
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 from benchmarks.harness import Table
 from benchmarks.twin_engine import SEED, changed
-from decoder.bundle import Bundle, load_bundle
-from decoder.samples import FAILED, Samples
-from decoder.samples_read import read_samples
-from phytac_design.accuracy import Preset
-from phytac_design.build import build
-from phytac_design.design_file import load_design
-from phytac_design.simulate import simulate
-from phytac_design.twin.judge import contact_forces
-from phytac_design.twin.run.job import Job
-from shapes.arrays import BoolArray, FloatArray
+from phytac_design.datasets.samples import FAILED, Samples
+from phytac_design.datasets.samples_reader import read_samples
+from phytac_design.design.accuracy import Preset
+from phytac_design.design.design_file import load_design
+from phytac_design.simulation.force_errors import contact_forces
+from phytac_design.simulation.run.job import Job
+from phytac_design.stages.build import build
+from phytac_design.workflows.simulate import simulate
 
 DESIGN = "cylinder60"
 NAMES = ("fem", "fem_nn", "koi_inverse")

@@ -11,18 +11,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from phytac_shapes.errors import InputError, PhytacError
 
 from benchmarks.harness import Table
-from decoder.samples import STATUSES
-from decoder.samples_read import read_samples
-from decoder.samples_write import FILE, TABLE
-from phytac_design.accuracy import Preset
-from phytac_design.design_file import load_design, shipped_designs
-from phytac_design.simulate import Result, simulate
-from phytac_design.twin.run.job import Job
-from phytac_design.twin.run.journal import WORK
-from phytac_design.twin.scenario.file import Scenario, load_scenario, parse_scenario
-from shapes.errors import InputError, PhytacError
+from phytac_design.datasets.samples import STATUSES
+from phytac_design.datasets.samples_reader import read_samples
+from phytac_design.datasets.samples_writer import FILE, TABLE
+from phytac_design.design.accuracy import Preset
+from phytac_design.design.design_file import load_design, shipped_designs
+from phytac_design.simulation.run.job import Job
+from phytac_design.simulation.run.journal import WORK
+from phytac_design.simulation.scenario.file import Scenario, load_scenario, parse_scenario
+from phytac_design.workflows.simulate import Result, simulate
 
 KILLS = 10
 SPARE = 0.15

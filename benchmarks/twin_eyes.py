@@ -6,6 +6,7 @@
 from functools import partial
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray
 
 from benchmarks.harness import Table, arguments
 from benchmarks.twin_camera import (
@@ -21,9 +22,8 @@ from benchmarks.twin_camera import (
     samples_of_a_pixel,
     timed,
 )
-from phytac_design.build import copy_of
-from phytac_design.design_file import load_design, shipped_designs
-from shapes.arrays import FloatArray
+from phytac_design.design.design_file import load_design, shipped_designs
+from phytac_design.stages.build import copy_of
 
 DRAWS = 16
 """Draws of noise that are averaged, to leave that which hangs on the place on the pixels."""

@@ -13,23 +13,23 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 from benchmarks.harness import Table
-from phytac_design.design_file import load_design
+from phytac_design.design.design_file import load_design
+from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.large.newton import Loading
 from phytac_design.mechanics.large.path import solve_large
-from phytac_design.spec import Design
-from phytac_design.twin.contacts import draw_contacts
-from phytac_design.twin.response import point_motions, turned_points
-from phytac_design.twin.scenario.file import UnitSection
-from phytac_design.twin.scenario.region import touched_region
-from phytac_design.twin.scenario.scatter import draw_unit
-from phytac_design.twin.solver import Displacement, Solver
-from phytac_design.twin.touch import Touches, flat_touches
-from phytac_design.twin.unit import Unit
-from shapes import Surface
-from shapes.arrays import FloatArray
+from phytac_design.simulation.contacts import draw_contacts
+from phytac_design.simulation.indenters import Touches, flat_touches
+from phytac_design.simulation.response import point_motions, turned_points
+from phytac_design.simulation.scenario.file import UnitSection
+from phytac_design.simulation.scenario.region import touched_region
+from phytac_design.simulation.scenario.scatter import draw_unit
+from phytac_design.simulation.sensor_instance import Unit
+from phytac_design.simulation.solver import Displacement, Solver
 
 SAMPLES, FINEST, REFINES = 24, 13, (5, 7, 9)
 NEWTON = {5: 12, 7: 6, 9: 6}

@@ -11,6 +11,7 @@ import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 from numpy.typing import NDArray
+from phytac_decoder.camera.camera import Camera
 
 from benchmarks import (
     visibility_extremes,
@@ -20,16 +21,15 @@ from benchmarks import (
 )
 from benchmarks.harness import Table, run_parts
 from benchmarks.visibility_lenses import busy
-from decoder.camera import Camera
-from phytac_design.design_file import load_design
+from phytac_design.design.design_file import load_design
+from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.optics.density import density_of
 from phytac_design.optics.frame import render_frame
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.scene import Scene, build_scene
-from phytac_design.optics.view import camera_of, tolerance_mm
 from phytac_design.optics.visibility import Visibility, check_visibility
-from phytac_design.spec import Design
 
 CHUNK = 500_000
 STUDY = "design study of this sensor"

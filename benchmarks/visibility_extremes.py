@@ -27,7 +27,7 @@ MEMORY_MAX_BYTES = 12 << 30
 PROGRAM = (
     "import resource, sys; limit = int(sys.argv.pop(1)); "
     "resource.setrlimit(resource.RLIMIT_AS, (limit, limit)); "
-    "from phytac_design.cli import main; main()"
+    "from phytac_design.cli.app import main; main()"
 )
 SOON_S = 10.0
 """A design that cannot be built is refused within this time, Python's start counted."""

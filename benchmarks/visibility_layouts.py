@@ -5,24 +5,24 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from phytac_shapes.errors import DesignError
 
 from benchmarks.harness import Table
-from phytac_design.accuracy import PRESETS
-from phytac_design.build import copy_of
-from phytac_design.design_file import load_design
-from phytac_design.layout.places import press_places
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import load_design
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context
+from phytac_design.layout.cameras import camera_of, tolerance_mm
+from phytac_design.layout.worst_places import press_places
 from phytac_design.optics.gaps import marker_gaps, outline_gaps
+from phytac_design.optics.incremental_renderer import Watch
+from phytac_design.optics.loaded_visibility import UnderLoad, press_all, sight_of
 from phytac_design.optics.raster import pixels_alone, rasterise
 from phytac_design.optics.scene import build_scene, paint_owner
-from phytac_design.optics.underload import UnderLoad, press_all, sight_of
-from phytac_design.optics.view import camera_of, tolerance_mm
 from phytac_design.optics.visibility import Visibility, check_visibility
-from phytac_design.optics.watch import Watch
 from phytac_design.rules import check_design
-from phytac_design.spec import Design
-from phytac_design.stage import Context
-from phytac_design.stages.underload import Pressing, see_pressed
-from shapes.errors import DesignError
+from phytac_design.stages.build import copy_of
+from phytac_design.stages.loaded_views import Pressing, see_pressed
 
 STUDY = "design study of this sensor"
 PLACES, PLACES_DENSE, PLACES_SCAN = 8, 40, 24

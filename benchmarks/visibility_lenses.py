@@ -14,21 +14,21 @@ import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 from numpy.typing import NDArray
+from phytac_decoder.camera.camera import Camera
+from phytac_decoder.camera.lens import Lens
+from phytac_shapes.arrays import FloatArray
 
 from benchmarks.harness import Table, arguments
-from decoder.camera import Camera
-from decoder.lens import Lens
-from phytac_design.build import copy_of
-from phytac_design.design_file import load_design, parse_design, shipped_designs
+from phytac_design.design.design_file import load_design, parse_design, shipped_designs
+from phytac_design.design.spec import CameraSection, Design
 from phytac_design.layout import make_markers
-from phytac_design.optics.bent import reach_of
+from phytac_design.layout.cameras import cameras_of, tolerance_mm
+from phytac_design.optics.distorted_triangles import reach_of
 from phytac_design.optics.raster import pixels_alone, rasterise
 from phytac_design.optics.rays import pixel_rays, ray_grid
-from phytac_design.optics.sampled import RAYS, sampled_fraction
+from phytac_design.optics.sampled_visibility import RAYS, sampled_fraction
 from phytac_design.optics.scene import Scene, build_scene, paint_owner
-from phytac_design.optics.view import cameras_of, tolerance_mm
-from phytac_design.spec import CameraSection, Design
-from shapes.arrays import FloatArray
+from phytac_design.stages.build import copy_of
 
 CHUNK = 500_000
 EMBREE = "Embree 4 (embreex), one float32 ray per pixel centre"

@@ -3,7 +3,7 @@
 import os
 import signal
 
-# As the command line does, before numpy loads (see ``phytac_design.cli``).
+# As the command line does, before numpy loads (see ``phytac_design.cli.app``).
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from collections.abc import Callable
@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from phytac_design.build import BuildResult, build
+from phytac_design.engine.stage import graphics_libraries
 from phytac_design.mechanics.switch import design, feasible
-from phytac_design.stage import graphics_libraries
+from phytac_design.stages.build import BuildResult, build
 from tests.designs import small
 
 

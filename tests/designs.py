@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.design_file import load_design, parse_design
-from phytac_design.spec import Design
+from phytac_design.design.design_file import load_design, parse_design
+from phytac_design.design.spec import Design
 
 
 def changed(base: str = "cylinder60", **tables: Any) -> Design:

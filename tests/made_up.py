@@ -1,9 +1,8 @@
 """What frames might have told, made up."""
 
 import numpy as np
-
-from decoder.found import Found, Located
-from shapes.arrays import FloatArray
+from phytac_decoder.estimation.contact_estimates import Found, Located
+from phytac_shapes.arrays import FloatArray
 
 
 def found_of(*contacts: Located, shift_px: FloatArray) -> Found:

@@ -8,17 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from decoder.bundle import load_bundle
-from decoder.estimators import ESTIMATORS
-from decoder.run import measure_frame, read_image, rest_positions
-from phytac_design import cache
-from phytac_design.accuracy import PRESETS
-from phytac_design.build import BuildResult, build
-from phytac_design.design_file import load_design, parse_design, to_toml
-from phytac_design.layout import make_markers
-from phytac_design.stages import STAGES
-from shapes.errors import (
+from phytac_decoder.estimation.decode import measure_frame, read_image, rest_positions
+from phytac_decoder.estimation.estimators import ESTIMATORS
+from phytac_decoder.io.bundle import load_bundle
+from phytac_shapes.errors import (
     CadKernelError,
     DesignError,
     InputError,
@@ -26,6 +19,13 @@ from shapes.errors import (
     OutputError,
     PhytacError,
 )
+
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import load_design, parse_design, to_toml
+from phytac_design.engine import cache
+from phytac_design.layout import make_markers
+from phytac_design.stages import STAGES
+from phytac_design.stages.build import BuildResult, build
 from tests.designs import changed, small
 
 CONTRACT = {
@@ -174,9 +174,9 @@ def test_same_inputs_give_the_same_files(
 
 
 def test_a_spiral_whose_straight_rows_cannot_be_made_is_not_compared(tmp_path: Path) -> None:
-    from phytac_design.accuracy import PRESETS
-    from phytac_design.design_file import load_design
-    from phytac_design.stage import Context
+    from phytac_design.design.accuracy import PRESETS
+    from phytac_design.design.design_file import load_design
+    from phytac_design.engine.stage import Context
     from phytac_design.stages.views import run_compare
 
     context = Context(design=load_design("cylinder60-dense"), accuracy=PRESETS["draft"], seed=0)
@@ -264,7 +264,7 @@ def test_without_graphics_libraries_only_the_step_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A machine without libGL: cadquery cannot be imported, pyrender gets no context."""
-    from phytac_design import stage
+    from phytac_design.engine import stage
     from phytac_design.stages import shell, views
 
     def absent(*_: object, **__: object) -> None:
@@ -272,7 +272,7 @@ def test_without_graphics_libraries_only_the_step_is_left_out(
 
     none = {"libEGL.so.1": False, "libGL.so.1": False, "libX11.so.6": False}
     monkeypatch.setattr(stage, "graphics_libraries", lambda: none)
-    monkeypatch.setattr("phytac_design.fabrication.cad.shell_cad", absent)
+    monkeypatch.setattr("phytac_design.solids.cad.shell_cad", absent)
     monkeypatch.setattr("phytac_design.fabrication.hardware.by_cad.cadquery", absent)
     monkeypatch.setattr("phytac_design.optics.picture.render_picture", absent)
     assert shell.STEP.graphics
@@ -293,7 +293,7 @@ def test_a_shell_that_the_cad_kernel_cannot_fuse_is_printed_all_the_same(
     def broken(*_: object) -> None:
         raise CadKernelError("OpenCASCADE cannot fuse receptors and wall: 4 solids instead of 1")
 
-    monkeypatch.setattr("phytac_design.fabrication.cad.shell_cad", broken)
+    monkeypatch.setattr("phytac_design.solids.cad.shell_cad", broken)
     monkeypatch.setattr("phytac_design.fabrication.hardware.step.shell_cad", broken)
     whole = replace(PRESETS["draft"], cad_tolerance_mm=0.02)
     only = ["step", "hardware"]
@@ -353,7 +353,7 @@ def test_rest_positions_are_close_in_mm(built: BuildResult) -> None:
 
 @pytest.mark.parametrize("name", ["cylinder60", "cylinder40"])
 def test_shipped_designs_pass_their_checks(name: str) -> None:
-    from phytac_design.check import check_design
+    from phytac_design.rules.check import check_design
 
     surface, markers = check_design(load_design(name))
     assert markers.count == make_markers(load_design(name), surface).count

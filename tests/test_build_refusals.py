@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
+from phytac_shapes.errors import DesignError
 
-from phytac_design.build import build
 from phytac_design.mechanics.switch import fit
-from shapes.errors import DesignError
+from phytac_design.stages.build import build
 from tests.designs import small
 
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phytac_design.design_file import load_design, to_toml
+from phytac_design.design.design_file import load_design, to_toml
+from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.calibrate.measurements import Measurements
-from phytac_design.mechanics.calibrate.probe_response import ProbeResponse
-from phytac_design.mechanics.receptors import receptor_stiffness
-from phytac_design.spec import Design
+from phytac_design.mechanics.calibration.measurements import Measurements
+from phytac_design.mechanics.calibration.probe_response import ProbeResponse
+from phytac_design.mechanics.shell.receptor_stiffness import receptor_stiffness
 from tests.designs import small
 from tests.test_cli import phytac
 

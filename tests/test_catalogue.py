@@ -2,25 +2,25 @@
 
 from dataclasses import fields
 
+import phytac_shapes
 import pytest
+from phytac_shapes.errors import DesignError
 
-import shapes
-from phytac_design.catalogue import shape_facts, shape_list, shape_page
-from shapes.errors import DesignError
+from phytac_design.design.catalogue import shape_facts, shape_list, shape_page
 
 
 def test_every_family_has_its_line() -> None:
     lines = shape_list().splitlines()
-    for line, name in zip(lines, shapes.REGISTRY, strict=False):
+    for line, name in zip(lines, phytac_shapes.REGISTRY, strict=False):
         assert line.startswith(f"{name} ")
         assert line.endswith(".")
 
 
-@pytest.mark.parametrize("name", sorted(shapes.REGISTRY))
+@pytest.mark.parametrize("name", sorted(phytac_shapes.REGISTRY))
 def test_a_page_names_every_variable_with_its_range_and_default(name: str) -> None:
     page = shape_page(name)
     assert f'kind = "{name}"' in page
-    for item in fields(shapes.REGISTRY[name]):
+    for item in fields(phytac_shapes.REGISTRY[name]):
         (line,) = [text for text in page.splitlines() if text.startswith(f"{item.name} = ")]
         needed = next(
             entry["required"]

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from phytac_design.build import BuildResult
-from phytac_design.cli import main
+from phytac_design.cli.app import main
+from phytac_design.stages.build import BuildResult
 
-PHYTAC = [sys.executable, "-c", "from phytac_design.cli import main; main()"]
+PHYTAC = [sys.executable, "-c", "from phytac_design.cli.app import main; main()"]
 """A process of its own: starting one takes a second."""
 
 

@@ -17,21 +17,21 @@ import cv2
 import numpy as np
 import pytest
 import typer
+from phytac_decoder.estimation.force_regions import Region
+from phytac_decoder.io import live_camera
+from phytac_decoder.io.bundle import save_bundle
+from phytac_decoder.serving.sensor_loop import Progress
+from phytac_shapes.arrays import ImageArray
+from phytac_shapes.errors import InputError, MissingPartError, OutputError, PhytacError
 from typer.testing import CliRunner
 
-from decoder import live
-from decoder.bundle import save_bundle
-from decoder.regions import Region
-from decoder.stream import Progress
-from phytac_design import cli_decode
-from phytac_design.cli_decode import Teller, decode
-from shapes.arrays import ImageArray
-from shapes.errors import InputError, MissingPartError, OutputError, PhytacError
+from phytac_design.cli import decode_command
+from phytac_design.cli.decode_command import Teller, decode
 from tests.decoder.toy_sensor import toy_bundle, toy_frame
 
 PRESSES: list[Mapping[int, float]] = [{}, {14: 3.0}, {14: 3.0, 15: 1.5, 29: 2.0}, {7: 2.0}]
 PATIENCE_S = 60.0
-COMMAND = "import typer\nfrom phytac_design.cli_decode import decode\ntyper.run(decode)"
+COMMAND = "import typer\nfrom phytac_design.cli.decode_command import decode\ntyper.run(decode)"
 ALONE = [sys.executable, "-c", COMMAND]
 
 app = typer.Typer()
@@ -320,8 +320,8 @@ def test_what_a_camera_gave_is_kept_when_it_goes(
     toy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
-    monkeypatch.setattr(live.cv2, "VideoCapture", FakeCamera)
-    monkeypatch.setattr(live, "SILENT_S", 0.5)
+    monkeypatch.setattr(live_camera.cv2, "VideoCapture", FakeCamera)
+    monkeypatch.setattr(live_camera, "SILENT_S", 0.5)
     out = tmp_path / "out.parquet"
     with pytest.raises(InputError, match=r"camera 7 has given no frame for 0\.5 s"):
         run(toy / "decoder", "7", "--parquet", out)
@@ -333,7 +333,7 @@ def test_what_a_camera_gave_is_kept_when_it_goes(
 
 def test_progress_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     for count, words in ((40, "12 of 40 frames, 6.0 a second"), (None, "12 frames, 6.0 a second")):
-        cli_decode._progress(count, rows=False)(Progress(seconds=2.0, frames=12, fps=6.0))
+        decode_command._progress(count, rows=False)(Progress(seconds=2.0, frames=12, fps=6.0))
         assert words in capsys.readouterr().err
 
 

@@ -16,8 +16,8 @@ from unittest import mock
 
 import pytest
 
-from phytac_design import reports
-from phytac_design.reports import Reports
+from phytac_design.cli import console_reporter
+from phytac_design.cli.console_reporter import Reports
 from tests.decoder.toy_sensor import toy_recording
 from tests.test_cli import PHYTAC
 
@@ -59,19 +59,19 @@ def test_reports_keep_their_order_and_end_whole() -> None:
 
 
 def test_nobody_waits_for_a_reader_that_does_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reports, "FLUSH_S", 0.3)
+    monkeypatch.setattr(console_reporter, "FLUSH_S", 0.3)
     with piped() as pipe:
         fill(sys.stderr.fileno())
         begun = time.monotonic()
         with Reports() as tell:
-            for number in range(3 * reports.WAITING):
+            for number in range(3 * console_reporter.WAITING):
                 tell(f"line {number}")
             assert time.monotonic() - begun < 1.0
         assert time.monotonic() - begun < 2.0
         # As soon as somebody reads, those that waited come, the oldest of them first.
         data = b""
         until = time.monotonic() + PATIENCE_S
-        while data.count(b"\n") < reports.WAITING:
+        while data.count(b"\n") < console_reporter.WAITING:
             assert time.monotonic() < until
             with contextlib.suppress(BlockingIOError):
                 data += os.read(pipe, 65536)

@@ -8,18 +8,18 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import InputError, NumericalError
 
-from decoder.samples import FAILED
-from phytac_design.learn.cnn import CnnTrained, Lessons, parameter_count, train_cnn
-from phytac_design.learn.cnn_data import (
+from phytac_design.datasets.samples import FAILED
+from phytac_design.training.cnn import CnnTrained, Lessons, parameter_count, train_cnn
+from phytac_design.training.cnn_data import (
     FRAME_PX,
     marker_forces,
     places_in_frame,
     read_frames,
     reduced,
 )
-from shapes.arrays import BoolArray, FloatArray
-from shapes.errors import InputError, NumericalError
 from tests.decoder.drawn_samples import drawn
 
 WIDTH, HEIGHT = 32, 24

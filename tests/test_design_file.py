@@ -4,8 +4,9 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from phytac_shapes.errors import DesignError, OutputError
 
-from phytac_design.design_file import (
+from phytac_design.design.design_file import (
     assumptions,
     design_hash,
     load_design,
@@ -14,8 +15,7 @@ from phytac_design.design_file import (
     to_toml,
     write_new_design,
 )
-from phytac_design.spec import Design
-from shapes.errors import DesignError, OutputError
+from phytac_design.design.spec import Design
 from tests.designs import small
 
 MINIMAL = {"name": "a", "shape": {"kind": "cylinder", "diameter_outer_mm": 60, "length_mm": 120}}

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from phytac_design.cli import app
+from phytac_design.cli.app import app
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()

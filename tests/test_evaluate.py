@@ -10,21 +10,21 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from phytac_decoder.estimation.estimators import ForceModel
+from phytac_decoder.io.bundle import Bundle, save_bundle
+from phytac_shapes.errors import DesignError, InputError, NumericalError, OutputError
 from typer.testing import CliRunner
 
-from decoder.bundle import Bundle, save_bundle
-from decoder.estimators import ForceModel
-from decoder.samples import Meta, Samples
-from decoder.samples_write import file_hash, write_samples
-from phytac_design.cli import app
-from phytac_design.design_file import design_hash, to_toml
-from phytac_design.evaluate.contacts import decode_contacts
-from phytac_design.evaluate.groups import Places, groups_of, places
-from phytac_design.evaluate.plots import decoded_against_true
-from phytac_design.evaluate.run import TABLE, evaluate
-from phytac_design.learn.data import DataSet
-from phytac_design.learn.join import join
-from shapes.errors import DesignError, InputError, NumericalError, OutputError
+from phytac_design.cli.app import app
+from phytac_design.datasets.samples import Meta, Samples
+from phytac_design.datasets.samples_writer import file_hash, write_samples
+from phytac_design.design.design_file import design_hash, to_toml
+from phytac_design.training.evaluation.contacts import decode_contacts
+from phytac_design.training.evaluation.groups import Places, groups_of, places
+from phytac_design.training.evaluation.plots import decoded_against_true
+from phytac_design.training.join_datasets import join
+from phytac_design.training.training_data import DataSet
+from phytac_design.workflows.evaluate_decoder import TABLE, evaluate
 from tests.decoder.toy_sensor import toy_bundle
 from tests.designs import small
 from tests.drawn_presses import meta_of, presses
@@ -49,7 +49,7 @@ def toy_meta(**changes: object) -> Meta:
 def _without_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures take most of the time, and are looked at by one test."""
     if "pictures" not in request.node.name:
-        monkeypatch.setattr("phytac_design.evaluate.run.draw", lambda *_: {})
+        monkeypatch.setattr("phytac_design.workflows.evaluate_decoder.draw", lambda *_: {})
 
 
 @pytest.fixture

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phytac_design.design_file import to_toml
+from phytac_design.design.design_file import to_toml
+from phytac_design.engine.stage import graphics_libraries
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.solid.export import run_ccx
-from phytac_design.stage import graphics_libraries
+from phytac_design.mechanics.solid.solid_writers import run_ccx
 from tests.designs import small
 from tests.test_cli import phytac
 

@@ -8,14 +8,14 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
+import phytac_shapes
 import pytest
+from phytac_shapes.notebook_html import MARGIN, map_svg
 
-import shapes
-from phytac_design.build import BuildResult
-from phytac_design.design_file import load_design, shipped_designs
+from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.layout import make_markers
-from phytac_design.notebook import chart_mm
-from shapes.show import MARGIN, map_svg
+from phytac_design.stages.build import BuildResult
+from phytac_design.studio.notebook import chart_mm
 from tests.designs import changed, drawn, small
 
 ROOT = Path(__file__).parents[1]
@@ -93,7 +93,7 @@ def test_text_of_the_reader_is_escaped() -> None:
     assert 'aria-label="&lt;i&gt;"' in marker
 
 
-@pytest.mark.parametrize("kind", sorted(shapes.REGISTRY))
+@pytest.mark.parametrize("kind", sorted(phytac_shapes.REGISTRY))
 def test_surfaces_show_their_facts_and_chart(kind: str) -> None:
     surface = drawn(kind, 3).surface()
     page = Page(surface._repr_html_())
@@ -131,14 +131,14 @@ def test_builds_show_their_files(built: BuildResult) -> None:
 
 def test_nothing_heavy_is_imported_for_it() -> None:
     code = (
-        "import sys\nfrom phytac_design.design_file import load_design\n"
+        "import sys\nfrom phytac_design.design.design_file import load_design\n"
         "load_design('cylinder40')._repr_html_()\n"
         "heavy = {'matplotlib', 'cadquery', 'torch', 'pyrender', 'IPython'}\n"
         "print(sorted(heavy & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-    code = "import sys, shapes, phytac_design.spec\nprint('phytac_design.notebook' in sys.modules)"
+    code = "import sys, shapes, phytac_design.design.spec\nprint('phytac_design.studio.notebook' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 

@@ -10,16 +10,16 @@ import numpy as np
 import onnx
 import pytest
 from onnx.reference import ReferenceEvaluator
+from phytac_decoder.estimation.cascade_network import CascadeNetwork, parameter_count
+from phytac_decoder.io.bundle import load_bundle, save_bundle
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import InputError, NumericalError, OutputError
 from typer.testing import CliRunner
 
-from decoder.bundle import load_bundle, save_bundle
-from decoder.network import CascadeNetwork, parameter_count
-from phytac_design.cli import app
-from phytac_design.learn import onnx_export
-from phytac_design.learn.data import bundle_hash
-from phytac_design.learn.onnx_export import export_onnx
-from shapes.arrays import FloatArray
-from shapes.errors import InputError, NumericalError, OutputError
+from phytac_design.cli.app import app
+from phytac_design.training import onnx_export
+from phytac_design.training.onnx_export import export_onnx
+from phytac_design.training.training_data import bundle_hash
 from tests.decoder.toy_sensor import toy_bundle
 
 NAMES = {"fem_nn": "rectified", "fem_nn_identity": "identity"}
@@ -156,7 +156,7 @@ def test_the_command(bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert facts["out"] == str(out)
     assert facts["difference"] <= 1e-12
     assert "network of fem_nn_identity" in CliRunner().invoke(app, words).stdout
-    monkeypatch.delitem(sys.modules, "phytac_design.learn.onnx_export")
+    monkeypatch.delitem(sys.modules, "phytac_design.training.onnx_export")
     monkeypatch.setitem(sys.modules, "onnx", None)
     lacking = CliRunner().invoke(app, words)
     assert isinstance(lacking.exception, InputError)

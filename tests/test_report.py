@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-from phytac_design.accuracy import PRESETS
-from phytac_design.build import BuildResult
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.engine.stage import Context, write_arrays, write_facts
 from phytac_design.layout import make_markers
-from phytac_design.optics.view import cameras_of
+from phytac_design.layout.cameras import cameras_of
 from phytac_design.report import figures, maps, names, page, scores, sections, verdict
 from phytac_design.report.drawing import Drawing
-from phytac_design.stage import Context, write_arrays, write_facts
+from phytac_design.stages.build import BuildResult
 from phytac_design.stages.report import forced_past
 from phytac_design.stages.views import run_views
 from tests.designs import DRAWN, drawn, small

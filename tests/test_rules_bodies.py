@@ -5,16 +5,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
-from phytac_design.check import check_design
+from phytac_design.design.spec import Design
+from phytac_design.geometry.overlaps import distance_mm, tube_overlaps_mm, within
+from phytac_design.geometry.strips import Mesh, cylinder_mesh
 from phytac_design.layout import make_markers
-from phytac_design.optics.fixtures import fixture_mesh
-from phytac_design.optics.mesh import Mesh, cylinder_mesh
+from phytac_design.optics.fixture_bodies import fixture_mesh
 from phytac_design.rules.bodies import wall_overlap_mm
-from phytac_design.rules.solids import distance_mm, tube_overlaps_mm, within
-from phytac_design.spec import Design
-from shapes.arrays import FloatArray
-from shapes.errors import DesignError
+from phytac_design.rules.check import check_design
 from tests.designs import of_shape
 from tests.optics.cases import make_design
 

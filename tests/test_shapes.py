@@ -3,18 +3,17 @@
 from collections.abc import Callable
 
 import numpy as np
+import phytac_shapes
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-
-import shapes
-from shapes.errors import DesignError
+from phytac_shapes.errors import DesignError
 
 seeds = st.integers(0, 2**32 - 1)
-Maker = Callable[[np.random.Generator], shapes.Surface]
+Maker = Callable[[np.random.Generator], phytac_shapes.Surface]
 
 
-def drawn_patch(rng: np.random.Generator) -> shapes.Surface:
+def drawn_patch(rng: np.random.Generator) -> phytac_shapes.Surface:
     """Patch of 3 to 5 by 3 to 5 points, gently waved and evenly spaced up to a jitter."""
     rows, columns = rng.integers(3, 6, size=2)
     size = rng.uniform(2.0, 40.0)
@@ -22,12 +21,12 @@ def drawn_patch(rng: np.random.Generator) -> shapes.Surface:
     grid[..., 1] = size * np.arange(rows)[:, None]
     grid[..., 0] = size * np.arange(columns)
     grid += rng.uniform(-0.08, 0.08, grid.shape) * size
-    return shapes.Patch(points_mm=tuple(tuple(map(tuple, row)) for row in grid.tolist()))
+    return phytac_shapes.Patch(points_mm=tuple(tuple(map(tuple, row)) for row in grid.tolist()))
 
 
-def drawn_cuboid(rng: np.random.Generator) -> shapes.Surface:
+def drawn_cuboid(rng: np.random.Generator) -> phytac_shapes.Surface:
     width, depth = rng.uniform(5.0, 200.0, 2)
-    return shapes.Cuboid(
+    return phytac_shapes.Cuboid(
         width_mm=width,
         depth_mm=depth,
         length_mm=rng.uniform(5.0, 400.0),
@@ -35,8 +34,8 @@ def drawn_cuboid(rng: np.random.Generator) -> shapes.Surface:
     )
 
 
-def drawn_cone(rng: np.random.Generator) -> shapes.Surface:
-    return shapes.Cone(
+def drawn_cone(rng: np.random.Generator) -> phytac_shapes.Surface:
+    return phytac_shapes.Cone(
         diameter_near_mm=rng.uniform(5.0, 200.0),
         diameter_far_mm=rng.uniform(5.0, 200.0),
         length_mm=rng.uniform(5.0, 300.0),
@@ -44,35 +43,35 @@ def drawn_cone(rng: np.random.Generator) -> shapes.Surface:
     )
 
 
-def drawn_grip(rng: np.random.Generator) -> shapes.Surface:
-    return shapes.Grip(
+def drawn_grip(rng: np.random.Generator) -> phytac_shapes.Surface:
+    return phytac_shapes.Grip(
         diameters_mm=tuple(rng.uniform(30.0, 45.0, int(rng.integers(2, 7))).tolist()),
         length_mm=rng.uniform(80.0, 300.0),
     )
 
 
 DRAWN: dict[str, Maker] = {
-    "cylinder": lambda rng: shapes.Cylinder(
+    "cylinder": lambda rng: phytac_shapes.Cylinder(
         diameter_outer_mm=rng.uniform(1.0, 500.0), length_mm=rng.uniform(1.0, 500.0)
     ),
     "cone": drawn_cone,
-    "plane": lambda rng: shapes.Plane(
+    "plane": lambda rng: phytac_shapes.Plane(
         width_mm=rng.uniform(5.0, 200.0),
         height_mm=rng.uniform(5.0, 200.0),
         tilt_deg=rng.uniform(-60.0, 60.0),
     ),
     "cuboid": drawn_cuboid,
-    "hemisphere": lambda rng: shapes.Hemisphere(
+    "hemisphere": lambda rng: phytac_shapes.Hemisphere(
         diameter_outer_mm=rng.uniform(5.0, 300.0),
         skirt_mm=float(rng.choice([0.0, rng.uniform(1.0, 50.0)])),
     ),
     "grip": drawn_grip,
     "patch": drawn_patch,
 }
-every_shape = pytest.mark.parametrize("kind", sorted(shapes.REGISTRY))
+every_shape = pytest.mark.parametrize("kind", sorted(phytac_shapes.REGISTRY))
 
 
-def draw(kind: str, seed: int) -> tuple[shapes.Surface, np.ndarray, float]:
+def draw(kind: str, seed: int) -> tuple[phytac_shapes.Surface, np.ndarray, float]:
     """Surface, 60 chart points (a little off the poles) and its size."""
     rng = np.random.default_rng(seed)
     surface = DRAWN[kind](rng)
@@ -82,12 +81,12 @@ def draw(kind: str, seed: int) -> tuple[shapes.Surface, np.ndarray, float]:
     return surface, uv, float(np.linalg.norm(np.diff(surface.bounds_mm(), axis=0)))
 
 
-def safe_depth(surface: shapes.Surface) -> float:
+def safe_depth(surface: phytac_shapes.Surface) -> float:
     return 0.3 * min(surface.inner_reach_mm(), 10.0)
 
 
 def test_every_family_is_drawn() -> None:
-    assert set(DRAWN) == set(shapes.REGISTRY)
+    assert set(DRAWN) == set(phytac_shapes.REGISTRY)
 
 
 @every_shape
@@ -139,7 +138,7 @@ def test_tangents_and_metric_match_differences(kind: str, seed: int) -> None:
     assert np.allclose(metric, surface.metric(uv), atol=1e-3 * np.abs(metric).max())
 
 
-def quadrature(surface: shapes.Surface, offset: float, cells: int = 160) -> float:
+def quadrature(surface: phytac_shapes.Surface, offset: float, cells: int = 160) -> float:
     """Area of an offset face from its points alone: flat triangles over a fine grid."""
     (u0, u1), (v0, v1) = surface.domain
     u, v = np.linspace(u0, u1, cells + 1), np.linspace(v0, v1, 2 * cells + 1)
@@ -194,23 +193,25 @@ def test_poles_and_edges(kind: str) -> None:
 
 
 def test_closed_forms() -> None:
-    dome = shapes.Hemisphere(diameter_outer_mm=40.0)
+    dome = phytac_shapes.Hemisphere(diameter_outer_mm=40.0)
     assert dome.area_mm2() == pytest.approx(2 * np.pi * 20.0**2, rel=1e-14)
     assert dome.area_mm2(-1.0) == pytest.approx(2 * np.pi * 19.0**2, rel=1e-14)
-    cone = shapes.Cone(diameter_near_mm=60.0, diameter_far_mm=30.0, length_mm=80.0)
+    cone = phytac_shapes.Cone(diameter_near_mm=60.0, diameter_far_mm=30.0, length_mm=80.0)
     assert cone.area_mm2() == pytest.approx(np.pi * 45.0 * np.hypot(15.0, 80.0), rel=1e-14)
     # A very long frustum of one diameter is a cylinder; with a cap, a capsule's half.
-    tube = shapes.Cone(diameter_near_mm=30.0, diameter_far_mm=30.0, length_mm=50.0, end="cap")
+    tube = phytac_shapes.Cone(
+        diameter_near_mm=30.0, diameter_far_mm=30.0, length_mm=50.0, end="cap"
+    )
     assert tube.area_mm2() == pytest.approx(2 * np.pi * 15 * 50 + 2 * np.pi * 15**2, rel=1e-14)
-    grip = shapes.Grip(diameters_mm=(60.0, 60.0, 60.0), length_mm=120.0)
+    grip = phytac_shapes.Grip(diameters_mm=(60.0, 60.0, 60.0), length_mm=120.0)
     assert grip.area_mm2() == pytest.approx(2 * np.pi * 30 * 120, rel=1e-13)
-    box = shapes.Cuboid(width_mm=50.0, depth_mm=40.0, length_mm=10.0, edge_radius_mm=5.0)
+    box = phytac_shapes.Cuboid(width_mm=50.0, depth_mm=40.0, length_mm=10.0, edge_radius_mm=5.0)
     assert box.perimeter_mm == pytest.approx(2 * (40 + 30) + 2 * np.pi * 5, rel=1e-14)
 
 
 def test_patch_passes_through_its_points() -> None:
     surface = drawn_patch(np.random.default_rng(5))
-    assert isinstance(surface, shapes.Patch)
+    assert isinstance(surface, phytac_shapes.Patch)
     grid = np.array(surface.points_mm)
     at = np.stack(np.meshgrid(*map(np.arange, grid.shape[:2]), indexing="ij"), axis=-1)
     assert np.allclose(surface.point(at.reshape(-1, 2).astype(float)), grid.reshape(-1, 3))
@@ -221,14 +222,16 @@ def test_cones_from_needle_to_disc(half_angle_deg: float) -> None:
     slope, far = float(np.tan(np.radians(half_angle_deg))), 4.0
     length = min(30.0, 900.0 / slope)
     near = far + 2.0 * length * slope
-    cone = shapes.Cone(diameter_near_mm=near, diameter_far_mm=far, length_mm=length, end="cap")
+    cone = phytac_shapes.Cone(
+        diameter_near_mm=near, diameter_far_mm=far, length_mm=length, end="cap"
+    )
     assert np.degrees(cone.half_angle_rad) == pytest.approx(half_angle_deg)
     uv = np.column_stack([np.linspace(0.0, cone.domain[0, 1], 50), np.linspace(0.0, 6.2, 50)])
     assert np.allclose(cone.chart(cone.point(uv, 0.1))[:, 0], uv[:, 0], atol=1e-9 * near)
 
 
 def test_cuboid_faces_sense_where_asked() -> None:
-    box = shapes.Cuboid(
+    box = phytac_shapes.Cuboid(
         width_mm=50.0, depth_mm=40.0, length_mm=10.0, edge_radius_mm=5.0, faces=("+y",)
     )
     uv = box.chart(np.array([[0.0, 20.0, 5.0], [25.0, 0.0, 5.0], [0.0, -20.0, 5.0]]))
@@ -237,7 +240,7 @@ def test_cuboid_faces_sense_where_asked() -> None:
 
 
 def test_rays_of_the_cylinder() -> None:
-    surface = shapes.Cylinder(diameter_outer_mm=60.0, length_mm=120.0)
+    surface = phytac_shapes.Cylinder(diameter_outer_mm=60.0, length_mm=120.0)
     origin = np.array([[0.0, 0.0, -30.0], [0.0, 0.0, 60.0], [0.0, 0.0, -30.0]])
     direction = np.array([[30.0, 0.0, 60.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     assert np.allclose(surface.intersect(origin, direction), [1.0, 30.0, np.inf])
@@ -246,15 +249,15 @@ def test_rays_of_the_cylinder() -> None:
 
 def test_unknown_family_names_the_nearest() -> None:
     with pytest.raises(DesignError, match="did you mean 'cylinder'"):
-        shapes.family("cilinder")
+        phytac_shapes.family("cilinder")
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
 def test_absurd_sizes_are_refused(bad: float) -> None:
     with pytest.raises(DesignError, match="length_mm must be a positive length"):
-        shapes.Cylinder(diameter_outer_mm=60.0, length_mm=bad)
+        phytac_shapes.Cylinder(diameter_outer_mm=60.0, length_mm=bad)
     with pytest.raises(DesignError, match="length_mm must lie between"):
-        shapes.Cone(diameter_near_mm=60.0, diameter_far_mm=30.0, length_mm=bad)
+        phytac_shapes.Cone(diameter_near_mm=60.0, diameter_far_mm=30.0, length_mm=bad)
 
 
 FLAT = (((0.0, 0.0, 0.0), (9.0, 0.0, 0.0)), ((0.0, 9.0, 0.0), (9.0, 9.0, 0.0)))
@@ -282,4 +285,4 @@ def test_shapes_that_cannot_be(kind: str, data: dict[str, object], message: str)
         "plane": {"width_mm": 9.0, "height_mm": 9.0},
     }
     with pytest.raises(DesignError, match=message):
-        shapes.family(kind)(**(base[kind] | data))
+        phytac_shapes.family(kind)(**(base[kind] | data))

@@ -14,20 +14,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_decoder.estimation.decode import read_image
+from phytac_shapes.errors import DesignError, OutputError
 from typer.testing import CliRunner
 
-from decoder.run import read_image
-from decoder.samples import STATUSES, Samples
-from decoder.samples_read import read_samples
-from decoder.samples_write import FILE, TABLE
-from phytac_design.build import copy_of
-from phytac_design.cli import app
-from phytac_design.design_file import load_design, to_toml
-from phytac_design.simulate import Result, eyes_of, simulate
-from phytac_design.twin.run.job import Job
-from phytac_design.twin.run.journal import WORK, Journal
-from phytac_design.twin.scenario.file import Scenario, load_scenario, parse_scenario
-from shapes.errors import DesignError, OutputError
+from phytac_design.cli.app import app
+from phytac_design.datasets.samples import STATUSES, Samples
+from phytac_design.datasets.samples_reader import read_samples
+from phytac_design.datasets.samples_writer import FILE, TABLE
+from phytac_design.design.design_file import load_design, to_toml
+from phytac_design.simulation.run.job import Job
+from phytac_design.simulation.run.journal import WORK, Journal
+from phytac_design.simulation.scenario.file import Scenario, load_scenario, parse_scenario
+from phytac_design.stages.build import copy_of
+from phytac_design.workflows.simulate import Result, eyes_of, simulate
 from tests.designs import small
 
 SMALL = small(
@@ -147,14 +147,14 @@ def _stop_after(count: int) -> Any:
 @pytest.fixture(autouse=True)
 def _often(monkeypatch: pytest.MonkeyPatch) -> None:
     """Progress after every sample."""
-    monkeypatch.setattr("phytac_design.simulate.SAY_S", 0.0)
+    monkeypatch.setattr("phytac_design.workflows.simulate.SAY_S", 0.0)
 
 
 def test_a_killed_command_goes_on_and_gives_the_same_files(whole: Path, tmp_path: Path) -> None:
     design = tmp_path / "small.toml"
     design.write_text(to_toml(SMALL))
     coarse = tmp_path / "smoke.toml"
-    smoke = resources.files("phytac_design") / "scenarios" / "smoke.toml"
+    smoke = resources.files("phytac_design") / "data" / "scenarios" / "smoke.toml"
     coarse.write_text(smoke.read_text() + "\n[solve]\nsamples_per_pixel = 8\n")
     out = tmp_path / "data"
     command = [

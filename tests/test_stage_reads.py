@@ -8,19 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from phytac_decoder.io.bundle import load_bundle
 from pydantic import BaseModel
 
-from decoder.bundle import load_bundle
-from phytac_design.accuracy import PRESETS
-from phytac_design.build import build
-from phytac_design.design_file import design_hash, load_design
-from phytac_design.layout import make as layout_make
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import design_hash, load_design
+from phytac_design.design.field_groups import COLOURS, FEET, HEIGHTS, fields_of, values_of
+from phytac_design.design.layout_table import LayoutSection
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context
+from phytac_design.layout import marker_layout as layout_make
 from phytac_design.layout.markers import Markers
-from phytac_design.layout_section import LayoutSection
-from phytac_design.reads import COLOURS, FEET, HEIGHTS, fields_of, values_of
-from phytac_design.spec import Design
-from phytac_design.stage import Context
 from phytac_design.stages import STAGES
+from phytac_design.stages.build import build
 from tests.designs import changed, small
 
 COARSE = replace(

@@ -75,7 +75,7 @@ def test_modules_are_small(path: Path) -> None:
 
 def test_decoder_runs_without_the_design_tool() -> None:
     code = (
-        "import sys, decoder.run\n"
+        "import sys, phytac_decoder.estimation.decode\n"
         "heavy = {'torch', 'cadquery', 'pyrender', 'OpenGL', 'scipy', 'phytac_design'}\n"
         "print(sorted(heavy & set(sys.modules)))"
     )

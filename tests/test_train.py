@@ -7,23 +7,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from phytac_decoder.estimation.cascade_network import ACTIVATIONS, CascadeNetwork, parameter_count
+from phytac_decoder.io.bundle import load_bundle, save_bundle
+from phytac_shapes.errors import DesignError, InputError, OutputError
 from typer.testing import CliRunner
 
-from decoder.bundle import load_bundle, save_bundle
-from decoder.network import ACTIVATIONS, CascadeNetwork, parameter_count
-from decoder.samples import Samples, inputs_alone, key_nodes
-from decoder.samples_write import write_samples
-from decoder.train import KeyNodeData, _Cascade, train_network
-from phytac_design.build import run_stages, select_stages
-from phytac_design.cli import app
-from phytac_design.design_file import design_hash, to_toml
-from phytac_design.learn.data import SHARES, DataSet, read_sets, share_out
-from phytac_design.learn.fit import MECHANICS, TABLE, train
-from phytac_design.learn.join import join, pick
-from phytac_design.stage import Context
+from phytac_design.cli.app import app
+from phytac_design.datasets.samples import Samples, inputs_alone, key_nodes
+from phytac_design.datasets.samples_writer import write_samples
+from phytac_design.design.design_file import design_hash, to_toml
+from phytac_design.engine.stage import Context
 from phytac_design.stages import views
+from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder import assemble, plain_model
-from shapes.errors import DesignError, InputError, OutputError
+from phytac_design.training.join_datasets import join, pick
+from phytac_design.training.levenberg_marquardt import KeyNodeData, _Cascade, train_network
+from phytac_design.training.training_data import SHARES, DataSet, read_sets, share_out
+from phytac_design.workflows.train_decoder import MECHANICS, TABLE, train
 from tests.decoder.drawn_samples import assert_same, drawn
 from tests.designs import small
 from tests.drawn_presses import meta_of, presses

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_shapes.arrays import FloatArray
 
-from phytac_design.accuracy import PRESETS, Accuracy
-from phytac_design.layout.places import press_places
-from phytac_design.spec import Design
-from phytac_design.stage import Context
-from phytac_design.stages.underload import (
+from phytac_design.design.accuracy import PRESETS, Accuracy
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context
+from phytac_design.layout.worst_places import press_places
+from phytac_design.stages.loaded_views import (
     LADDER,
     Pressing,
     load_sentence,
@@ -21,7 +22,6 @@ from phytac_design.stages.underload import (
     run_underload,
     see_pressed,
 )
-from shapes.arrays import FloatArray
 from tests.designs import small
 
 

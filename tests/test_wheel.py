@@ -55,7 +55,7 @@ def test_its_command_and_its_parts_are_named(wheel: zipfile.ZipFile) -> None:
         (path,) = [item for item in wheel.namelist() if item.endswith(f".dist-info/{name}")]
         return wheel.read(path).decode()
 
-    assert "phytac = phytac_design.cli:main" in text("entry_points.txt")
+    assert "phytac = phytac_design.cli.app:main" in text("entry_points.txt")
     facts = text("METADATA")
     assert "Requires-Dist: numpy==" in facts
     for extra in ("design", "study", "train", "dev"):
@@ -70,12 +70,12 @@ import sys
 sys.path.insert(0, sys.argv[1])
 import phytac_design, shapes, decoder
 assert all(room.__file__.startswith(sys.argv[1]) for room in (phytac_design, shapes, decoder))
-from phytac_design.checkup import checkup
-from phytac_design.design_file import load_design, shipped_designs
+from phytac_design.rules.design_review import checkup
+from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.rules import check_design
-from phytac_design.study.plan.scene import load_scene
+from phytac_design.design.scene import load_scene
 from phytac_design.study.search.file import load_study
-from phytac_design.twin.scenario.file import load_scenario
+from phytac_design.simulation.scenario.file import load_scenario
 print(len(shipped_designs()), check_design(load_design("cylinder60"))[1].count)
 print(load_scene("fingertip").name, load_study("dense-cone")[0].name, load_scenario("smoke").name)
 """

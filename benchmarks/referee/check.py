@@ -14,15 +14,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray
 
 from benchmarks.referee.contacts import DATA, Contact
 from benchmarks.referee.read import Solved
 from benchmarks.referee.solve import input_key, sensor, sizes_for, solve_contact
-from phytac_design.mechanics import receptors as rc
+from phytac_design.mechanics.shell import receptor_stiffness as rc
 from phytac_design.mechanics.solid.cell import Cell, cell_stiffness, ratio
-from phytac_design.mechanics.solid.mesh import SolidSizes
 from phytac_design.mechanics.solid.part import AS_TABLES, PartSizes
-from shapes.arrays import FloatArray
+from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes
 
 FILE = DATA / "checks.json"
 DESIGN, MARKER = "cylinder60", 184

@@ -20,26 +20,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError, PhytacError
 
 import phytac_design.mechanics.solid as solid_package
 from benchmarks.referee.contacts import COUNTS, Contact, load_contacts
 from benchmarks.referee.read import Solved, data_file, read_solved, sensor_hash, write_solved
-from phytac_design.design_file import load_design
+from phytac_design.design.design_file import load_design
+from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
-from phytac_design.mechanics.solid.export import (
+from phytac_design.mechanics.solid.load import solid_patch_load
+from phytac_design.mechanics.solid.part import AS_TABLES, PartMesh, PartSizes, part_mesh
+from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes
+from phytac_design.mechanics.solid.solid_writers import (
     ccx_version,
     read_convergence,
     run_ccx,
     write_solid_inp,
 )
-from phytac_design.mechanics.solid.load import solid_patch_load
-from phytac_design.mechanics.solid.mesh import SolidSizes
-from phytac_design.mechanics.solid.part import AS_TABLES, PartMesh, PartSizes, part_mesh
 from phytac_design.mechanics.solid.tips import tips_motion, tips_turn
-from phytac_design.spec import Design
-from shapes import Surface
-from shapes.arrays import FloatArray
-from shapes.errors import NumericalError, PhytacError
 
 RULES = 1
 """Raise it when a change of this script makes solved contacts void."""

@@ -12,25 +12,25 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from phytac_decoder.estimation.decode import Measured
+from phytac_decoder.estimation.force_regions import Region, load_regions
+from phytac_decoder.estimation.frame_reading import Reading
+from phytac_decoder.estimation.frame_reading import read as read_measured
+from phytac_decoder.io.bundle import Bundle, load_bundle
+from phytac_decoder.serving.csv_recording import Recorder, RegionRecorder
+from phytac_decoder.serving.wire_protocol import Message, Messages
+from phytac_shapes.arrays import BoolArray, FloatArray
 
-from decoder.bundle import Bundle, load_bundle
-from decoder.reading import Reading
-from decoder.reading import read as read_measured
-from decoder.record import Recorder, RegionRecorder
-from decoder.regions import Region, load_regions
-from decoder.run import Measured
-from decoder.samples import FAILED, Samples
-from decoder.samples_read import read_samples
-from decoder.wire import Message, Messages
-from phytac_design.build import build
-from phytac_design.design_file import load_design
-from phytac_design.region_chart import chart_of_design
-from phytac_design.simulate import simulate
-from phytac_design.spec import Design
-from phytac_design.twin.run.job import Job
-from phytac_design.twin.scenario.file import Scenario, load_scenario, parse_scenario
-from phytac_design.twin.scenario.hands import hand_of
-from shapes.arrays import BoolArray, FloatArray
+from phytac_design.datasets.samples import FAILED, Samples
+from phytac_design.datasets.samples_reader import read_samples
+from phytac_design.design.design_file import load_design
+from phytac_design.design.spec import Design
+from phytac_design.layout.region_chart import chart_of_design
+from phytac_design.simulation.run.job import Job
+from phytac_design.simulation.scenario.file import Scenario, load_scenario, parse_scenario
+from phytac_design.simulation.scenario.hands import hand_of
+from phytac_design.stages.build import build
+from phytac_design.workflows.simulate import simulate
 
 mpl.use("Agg")
 HERE = Path(__file__).parent

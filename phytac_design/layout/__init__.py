@@ -2,9 +2,9 @@
 
 from phytac_design.layout.heights import profile_heights_mm
 from phytac_design.layout.lattice import lattice_neighbours, make_lattice
-from phytac_design.layout.make import make_markers, with_heights
+from phytac_design.layout.line_of_sight import clearance_mm, sight_heights_mm
+from phytac_design.layout.marker_layout import make_markers, with_heights
 from phytac_design.layout.markers import NEIGHBOUR_STEPS, Lattice, Markers
-from phytac_design.layout.sight import clearance_mm, sight_heights_mm
 
 __all__ = [
     "NEIGHBOUR_STEPS",

@@ -1,9 +1,8 @@
 """Lengths and areas along a chart, and their inverses."""
 
 import numpy as np
-
-from shapes import Surface
-from shapes.arrays import FloatArray
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 CELLS = 1024
 """Steps of the tables along u; interpolated they invert to about 1e-6 of the sensor."""

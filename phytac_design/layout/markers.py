@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-
-from shapes.arrays import FloatArray, IntArray
+from phytac_shapes.arrays import FloatArray, IntArray
 
 NEIGHBOUR_STEPS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 """(row, column) steps of the eight neighbours, in the order of every neighbour array."""
@@ -89,7 +88,7 @@ class Markers:
 
     def _repr_html_(self) -> str:
         """Key figures and map, for notebooks."""
-        from phytac_design.notebook import markers_html
+        from phytac_design.studio.notebook import markers_html
 
         return markers_html(self)
 

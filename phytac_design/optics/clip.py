@@ -2,8 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-
-from shapes.arrays import FloatArray
+from phytac_shapes.arrays import FloatArray
 
 NEAR_MM = 1e-3
 """Camera z below which nothing is drawn."""

@@ -2,9 +2,9 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from phytac_shapes.arrays import FloatArray, IntArray
 
-from phytac_design.kernels import in_bands, kernel
-from shapes.arrays import FloatArray, IntArray
+from phytac_design.core.kernels import in_bands, kernel
 
 
 def marker_gaps(

@@ -3,8 +3,7 @@
 from collections.abc import Iterable
 
 import numpy as np
-
-from shapes.arrays import FloatArray
+from phytac_shapes.arrays import FloatArray
 
 PAINTS: dict[str, tuple[int, int, int]] = {
     "blue": (28, 72, 214),

@@ -5,14 +5,18 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
+from phytac_decoder.camera.camera import Camera
+from phytac_decoder.vision.segmentation import ColourModel, segment
+from phytac_decoder.vision.switch_detection import RED_RATIO
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
-from decoder.camera import Camera
-from decoder.segmentation import ColourModel, segment
-from decoder.switches import RED_RATIO
+from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
+from phytac_design.layout.cameras import camera_of, refuse_swallowed, tolerance_mm
 from phytac_design.optics.frame import render_frame
 from phytac_design.optics.gaps import marker_gaps
-from phytac_design.optics.hiders import SELF, hider_name, hiders
+from phytac_design.optics.occluders import SELF, hider_name, hiders
 from phytac_design.optics.paint import paints_of
 from phytac_design.optics.raster import Buffers, pixels_alone, points_seen, rasterise
 from phytac_design.optics.scene import (
@@ -26,10 +30,6 @@ from phytac_design.optics.scene import (
     paint_owner,
     red_owner,
 )
-from phytac_design.optics.view import camera_of, refuse_swallowed, tolerance_mm
-from phytac_design.spec import Design
-from shapes import Surface
-from shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
 FRACTION_MIN = 0.5
 PIXELS_MIN = 12

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from phytac_design.stage import Context
+from phytac_design.engine.stage import Context
 
 SHOWN = 6
 """Broken print rules that are listed, the most frequent first."""

@@ -3,15 +3,15 @@
 from typing import Any
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray
 from scipy.spatial import cKDTree
 
+from phytac_design.engine.stage import Context
+from phytac_design.layout.cameras import cameras_of
 from phytac_design.optics.density import density_map
-from phytac_design.optics.view import cameras_of
 from phytac_design.report import page
 from phytac_design.report.viewer.data import Colouring, base_colourings, viewer_data
 from phytac_design.report.viewer.still import still_picture
-from phytac_design.stage import Context
-from shapes.arrays import FloatArray
 
 GAP_PX = 60.0
 """Gaps are shown up to this."""

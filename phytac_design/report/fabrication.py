@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any
 
+from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.report import page
 from phytac_design.report.verdict import sentence
-from phytac_design.stage import EXPORT, Context
 
 SHELL_FILE = "shell/shell.stl"
 LISTED = 40

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-
-from shapes import Surface
-from shapes.arrays import FloatArray
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 Family = Literal["tube", "sheet", "dome"]
 BORDER = 181

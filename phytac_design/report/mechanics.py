@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from phytac_design.engine.stage import Context
 from phytac_design.report import page
 from phytac_design.report.drawing import Drawing
 from phytac_design.report.explorer import softness_um_N
-from phytac_design.stage import Context
 
 
 def mechanics_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:

@@ -6,10 +6,10 @@ from html import escape
 from importlib import metadata
 from typing import Any
 
-from phytac_design import cache
-from phytac_design.design_file import design_hash, to_toml
+from phytac_design.design.design_file import design_hash, to_toml
+from phytac_design.engine import cache
+from phytac_design.engine.stage import Context
 from phytac_design.report import page
-from phytac_design.stage import Context
 
 PACKAGES = (
     "phytac-design",

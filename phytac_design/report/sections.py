@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from phytac_design.engine.stage import Context
 from phytac_design.optics.density import density_map
 from phytac_design.optics.separability import check_paints, separability_svg
 from phytac_design.optics.sharpness import DIRECTIONS
@@ -17,7 +18,6 @@ from phytac_design.report.mechanics import mechanics_section
 from phytac_design.report.pressed import press_pictures, press_slider
 from phytac_design.report.provenance import provenance_section, time_section
 from phytac_design.report.switches import switch_section
-from phytac_design.stage import Context
 
 PAPER = "paper, on a real sensor: FEM 18 % (49 % below 5 N), FEM-NN 2.3 % and 0.11 N"
 EACH_CAMERA = {

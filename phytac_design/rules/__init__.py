@@ -5,14 +5,15 @@ fails, by how much, and what mends it. Rows and columns are counted from 0, row 
 camera. Cameras are checked in ``phytac_design.optics``.
 """
 
-from phytac_design.fabrication.receptors import root_depth_mm
+from phytac_shapes import Surface
+
+from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.rules.bodies import check_cameras, check_fixtures
-from phytac_design.rules.places import check_ends, check_footprints, check_receptor_gaps
-from phytac_design.rules.room import check_heights, check_reach, check_wall
+from phytac_design.rules.clearance import check_heights, check_reach, check_wall
+from phytac_design.rules.receptor_spacing import check_ends, check_footprints, check_receptor_gaps
 from phytac_design.rules.sizes import MARKERS_MAX, check_sizes, check_training
-from phytac_design.spec import Design
-from shapes import Surface
+from phytac_design.solids.receptor_tubes import root_depth_mm
 
 
 def check_design(design: Design) -> tuple[Surface, Markers]:

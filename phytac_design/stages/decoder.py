@@ -6,22 +6,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from phytac_decoder.estimation.cascade_network import Activation
+from phytac_decoder.estimation.estimators import ForceModel
+from phytac_shapes.arrays import BoolArray, FloatArray
 
-from decoder.estimators import ForceModel
-from decoder.network import Activation
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import EXPORT, Context, Stage, write_arrays, write_facts
 from phytac_design.layout.thresholds import thresholds_N
-from phytac_design.spec import Design
-from phytac_design.stage import EXPORT, Context, Stage, write_arrays, write_facts
+from phytac_design.simulation.dataset import Dataset, decode_points, key_node_data
+from phytac_design.simulation.scene_scope import scope_of
 from phytac_design.stages.places import locator_of
-from phytac_design.stages.twin import TOUCH, readers_of
-from phytac_design.study.plan.scope import scope_of
-from phytac_design.twin.dataset import Dataset, decode_points, key_node_data
-from shapes.arrays import BoolArray, FloatArray
+from phytac_design.stages.response import TOUCH, readers_of
 
 if TYPE_CHECKING:
-    from decoder.bundle import Bundle
-    from decoder.locate import Locator
-    from decoder.switches import TipModel
+    from phytac_decoder.estimation.locator import Locator
+    from phytac_decoder.io.bundle import Bundle
+    from phytac_decoder.vision.switch_detection import TipModel
 
 ACTIVATIONS: dict[str, Activation] = {"fem_nn": "rectified", "fem_nn_identity": "identity"}
 """Networks of the bundle: both readings of the paper's \"linear unit\"."""
@@ -91,8 +91,9 @@ def assemble(context: Context, model: ForceModel, notes: dict[str, Any]) -> "Bun
     notes : dict
         Where it comes from, plain JSON.
     """
-    from decoder.bundle import Bundle, Shown
-    from phytac_design.twin.expected import colour_model
+    from phytac_decoder.io.bundle import Bundle, Shown
+
+    from phytac_design.simulation.expected_image import colour_model
 
     design, views = context.design, context.arrays("views")
     colours, classes = colour_model(design)
@@ -145,7 +146,7 @@ def read_tips(
     Of a switch out of play that cannot be read anyway, no amount of red counts; motion alone,
     which explains nothing there, would else stand for it.
     """
-    from decoder.switches import RED_LEAST_PX, RED_RATIO, TipModel
+    from phytac_decoder.vision.switch_detection import RED_LEAST_PX, RED_RATIO, TipModel
 
     tips = TipModel(on_px=on_px, red_rest_px=red_rest_px, red_on_px=red_on_px)
     never = UNREAD_RED * (RED_RATIO * red_rest_px + RED_LEAST_PX)
@@ -154,7 +155,7 @@ def read_tips(
 
 def run(context: Context, folder: Path) -> None:
     """Write ``decoder/bundle.{json,safetensors}`` and the table of estimators."""
-    from decoder.bundle import save_bundle
+    from phytac_decoder.io.bundle import save_bundle
 
     twin = context.arrays("twin")
     model = plain_model(context)
@@ -196,7 +197,7 @@ def scene_notes(context: Context) -> dict[str, Any]:
 
 def train_networks(context: Context, model: ForceModel, data: Dataset) -> dict[str, Any]:
     """Train the networks of the paper into ``model``, and say how they fit."""
-    from decoder.train import split_samples, train_network
+    from phytac_design.training.levenberg_marquardt import split_samples, train_network
 
     rows = key_node_data(model, data)
     first, second, third = split_samples(data.contacts.samples, seed=context.seed)
@@ -221,7 +222,7 @@ def judged(
     context: Context, model: ForceModel, twin: dict[str, Any]
 ) -> tuple[dict[str, Any], dict[str, FloatArray]]:
     """Scores of every estimator on both held-out sets, and the forces (c,) that each decoded, N."""
-    from phytac_design.twin.judge import contact_forces, judge
+    from phytac_design.simulation.force_errors import contact_forces, judge
 
     scores: dict[str, Any] = {}
     arrays: dict[str, FloatArray] = {}
@@ -279,9 +280,10 @@ def _rmse(network: Any, rows: Any) -> float:
 
 def finish(design: Design, out: Path) -> None:
     """Mark the exported bundle with the design it is of, and its named regions."""
-    from decoder.bundle_stamp import stamp_bundle
-    from phytac_design.design_file import design_hash
-    from phytac_design.region_chart import design_regions
+    from phytac_decoder.io.bundle_stamp import stamp_bundle
+
+    from phytac_design.design.design_file import design_hash
+    from phytac_design.layout.region_chart import design_regions
 
     stamp_bundle(
         out / "decoder",

@@ -6,20 +6,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.errors import InputError
 
-from phytac_design.stage import EXPORT, Context, Stage, export_path, write_facts
+from phytac_design.design.scene import ALL_AT_ONCE
+from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
+from phytac_design.simulation.contacts import Contacts, Switching
+from phytac_design.simulation.scene_scope import scope_of
 from phytac_design.stages.decoder import along_mm, middle_mm
-from phytac_design.stages.twin import MECHANICS, truth_of
+from phytac_design.stages.response import MECHANICS, truth_of
 from phytac_design.stages.views import MARKS, write_image
-from phytac_design.study.plan.scene import ALL_AT_ONCE
-from phytac_design.study.plan.scope import scope_of
-from phytac_design.twin.contacts import Contacts, Switching
-from shapes.arrays import FloatArray, ImageArray
-from shapes.errors import InputError
 
 if TYPE_CHECKING:
     from phytac_design.mechanics.meshing.mesh import ShellMesh
-    from phytac_design.mechanics.solve import ShellModel
+    from phytac_design.mechanics.shell.solve import ShellModel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +54,8 @@ class Tally:
 
 def press(context: Context) -> Pressed:
     """Draw contacts of one to five at once and solve them on the simulated sensor's mesh."""
-    from phytac_design.twin.contacts import draw_contacts, switch_states
-    from phytac_design.twin.response import motion_responses, superpose
+    from phytac_design.simulation.contacts import draw_contacts, switch_states
+    from phytac_design.simulation.response import motion_responses, superpose
 
     design, surface, markers = context.design, context.surface, context.markers
     rng = np.random.default_rng([context.seed, 2])
@@ -87,9 +87,9 @@ def _large(
 ) -> FloatArray | None:
     """Motion (n, 6) under the contacts of one sample by large displacements; None without one."""
     from phytac_design.mechanics.large.modified import Modified
-    from phytac_design.mechanics.pressure import Holes, touch_loads
-    from phytac_design.twin.feet import Feet
-    from phytac_design.twin.touch import flat_touches
+    from phytac_design.mechanics.shell.pressure import Holes, touch_loads
+    from phytac_design.simulation.indenters import flat_touches
+    from phytac_design.simulation.receptor_kinematics import Feet
 
     receptor, surface, uv = context.design.receptor, context.surface, context.markers.uv
     holes = Holes.of(surface, uv, receptor.diameter_hole_mm / 2.0)
@@ -107,9 +107,9 @@ def shoot(
 
     ``motion`` (n, 6) stands in for the sample's own.
     """
+    from phytac_design.layout.cameras import cameras_of, tolerance_mm
     from phytac_design.optics.frame import render_frame
     from phytac_design.optics.scene import build_scene
-    from phytac_design.optics.view import cameras_of, tolerance_mm
 
     design, surface, markers = context.design, context.surface, context.markers
     bits = None if index is None else pressed.switching.bits[index]
@@ -134,8 +134,8 @@ def write_frames(folder: Path, name: str, frames: tuple[ImageArray, ...]) -> Non
 
 def decode_all(context: Context, folder: Path, pressed: Pressed) -> Tally:
     """Render and decode every sample; write the unloaded frame and the example."""
-    from decoder.bundle import load_bundle
-    from decoder.run import measure_frame, rest_positions
+    from phytac_decoder.estimation.decode import measure_frame, rest_positions
+    from phytac_decoder.io.bundle import load_bundle
 
     bundle = load_bundle(context.folders["decoder"] / EXPORT / "decoder")
     # All frames but the example are of a linear shell.
@@ -174,7 +174,7 @@ def decode_all(context: Context, folder: Path, pressed: Pressed) -> Tally:
 
 def run(context: Context, folder: Path) -> None:
     """Decode rendered frames of one to five contacts each and judge the forces."""
-    from phytac_design.twin.judge import judge
+    from phytac_design.simulation.force_errors import judge
 
     pressed = press(context)
     tally = decode_all(context, folder, pressed)

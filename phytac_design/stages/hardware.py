@@ -3,10 +3,11 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from phytac_design.hardware_section import HardwareSection
-from phytac_design.stage import Context, Stage, export_path, write_facts
+from phytac_shapes.errors import CadKernelError, DesignError, MissingPartError, NumericalError
+
+from phytac_design.design.hardware_table import HardwareSection
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts
 from phytac_design.stages.switch import refusal, switches_of
-from shapes.errors import CadKernelError, DesignError, MissingPartError, NumericalError
 
 if TYPE_CHECKING:
     from phytac_design.fabrication.hardware.parts import Kit
@@ -54,8 +55,8 @@ def run(context: Context, folder: Path) -> None:
         context.progress(f"hardware: STEP left out ({error})")
         facts["step_left_out"] = str(error)
         shapes = {}
-    from phytac_design.fabrication.export import write_stl
-    from phytac_design.fabrication.solid_mesh import to_triangles
+    from phytac_design.solids.mesh_export import write_stl
+    from phytac_design.solids.solid_mesh import to_triangles
 
     for part in kit.parts:
         if part.printed:
@@ -71,7 +72,7 @@ def _checked(context: Context) -> tuple["Kit", dict[str, Any], dict[str, Any]]:
     from phytac_design.fabrication.hardware.assembly import make_hardware
     from phytac_design.fabrication.hardware.bodies import context_solids
     from phytac_design.fabrication.hardware.report import hardware_facts, verdict
-    from phytac_design.optics.view import cameras_of
+    from phytac_design.layout.cameras import cameras_of
 
     design, surface, markers = context.design, context.surface, context.markers
     kit = make_hardware(design, surface)
@@ -87,8 +88,8 @@ def _checked(context: Context) -> tuple["Kit", dict[str, Any], dict[str, Any]]:
 
 def _cad(context: Context, kit: "Kit", solids: dict[str, Any]) -> dict[str, Any]:
     """CAD of all parts by name, each compared with its mesh."""
-    from phytac_design.fabrication.cad import cad_facts
     from phytac_design.fabrication.hardware.by_cad import CadKernel
+    from phytac_design.solids.cad import cad_facts
 
     kernel = CadKernel(context.surface)
     shapes = {}
@@ -110,8 +111,8 @@ def _write_step(
     context: Context, kit: "Kit", shapes: dict[str, Any], folder: Path
 ) -> dict[str, Any]:
     """Write each printed part and the assembly; say what that holds."""
-    from phytac_design.fabrication.cad import write_assembly, write_step
     from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodies, wall_body
+    from phytac_design.solids.cad import write_assembly, write_step
 
     design, surface, markers = context.design, context.surface, context.markers
     for part in kit.parts:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from phytac_design.stage import EXPORT, Context, Stage, write_facts
+from phytac_design.engine.stage import EXPORT, Context, Stage, write_facts
 
 LOAD_N = 10.0
 """Force of the ready load step: a fingertip in the middle of the sensor."""
@@ -10,8 +10,8 @@ LOAD_N = 10.0
 
 def run(context: Context, folder: Path) -> None:
     """Write ``mesh/shell.{inp,msh,vtu}`` with a fingertip load step and its linear result."""
-    from phytac_design.mechanics.mesh_files import make_folder, write_shell_files
     from phytac_design.mechanics.pressing.place import middle_marker, place_of
+    from phytac_design.mechanics.solid.mesh_files import make_folder, write_shell_files
 
     design, surface, markers = context.design, context.surface, context.markers
     place = place_of(design, surface, markers, force_N=LOAD_N)

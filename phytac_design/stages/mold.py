@@ -5,7 +5,7 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from phytac_design.stage import Context, Stage, export_path, write_facts
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts
 from phytac_design.stages.switch import switches_of, without_switches
 
 if TYPE_CHECKING:
@@ -23,7 +23,6 @@ NAMES = {
 
 def run(context: Context, folder: Path) -> None:
     """Write ``mold/*.stl`` and ``mold/cavities.csv``, and the mold's facts."""
-    from phytac_design.fabrication.export import stl_bytes
     from phytac_design.fabrication.molds.audit import (
         audit_facts,
         audit_set,
@@ -33,6 +32,7 @@ def run(context: Context, folder: Path) -> None:
     )
     from phytac_design.fabrication.molds.make import make_molds
     from phytac_design.fabrication.molds.rules import rule_rows
+    from phytac_design.solids.mesh_export import stl_bytes
 
     if without_switches(context, folder):
         return

@@ -3,13 +3,13 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.layout.thresholds import thresholds_N
-from phytac_design.stage import Context, Stage, write_arrays, write_facts
-from phytac_design.stages.twin import MECHANICS, SEEN, TOUCH, watch_of
-from phytac_design.study.plan.scope import scope_of
+from phytac_design.simulation.scene_scope import scope_of
+from phytac_design.stages.response import MECHANICS, SEEN, TOUCH, watch_of
 
 if TYPE_CHECKING:
-    from decoder.locate import Locator
+    from phytac_decoder.estimation.locator import Locator
 
 NOISE_FACTOR = 1.4
 """Noise of measured shifts over that of a centroid: they are differences of two."""
@@ -17,10 +17,11 @@ NOISE_FACTOR = 1.4
 
 def run_places(context: Context, folder: Path) -> None:
     """Tabulate linear and large-displacement shifts over the surface."""
-    from decoder.bundle_locator import places_arrays
+    from phytac_decoder.io.bundle_locator import places_arrays
+
     from phytac_design.mechanics.meshing.mesh import marker_mesh
-    from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
-    from phytac_design.twin.places import make_places, place_spacing_mm
+    from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
+    from phytac_design.simulation.response_tables import make_places, place_spacing_mm
 
     design, surface, markers = context.design, context.surface, context.markers
     training, accuracy, scope = design.training, context.accuracy, scope_of(context)
@@ -64,10 +65,11 @@ def run_places(context: Context, folder: Path) -> None:
 
 def locator_of(context: Context) -> "Locator":
     """The estimator ``auto`` by design alone: no sample of the sensor has been seen."""
-    from decoder.bundle_locator import places_from
-    from decoder.contact_fit import Noise, Prior
-    from decoder.locate import Locator
-    from phytac_design.twin.bound import cell_prior
+    from phytac_decoder.estimation.contact_fit import Noise, Prior
+    from phytac_decoder.estimation.locator import Locator
+    from phytac_decoder.io.bundle_locator import places_from
+
+    from phytac_design.simulation.bound import cell_prior
 
     design, surface, markers = context.design, context.surface, context.markers
     training = design.training

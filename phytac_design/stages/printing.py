@@ -4,8 +4,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from phytac_design.stage import EXPORT, Context, Stage, export_path, write_facts
-from shapes.errors import DesignError
+from phytac_shapes.errors import DesignError
+
+from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
 
 OTHERS = ("mold", "hardware", "kit")
 """Stages whose parts lists name more printed files."""
@@ -18,8 +19,8 @@ def run(context: Context, folder: Path) -> None:
     """Write ``shell/print_report.json`` and ``.svg``, and ``shell/shell_part_….stl`` if parted."""
     from phytac_design.fabrication.printing.check import check_body, check_shell
     from phytac_design.fabrication.printing.drawing import draw_report
-    from phytac_design.fabrication.printing.rays import RayTree
     from phytac_design.fabrication.printing.stl import read_stl
+    from phytac_design.geometry.ray_tree import RayTree
 
     design, rules = context.design, context.design.print_rules
     tolerance = context.accuracy.cad_tolerance_mm
@@ -72,11 +73,11 @@ def printed_files(context: Context) -> dict[str, Path]:
 
 def _part(context: Context, folder: Path) -> dict[str, Any]:
     """Write the pieces of a shell that is larger than the bed; their facts."""
-    from phytac_design.fabrication.export import write_stl
     from phytac_design.fabrication.printing.overhang import suggest
     from phytac_design.fabrication.printing.parting import part_shell
-    from phytac_design.fabrication.printing.rays import RayTree
-    from phytac_design.fabrication.solid_mesh import shell_manifold, to_triangles
+    from phytac_design.geometry.ray_tree import RayTree
+    from phytac_design.solids.mesh_export import write_stl
+    from phytac_design.solids.solid_mesh import shell_manifold, to_triangles
 
     design, surface, markers = context.design, context.surface, context.markers
     tolerance = context.accuracy.cad_tolerance_mm

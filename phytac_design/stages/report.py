@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design import cache
-from phytac_design.design_file import assumptions
-from phytac_design.finite import finite
+from phytac_design.core.json_values import finite
+from phytac_design.design.design_file import assumptions
+from phytac_design.design.spec import Design
+from phytac_design.engine import cache
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts
 from phytac_design.optics.separability import check_paints
 from phytac_design.report.changes import changes_of
 from phytac_design.report.explorer import DATA_ID, explorer_data
@@ -18,10 +20,8 @@ from phytac_design.report.provenance import provenance_of
 from phytac_design.report.sections import sections_of
 from phytac_design.report.verdict import SIMULATED, best_of, lead
 from phytac_design.report.viewer.assets import PAGE_SCRIPTS, data_tag, script_tags, style
-from phytac_design.spec import Design
-from phytac_design.stage import Context, Stage, export_path, write_facts
+from phytac_design.stages.loaded_views import UNDERLOAD
 from phytac_design.stages.switch import SWITCH
-from phytac_design.stages.underload import UNDERLOAD
 from phytac_design.stages.views import VIEWS
 
 NEEDS = (

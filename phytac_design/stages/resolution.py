@@ -5,14 +5,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from phytac_shapes.arrays import BoolArray, FloatArray
 
-from phytac_design.stage import Context, Stage, write_arrays, write_facts
-from phytac_design.stages.twin import MECHANICS, TOUCH
-from phytac_design.study.plan.scope import scope_of
-from shapes.arrays import BoolArray, FloatArray
+from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
+from phytac_design.simulation.scene_scope import scope_of
+from phytac_design.stages.response import MECHANICS, TOUCH
 
 if TYPE_CHECKING:
-    from phytac_design.twin.bound import Bound
+    from phytac_design.simulation.bound import Bound
 
 FORCES_N = (1.0, 5.0, 10.0, 25.0)
 """Forces at which the bound is stated, besides the design's greatest."""
@@ -35,9 +35,9 @@ def _medians(bound: "Bound", middle: BoolArray) -> dict[str, float]:
 def run_resolution(context: Context, folder: Path) -> None:
     """Cramér-Rao bound of force and place at every receptor."""
     from phytac_design.mechanics.meshing.mesh import marker_mesh
-    from phytac_design.mechanics.receptors import sensor_model, unknown_receptors
-    from phytac_design.twin.bound import Signals, cell_prior, contact_signals
-    from phytac_design.twin.response import motion_responses
+    from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
+    from phytac_design.simulation.bound import Signals, cell_prior, contact_signals
+    from phytac_design.simulation.response import motion_responses
 
     design, surface, markers = context.design, context.surface, context.markers
     training = design.training

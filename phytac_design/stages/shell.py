@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from phytac_design.stage import Context, Stage, export_path, write_facts
-from shapes.errors import CadKernelError, MissingPartError, NumericalError
+from phytac_shapes.errors import CadKernelError, MissingPartError, NumericalError
+
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts
 
 VOLUME_TOL = 1e-3
 """Largest relative difference of the two kernels' volumes that a build accepts."""
@@ -13,13 +14,9 @@ FINE_mm = 0.005
 
 def run_shell(context: Context, folder: Path) -> None:
     """Write ``shell/shell.stl`` and ``shell/shell.3mf`` and the shell's facts."""
-    from phytac_design.fabrication.export import write_3mf, write_stl
-    from phytac_design.fabrication.facts import shell_facts
-    from phytac_design.fabrication.solid_mesh import (
-        painted_manifolds,
-        shell_manifold,
-        to_triangles,
-    )
+    from phytac_design.solids.mesh_export import write_3mf, write_stl
+    from phytac_design.solids.mesh_facts import shell_facts
+    from phytac_design.solids.solid_mesh import painted_manifolds, shell_manifold, to_triangles
 
     design, surface, markers = context.design, context.surface, context.markers
     tolerance = context.accuracy.cad_tolerance_mm
@@ -40,7 +37,7 @@ def run_step(context: Context, folder: Path) -> None:
     On a machine without the graphics libraries that CadQuery links, or where OpenCASCADE cannot
     make the solid, the file is left out and the report says so; STL and 3MF need neither.
     """
-    from phytac_design.fabrication.cad import cad_facts, shell_cad, write_step
+    from phytac_design.solids.cad import cad_facts, shell_cad, write_step
 
     reason = ""
     try:
@@ -78,7 +75,7 @@ def _look_closer(context: Context, step_mm3: float) -> None:
     NumericalError
         If that differs as well.
     """
-    from phytac_design.fabrication.solid_mesh import shell_manifold
+    from phytac_design.solids.solid_mesh import shell_manifold
 
     solid = shell_manifold(context.design, context.surface, context.markers, tolerance_mm=FINE_mm)
     volume = float(solid.volume())

@@ -6,19 +6,20 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.errors import DesignError, MissingPartError
 
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context, Stage, export_path, write_arrays, write_facts
 from phytac_design.layout import make_markers
-from phytac_design.spec import Design
-from phytac_design.stage import Context, Stage, export_path, write_arrays, write_facts
-from phytac_design.study.plan.scope import scope_of
-from shapes.arrays import FloatArray, ImageArray
-from shapes.errors import DesignError, MissingPartError
+from phytac_design.simulation.scene_scope import scope_of
 
 if TYPE_CHECKING:
-    from decoder.camera import Camera
+    from phytac_decoder.camera.camera import Camera
+
     from phytac_design.optics.scene import Scene
     from phytac_design.optics.visibility import Visibility
-    from phytac_design.twin.expected import Expected
+    from phytac_design.simulation.expected_image import Expected
 
 MARKS = ("", "_far")
 """What the names of pictures and frames of each camera end in; one camera's, in nothing."""
@@ -61,7 +62,7 @@ def id_picture(part: Any) -> ImageArray:
 def red_centroids(part: Any, count: int) -> FloatArray:
     """Centroid (n, 2) px of the visible red of each tip in an ID map, NaN where none."""
     from phytac_design.optics.scene import red_owner
-    from phytac_design.twin.sight.nominal import owner_centroids
+    from phytac_design.simulation.imaging.nominal import owner_centroids
 
     return owner_centroids(red_owner(part), count)
 
@@ -86,13 +87,13 @@ def shoot(
     names of its files. A marker that shows nowhere is expected where its tip would be, as long as
     no other camera may see it (``alone``), else nowhere (NaN).
     """
+    from phytac_design.layout.cameras import tolerance_mm
     from phytac_design.optics.frame import render_frame
     from phytac_design.optics.raster import rasterise
     from phytac_design.optics.scene import build_scene
-    from phytac_design.optics.view import tolerance_mm
     from phytac_design.optics.visibility import see
-    from phytac_design.twin.expected import expectations
-    from phytac_design.twin.sight.nominal import paint_slope
+    from phytac_design.simulation.expected_image import expectations
+    from phytac_design.simulation.imaging.nominal import paint_slope
 
     design, surface, markers = context.design, context.surface, context.markers
     tolerance = tolerance_mm(camera, markers)
@@ -142,9 +143,9 @@ def write_pictures(
 
 def run_views(context: Context, folder: Path) -> None:
     """Visibility, density, expectations of the decoder's eyes, and pictures."""
+    from phytac_design.layout.cameras import cameras_of, stand_off_mm
     from phytac_design.optics.density import density_of
     from phytac_design.optics.lens_facts import lens_facts
-    from phytac_design.optics.view import cameras_of, stand_off_mm
     from phytac_design.optics.visibility import best_of
 
     design, surface, markers = context.design, context.surface, context.markers
@@ -241,8 +242,8 @@ def straight_of(design: Design) -> Design:
 
 def run_compare(context: Context, folder: Path) -> None:
     """Visibility of the straight layout with the same counts, and its picture, for spirals."""
+    from phytac_design.layout.cameras import cameras_of, tolerance_mm
     from phytac_design.optics.scene import build_scene
-    from phytac_design.optics.view import cameras_of, tolerance_mm
     from phytac_design.optics.visibility import best_of, check_visibility
 
     if context.design.layout.kind != "spiral":

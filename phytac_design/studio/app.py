@@ -8,14 +8,15 @@ from contextlib import asynccontextmanager
 from importlib import resources
 from typing import Any
 
+from phytac_shapes.errors import DesignError, InputError, OutputError, PhytacError
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from phytac_design.accuracy import PRESETS
-from phytac_design.design_file import shipped_designs
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import shipped_designs
 from phytac_design.report.page import STYLE
 from phytac_design.report.viewer.assets import SCRIPTS, style, text_of
 from phytac_design.studio import asked as ask
@@ -27,7 +28,6 @@ from phytac_design.studio.form import field_paths, form
 from phytac_design.studio.guard import RefusedError
 from phytac_design.studio.studies import studies, study_table, trial_design
 from phytac_design.studio.turns import StaleError, Turns
-from shapes.errors import DesignError, InputError, OutputError, PhytacError
 
 STATIC = {
     "html": "text/html",

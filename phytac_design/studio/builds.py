@@ -12,9 +12,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from phytac_design.design_file import to_toml
-from phytac_design.spec import Design
-from shapes.errors import InputError, OutputError
+from phytac_shapes.errors import InputError, OutputError
+
+from phytac_design.design.design_file import to_toml
+from phytac_design.design.spec import Design
 
 LINES_MAX = 2000
 LINE_BYTES = 64_000

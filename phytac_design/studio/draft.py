@@ -13,29 +13,29 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from phytac_decoder.camera.camera import Camera
+from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.errors import DesignError, PhytacError
 
-from decoder.camera import Camera
-from phytac_design.checkup import checkup
-from phytac_design.design_file import parse_design
-from phytac_design.finite import finite
+from phytac_design.core.json_values import finite
+from phytac_design.design.design_file import parse_design
+from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
+from phytac_design.layout.cameras import stand_off_mm, tolerance_mm
 from phytac_design.optics.density import density_map, surface_class
 from phytac_design.optics.frame import render_frame
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.sampled import sampled_fraction
+from phytac_design.optics.sampled_visibility import sampled_fraction
 from phytac_design.optics.scene import Scene, build_scene, paint_owner
-from phytac_design.optics.view import stand_off_mm, tolerance_mm
 from phytac_design.optics.visibility import FRACTION_MIN, heights_face
 from phytac_design.report.viewer.data import Colouring, base_colourings, viewer_data
-from phytac_design.spec import Design
+from phytac_design.rules.design_review import checkup
 from phytac_design.studio.turns import StaleError
 from phytac_design.study.search.candidate import COARSE, Candidate
 from phytac_design.study.search.file import Study, Variable
 from phytac_design.study.search.measures import MEASURES
 from phytac_design.study.search.rungs import outlined_gap_px, rules
 from phytac_design.study.search.surrogate import predict
-from shapes.arrays import FloatArray, ImageArray
-from shapes.errors import DesignError, PhytacError
 
 MARKERS_MAX = 5000
 """Markers beyond which a draft is not one any more."""

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import tomlkit
+from phytac_shapes.bounded_reader import read_text, toml_table
+from phytac_shapes.errors import InputError, OutputError, PhytacError
 
-from phytac_design.design_file import design_hash, parse_design, shipped_designs, to_toml
-from phytac_design.spec import Design
-from shapes.errors import InputError, OutputError, PhytacError
-from shapes.reading import read_text, toml_table
+from phytac_design.design.design_file import design_hash, parse_design, shipped_designs, to_toml
+from phytac_design.design.spec import Design
 
 FILES_MAX = 500
 DEPTH_MAX = 4
@@ -108,9 +108,9 @@ class Workplace:
             If there is none, or it is no TOML.
         """
         if name in shipped_designs():
-            text = (resources.files("phytac_design") / "designs" / f"{name}.toml").read_text(
-                "utf-8"
-            )
+            text = (
+                resources.files("phytac_design") / "data" / "designs" / f"{name}.toml"
+            ).read_text("utf-8")
             return Opened(name=name, text=text, data=toml_table(text), folder=Path())
         path = Path(name).resolve() if self._is_given(name) else self.within(name)
         try:

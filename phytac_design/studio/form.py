@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 from typing import Any
 
-from phytac_design.design_file import load_design, shipped_designs
-from phytac_design.print_section import PROCESSES
-from phytac_design.spec import CAMERA_PRESETS, SHAPE_MODELS, Design
+from phytac_design.design.design_file import load_design, shipped_designs
+from phytac_design.design.print_rules_table import PROCESSES
+from phytac_design.design.spec import CAMERA_PRESETS, SHAPE_MODELS, Design
 
 Json = dict[str, Any]
 FIRST = ("shape", "layout", "receptor", "camera", "light", "wall")

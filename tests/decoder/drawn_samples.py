@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from decoder.samples import KeyNodeRows, Meta, Samples, TouchRows, TruthRows
-from decoder.samples_write import FORCE_STEP_N, SHIFT_STEP_PX
+from phytac_design.datasets.samples import KeyNodeRows, Meta, Samples, TouchRows, TruthRows
+from phytac_design.datasets.samples_writer import FORCE_STEP_N, SHIFT_STEP_PX
 
 META = Meta(
     simulated=True,

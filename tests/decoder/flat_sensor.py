@@ -8,11 +8,10 @@ slope, and by a share of the force more: a sheet that softens.
 from collections.abc import Sequence
 
 import numpy as np
-
-from decoder.contact_fit import Noise, Prior
-from decoder.locate import Locator
-from decoder.places import Places
-from shapes.arrays import FloatArray, IntArray
+from phytac_decoder.estimation.contact_fit import Noise, Prior
+from phytac_decoder.estimation.locator import Locator
+from phytac_decoder.mechanics.response_table import Places
+from phytac_shapes.arrays import FloatArray, IntArray
 
 SIDE_MM = 60.0
 PITCH_MM = 6.0

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_decoder.estimation.contact_fit import Noise, Prior
+from phytac_decoder.estimation.force_correction import Correction
+from phytac_decoder.estimation.locator import Locator
+from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
+from phytac_decoder.mechanics.interaction_table import Pairs
+from phytac_decoder.mechanics.membrane_stretching import Walls
+from phytac_decoder.mechanics.response_table import Places
+from phytac_shapes.errors import InputError
 from safetensors.numpy import load_file, save_file
 
-from decoder.bundle import Bundle, load_bundle, save_bundle
-from decoder.contact_fit import Noise, Prior
-from decoder.correct import Correction
-from decoder.locate import Locator
-from decoder.pairs import Pairs
-from decoder.places import Places
-from decoder.tension import Walls
-from shapes.errors import InputError
 from tests.decoder.toy_sensor import toy_bundle
 
 

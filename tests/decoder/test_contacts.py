@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from decoder.contact_tracks import FAR, HOLD_FRAMES, INSIDE_MAX, ContactTracker, assign, pair
-from decoder.contacts import Contact, ContactFinder, Skin, contact_groups
-from shapes.arrays import FloatArray
+from phytac_decoder.estimation.contact_grouping import Contact, ContactFinder, Skin, contact_groups
+from phytac_decoder.estimation.contact_tracker import (
+    FAR,
+    HOLD_FRAMES,
+    INSIDE_MAX,
+    ContactTracker,
+    assign,
+    pair,
+)
+from phytac_shapes.arrays import FloatArray
 
 COUNT = 30
 ROWS, COLUMNS, RADIUS_MM, PITCH_MM = 14, 20, 30.0, 8.0

@@ -3,11 +3,10 @@
 import cv2
 import numpy as np
 import pytest
-
-from decoder.matching import match_markers, nearest_same_colour_px
-from decoder.segmentation import ColourModel, check_image, segment
-from decoder.switches import TipModel, read_switches
-from shapes.errors import InputError
+from phytac_decoder.vision.matching import match_markers, nearest_same_colour_px
+from phytac_decoder.vision.segmentation import ColourModel, check_image, segment
+from phytac_decoder.vision.switch_detection import TipModel, read_switches
+from phytac_shapes.errors import InputError
 
 PAINTS = {"blue": (28, 72, 214), "green": (24, 168, 62), "red": (214, 30, 34)}
 MODEL = ColourModel.from_rgb(PAINTS)

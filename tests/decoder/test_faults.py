@@ -7,15 +7,15 @@ from unittest import mock
 import cv2
 import numpy as np
 import pytest
+from phytac_decoder.estimation.decode import Measured, measure_frame
+from phytac_decoder.estimation.estimators import ForceModel
+from phytac_decoder.estimation.fault_detection import Explained
+from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.vision.matching import carried, match_markers
+from phytac_decoder.vision.segmentation import Blobs
+from phytac_decoder.vision.switch_detection import TipModel
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 
-from decoder.bundle import Bundle
-from decoder.doubts import Explained
-from decoder.estimators import ForceModel
-from decoder.matching import carried, match_markers
-from decoder.run import Measured, measure_frame
-from decoder.segmentation import Blobs
-from decoder.switches import TipModel
-from shapes.arrays import BoolArray, FloatArray, ImageArray
 from tests.decoder import flat_sensor
 from tests.decoder.test_follow import BGR, COLOUR, COUNT, OFF, PITCH, REST, TIP_OFF, disc, draw
 from tests.decoder.test_follow import make_bundle as drawn_bundle

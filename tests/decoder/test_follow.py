@@ -5,17 +5,16 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-
-from decoder.bundle import Bundle, Shown
-from decoder.camera import Camera
-from decoder.estimators import ForceModel
-from decoder.follow import Follower
-from decoder.follow_codes import coverage_tables
-from decoder.run import measure_frame
-from decoder.segmentation import ColourModel
-from decoder.switches import TipModel
-from shapes.arrays import BoolArray, FloatArray, ImageArray
-from shapes.errors import InputError
+from phytac_decoder.camera.camera import Camera
+from phytac_decoder.estimation.decode import measure_frame
+from phytac_decoder.estimation.estimators import ForceModel
+from phytac_decoder.io.bundle import Bundle, Shown
+from phytac_decoder.vision.colour_codes import coverage_tables
+from phytac_decoder.vision.segmentation import ColourModel
+from phytac_decoder.vision.switch_detection import TipModel
+from phytac_decoder.vision.tracker import Follower
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
+from phytac_shapes.errors import InputError
 
 WIDTH, HEIGHT = 320, 240
 ROWS, COLUMNS = 9, 13

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-
-from decoder import follow_blocks
-from decoder.follow_blocks import Block, Cuts, Space
-from decoder.follow_codes import COUNT, Picture
+from phytac_decoder.vision import window_batches
+from phytac_decoder.vision.colour_codes import COUNT, Picture
+from phytac_decoder.vision.window_batches import Block, Cuts, Space
 
 SPOTS, RIVALS, SIDE = 7, 3, 9
 
@@ -28,7 +27,7 @@ def drawn() -> Cuts:
 def test_a_pixel_counts_by_the_nearest_border(
     most: int, stride: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(follow_blocks, "LAY_MOST", most)
+    monkeypatch.setattr(window_batches, "LAY_MOST", most)
     block = Block(
         first=0,
         spots=SPOTS,

@@ -8,18 +8,22 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from phytac_decoder.camera.camera import Camera
+from phytac_decoder.estimation.cascade_network import (
+    CascadeNetwork,
+    network_features,
+    parameter_count,
+)
+from phytac_decoder.estimation.estimators import ForceModel
+from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
+from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
+from phytac_decoder.vision.segmentation import ColourModel
+from phytac_decoder.vision.switch_detection import TipModel
+from phytac_shapes.errors import InputError
 from safetensors.numpy import load_file, save_file
 from scipy.optimize import nnls
 
-from decoder.bundle import Bundle, load_bundle, save_bundle
-from decoder.camera import Camera
-from decoder.estimators import ForceModel
-from decoder.network import CascadeNetwork, network_features, parameter_count
-from decoder.nonnegative import nonnegative_least_squares
-from decoder.segmentation import ColourModel
-from decoder.switches import TipModel
-from decoder.train import KeyNodeData, split_samples, train_network
-from shapes.errors import InputError
+from phytac_design.training.levenberg_marquardt import KeyNodeData, split_samples, train_network
 
 N = 12
 

@@ -5,11 +5,11 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from phytac_decoder.estimation import contact_fit
+from phytac_decoder.estimation.contact_estimates import Found
+from phytac_decoder.estimation.locator import LOOK, WORSE
+from phytac_shapes.arrays import FloatArray, IntArray
 
-from decoder import contact_fit
-from decoder.found import Found
-from decoder.locate import LOOK, WORSE
-from shapes.arrays import FloatArray, IntArray
 from tests.decoder.flat_sensor import flat_locator, nearest, together
 
 LOCATOR = flat_locator()
@@ -112,7 +112,7 @@ def test_a_faint_contact_is_seen_within_a_few_frames() -> None:
         return (clean + noise).reshape(-1, 2)
 
     # Of many more markers it would change even less.
-    with mock.patch("decoder.locate.WORSE", 100.0):
+    with mock.patch("phytac_decoder.estimation.locator.WORSE", 100.0):
         found, _ = gone_on(shifts, 2 + LOOK)
     assert [len(each.stand.fit.states) for each in found if each.stand][-1] == 3
     assert age_of(found[1]) == 1
@@ -133,7 +133,7 @@ def test_a_contact_without_a_switch_that_is_lifted_is_gone() -> None:
 @pytest.mark.parametrize("switched", [True, False])
 def test_after_a_while_contacts_are_looked_for_anew(switched: bool) -> None:
     only = KOI if switched else KOI[:1] if KOI[0] == nearest(FIRST) else KOI[1:]
-    with mock.patch("decoder.locate.ANEW", (5, 3)):
+    with mock.patch("phytac_decoder.estimation.locator.ANEW", (5, 3)):
         ages, before = [], None
         for k in range(7):
             before = LOCATOR.find(frame(k, (8.0, 8.0 if switched else 2.0)), only, before=before)

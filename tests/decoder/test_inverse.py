@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
+from phytac_decoder.estimation.estimators import ForceModel
 from scipy.optimize import nnls
-
-from decoder.estimators import ForceModel
 
 COUNT = 40
 

@@ -5,9 +5,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-
-from decoder.camera import Camera, fit_distance_mm
-from decoder.lens import (
+from phytac_decoder.camera.camera import Camera, fit_distance_mm
+from phytac_decoder.camera.lens import (
     LENSES,
     SLOPE_MIN,
     BrownConrady,
@@ -16,8 +15,8 @@ from decoder.lens import (
     Omnidirectional,
     Pinhole,
 )
-from shapes.arrays import FloatArray
-from shapes.errors import DesignError
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
 SIZE: dict[str, Any] = {
     "width_px": 2592,

@@ -4,9 +4,8 @@ import time
 
 import numpy as np
 import pytest
-
-from decoder import live
-from decoder.sources import open_source
+from phytac_decoder.io import live_camera
+from phytac_decoder.io.frame_sources import open_source
 
 PERIOD_S = 0.02
 OUTAGE_S = 1.0
@@ -38,7 +37,7 @@ class Failing:
 
 
 def test_an_outage_costs_as_many_frames_as_it_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live.cv2, "VideoCapture", Failing)
+    monkeypatch.setattr(live_camera.cv2, "VideoCapture", Failing)
     source = open_source(["0"], report=lambda _: None)
     for frame in source:
         if frame.timestamp_s > 0.7 + OUTAGE_S:

@@ -5,15 +5,15 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from phytac_decoder.estimation import locator
+from phytac_decoder.estimation.contact_estimates import Located
+from phytac_decoder.estimation.contact_fit import ASTRAY, OFF_SPACINGS, Seen, _doubted
+from phytac_decoder.estimation.force_correction import Correction
+from phytac_decoder.estimation.locator import PRINT_SHARE, SILENT_MISFIT, SILENT_SURE
+from phytac_decoder.mechanics.response_table import Places
+from phytac_shapes.arrays import FloatArray
 
-from decoder import locate
-from decoder.contact_fit import ASTRAY, OFF_SPACINGS, Seen, _doubted
-from decoder.correct import Correction
-from decoder.found import Located
-from decoder.locate import PRINT_SHARE, SILENT_MISFIT, SILENT_SURE
-from decoder.places import Places
-from phytac_design.twin.scenario.tables import UnitSection
-from shapes.arrays import FloatArray
+from phytac_design.simulation.scenario.tables import UnitSection
 from tests.decoder.flat_sensor import (
     DISC,
     MARKERS,
@@ -268,7 +268,7 @@ def test_what_is_left_without_a_place_is_not_fitted() -> None:
     at, rng = point(30.0, 30.0), np.random.default_rng(5)
     for _ in range(10):
         noisy = shifts(at, 10.0) + rng.normal(0.0, 0.025, 2 * COUNT)
-        with mock.patch.object(locate, "fit", wraps=locate.fit) as fitted:
+        with mock.patch.object(locator, "fit", wraps=locator.fit) as fitted:
             found = LOCATOR.find(noisy.reshape(-1, 2), np.array([nearest(at)]))
         assert found.misfit > SILENT_MISFIT
         assert fitted.call_count == 1

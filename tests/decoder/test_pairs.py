@@ -6,15 +6,15 @@ from functools import cache
 
 import numpy as np
 import pytest
+from phytac_decoder.estimation.contact_estimates import Found
+from phytac_decoder.estimation.contact_fit import Fit, Prior, Seen, nothing, start
+from phytac_decoder.estimation.contact_shifts import State, explained, point_of
+from phytac_decoder.estimation.locator import Locator
+from phytac_decoder.estimation.marker_gain import with_gain
+from phytac_decoder.mechanics.interaction_table import MOST, Pairs
+from phytac_decoder.mechanics.response_table import Places
+from phytac_shapes.arrays import FloatArray
 
-from decoder.contact_fit import Fit, Prior, Seen, nothing, start
-from decoder.contact_shifts import State, explained, point_of
-from decoder.found import Found
-from decoder.locate import Locator
-from decoder.marker_gain import with_gain
-from decoder.pairs import MOST, Pairs
-from decoder.places import Places
-from shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import (
     MARKERS,
     flat_locator,
@@ -217,7 +217,7 @@ def test_one_that_is_suspected_is_not_told_and_takes_its_own_force(
     # Tables that know nothing of pairs suspect nothing.
     (alone,) = plain.find(seen.reshape(-1, 2), koi).contacts
     assert alone.force_N > 10.05
-    monkeypatch.setattr("decoder.locate.SUSPECTED_GAIN", 1e9)
+    monkeypatch.setattr("phytac_decoder.estimation.locator.SUSPECTED_GAIN", 1e9)
     (unsuspected,) = locator.find(seen.reshape(-1, 2), koi).contacts
     assert unsuspected.force_N == alone.force_N
 

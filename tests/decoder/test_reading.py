@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_decoder.estimation import frame_reading as reading_module
+from phytac_decoder.estimation.contact_estimates import Found, Located
+from phytac_decoder.estimation.decode import Measured, measure_frame, read_image
+from phytac_decoder.estimation.estimators import ForceModel
+from phytac_decoder.estimation.force_regions import Region
+from phytac_decoder.estimation.frame_reading import Reading, read
+from phytac_decoder.io.bundle import Bundle, load_bundle
+from phytac_decoder.serving.csv_recording import Recorder
+from phytac_decoder.serving.wire_protocol import Messages, json_bytes
 
-from decoder import reading as reading_module
-from decoder.bundle import Bundle, load_bundle
-from decoder.estimators import ForceModel
-from decoder.found import Found, Located
-from decoder.reading import Reading, read
-from decoder.record import Recorder
-from decoder.regions import Region
-from decoder.run import Measured, measure_frame, read_image
-from decoder.wire import Messages, json_bytes
-from phytac_design.build import BuildResult
-from phytac_design.layout.make import make_markers
+from phytac_design.layout.marker_layout import make_markers
+from phytac_design.stages.build import BuildResult
 from tests.decoder.toy_sensor import toy_bundle
 from tests.designs import small
 
@@ -143,7 +143,7 @@ def test_a_frame_is_fitted_once(
         return whole(model, *words, **more)
 
     monkeypatch.setattr(ForceModel, "contacts", counted)
-    monkeypatch.setattr("decoder.doubts.EXCUSED_MOST", 1000)
+    monkeypatch.setattr("phytac_decoder.estimation.fault_detection.EXCUSED_MOST", 1000)
     got = read(bundle, measured, "auto")
     assert len(asked) == 1
     assert got.found

@@ -10,14 +10,21 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from phytac_decoder.estimation.force_regions import (
+    NAME_MAX,
+    REGIONS_MAX,
+    Chart,
+    Region,
+    RegionForces,
+    load_regions,
+)
+from phytac_decoder.io.bundle import SCHEMA, load_bundle, save_bundle
+from phytac_shapes.errors import DesignError, InputError
 
-from decoder.bundle import SCHEMA, load_bundle, save_bundle
-from decoder.regions import NAME_MAX, REGIONS_MAX, Chart, Region, RegionForces, load_regions
-from phytac_design.cli_serve import named_regions
-from phytac_design.design_file import design_hash, parse_design, to_toml
+from phytac_design.cli.serve_command import named_regions
+from phytac_design.design.design_file import design_hash, parse_design, to_toml
 from phytac_design.layout import make_markers
-from phytac_design.region_chart import chart_of_design, design_regions
-from shapes.errors import DesignError, InputError
+from phytac_design.layout.region_chart import chart_of_design, design_regions
 from tests.decoder.toy_sensor import toy_bundle
 from tests.designs import changed, small
 
@@ -223,7 +230,7 @@ def test_a_design_names_regions_as_a_file_does(tmp_path: Path) -> None:
 
 def test_heights_by_line_of_sight_do_not_matter_to_regions() -> None:
     names = [{"name": "a", "rows": [2, 3]}]
-    with mock.patch("phytac_design.layout.make.sight_heights_mm") as dear:
+    with mock.patch("phytac_design.layout.marker_layout.sight_heights_mm") as dear:
         dense = changed("cylinder60-dense", regions=names)
         (region,) = design_regions(dense)
     assert not dear.called

@@ -8,11 +8,10 @@ import time
 from pathlib import Path
 
 import pytest
-
-from decoder import serve
-from decoder.serial_port import SerialPort
-from decoder.serve import Server
-from decoder.wire import Message, Splitter
+from phytac_decoder.io.serial_port import SerialPort
+from phytac_decoder.serving import force_server
+from phytac_decoder.serving.force_server import Server
+from phytac_decoder.serving.wire_protocol import Message, Splitter
 
 
 def test_settings_of_an_earlier_user_go() -> None:
@@ -32,7 +31,7 @@ def test_settings_of_an_earlier_user_go() -> None:
 
 def test_hello_comes_again_however_full_the_port_is(monkeypatch: pytest.MonkeyPatch) -> None:
     """Frames come faster than they go out, so that two always wait."""
-    monkeypatch.setattr(serve, "HELLO_AGAIN_S", 0.3)
+    monkeypatch.setattr(force_server, "HELLO_AGAIN_S", 0.3)
     master, slave = os.openpty()
     port = SerialPort(Path(os.ttyname(slave)))
     hello = {"type": "hello", "name": "x" * 100}

@@ -9,11 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-
-from decoder.serial_port import SerialPort
-from decoder.serve import Limits, Server
-from decoder.wire import Message, Splitter
-from shapes.errors import InputError, OutputError
+from phytac_decoder.io.serial_port import SerialPort
+from phytac_decoder.serving.force_server import Limits, Server
+from phytac_decoder.serving.wire_protocol import Message, Splitter
+from phytac_shapes.errors import InputError, OutputError
 
 HELLO = {"type": "hello", "name": "x" * 3000}
 BULK = "x" * 20000

@@ -8,14 +8,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-
-from decoder import live
-from decoder.frame import Frame, Source
-from decoder.run import read_image
-from decoder.sources import Recording, first_frames, open_source
-from decoder.tracks import Folder
-from shapes.arrays import ImageArray
-from shapes.errors import InputError
+from phytac_decoder.estimation.decode import read_image
+from phytac_decoder.io import live_camera
+from phytac_decoder.io.frame import Frame, Source
+from phytac_decoder.io.frame_sources import Recording, first_frames, open_source
+from phytac_decoder.io.recorded_frames import Folder
+from phytac_shapes.arrays import ImageArray
+from phytac_shapes.errors import InputError
 
 
 def shade(value: int) -> ImageArray:
@@ -314,8 +313,8 @@ class FakeCamera:
 @pytest.fixture
 def cameras(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[FakeCamera]]:
     FakeCamera.made = []
-    monkeypatch.setattr(live.cv2, "VideoCapture", FakeCamera)
-    monkeypatch.setattr(live, "SILENT_S", 0.3)
+    monkeypatch.setattr(live_camera.cv2, "VideoCapture", FakeCamera)
+    monkeypatch.setattr(live_camera, "SILENT_S", 0.3)
     yield FakeCamera.made
     assert all(camera.released for camera in FakeCamera.made)
 

@@ -6,10 +6,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-
-from decoder.frame import Frame
-from decoder.sources import first_frames, open_source
-from shapes.arrays import ImageArray
+from phytac_decoder.io.frame import Frame
+from phytac_decoder.io.frame_sources import first_frames, open_source
+from phytac_shapes.arrays import ImageArray
 
 FPS = 25.0
 COUNT = 60

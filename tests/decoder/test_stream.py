@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_decoder.estimation.frame_reading import Reading
+from phytac_decoder.io.frame import Frame, Source
+from phytac_decoder.io.frame_sources import open_source
+from phytac_decoder.io.imu import Imu
+from phytac_decoder.serving.sensor_loop import Progress, Stream, follow_decoder, frame_decoder
+from phytac_decoder.serving.wire_protocol import Message, Messages
+from phytac_decoder.vision.tracker import Follower
+from phytac_shapes.arrays import ImageArray
+from phytac_shapes.errors import InputError
 
-from decoder.follow import Follower
-from decoder.frame import Frame, Source
-from decoder.imu import Imu
-from decoder.reading import Reading
-from decoder.sources import open_source
-from decoder.stream import Progress, Stream, follow_decoder, frame_decoder
-from decoder.wire import Message, Messages
-from shapes.arrays import ImageArray
-from shapes.errors import InputError
 from tests.decoder.test_eyes import lattice
 from tests.decoder.test_two_eyes import pair
 from tests.decoder.toy_sensor import toy_bundle, toy_frame, toy_recording

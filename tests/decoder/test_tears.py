@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-
-from decoder.frame import Frame
-from decoder.reading import Reading
-from decoder.tears import STREAK, BAND_px, Tears, watched
-from shapes.arrays import ImageArray
-from shapes.errors import InputError
+from phytac_decoder.estimation.frame_reading import Reading
+from phytac_decoder.io.frame import Frame
+from phytac_decoder.vision.torn_frames import STREAK, BAND_px, Tears, watched
+from phytac_shapes.arrays import ImageArray
+from phytac_shapes.errors import InputError
 
 HEIGHT, WIDTH = 96, 128
 

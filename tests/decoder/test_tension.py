@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from phytac_decoder.estimation.contact_fit import start
+from phytac_decoder.estimation.contact_shifts import State, explained
+from phytac_decoder.mechanics.membrane_stretching import Walls, lost_share, powers_of
+from phytac_decoder.mechanics.response_table import Places
+from phytac_shapes.arrays import FloatArray
 from scipy.optimize import brentq
 
-from decoder.contact_fit import start
-from decoder.contact_shifts import State, explained
-from decoder.places import Places
-from decoder.tension import Walls, lost_share, powers_of
-from shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import (
     RADIUS_MM,
     SOFTENING,

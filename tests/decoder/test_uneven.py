@@ -3,15 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+import phytac_decoder.mechanics.stiffness_field
 import pytest
+from phytac_decoder.estimation.marker_gain import LeftOut, Pressed, Shown, shown
+from phytac_decoder.mechanics.response_table import Places
+from phytac_decoder.mechanics.stiffness_field import Uneven
+from phytac_shapes.arrays import BoolArray, FloatArray
 
-import decoder.uneven
-from decoder.calibrate import calibrated, match
-from decoder.marker_gain import LeftOut, Pressed, Shown, shown
-from decoder.places import Places
-from decoder.samples import Samples
-from decoder.uneven import Uneven
-from shapes.arrays import BoolArray, FloatArray
+from phytac_design.datasets.samples import Samples
+from phytac_design.training.locator_calibration import calibrated, match
 from tests.decoder.flat_samples import NOISE_PX, STIFFNESS, pressed
 from tests.decoder.flat_sensor import MARKERS, flat_locator
 
@@ -76,9 +76,9 @@ def test_an_uneven_print_is_learnt_and_read_better() -> None:
     places = told_by(own).told()
     assert left_px(fresh, places) < 0.5 * left_px(fresh, PLAIN.places)
     errors = []
-    for share in (decoder.uneven.SHARE, 0.0):
+    for share in (phytac_decoder.mechanics.stiffness_field.SHARE, 0.0):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(decoder.uneven, "SHARE", share)
+            patch.setattr(phytac_decoder.mechanics.stiffness_field, "SHARE", share)
             learnt, _ = calibrated(LOCATOR, own, np.arange(160), force_max_N=25.0)
         found = match(replace(learnt, correction=None), fresh, np.arange(80))
         assert learnt.correction is not None
@@ -136,7 +136,7 @@ def test_the_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.abs(rows - by_rest)[:, :, 6:8].max() < 1e-3 * change
     others = np.setdiff1d(np.arange(2 * N), [6, 7])
     np.testing.assert_allclose(rows[:, :, others], full[:, :, others], atol=1e-6)
-    monkeypatch.setattr(decoder.uneven, "MOST", 10)
+    monkeypatch.setattr(phytac_decoder.mechanics.stiffness_field, "MOST", 10)
     few = [Uneven(seen, parts, contacts, PLAIN.places, PLAIN.noise).told() for _ in range(2)]
     assert (few[0].shift_px == few[1].shift_px).all()
     assert not np.allclose(few[0].shift_px, full)

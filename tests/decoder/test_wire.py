@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from decoder.imu import Imu
-from decoder.reading import Reading
-from decoder.record import COLUMNS, Recorder, RegionRecorder
-from decoder.regions import Region
-from decoder.wire import (
+from phytac_decoder.estimation.force_regions import Region
+from phytac_decoder.estimation.frame_reading import Reading
+from phytac_decoder.io.imu import Imu
+from phytac_decoder.serving.csv_recording import COLUMNS, Recorder, RegionRecorder
+from phytac_decoder.serving.wire_protocol import (
     FRAMINGS,
     MESSAGE_MAX_BYTES,
     Messages,
@@ -26,8 +25,9 @@ from decoder.wire import (
     json_bytes,
     with_dropped,
 )
-from shapes.arrays import FloatArray
-from shapes.errors import InputError, OutputError
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import InputError, OutputError
+
 from tests.decoder.toy_sensor import toy_bundle
 
 COUNT = 30

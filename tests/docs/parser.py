@@ -6,14 +6,14 @@ from importlib import resources
 from importlib.util import find_spec
 from typing import Any
 
+from phytac_shapes import REGISTRY
+from phytac_shapes.errors import PhytacError
 from typer.main import get_command
 
-from phytac_design.accuracy import with_settings
-from phytac_design.cli import app
-from phytac_design.design_file import shipped_designs
+from phytac_design.cli.app import app
+from phytac_design.design.accuracy import with_settings
+from phytac_design.design.design_file import shipped_designs
 from phytac_design.stages import STAGES
-from shapes import REGISTRY
-from shapes.errors import PhytacError
 from tests.docs.pages import ROOT
 
 PLACEHOLDER = re.compile(r"^[A-Z][A-Z.…]*$")
@@ -23,7 +23,7 @@ GROUP: Any = get_command(app)
 
 def shipped(folder: str) -> list[str]:
     """Names of the files that come with the package."""
-    files = resources.files("phytac_design") / folder
+    files = resources.files("phytac_design") / "data" / folder
     return [item.name.removesuffix(".toml") for item in files.iterdir()]
 
 
@@ -33,7 +33,7 @@ def file_or(known: Sequence[str]) -> Callable[[str], bool]:
 
 
 def _knobs(word: str) -> bool:
-    from phytac_design.accuracy import PRESETS
+    from phytac_design.design.accuracy import PRESETS
 
     try:
         with_settings(PRESETS["draft"], [word])

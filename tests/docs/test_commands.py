@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from phytac_design.build import BuildResult
-from phytac_design.cli import app
-from phytac_design.design_file import to_toml
+from phytac_design.cli.app import app
+from phytac_design.design.design_file import to_toml
+from phytac_design.stages.build import BuildResult
 from tests.designs import small
 from tests.docs.pages import PAGES, Command, commands, inline
 from tests.docs.parser import OWN_SHAPES, fault, inline_fault
@@ -37,7 +37,7 @@ PARSED = {
     "simulate": "minutes; tests/test_simulate.py",
     "tradeoff": "minutes; tests/study",
     "stability": "minutes; tests/study/stability",
-    "import": "needs a decoder of the rig; tests/twin/test_rig.py",
+    "import": "needs a decoder of the rig; tests/simulation/test_rig.py",
 }
 """Commands that are parsed only, why, and where they are tested."""
 FILE = re.compile(r"/|\.[A-Za-z]")
@@ -117,7 +117,7 @@ def test_quick_commands_run_as_they_stand(words: tuple[str, ...], shop: Path) ->
 def test_help_imports_nothing_heavy() -> None:
     """What keeps ``phytac --help`` quick: libraries are imported when a command needs them."""
     code = (
-        "import sys\nimport phytac_design.cli\n"
+        "import sys\nimport phytac_design.cli.app\n"
         "heavy = 'scipy numba cv2 pydantic matplotlib cadquery torch pyrender optuna distributed'\n"
         "print(sorted(set(heavy.split()) & set(sys.modules)))"
     )

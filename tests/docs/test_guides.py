@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from phytac_design.checkup import checkup
-from phytac_design.design_file import load_design
-from phytac_design.print_section import PROCESSES
+from phytac_design.design.design_file import load_design
+from phytac_design.design.print_rules_table import PROCESSES
 from phytac_design.rules import check_design
+from phytac_design.rules.design_review import checkup
 from phytac_design.study.search.file import load_study
 from phytac_design.study.search.space import make_space
 from tests.docs.pages import PAGES, ROOT, blocks, listing
@@ -60,12 +60,12 @@ def test_a_calibration_file_makes_the_camera(tmp_path: Path) -> None:
 def test_a_lens_is_one_class_in_one_file(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "decoder", tmp_path / "decoder", ignore=shutil.ignore_patterns("__py*"))
     with (tmp_path / "decoder" / "lens.py").open("a") as stream:
-        stream.write("\n\n" + listing(CAMERA, "decoder/lens.py"))
+        stream.write("\n\n" + listing(CAMERA, "decoder/phytac_decoder/camera/lens.py"))
     code = """
 import numpy as np
-from phytac_design.checkup import checkup
-from phytac_design.build import copy_of
-from phytac_design.design_file import load_design
+from phytac_design.rules.design_review import checkup
+from phytac_design.stages.build import copy_of
+from phytac_design.design.design_file import load_design
 lens = {"model": "stereographic", "width_px": 864, "height_px": 648, "focal_px": 323.0}
 shape = {"length_mm": 60.0}
 few = {"rows": 6, "columns": 10, "height_far_mm": 4.0}
@@ -109,7 +109,7 @@ def changed(name: str, mark: str, new: str) -> ModuleType:
 
 def test_a_print_preset_is_one_entry_in_one_file() -> None:
     head = "PROCESSES: dict[str, dict[str, Any]] = {\n"
-    name = "phytac_design/print_section.py"
+    name = "phytac_design/design/print_rules_table.py"
     section = changed(name, head, head + listing(PRINTER, name)).PrintSection
     rules = section.model_validate({"process": "dlp"})
     assert (rules.accuracy_mm, rules.bed_mm, rules.hole_min_mm) == (0.08, (143.0, 89.0, 175.0), 0.6)
@@ -130,7 +130,9 @@ def test_an_estimator_goes_where_the_page_says() -> None:
     """The lines that the architecture page gives fit into ``ForceModel.forces``."""
     (code,) = [b for b in blocks(ROOT / "docs" / "architecture.md", "python") if "own" in b]
     mark = '        if estimator == "koi_inverse":\n'
-    model = changed("decoder/estimators.py", mark, code + mark).ForceModel(
+    model = changed(
+        "decoder/phytac_decoder/estimation/estimators.py", mark, code + mark
+    ).ForceModel(
         shift_to_mm=np.array([[0.1, 0.0], [0.0, 0.2]]),
         stiffness=np.diag([30.0, 40.0]),
         compliance_px=np.eye(4)[:, :2],

@@ -8,10 +8,10 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import numpy as np
+import phytac_shapes
 import pytest
+from phytac_shapes.errors import DesignError
 
-import shapes
-from shapes.errors import DesignError
 from tests.docs.pages import ROOT, commands, listing
 
 GUIDE = ROOT / "docs" / "guides" / "own-shape.md"
@@ -28,7 +28,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def phytac(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    code = "from phytac_design.cli import main; main()"
+    code = "from phytac_design.cli.app import main; main()"
     return subprocess.run(
         [sys.executable, "-c", code, *words],
         cwd=folder,
@@ -39,7 +39,7 @@ def phytac(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def barrel(checkout: Path, **sizes: float) -> shapes.Surface:
+def barrel(checkout: Path, **sizes: float) -> phytac_shapes.Surface:
     """A barrel of the guide's class."""
     spec = spec_from_file_location("barrel_of_the_guide", checkout / "shapes" / "barrel.py")
     assert spec is not None
@@ -49,7 +49,7 @@ def barrel(checkout: Path, **sizes: float) -> shapes.Surface:
     try:
         spec.loader.exec_module(module)
         made = module.FAMILY(**sizes)
-        assert isinstance(made, shapes.Surface)
+        assert isinstance(made, phytac_shapes.Surface)
         return made
     finally:
         del sys.modules[spec.name]
@@ -97,7 +97,7 @@ def test_the_commands_know_it(checkout: Path) -> None:
 
 
 def test_the_guide_counts_right() -> None:
-    assert len(shapes.Surface.__abstractmethods__) == 10
+    assert len(phytac_shapes.Surface.__abstractmethods__) == 10
     assert "its ten abstract methods" in GUIDE.read_text()
 
 
@@ -107,4 +107,4 @@ def test_two_shapes_of_one_name_are_refused(checkout: Path, tmp_path: Path) -> N
     (tmp_path / "shapes" / "barrel.py").write_text(text.replace('"barrel"', '"cone"'))
     done = phytac(tmp_path, "shapes")
     assert done.returncode != 0
-    assert "registers the shape 'cone', which there is already (shapes.cone)" in done.stderr
+    assert "registers the shape 'cone', which there is already (phytac_shapes.cone)" in done.stderr

@@ -4,13 +4,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from phytac_design.accuracy import PRESETS
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout.thresholds import thresholds_N
-from phytac_design.spec import Design
-from phytac_design.stage import Context
-from phytac_design.stages.bench import BENCH
-from phytac_design.stages.kit import KIT
+from phytac_design.stages.calibration_rig import KIT
+from phytac_design.stages.documents import BENCH
 from phytac_design.stages.mold import MOLD
 from phytac_design.stages.shell import run_shell
 from phytac_design.stages.switch import switches_of

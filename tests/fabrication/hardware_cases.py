@@ -5,18 +5,19 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from phytac_design.accuracy import PRESETS
-from phytac_design.build import copy_of
-from phytac_design.design_file import load_design
+from phytac_shapes import Surface
+
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import load_design
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context
 from phytac_design.fabrication.hardware.assembly import make_hardware
 from phytac_design.fabrication.hardware.bodies import hardware_solids, sensor_solids
 from phytac_design.fabrication.hardware.parts import Kit
 from phytac_design.fabrication.switch_set import SwitchSet, make_switches
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.thresholds import thresholds_N
-from phytac_design.spec import Design
-from phytac_design.stage import Context
-from shapes import Surface
+from phytac_design.stages.build import copy_of
 
 SHIPPED = ("cylinder60", "cylinder40", "cone", "cuboid", "hemisphere", "grip", "plane", "patch")
 

@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
+from phytac_design.design.print_rules_table import PrintSection
+from phytac_design.design.switch_table import MoldSection
 from phytac_design.fabrication.molds.make import MoldSet, make_molds
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.mechanics.switch.bowl import Bowl
-from phytac_design.print_section import PrintSection
-from phytac_design.switch_section import MoldSection
 
 BOWL: dict[str, float] = {
     "diameter_mm": 4.6,

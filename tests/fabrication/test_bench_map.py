@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from phytac_shapes.arrays import FloatArray
 
 from benchmarks.bench_measure import (
     fit_shift_mm,
@@ -13,8 +14,9 @@ from benchmarks.bench_measure import (
     red_centres_mm,
     tick_places_mm,
 )
-from phytac_design.fabrication.bench.drawing import Disc, Line, svg_text
-from phytac_design.fabrication.bench.paint_map import (
+from phytac_design.design.spec import Design
+from phytac_design.fabrication.documents.drawing import Disc, Line, svg_text
+from phytac_design.fabrication.documents.paint_map import (
     OVERLAP_mm,
     PaintMap,
     make_map,
@@ -22,10 +24,8 @@ from phytac_design.fabrication.bench.paint_map import (
     paper_pages,
     whole_page,
 )
-from phytac_design.fabrication.bench.pdf import pdf_bytes
-from phytac_design.fabrication.bench.unroll import unroll
-from phytac_design.spec import Design
-from shapes.arrays import FloatArray
+from phytac_design.fabrication.documents.pdf import pdf_bytes
+from phytac_design.fabrication.documents.unroll import unroll
 from tests.fabrication.bench_cases import switches
 from tests.fabrication.cases import FAMILIES, built, family_design, shipped
 

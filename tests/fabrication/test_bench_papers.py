@@ -8,19 +8,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_shapes.errors import DesignError
 
-from phytac_design.build import copy_of
-from phytac_design.fabrication.bench.fixture_steps import fixture_steps
-from phytac_design.fabrication.bench.materials import DENSITY_g_cm3, mass_g
-from phytac_design.fabrication.bench.parts import bill_csv, bill_rows, shell_parts
-from phytac_design.fabrication.bench.recipe import make_recipe, recipe_steps, recipe_text
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import EXPORT
+from phytac_design.fabrication.documents.fixture_steps import fixture_steps
+from phytac_design.fabrication.documents.materials import DENSITY_g_cm3, mass_g
+from phytac_design.fabrication.documents.parts import bill_csv, bill_rows, shell_parts
+from phytac_design.fabrication.documents.recipe import make_recipe, recipe_steps, recipe_text
 from phytac_design.fabrication.switch_set import revolved_volume_mm3
-from phytac_design.fabrication.triangles import TriangleMesh
+from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import make_markers
-from phytac_design.spec import Design
-from phytac_design.stage import EXPORT
-from phytac_design.stages.bench import read_stl
-from shapes.errors import DesignError
+from phytac_design.stages.build import copy_of
+from phytac_design.stages.documents import read_stl
 from tests.fabrication.bench_cases import ran, switches
 from tests.fabrication.cases import design, shipped
 

@@ -5,8 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from phytac_shapes.errors import DesignError, InputError, NumericalError, OutputError
 
-from phytac_design.fabrication.cad import (
+from phytac_design.design.spec import WallSection
+from phytac_design.layout import make_markers
+from phytac_design.solids.cad import (
     STEP_DATE,
     CadFacts,
     cad_facts,
@@ -15,13 +18,10 @@ from phytac_design.fabrication.cad import (
     wall_cad,
     write_step,
 )
-from phytac_design.fabrication.cad_spline import cells_for, spline_edge
-from phytac_design.fabrication.profile import wall_mesh
-from phytac_design.fabrication.solid_mesh import shell_manifold
-from phytac_design.fabrication.step_surface import surface_from_step
-from phytac_design.layout import make_markers
-from phytac_design.spec import WallSection
-from shapes.errors import DesignError, InputError, NumericalError, OutputError
+from phytac_design.solids.cad_spline import cells_for, spline_edge
+from phytac_design.solids.solid_mesh import shell_manifold
+from phytac_design.solids.step_surface import surface_from_step
+from phytac_design.solids.wall_mesh import wall_mesh
 from tests.fabrication.cases import FAMILIES, Barrel, built, design, family_design
 from tests.fabrication.walls import rims_mm3, steiner_mm3
 
@@ -164,7 +164,7 @@ def test_step_opens_again_and_repeats_byte_for_byte(tmp_path: Path) -> None:
 def test_another_process_writes_the_same_step(tmp_path: Path) -> None:
     code = (
         "import sys;from pathlib import Path;from tests.fabrication.cases import *;"
-        "from phytac_design.fabrication.cad import *;"
+        "from phytac_design.solids.cad import *;"
         "write_step(shell_cad(*built(design(layout={'rows':1,'columns':3}))),Path(sys.argv[1]))"
     )
     root = Path(__file__).parents[2]

@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phytac_design.fabrication.export import (
+from phytac_design.geometry.triangles import TriangleMesh
+from phytac_design.rules import check_design
+from phytac_design.solids.mesh_export import (
     STL_HEADER,
     stl_bytes,
     threemf_bytes,
     write_3mf,
     write_stl,
 )
-from phytac_design.fabrication.solid_mesh import painted_manifolds, shell_manifold, to_triangles
-from phytac_design.fabrication.triangles import TriangleMesh
-from phytac_design.rules import check_design
+from phytac_design.solids.solid_mesh import painted_manifolds, shell_manifold, to_triangles
 from tests.fabrication.cases import FAMILIES, built, design, family_design, shipped
 
 SINGLE = 3e-6
@@ -101,8 +101,8 @@ def test_files_do_not_change_from_run_to_run(
 def test_another_process_writes_the_same_bytes() -> None:
     code = (
         "import hashlib;from tests.fabrication.cases import *;"
-        "from phytac_design.fabrication.solid_mesh import *;"
-        "from phytac_design.fabrication.export import *;"
+        "from phytac_design.solids.solid_mesh import *;"
+        "from phytac_design.solids.mesh_export import *;"
         "c=built(shipped('cylinder60'));h=hashlib.sha256();"
         "h.update(stl_bytes(to_triangles(shell_manifold(*c))));"
         "h.update(threemf_bytes({k:to_triangles(b) for k,b in painted_manifolds(*c).items()},"

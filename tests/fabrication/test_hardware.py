@@ -3,8 +3,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_shapes.errors import DesignError
 
-from phytac_design.fabrication.facts import manifold_facts, trimesh_facts
 from phytac_design.fabrication.hardware.assembly import check_hardware, make_hardware
 from phytac_design.fabrication.hardware.bodies import SHELL, SWITCHES, hardware_solids
 from phytac_design.fabrication.hardware.by_mesh import MeshKernel
@@ -19,11 +19,11 @@ from phytac_design.fabrication.hardware.checks import (
 from phytac_design.fabrication.hardware.report import verdict
 from phytac_design.fabrication.hardware.screws import SCREWS
 from phytac_design.fabrication.hardware.solids import Circle, Cut, Prism, Rod, Union
-from phytac_design.fabrication.printing.rays import RayTree
-from phytac_design.fabrication.solid_mesh import to_triangles
-from phytac_design.optics.envelope import edge_mm
-from phytac_design.optics.view import cameras_of
-from shapes.errors import DesignError
+from phytac_design.geometry.envelope import edge_mm
+from phytac_design.geometry.ray_tree import RayTree
+from phytac_design.layout.cameras import cameras_of
+from phytac_design.solids.mesh_facts import manifold_facts, trimesh_facts
+from phytac_design.solids.solid_mesh import to_triangles
 from tests.fabrication.hardware_cases import SHIPPED, case, changed, solids, switches
 
 every_shape = pytest.mark.parametrize("name", SHIPPED)

@@ -3,19 +3,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phytac_design.fabrication.facts import manifold_facts
+from phytac_design.design.hardware_table import BOARDS, HardwareSection
+from phytac_design.design.print_rules_table import PROCESSES
+from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.assembly import make_hardware
 from phytac_design.fabrication.hardware.bar import strip_mm
 from phytac_design.fabrication.hardware.bodies import hardware_solids, sensor_solids
 from phytac_design.fabrication.hardware.report import parts_list, verdict
 from phytac_design.fabrication.hardware.screws import SCREWS
-from phytac_design.fabrication.solid_mesh import to_manifold
-from phytac_design.fabrication.triangles import prisms
-from phytac_design.hardware_section import BOARDS, HardwareSection
+from phytac_design.geometry.triangles import prisms
 from phytac_design.layout import make_markers
-from phytac_design.optics.view import cameras_of
-from phytac_design.print_section import PROCESSES
-from phytac_design.spec import Design
+from phytac_design.layout.cameras import cameras_of
+from phytac_design.solids.mesh_facts import manifold_facts
+from phytac_design.solids.solid_mesh import to_manifold
 from tests.fabrication.hardware_cases import case, changed, solids, switches
 
 SMALL: dict[str, Any] = {"rows": 4, "columns": 8}

@@ -4,8 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_shapes.errors import OutputError
 
-from phytac_design.fabrication.cad import cad_facts, read_assembly, read_step, write_assembly
+from phytac_design.design.spec import WallSection
+from phytac_design.engine.stage import graphics_libraries
 from phytac_design.fabrication.hardware.bodies import switch_mesh
 from phytac_design.fabrication.hardware.by_cad import CadKernel
 from phytac_design.fabrication.hardware.by_mesh import MeshKernel
@@ -25,10 +27,8 @@ from phytac_design.fabrication.hardware.solids import (
 )
 from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodies
 from phytac_design.layout import make_markers
-from phytac_design.spec import WallSection
-from phytac_design.stage import graphics_libraries
+from phytac_design.solids.cad import cad_facts, read_assembly, read_step, write_assembly
 from phytac_design.stages.hardware import HARDWARE
-from shapes.errors import OutputError
 from tests.fabrication.cases import design
 from tests.fabrication.hardware_cases import case, changed, context, solids, switches
 

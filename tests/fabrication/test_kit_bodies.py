@@ -8,25 +8,25 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_shapes.arrays import FloatArray
 from pydantic import ValidationError
 
-from phytac_design.bench_section import KitSection
-from phytac_design.build import copy_of
-from phytac_design.fabrication.export import write_stl
-from phytac_design.fabrication.facts import manifold_facts, trimesh_facts
-from phytac_design.fabrication.kit.bodies import Kit, kit_bodies, kit_parts
-from phytac_design.fabrication.kit.clean import NEEDLE_mm, clean
-from phytac_design.fabrication.kit.grippers import jaw, palm_radius_mm
-from phytac_design.fabrication.kit.guide import guide_text
-from phytac_design.fabrication.kit.lifted import Lifted
-from phytac_design.fabrication.kit.program import gcode, make_program
-from phytac_design.fabrication.kit.regions import Regions, frames_at, make_regions
-from phytac_design.fabrication.kit.solids import bolt_places, tool_height_mm
-from phytac_design.fabrication.profile import wall_mesh
-from phytac_design.fabrication.solid_mesh import shell_manifold, to_manifold, to_triangles
-from phytac_design.fabrication.triangles import TriangleMesh, prisms
-from phytac_design.spec import Design
-from shapes.arrays import FloatArray
+from phytac_design.design.documents_table import KitSection
+from phytac_design.design.spec import Design
+from phytac_design.fabrication.calibration_rig.bodies import Kit, kit_bodies, kit_parts
+from phytac_design.fabrication.calibration_rig.clean import NEEDLE_mm, clean
+from phytac_design.fabrication.calibration_rig.grippers import jaw, palm_radius_mm
+from phytac_design.fabrication.calibration_rig.guide import guide_text
+from phytac_design.fabrication.calibration_rig.lifted import Lifted
+from phytac_design.fabrication.calibration_rig.program import gcode, make_program
+from phytac_design.fabrication.calibration_rig.regions import Regions, frames_at, make_regions
+from phytac_design.fabrication.calibration_rig.solids import bolt_places, tool_height_mm
+from phytac_design.geometry.triangles import TriangleMesh, prisms
+from phytac_design.solids.mesh_export import write_stl
+from phytac_design.solids.mesh_facts import manifold_facts, trimesh_facts
+from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
+from phytac_design.solids.wall_mesh import wall_mesh
+from phytac_design.stages.build import copy_of
 from tests.fabrication.cases import FAMILIES, built, family_design, shipped
 
 TOL_mm = 0.03

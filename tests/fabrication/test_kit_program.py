@@ -8,13 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from phytac_shapes.errors import InputError
 from scipy.spatial.transform import Rotation
 
 from benchmarks.bench_measure import Move, in_sensor, read_gcode, tool_axis, tool_x
-from phytac_design.build import copy_of
-from phytac_design.design_file import to_toml
-from phytac_design.fabrication.kit.log import Log, check_steps, log_head, log_text, read_log
-from phytac_design.fabrication.kit.program import (
+from phytac_design.design.design_file import to_toml
+from phytac_design.fabrication.calibration_rig.log import (
+    Log,
+    check_steps,
+    log_head,
+    log_text,
+    read_log,
+)
+from phytac_design.fabrication.calibration_rig.program import (
     Program,
     gcode,
     make_program,
@@ -22,13 +28,13 @@ from phytac_design.fabrication.kit.program import (
     steps_of,
     turned,
 )
-from phytac_design.fabrication.kit.regions import frames_at, make_regions
-from phytac_design.fabrication.kit.symmetry import find_symmetry
-from phytac_design.mechanics.calibrate.calibration import LINEAR_SHARE
-from phytac_design.mechanics.calibrate.measurements import Measurements, read_measurements
-from phytac_design.mechanics.calibrate.probe_response import ProbeResponse
-from phytac_design.mechanics.receptors import receptor_stiffness
-from shapes.errors import InputError
+from phytac_design.fabrication.calibration_rig.regions import frames_at, make_regions
+from phytac_design.fabrication.calibration_rig.symmetry import find_symmetry
+from phytac_design.mechanics.calibration.calibration import LINEAR_SHARE
+from phytac_design.mechanics.calibration.measurements import Measurements, read_measurements
+from phytac_design.mechanics.calibration.probe_response import ProbeResponse
+from phytac_design.mechanics.shell.receptor_stiffness import receptor_stiffness
+from phytac_design.stages.build import copy_of
 from tests.designs import small
 from tests.fabrication.cases import built, shipped
 from tests.test_cli import phytac

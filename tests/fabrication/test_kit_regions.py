@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from phytac_design.build import copy_of
-from phytac_design.fabrication.kit.regions import (
+from phytac_design.design.spec import Design
+from phytac_design.fabrication.calibration_rig.regions import (
     FIT_mm,
     RADIUS_MIN_mm,
     clear_mm,
@@ -14,8 +14,8 @@ from phytac_design.fabrication.kit.regions import (
     make_regions,
     radii_mm,
 )
-from phytac_design.fabrication.kit.symmetry import find_symmetry
-from phytac_design.spec import Design
+from phytac_design.fabrication.calibration_rig.symmetry import find_symmetry
+from phytac_design.stages.build import copy_of
 from tests.fabrication.cases import FAMILIES, built, family_design, shipped
 
 SHAPES = ("cylinder60", "cone", "cuboid", "grip", "hemisphere", "plane", "patch")

@@ -6,8 +6,9 @@ from pathlib import Path
 import manifold3d
 import numpy as np
 import pytest
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
-from phytac_design.fabrication.export import write_stl
 from phytac_design.fabrication.molds.audit import (
     Audit,
     audit_set,
@@ -25,11 +26,10 @@ from phytac_design.fabrication.molds.closed import (
 )
 from phytac_design.fabrication.molds.make import TURNED, MoldSet
 from phytac_design.fabrication.molds.release import check_release
-from phytac_design.fabrication.solid_mesh import to_manifold
 from phytac_design.fabrication.switch_set import SwitchSet, revolve, revolved_volume_mm3
-from phytac_design.fabrication.triangles import TriangleMesh
-from shapes.arrays import FloatArray
-from shapes.errors import NumericalError
+from phytac_design.geometry.triangles import TriangleMesh
+from phytac_design.solids.mesh_export import write_stl
+from phytac_design.solids.solid_mesh import to_manifold
 from tests.fabrication.molds import WAYS, molds, switch_set
 from tests.fabrication.test_export import assert_admesh_finds_nothing, needs_admesh
 

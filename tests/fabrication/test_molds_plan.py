@@ -8,22 +8,22 @@ from typing import Any
 import manifold3d
 import numpy as np
 import pytest
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 from pydantic import ValidationError
 
-from phytac_design.accuracy import PRESETS
-from phytac_design.build import copy_of
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.spec import Design
+from phytac_design.design.switch_table import MoldSection
+from phytac_design.engine.stage import Context
 from phytac_design.fabrication.molds.grid import Plan, plan_sets
 from phytac_design.fabrication.molds.make import MoldSet
 from phytac_design.fabrication.molds.rules import rule_rows
 from phytac_design.fabrication.molds.text import GLYPHS, label, strokes
-from phytac_design.fabrication.solid_mesh import to_manifold, to_triangles
 from phytac_design.fabrication.switch_set import reach_mm
-from phytac_design.spec import Design
-from phytac_design.stage import Context
+from phytac_design.solids.solid_mesh import to_manifold, to_triangles
+from phytac_design.stages.build import copy_of
 from phytac_design.stages.mold import MOLD
-from phytac_design.switch_section import MoldSection
-from shapes.arrays import FloatArray
-from shapes.errors import DesignError
 from tests.fabrication.cases import design
 from tests.fabrication.molds import BOWL, WAYS, molds, switch_set
 

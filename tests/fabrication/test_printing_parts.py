@@ -8,22 +8,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_shapes.errors import DesignError
 
-from phytac_design.accuracy import PRESETS
-from phytac_design.fabrication.facts import trimesh_facts
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.print_rules_table import PrintSection
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context
 from phytac_design.fabrication.printing.cuts import gaps, plan_cuts, receptor_spans
 from phytac_design.fabrication.printing.overhang import suggest
 from phytac_design.fabrication.printing.parting import key_sizes, part_shell
-from phytac_design.fabrication.printing.rays import RayTree
 from phytac_design.fabrication.printing.stl import read_stl
-from phytac_design.fabrication.solid_mesh import shell_manifold, to_manifold, to_triangles
-from phytac_design.fabrication.triangles import prisms
-from phytac_design.print_section import PrintSection
-from phytac_design.spec import Design
-from phytac_design.stage import Context
+from phytac_design.geometry.ray_tree import RayTree
+from phytac_design.geometry.triangles import prisms
+from phytac_design.solids.mesh_facts import trimesh_facts
+from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
 from phytac_design.stages.printing import OTHERS, run
 from phytac_design.stages.shell import run_shell
-from shapes.errors import DesignError
 from tests.fabrication.cases import built, design, family_design, shipped
 
 

@@ -2,26 +2,26 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from phytac_shapes.errors import DesignError, NumericalError
 
-from phytac_design.fabrication.facts import (
+from phytac_design.design.spec import Design, WallSection
+from phytac_design.geometry.triangles import TriangleMesh, prisms, sides_for
+from phytac_design.layout import make_markers
+from phytac_design.rules import check_design
+from phytac_design.solids.mesh_facts import (
     expected_genus,
     manifold_facts,
     shell_facts,
     trimesh_facts,
 )
-from phytac_design.fabrication.profile import wall_mesh
-from phytac_design.fabrication.receptors import receptor_axes, root_depth_mm
-from phytac_design.fabrication.solid_mesh import (
+from phytac_design.solids.receptor_tubes import receptor_axes, root_depth_mm
+from phytac_design.solids.solid_mesh import (
     painted_manifolds,
     shell_manifold,
     to_manifold,
     to_triangles,
 )
-from phytac_design.fabrication.triangles import TriangleMesh, prisms, sides_for
-from phytac_design.layout import make_markers
-from phytac_design.rules import check_design
-from phytac_design.spec import Design, WallSection
-from shapes.errors import DesignError, NumericalError
+from phytac_design.solids.wall_mesh import wall_mesh
 from tests.fabrication.cases import Barrel, built, design, scaled, shipped
 
 NO_RIM = {"rim_length_mm": 0.0}

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from phytac_shapes.errors import DesignError
 
-from phytac_design.build import copy_of
-from phytac_design.design_file import load_design
-from phytac_design.fabrication.solid_mesh import to_manifold
+from phytac_design.design.design_file import load_design
+from phytac_design.design.spec import Design
 from phytac_design.fabrication.switch_set import (
     LENGTH_STEP_mm,
     make_switches,
@@ -17,8 +17,8 @@ from phytac_design.fabrication.switch_set import (
 from phytac_design.layout import make_markers
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.switch.bowl import Bowl
-from phytac_design.spec import Design
-from shapes.errors import DesignError
+from phytac_design.solids.solid_mesh import to_manifold
+from phytac_design.stages.build import copy_of
 
 BOWL = {"diameter_mm": 4.6, "depth_mm": 1.77, "thickness_mm": 0.22, "stem_diameter_mm": 1.44}
 BOWL |= {"pad_diameter_mm": 1.44, "pad_height_mm": 0.02, "fillet_mm": 0.24}

@@ -1,24 +1,24 @@
 import numpy as np
+import phytac_shapes
 import pytest
 from hypothesis import example, given, settings
+from phytac_shapes.errors import DesignError
 
-import shapes
-from phytac_design.fabrication.facts import (
+from phytac_design.design.spec import WallSection
+from phytac_design.layout import make_markers
+from phytac_design.solids.mesh_facts import (
     expected_genus,
     manifold_facts,
     shell_facts,
     trimesh_facts,
 )
-from phytac_design.fabrication.profile import wall_mesh
-from phytac_design.fabrication.solid_mesh import (
+from phytac_design.solids.solid_mesh import (
     painted_manifolds,
     shell_manifold,
     to_manifold,
     to_triangles,
 )
-from phytac_design.layout import make_markers
-from phytac_design.spec import WallSection
-from shapes.errors import DesignError
+from phytac_design.solids.wall_mesh import wall_mesh
 from tests.fabrication.cases import FAMILIES, Barrel, family_design
 from tests.fabrication.walls import rims_mm3, steiner_mm3
 from tests.test_shapes import draw, every_shape, safe_depth, seeds
@@ -60,7 +60,7 @@ def test_no_corner_and_no_facet_strays(name: str, tolerance: float) -> None:
         assert gap[~on_edge].max(initial=0.0) <= 1.05 * tolerance
 
 
-def drawn_wall(surface: shapes.Surface) -> WallSection:
+def drawn_wall(surface: phytac_shapes.Surface) -> WallSection:
     depth = min(safe_depth(surface), 0.8)
     return WallSection(thickness_mm=depth, rim_length_mm=depth, rim_flange_mm=depth / 2.0)
 
@@ -100,7 +100,7 @@ def test_shell_with_receptors_is_one_body_of_the_right_genus(name: str) -> None:
 
 
 def test_the_pole_is_one_vertex_and_no_triangle_is_degenerate() -> None:
-    surface = shapes.Hemisphere(diameter_outer_mm=40.0)
+    surface = phytac_shapes.Hemisphere(diameter_outer_mm=40.0)
     mesh = wall_mesh(surface, WallSection(), tolerance_mm=0.02)
     on_axis = np.hypot(*mesh.vertices_mm[:, :2].T) < 1e-6
     assert sorted(mesh.vertices_mm[on_axis, 2]) == pytest.approx([19.2, 20.0], abs=1e-9)
@@ -109,7 +109,7 @@ def test_the_pole_is_one_vertex_and_no_triangle_is_degenerate() -> None:
 
 
 def test_a_sheet_has_a_mitred_frame_on_all_four_sides() -> None:
-    surface = shapes.Plane(width_mm=30.0, height_mm=20.0)
+    surface = phytac_shapes.Plane(width_mm=30.0, height_mm=20.0)
     solid = to_manifold(wall_mesh(surface, WallSection(), tolerance_mm=0.01))
     low, high = np.array(solid.bounding_box()).reshape(2, 3)
     np.testing.assert_allclose(low, [-19.0, -14.0, -0.8], atol=1e-12)
@@ -123,7 +123,7 @@ def test_a_sheet_has_a_mitred_frame_on_all_four_sides() -> None:
 
 def test_a_saddle_is_split_though_its_chart_lines_are_straight() -> None:
     grid = (((-20.0, -20.0, 44.0), (20.0, -20.0, 36.0)), ((-20.0, 20.0, 36.0), (20.0, 20.0, 44.0)))
-    surface = shapes.Patch(points_mm=grid)
+    surface = phytac_shapes.Patch(points_mm=grid)
     wall = WallSection(rim_length_mm=0.0)
     mesh = wall_mesh(surface, wall, tolerance_mm=0.02)
     assert mesh.volume_mm3 == pytest.approx(steiner_mm3(surface, 0.8), rel=1e-4)
@@ -136,7 +136,7 @@ def test_a_saddle_is_split_though_its_chart_lines_are_straight() -> None:
 
 
 def test_a_rim_that_meets_itself_is_refused() -> None:
-    surface = shapes.Cone(diameter_near_mm=40.0, diameter_far_mm=4.0, length_mm=20.0)
+    surface = phytac_shapes.Cone(diameter_near_mm=40.0, diameter_far_mm=4.0, length_mm=20.0)
     with pytest.raises(DesignError, match=r"rim of the cone folds.*lower wall.rim_length_mm"):
         wall_mesh(surface, WallSection(), tolerance_mm=0.05)
     fine = wall_mesh(surface, WallSection(rim_length_mm=0.5), tolerance_mm=0.05)
@@ -146,7 +146,7 @@ def test_a_rim_that_meets_itself_is_refused() -> None:
 def test_a_corner_too_sharp_for_its_mitre_is_refused() -> None:
     grid = (((0.0, 0.0, 40.0), (40.0, 0.0, 40.0)), ((200.0, 40.0, 40.0), (240.0, 40.0, 40.0)))
     with pytest.raises(DesignError, match=r"two of its edges meet at an angle of 11°"):
-        wall_mesh(shapes.Patch(points_mm=grid), WallSection(), tolerance_mm=0.05)
+        wall_mesh(phytac_shapes.Patch(points_mm=grid), WallSection(), tolerance_mm=0.05)
 
 
 class Ring(Barrel):
@@ -162,6 +162,6 @@ class Ball(Barrel):
 
 
 @pytest.mark.parametrize("surface", [Ring(), Ball()])
-def test_surfaces_without_an_opening_are_refused(surface: shapes.Surface) -> None:
+def test_surfaces_without_an_opening_are_refused(surface: phytac_shapes.Surface) -> None:
     with pytest.raises(DesignError, match=r"'barrel' cannot be built: it must be a tube"):
         wall_mesh(surface, WallSection(), tolerance_mm=0.01)

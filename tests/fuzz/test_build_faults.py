@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_shapes.errors import OutputError
 
-from phytac_design import build as module
-from phytac_design import cache
-from phytac_design.build import MANIFEST, OLD_MANIFEST, build
-from phytac_design.design_file import to_toml
+from phytac_design.design.design_file import to_toml
+from phytac_design.engine import cache
+from phytac_design.stages import build as module
+from phytac_design.stages.build import MANIFEST, OLD_MANIFEST, build
 from phytac_design.stages.views import write_image
-from shapes.errors import OutputError
 from tests.designs import small
 
 WHOLE = {"design.toml", "manifest.json", "mesh/shell.inp", "mesh/shell.msh", "mesh/shell.vtu"}
@@ -139,8 +139,8 @@ def test_a_build_that_is_ended_goes_on(tmp_path: Path) -> None:
     design, out, own = tmp_path / "x.toml", tmp_path / "x", tmp_path / "cache"
     design.write_text(to_toml(small()))
     code = (
-        "import sys, time\nfrom pathlib import Path\nfrom phytac_design.build import build\n"
-        "from phytac_design.design_file import load_design\n"
+        "import sys, time\nfrom pathlib import Path\nfrom phytac_design.stages.build import build\n"
+        "from phytac_design.design.design_file import load_design\n"
         "def told(text):\n    print(text, flush=True)\n    time.sleep(60 * ('mesh …' in text))\n"
         f"build(load_design({str(design)!r}), Path({str(out)!r}), accuracy='draft', "
         "only=['mesh'], progress=told)"

@@ -9,27 +9,27 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_decoder.estimation.force_regions import load_regions
+from phytac_decoder.io.bundle import load_bundle, save_bundle
+from phytac_shapes.bounded_reader import LETTERS_MAX, joined, read_bytes, read_text, toml_table
+from phytac_shapes.errors import InputError, PhytacError
 
 from benchmarks.page_fuzz import fault_of, little_memory, little_time
-from decoder.bundle import load_bundle, save_bundle
-from decoder.regions import load_regions
-from decoder.samples_read import read_samples
-from phytac_design.design_file import load_design
-from phytac_design.fabrication.kit.log import read_log
-from phytac_design.fixture_files import read_stl
+from phytac_design.datasets.samples_reader import read_samples
+from phytac_design.design.camera_files import read_lens
+from phytac_design.design.design_file import load_design
+from phytac_design.design.fixture_files import read_stl
+from phytac_design.design.positions import read_positions
+from phytac_design.design.scene import load_scene
+from phytac_design.fabrication.calibration_rig.log import read_log
 from phytac_design.mechanics.switch.material_fit import read_test
-from phytac_design.new_from_step import patch_changes
-from phytac_design.optics.camera_files import read_lens
-from phytac_design.positions import read_positions
 from phytac_design.report.builds import read_builds
+from phytac_design.simulation.rig_import.log import Problems, read_rig_log
+from phytac_design.simulation.scenario.file import load_scenario
 from phytac_design.studio.files import Workplace
-from phytac_design.study.plan.scene import load_scene
 from phytac_design.study.search.file import load_study
 from phytac_design.study.stability.rooms.readers import bundle
-from phytac_design.twin.rig.log import Problems, read_rig_log
-from phytac_design.twin.scenario.file import load_scenario
-from shapes.errors import InputError, PhytacError
-from shapes.reading import LETTERS_MAX, joined, read_bytes, read_text, toml_table
+from phytac_design.workflows.design_from_step import patch_changes
 from tests.designs import small
 
 READ: dict[str, Callable[[Path], Any]] = {
@@ -107,7 +107,7 @@ def test_parts_of_a_bundle_that_are_no_files(name: str, trick: str, tmp_path: Pa
 
 @pytest.mark.parametrize("name", ["dataset.json", "samples.npz"])
 def test_pipes_in_a_data_set(name: str, tmp_path: Path) -> None:
-    from decoder.samples_write import table_hash, write_samples
+    from phytac_design.datasets.samples_writer import table_hash, write_samples
     from tests.decoder.drawn_samples import META, drawn
 
     write_samples(tmp_path, drawn(1), META)
@@ -131,7 +131,7 @@ def test_files_that_a_design_names(field: str, name: str, tmp_path: Path) -> Non
         data["fixtures"] = [{"name": "a", "kind": "mesh", "file": name}]
     else:
         data[table] |= {"kind": "explicit", key: name} if table == "layout" else {key: name}
-    from phytac_design.design_file import parse_design
+    from phytac_design.design.design_file import parse_design
 
     refused(lambda: parse_design(data, "x", folder=tmp_path))
 

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from importlib.resources import files
 
 import pytest
+from phytac_shapes import Surface
 
+from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
-from phytac_design.mechanics.solve import ShellModel, clamped_model
-from phytac_design.spec import Design
-from shapes import Surface
+from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,9 @@ class Prototype:
 
 @pytest.fixture(scope="session")
 def cylinder60() -> Prototype:
-    text = (files("phytac_design") / "designs" / "cylinder60.toml").read_text(encoding="utf-8")
+    text = (files("phytac_design") / "data" / "designs" / "cylinder60.toml").read_text(
+        encoding="utf-8"
+    )
     design = Design.model_validate(tomllib.loads(text))
     surface = design.surface()
     markers = make_markers(design, surface)

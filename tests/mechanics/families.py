@@ -1,9 +1,8 @@
 """One surface of each kind, and places on it."""
 
 import numpy as np
-
-from shapes import Cone, Cuboid, Cylinder, Grip, Hemisphere, Patch, Plane, Surface
-from shapes.arrays import FloatArray
+from phytac_shapes import Cone, Cuboid, Cylinder, Grip, Hemisphere, Patch, Plane, Surface
+from phytac_shapes.arrays import FloatArray
 
 WALL_MM = 0.8
 

@@ -4,14 +4,14 @@ import os
 
 import numpy as np
 import pytest
+from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.large import batch
 from phytac_design.mechanics.large.batch import Sample, solve_batch, solve_sample
 from phytac_design.mechanics.large.newton import Loading
 from phytac_design.mechanics.large.path import solve_large
-from phytac_design.mechanics.solve import ShellModel
+from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification import large_cases
-from shapes.errors import NumericalError
 
 FACTORS = (0.1, -0.3, 1.05 * 0.7408, np.nan, 0.5, 1e-9)
 

@@ -7,20 +7,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_shapes import Cylinder
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import InputError, NumericalError, PhytacError
 
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.calibrate.calibration import calibrate
-from phytac_design.mechanics.calibrate.calibration_noise import Noise, estimate_noise, whiten
-from phytac_design.mechanics.calibrate.calibration_result import Calibration, Parameters
-from phytac_design.mechanics.calibrate.measurements import Measurements, read_measurements
-from phytac_design.mechanics.calibrate.probe_response import ProbeResponse, Response, probe_weights
-from phytac_design.mechanics.loads import patch_loads
+from phytac_design.mechanics.calibration.calibration import calibrate
+from phytac_design.mechanics.calibration.calibration_noise import Noise, estimate_noise, whiten
+from phytac_design.mechanics.calibration.calibration_result import Calibration, Parameters
+from phytac_design.mechanics.calibration.measurements import Measurements, read_measurements
+from phytac_design.mechanics.calibration.probe_response import (
+    ProbeResponse,
+    Response,
+    probe_weights,
+)
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
-from phytac_design.mechanics.receptors import ReceptorStiffness
-from phytac_design.mechanics.solve import clamped_model
-from shapes import Cylinder
-from shapes.arrays import FloatArray, IntArray
-from shapes.errors import InputError, NumericalError, PhytacError
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.receptor_stiffness import ReceptorStiffness
+from phytac_design.mechanics.shell.solve import clamped_model
 from tests.designs import small
 
 TRUTH = Parameters(modulus=2050.0, thickness=0.86, poisson=0.36)

@@ -5,8 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_shapes.errors import NumericalError
 
-from phytac_design.mechanics.compliance import (
+from phytac_design.mechanics.meshing.mesh import chart_mesh, marker_mesh
+from phytac_design.mechanics.shell.compliance import (
     MarkerCompliance,
     column_turn,
     marker_compliance,
@@ -14,11 +16,9 @@ from phytac_design.mechanics.compliance import (
     probe_loads,
     probe_motion,
 )
-from phytac_design.mechanics.loads import patch_loads
-from phytac_design.mechanics.meshing.mesh import chart_mesh, marker_mesh
-from phytac_design.mechanics.receptors import sensor_model
-from phytac_design.mechanics.solve import clamped_model
-from shapes.errors import NumericalError
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
+from phytac_design.mechanics.shell.solve import clamped_model
 from tests.mechanics.conftest import Prototype
 
 

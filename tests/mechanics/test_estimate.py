@@ -4,13 +4,13 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.large.estimate import check_linear, solve_auto
 from phytac_design.mechanics.large.newton import Loading
 from phytac_design.mechanics.large.path import solve_large
-from phytac_design.mechanics.solve import ShellModel
+from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification import large_cases
-from shapes.errors import NumericalError
 from tests.mechanics.conftest import Prototype
 
 
@@ -67,7 +67,7 @@ def test_no_load_has_no_error_and_a_bad_tolerance_is_refused() -> None:
 
 
 def test_a_finger_on_the_prototype_needs_large_displacements(cylinder60: Prototype) -> None:
-    from phytac_design.mechanics.loads import patch_loads
+    from phytac_design.mechanics.shell.loads import patch_loads
 
     part = cylinder60
     load = patch_loads(part.mesh, part.surface, part.markers.uv[[184]], 6.0)

@@ -4,7 +4,7 @@ import numpy as np
 
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.meshing.mesh import marker_mesh
-from phytac_design.mechanics.solve import clamped_model
+from phytac_design.mechanics.shell.solve import clamped_model
 from tests.designs import small
 
 

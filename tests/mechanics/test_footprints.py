@@ -4,18 +4,20 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from phytac_shapes import Plane, Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 from scipy.integrate import dblquad
 
-from phytac_design.mechanics import footprints
-from phytac_design.mechanics.contact import footprint_force_share, on_shell_share
-from phytac_design.mechanics.footprints import (
+from phytac_design.mechanics.shell import footprints
+from phytac_design.mechanics.shell.footprints import (
     carried_N,
     carried_share,
     hertz_disc_share,
     strip_share,
     touch_shares,
 )
-from phytac_design.mechanics.pressure import (
+from phytac_design.mechanics.shell.pressure import (
     CYLINDER,
     FLAT,
     SPHERE,
@@ -23,10 +25,8 @@ from phytac_design.mechanics.pressure import (
     footing,
     tangent_frame,
 )
-from phytac_design.twin.touch import Touches
-from shapes import Plane, Surface
-from shapes.arrays import FloatArray
-from shapes.errors import DesignError
+from phytac_design.mechanics.shell.pressure_sharing import footprint_force_share, on_shell_share
+from phytac_design.simulation.indenters import Touches
 from tests.mechanics.families import FAMILIES, golden
 from tests.mechanics.touches import make_touches
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from phytac_shapes import Cuboid, Hemisphere, Surface
+from phytac_shapes.errors import DesignError
 
+from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.assembly import assemble, make_pattern
-from phytac_design.mechanics.compliance import column_turn
-from phytac_design.mechanics.element import element_stiffness
 from phytac_design.mechanics.meshing.grid import EDGE_NAMES, place
 from phytac_design.mechanics.meshing.mesh import (
     LEAST_JACOBIAN,
@@ -16,10 +16,10 @@ from phytac_design.mechanics.meshing.mesh import (
     node_mesh,
     plain_mesh,
 )
-from phytac_design.mechanics.solve import ShellModel, rigid_modes
-from phytac_design.spec import Design
-from shapes import Cuboid, Hemisphere, Surface
-from shapes.errors import DesignError
+from phytac_design.mechanics.shell.assembly import assemble, make_pattern
+from phytac_design.mechanics.shell.compliance import column_turn
+from phytac_design.mechanics.shell.element import element_stiffness
+from phytac_design.mechanics.shell.solve import ShellModel, rigid_modes
 from tests.mechanics.families import DOMES, FAMILIES, WALL_MM, golden
 
 every_family = pytest.mark.parametrize("name", FAMILIES)

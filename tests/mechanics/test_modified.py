@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from phytac_shapes import Surface
+from phytac_shapes.errors import NumericalError
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from phytac_design.mechanics.large import modified, resting
+from phytac_design.mechanics.large import modified, reference_configuration
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.anderson import Anderson
 from phytac_design.mechanics.large.compiled import Elastic
@@ -14,12 +16,10 @@ from phytac_design.mechanics.large.follower import pressure_forces
 from phytac_design.mechanics.large.modified import Found, Modified
 from phytac_design.mechanics.large.newton import Loading
 from phytac_design.mechanics.large.path import solve_large
-from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
-from phytac_design.mechanics.solve import ShellModel, clamped_model
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_design.mechanics.verification import large_cases
-from shapes import Surface
-from shapes.errors import NumericalError
 from tests.designs import small
 
 SURFACE = small().surface()
@@ -253,7 +253,7 @@ def test_a_coarse_factor_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     _, mesh, model = tube()
     load = pressed(mesh, *PRESSES["one"])
     half = Modified(model).solve(load)
-    monkeypatch.setattr(resting, "SINGLE", 0.0)
+    monkeypatch.setattr(reference_configuration, "SINGLE", 0.0)
     full = Modified(model).solve(load)
     assert np.abs(moved(half) - moved(full)).max() > 0.0
     assert apart(moved(half), moved(full)) < 1e-6

@@ -2,12 +2,15 @@
 
 import numpy as np
 import pytest
+from phytac_shapes import Plane, Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.cylinder import Cylinder
+from phytac_shapes.errors import DesignError, NumericalError
 from scipy.special import j1
 
-from phytac_design.mechanics.contact import near_pairs, on_shell_share
-from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh, plain_mesh
-from phytac_design.mechanics.pressure import (
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.pressure import (
     CYLINDER,
     FLAT,
     SPHERE,
@@ -18,12 +21,9 @@ from phytac_design.mechanics.pressure import (
     tangent_frame,
     touch_loads,
 )
-from phytac_design.mechanics.solve import ShellModel
-from phytac_design.twin.touch import INDENTERS
-from shapes import Plane, Surface
-from shapes.arrays import FloatArray
-from shapes.cylinder import Cylinder
-from shapes.errors import DesignError, NumericalError
+from phytac_design.mechanics.shell.pressure_sharing import near_pairs, on_shell_share
+from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_design.simulation.indenters import INDENTERS
 from tests.mechanics.families import FAMILIES, WALL_MM
 from tests.mechanics.touches import make_touches
 

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError, NumericalError
 
 from phytac_design.mechanics.large.graded import contact_mesh
 from phytac_design.mechanics.large.newton import Loading
@@ -15,11 +17,9 @@ from phytac_design.mechanics.large.quadratic import (
     quadratic_patch,
     run_ccx,
 )
-from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
-from phytac_design.mechanics.solve import clamped_model
-from shapes import Surface
-from shapes.errors import DesignError, NumericalError
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.solve import clamped_model
 from tests.mechanics.conftest import Prototype
 
 CENTRE = np.array([60.0, np.pi])

@@ -6,11 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
-from phytac_design.accuracy import PRESETS
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.engine.stage import Context, write_arrays
 from phytac_design.layout import make_markers
+from phytac_design.layout.cameras import cameras_of
 from phytac_design.mechanics.meshing.mesh import chart_mesh, marker_mesh
-from phytac_design.mechanics.receptors import (
+from phytac_design.mechanics.shell.receptor_stiffness import (
     DIAMETER_OVER_T,
     EFFECT_BENDING,
     EFFECT_MEMBRANE,
@@ -25,15 +29,11 @@ from phytac_design.mechanics.receptors import (
     tube_cover,
     unknown_receptors,
 )
+from phytac_design.mechanics.shell.solve import clamped_model
 from phytac_design.mechanics.solid.cell import Cell, cell_stiffness, plain, ratio
-from phytac_design.mechanics.solve import clamped_model
-from phytac_design.optics.view import cameras_of
-from phytac_design.stage import Context, write_arrays
-from phytac_design.stages.twin import RESPONSE, TWIN, run_response
-from phytac_design.twin.response import rigid_slope
-from phytac_design.twin.shell import truth_shell
-from shapes.arrays import FloatArray
-from shapes.errors import DesignError
+from phytac_design.simulation.instance_shell import truth_shell
+from phytac_design.simulation.response import rigid_slope
+from phytac_design.stages.response import RESPONSE, TWIN, run_response
 from tests.designs import changed, small
 from tests.mechanics.conftest import Prototype
 

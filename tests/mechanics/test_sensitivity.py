@@ -4,22 +4,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_shapes import Cylinder
+from phytac_shapes.arrays import FloatArray
 
 from phytac_design.layout import make_markers
-from phytac_design.mechanics import element
-from phytac_design.mechanics.compliance import marker_compliance
-from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh, marker_mesh
-from phytac_design.mechanics.sensitivity import (
+from phytac_design.mechanics.shell import element
+from phytac_design.mechanics.shell.compliance import marker_compliance
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.sensitivity import (
     RateModel,
     StiffnessRates,
     element_poisson_rate,
     motion_rate,
     stiffness_rates,
 )
-from phytac_design.mechanics.solve import ShellModel, clamped_model
-from shapes import Cylinder
-from shapes.arrays import FloatArray
+from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from tests.designs import small
 
 BASE: dict[str, Any] = {"modulus_MPa": 2200.0, "poisson": 0.38, "thickness_mm": 0.8}

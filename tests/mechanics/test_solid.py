@@ -8,14 +8,20 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError, MissingPartError, NumericalError
 
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import graphics_libraries
 from phytac_design.layout import Markers, make_markers
-from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.mesh import chart_mesh
-from phytac_design.mechanics.solid import export as solid_export
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.solve import clamped_model
+from phytac_design.mechanics.solid import solid_writers as solid_export
 from phytac_design.mechanics.solid import tets as solid_tets
 from phytac_design.mechanics.solid.load import solid_patch_load, tip_means
-from phytac_design.mechanics.solid.mesh import (
+from phytac_design.mechanics.solid.solid_mesh_tets import (
     COARSEST,
     SANE_NODES,
     SolidMesh,
@@ -26,12 +32,6 @@ from phytac_design.mechanics.solid.mesh import (
     solid_mesh,
 )
 from phytac_design.mechanics.solid.tets import Tetrahedra, jacobian_ratio, shape_tet
-from phytac_design.mechanics.solve import clamped_model
-from phytac_design.spec import Design
-from phytac_design.stage import graphics_libraries
-from shapes import Surface
-from shapes.arrays import FloatArray
-from shapes.errors import DesignError, MissingPartError, NumericalError
 from tests.designs import changed
 
 SIZES = SolidSizes(wall_mm=1.5, foot_mm=1.1, tube_mm=1.5, contact_mm=1.1)
@@ -103,7 +103,7 @@ def area(mesh: SolidMesh, faces: np.ndarray) -> float:
 
 
 def test_volume_is_that_of_the_cad(sensor: Sensor, mesh: SolidMesh) -> None:
-    from phytac_design.fabrication.cad import cad_facts, shell_cad
+    from phytac_design.solids.cad import cad_facts, shell_cad
 
     wall = sensor.design.wall.model_copy(update={"rim_length_mm": 0.0})
     bare = sensor.design.model_copy(update={"wall": wall})

@@ -6,21 +6,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError, NumericalError
 from scipy.spatial.transform import Rotation
 
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import graphics_libraries
 from phytac_design.layout import Markers, make_markers
-from phytac_design.mechanics import receptors as rc
-from phytac_design.mechanics.solid import export as solid_export
+from phytac_design.mechanics.shell import receptor_stiffness as rc
+from phytac_design.mechanics.solid import solid_writers as solid_export
 from phytac_design.mechanics.solid.load import solid_patch_load
-from phytac_design.mechanics.solid.mesh import SolidSizes
 from phytac_design.mechanics.solid.part import PartMesh, PartSizes, part_mesh, smeared, subset
+from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes
 from phytac_design.mechanics.solid.tets import jacobian_ratio
 from phytac_design.mechanics.solid.tips import tips_motion, tips_turn
-from phytac_design.spec import Design
-from phytac_design.stage import graphics_libraries
-from shapes import Surface
-from shapes.arrays import FloatArray
-from shapes.errors import DesignError, NumericalError
 from tests.designs import changed
 from tests.mechanics.test_solid import volume
 
@@ -83,7 +83,7 @@ def test_part_has_the_receptors_within_reach(sensor: Sensor, mesh: PartMesh) -> 
 
 
 def test_unsmeared_part_has_the_volume_of_its_cad(sensor: Sensor) -> None:
-    from phytac_design.fabrication.cad import cad_facts, shell_cad
+    from phytac_design.solids.cad import cad_facts, shell_cad
 
     mesh = sensor.part(SIZES, smear=None)
     wall = sensor.design.wall.model_copy(update={"rim_length_mm": 0.0})

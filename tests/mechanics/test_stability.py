@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from phytac_shapes.errors import NumericalError
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
@@ -11,9 +12,8 @@ from phytac_design.mechanics.large import path
 from phytac_design.mechanics.large.newton import Equilibrium, Loading, System
 from phytac_design.mechanics.large.path import solve_large, trace_arc, trace_displacement
 from phytac_design.mechanics.large.stability import negative_pivots, stray
-from phytac_design.mechanics.solve import SUPERLU, ShellModel
+from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
 from phytac_design.mechanics.verification import large_cases
-from shapes.errors import NumericalError
 
 LIMIT = 0.7408
 """Limit load of the thick roof at 8 elements a side (its own arc-length path)."""

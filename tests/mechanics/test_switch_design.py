@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from phytac_shapes.errors import DesignError, InputError, OutputError
 from typer.testing import CliRunner
 
-from phytac_design.cli_switch import switch
-from phytac_design.design_file import to_toml
+from phytac_design.cli.switch_command import switch
+from phytac_design.design.design_file import to_toml
 from phytac_design.mechanics.switch import cases, fit
 from phytac_design.mechanics.switch import design as inverse
 from phytac_design.mechanics.switch.bowl import Bowl
@@ -26,7 +27,6 @@ from phytac_design.mechanics.switch.receptor import space_of
 from phytac_design.mechanics.switch.report import curve_plot, range_over_modulus, range_plot
 from phytac_design.mechanics.switch.space import Space, Tolerance
 from phytac_design.mechanics.switch.tolerance import threshold_spread
-from shapes.errors import DesignError, InputError, OutputError
 from tests.designs import small
 
 TPU = rubber("tpu-8400n")

@@ -4,18 +4,18 @@ from functools import cache
 
 import numpy as np
 import pytest
+from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.large.compiled import Elastic
 from phytac_design.mechanics.large.corotational import Configuration
-from phytac_design.mechanics.large.resting import Resting
+from phytac_design.mechanics.large.cubic_stiffness import CHUNK, third_derivatives
+from phytac_design.mechanics.large.fast_newton import Rough
+from phytac_design.mechanics.large.reference_configuration import Resting
 from phytac_design.mechanics.large.rotations import exponential
-from phytac_design.mechanics.large.rough import Rough
-from phytac_design.mechanics.large.third import CHUNK, third_derivatives
 from phytac_design.mechanics.meshing.mesh import marker_mesh
-from phytac_design.mechanics.receptors import sensor_model
-from phytac_design.mechanics.solve import ShellModel
-from shapes.arrays import FloatArray, IntArray
+from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
+from phytac_design.mechanics.shell.solve import ShellModel
 from tests.designs import drawn
 
 

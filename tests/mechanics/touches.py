@@ -1,9 +1,9 @@
 """Touches of one kind, made from few numbers."""
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray
 
-from phytac_design.twin.touch import Touches
-from shapes.arrays import FloatArray
+from phytac_design.simulation.indenters import Touches
 
 
 def make_touches(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phytac_design.design_file import load_design
+from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
 from phytac_design.optics.density import density_map, density_of
 from tests.designs import changed

@@ -8,22 +8,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_decoder.estimation.decode import measure_frame, read_image, rest_positions
+from phytac_decoder.io.bundle import load_bundle
+from phytac_shapes.errors import DesignError
 
-from decoder.bundle import load_bundle
-from decoder.run import measure_frame, read_image, rest_positions
-from phytac_design.accuracy import PRESETS
-from phytac_design.build import build
-from phytac_design.checkup import checkup
-from phytac_design.design_file import load_design
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import load_design
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context
+from phytac_design.layout.cameras import Readers, camera_of, cameras_of, stand_off_mm
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.scene import BAR, RESIN, SHELL
-from phytac_design.optics.view import Readers, camera_of, cameras_of, stand_off_mm
 from phytac_design.optics.visibility import best_of, check_visibility, visibility_advice
-from phytac_design.spec import Design
-from phytac_design.stage import Context
+from phytac_design.rules.design_review import checkup
+from phytac_design.stages.build import build
 from phytac_design.stages.resolution import RESOLUTION
 from phytac_design.stages.views import VIEWS
-from shapes.errors import DesignError
 from tests.optics.cases import Bench, make_design
 
 SIZE = {"width_px": 648, "height_px": 486, "focal_px": 242.5}

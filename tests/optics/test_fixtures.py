@@ -8,22 +8,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
-from phytac_design.checkup import checkup
-from phytac_design.design_file import load_design, parse_design, to_toml
-from phytac_design.fixture_files import TRIANGLES_MAX, read_stl
-from phytac_design.optics.fixtures import fixture_mesh
+from phytac_design.design.design_file import load_design, parse_design, to_toml
+from phytac_design.design.field_groups import fields_of
+from phytac_design.design.fixture_files import TRIANGLES_MAX, read_stl
+from phytac_design.design.spec import Design
+from phytac_design.geometry.strips import Mesh
+from phytac_design.layout.cameras import camera_of
+from phytac_design.optics.fixture_bodies import fixture_mesh
 from phytac_design.optics.frame import render_frame
-from phytac_design.optics.mesh import Mesh
 from phytac_design.optics.paint import FIXTURE
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.scene import FIRST_FIXTURE, paint_owner
-from phytac_design.optics.view import camera_of
-from phytac_design.reads import fields_of
-from phytac_design.spec import Design
+from phytac_design.rules.design_review import checkup
 from phytac_design.stages import STAGES
-from shapes.arrays import FloatArray
-from shapes.errors import DesignError
 from tests.optics.cases import Bench, make_design
 from tests.optics.lenses import LENSES
 

@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from phytac_shapes.errors import DesignError
 
-from phytac_design.accuracy import PRESETS
-from phytac_design.check import check_design
-from phytac_design.checkup import checkup
-from phytac_design.finite import finite
+from phytac_design.core.json_values import finite
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.engine.stage import Context
 from phytac_design.optics.lens_facts import BANDS, lens_facts, row_groups
 from phytac_design.report.sections import lens_section
-from phytac_design.stage import Context
-from shapes.errors import DesignError
+from phytac_design.rules.check import check_design
+from phytac_design.rules.design_review import checkup
 from tests.optics.cases import Bench, make_design
 
 FEW = {"rows": 3, "columns": 8, "height_near_mm": 0.5, "height_far_mm": 6.0}

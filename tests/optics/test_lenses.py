@@ -5,18 +5,18 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from phytac_decoder.camera.camera import Camera, pinhole
+from phytac_decoder.camera.lens import BrownConrady, KannalaBrandt
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import MissingPartError
 
-from decoder.camera import Camera, pinhole
-from decoder.lens import BrownConrady, KannalaBrandt
-from phytac_design.optics.bent import bent_view
-from phytac_design.optics.fill import fill
+from phytac_design.optics.distorted_triangles import bent_view
 from phytac_design.optics.frame import render_frame
 from phytac_design.optics.picture import render_picture
 from phytac_design.optics.raster import all_pieces, pixels_alone, points_seen, rasterise
 from phytac_design.optics.rays import RAY_ERROR, pixel_rays, ray_grid
 from phytac_design.optics.scene import SHELL, Scene
-from shapes.arrays import FloatArray
-from shapes.errors import MissingPartError
+from phytac_design.optics.zbuffer import fill
 from tests.optics.cases import Bench, make_design
 from tests.optics.lenses import LENSES
 

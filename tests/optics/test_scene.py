@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from phytac_design.optics.mesh import grid_mesh
+from phytac_design.geometry.strips import grid_mesh
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.scene import (
     BAR,

@@ -3,9 +3,9 @@
 import cv2
 import numpy as np
 import pytest
+from phytac_decoder.vision.segmentation import ColourModel
+from phytac_shapes.errors import DesignError
 
-from decoder.segmentation import ColourModel
-from phytac_design.check import check_design
 from phytac_design.optics.paint import PAINTS, paints_of, to_linear, to_srgb
 from phytac_design.optics.separability import (
     SHADE,
@@ -14,7 +14,7 @@ from phytac_design.optics.separability import (
     separability,
     separability_svg,
 )
-from shapes.errors import DesignError
+from phytac_design.rules.check import check_design
 from tests.designs import changed
 
 

@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
+from phytac_decoder.camera.camera import Camera
+from phytac_decoder.vision.segmentation import ColourModel, segment
 
-from decoder.camera import Camera
-from decoder.segmentation import ColourModel, segment
+from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.optics.frame import render_frame
+from phytac_design.optics.loaded_visibility import FUSED_PX, press_all, sight
 from phytac_design.optics.paint import paints_of
 from phytac_design.optics.raster import pixels_alone
 from phytac_design.optics.scene import Scene, build_scene
-from phytac_design.optics.underload import FUSED_PX, press_all, sight
-from phytac_design.optics.view import camera_of, tolerance_mm
-from phytac_design.spec import Design
 from tests.designs import small
 
 

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from phytac_shapes.errors import InputError
 
 from phytac_design.studio.studies import studies, study_table
 from phytac_design.study.search.drive import run_study
 from phytac_design.study.search.file import Study
 from phytac_design.study.search.space import make_space
-from shapes.errors import InputError
 from tests.studio.place import DESIGN, Client, stand_in
 
 Json = dict[str, Any]
@@ -139,7 +139,7 @@ def test_the_studio_ends_with_its_build(tmp_path: Path) -> None:
     path = stand_in(tmp_path, "long")
     code = (
         "import sys, typer; real = sys.executable\n"
-        "from phytac_design.cli_studio import studio\n"
+        "from phytac_design.cli.studio_command import studio\n"
         "import phytac_design.studio.builds as builds\n"
         f"sys.executable = {str(path)!r}; builds.STEPS_S = (1.0, 1.0)\n"
         "typer.run(studio)"

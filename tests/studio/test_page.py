@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from phytac_design.design_file import load_design
+from phytac_design.design.design_file import load_design
 from tests.studio.place import DESIGN, stand_in, studio
 
 playwright = pytest.importorskip(

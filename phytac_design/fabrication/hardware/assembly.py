@@ -1,15 +1,16 @@
 """All hardware of a design: which parts its shape and its cameras ask for."""
 
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError
+
+from phytac_design.design.hardware_table import HardwareSection
+from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.ends import End, make_end
 from phytac_design.fabrication.hardware.parts import Kit
 from phytac_design.fabrication.hardware.sheet_parts import base_and_frame
 from phytac_design.fabrication.hardware.tube_parts import connector, mount
-from phytac_design.hardware_section import HardwareSection
-from phytac_design.optics.envelope import bar_span_mm
-from phytac_design.optics.view import cameras_of
-from phytac_design.spec import Design
-from shapes import Surface
-from shapes.errors import DesignError
+from phytac_design.geometry.envelope import bar_span_mm
+from phytac_design.layout.cameras import cameras_of
 
 
 def make_hardware(design: Design, surface: Surface) -> Kit:

@@ -10,7 +10,9 @@ The wires leave between foot and connector, around a corner that no light passes
 """
 
 import numpy as np
+from phytac_shapes.errors import DesignError
 
+from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.camera_unit import SKIN_mm, around_mm
 from phytac_design.fabrication.hardware.parts import Kit, Part
 from phytac_design.fabrication.hardware.screws import SCREWS, END_mm, Joint, TOUCH_mm
@@ -23,8 +25,6 @@ from phytac_design.fabrication.hardware.solids import (
     Rect,
     Union,
 )
-from phytac_design.spec import Design
-from shapes.errors import DesignError
 
 WITHIN_mm = 0.05
 """The bar stays this far within the cylinder that the camera's scene holds."""

@@ -3,19 +3,19 @@
 from typing import Any
 
 import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
 
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context
 from phytac_design.fabrication.hardware.assembly import make_hardware
 from phytac_design.fabrication.hardware.by_mesh import MeshKernel
 from phytac_design.fabrication.hardware.parts import Kit
-from phytac_design.fabrication.receptors import rim_sag_mm
-from phytac_design.fabrication.solid_mesh import shell_manifold, to_manifold, to_triangles
 from phytac_design.fabrication.switch_set import SwitchSet, revolve
-from phytac_design.fabrication.triangles import TriangleMesh
+from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import Markers
-from phytac_design.spec import Design
-from phytac_design.stage import Context
-from shapes import Surface
-from shapes.arrays import FloatArray, IntArray
+from phytac_design.solids.receptor_tubes import rim_sag_mm
+from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
 
 FINE = 0.1
 """Meshes of hardware are this much finer than the gaps between parts."""

@@ -3,9 +3,9 @@
 from typing import Any
 
 import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.errors import NumericalError
 
-from phytac_design.fabrication.cad_kernel import cadquery
-from phytac_design.fabrication.cad_wall import wall_cad
 from phytac_design.fabrication.hardware.solids import (
     Circle,
     Common,
@@ -18,8 +18,8 @@ from phytac_design.fabrication.hardware.solids import (
     Slab,
     Union,
 )
-from shapes import Surface
-from shapes.errors import NumericalError
+from phytac_design.solids.cad_kernel import cadquery
+from phytac_design.solids.cad_wall import wall_cad
 
 
 class CadKernel:

@@ -3,6 +3,8 @@
 from typing import Any
 
 import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 from phytac_design.fabrication.hardware.solids import (
     Circle,
@@ -16,16 +18,9 @@ from phytac_design.fabrication.hardware.solids import (
     Slab,
     Union,
 )
-from phytac_design.fabrication.profile import wall_mesh
-from phytac_design.fabrication.solid_mesh import (
-    SLIVER_mm,
-    extruded_manifold,
-    to_manifold,
-    united,
-)
-from phytac_design.fabrication.triangles import prisms, sides_for, widening
-from shapes import Surface
-from shapes.arrays import FloatArray
+from phytac_design.geometry.triangles import prisms, sides_for, widening
+from phytac_design.solids.solid_mesh import SLIVER_mm, extruded_manifold, to_manifold, united
+from phytac_design.solids.wall_mesh import wall_mesh
 
 
 class MeshKernel:

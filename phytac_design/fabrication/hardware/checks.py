@@ -6,20 +6,20 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from phytac_decoder.camera.camera import Camera
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
-from decoder.camera import Camera
+from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.parts import Kit
 from phytac_design.fabrication.hardware.screws import SCREWS, Joint
-from phytac_design.fabrication.printing.rays import RayTree
-from phytac_design.fabrication.solid_mesh import to_triangles
-from phytac_design.fabrication.triangles import TriangleMesh
+from phytac_design.geometry.envelope import bar_mesh, shell_mesh
+from phytac_design.geometry.ray_tree import RayTree
+from phytac_design.geometry.strips import joined
+from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import Markers
-from phytac_design.optics.envelope import bar_mesh, shell_mesh
-from phytac_design.optics.mesh import joined
 from phytac_design.optics.scene import FIRST_MARKER, build_scene
-from phytac_design.spec import Design
-from shapes import Surface
-from shapes.arrays import FloatArray
+from phytac_design.solids.solid_mesh import to_triangles
 
 NONE_mm3 = 1e-6
 """A smaller common volume is rounding."""

@@ -1,7 +1,9 @@
 """Parts on demand: a tray for an inertial sensor on the cover, a socket for a shaft."""
 
 import numpy as np
+from phytac_shapes.errors import DesignError
 
+from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.parts import Kit, Part
 from phytac_design.fabrication.hardware.screws import SCREWS, END_mm, Joint, TOUCH_mm
 from phytac_design.fabrication.hardware.solids import (
@@ -14,8 +16,6 @@ from phytac_design.fabrication.hardware.solids import (
     Union,
     triples,
 )
-from phytac_design.spec import Design
-from shapes.errors import DesignError
 
 TRAY_mm = 1.5
 """Floor and wall of the tray."""

@@ -4,7 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from decoder.camera import Camera
+from phytac_decoder.camera.camera import Camera
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError
+
+from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.bodies import SHELL, SWITCHES
 from phytac_design.fabrication.hardware.checks import (
     Sides,
@@ -17,12 +21,9 @@ from phytac_design.fabrication.hardware.checks import (
     sides_of_joint,
 )
 from phytac_design.fabrication.hardware.parts import Kit, Part, screw_name
-from phytac_design.fabrication.profile import wall_mesh
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
-from phytac_design.spec import Design
-from shapes import Surface
-from shapes.errors import DesignError
+from phytac_design.solids.wall_mesh import wall_mesh
 
 COARSE_mm = 0.05
 """Accuracy of the wall that light is looked for through."""

@@ -10,7 +10,10 @@ A socket holds a rim on both sides, so that no light passes; set screws press on
 """
 
 import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError
 
+from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.bar import bar, foot_mm, foot_plate_mm
 from phytac_design.fabrication.hardware.camera_unit import (
     camera_unit,
@@ -32,9 +35,6 @@ from phytac_design.fabrication.hardware.solids import (
     span_mm,
     triples,
 )
-from phytac_design.spec import Design
-from shapes import Surface
-from shapes.errors import DesignError
 
 VIEW_mm = 0.3
 """Least distance between a spigot and the camera's lines of sight."""

@@ -5,6 +5,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 from phytac_design.fabrication.molds.closed import (
     Fit,
@@ -19,10 +21,8 @@ from phytac_design.fabrication.molds.grid import Kind
 from phytac_design.fabrication.molds.make import MoldSet
 from phytac_design.fabrication.molds.plates import dome_away_mm, dome_edge_mm
 from phytac_design.fabrication.molds.release import Bottom, Release, check_release
-from phytac_design.fabrication.solid_mesh import to_manifold
 from phytac_design.fabrication.switch_set import SwitchSet, revolved_volume_mm3
-from shapes.arrays import FloatArray
-from shapes.errors import NumericalError
+from phytac_design.solids.solid_mesh import to_manifold
 
 SHARED_mm3 = 1e-6
 """Largest volume that two plates may share: rounding."""

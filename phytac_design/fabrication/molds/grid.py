@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-
-from shapes.arrays import FloatArray
+from phytac_shapes.arrays import FloatArray
 
 Kind = tuple[int, int]
 LEAST = 3

@@ -4,7 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from phytac_shapes.errors import DesignError
 
+from phytac_design.design.print_rules_table import PrintSection
+from phytac_design.design.switch_table import MoldSection
 from phytac_design.fabrication.molds.cavity import Sizes, make_sizes
 from phytac_design.fabrication.molds.grid import LEAST, Plan, plan_sets
 from phytac_design.fabrication.molds.plates import (
@@ -16,10 +19,7 @@ from phytac_design.fabrication.molds.plates import (
 )
 from phytac_design.fabrication.molds.trays import core_tray, dome_tray, tray_edge_mm
 from phytac_design.fabrication.switch_set import SwitchSet
-from phytac_design.fabrication.triangles import TriangleMesh
-from phytac_design.print_section import PrintSection
-from phytac_design.switch_section import MoldSection
-from shapes.errors import DesignError
+from phytac_design.geometry.triangles import TriangleMesh
 
 Maker = Callable[[Plan, Sizes], TriangleMesh]
 MAKERS: dict[str, dict[str, Maker]] = {

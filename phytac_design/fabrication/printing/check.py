@@ -4,7 +4,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray
 
+from phytac_design.design.print_rules_table import PrintSection
+from phytac_design.design.spec import Design
 from phytac_design.fabrication.printing.findings import Violation, in_order, place
 from phytac_design.fabrication.printing.overhang import (
     Overhang,
@@ -13,17 +17,13 @@ from phytac_design.fabrication.printing.overhang import (
     stand,
     suggest,
 )
-from phytac_design.fabrication.printing.rays import RayTree
 from phytac_design.fabrication.printing.receptors import check_receptors, owners
 from phytac_design.fabrication.printing.samples import sample_faces, welded
 from phytac_design.fabrication.printing.thickness import check_thickness
 from phytac_design.fabrication.printing.voids import cups, sealed, undrained
-from phytac_design.fabrication.triangles import TriangleMesh
+from phytac_design.geometry.ray_tree import RayTree
+from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import Markers
-from phytac_design.print_section import PrintSection
-from phytac_design.spec import Design
-from shapes import Surface
-from shapes.arrays import BoolArray, FloatArray
 
 SPACING_mm = 0.7
 """Default distance between the points at which thickness is measured."""

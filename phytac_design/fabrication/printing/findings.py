@@ -4,8 +4,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-
-from shapes.arrays import FloatArray
+from phytac_shapes.arrays import FloatArray
 
 RULES = ("wall", "free wall", "post", "hole", "gap", "overhang", "sealed", "drain", "cup", "bed")
 """All rules, in the order of reports."""

@@ -4,15 +4,15 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import NumericalError
 from scipy.spatial import ConvexHull
 
-from phytac_design.fabrication.printing.rays import RayTree, START_mm
+from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.fabrication.printing.samples import patches
 from phytac_design.fabrication.printing.voids import cups, upright
-from phytac_design.fabrication.triangles import TriangleMesh
-from phytac_design.print_section import PrintSection
-from shapes.arrays import FloatArray, IntArray
-from shapes.errors import NumericalError
+from phytac_design.geometry.ray_tree import RayTree, START_mm
+from phytac_design.geometry.triangles import TriangleMesh
 
 DIRECTIONS = 150
 """Build directions of the coarse search, besides those along the axes."""

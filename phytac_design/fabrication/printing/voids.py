@@ -9,14 +9,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from scipy import ndimage
 
+from phytac_design.core.kernels import kernel
+from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.fabrication.printing.findings import Violation, place
 from phytac_design.fabrication.printing.samples import bodies
-from phytac_design.fabrication.triangles import TriangleMesh
-from phytac_design.kernels import kernel
-from phytac_design.print_section import PrintSection
-from shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_design.geometry.triangles import TriangleMesh
 
 CELLS_MAX = 1_500_000
 CELLS_CUP = 300_000

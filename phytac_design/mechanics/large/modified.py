@@ -19,17 +19,17 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.large.anderson import Anderson
 from phytac_design.mechanics.large.batch import Sample, solve_sample
 from phytac_design.mechanics.large.estimate import PROBE_RAD, SAFETY, refuse_absurd
+from phytac_design.mechanics.large.lowest_eigenvalue import Softest
 from phytac_design.mechanics.large.newton import NotConvergedError, dense_vector
-from phytac_design.mechanics.large.resting import Resting
-from phytac_design.mechanics.large.softest import Softest
+from phytac_design.mechanics.large.reference_configuration import Resting
 from phytac_design.mechanics.large.stability import STRAY, stray
-from phytac_design.mechanics.solve import ShellModel
-from shapes.arrays import FloatArray
-from shapes.errors import NumericalError
+from phytac_design.mechanics.shell.solve import ShellModel
 
 CONVERGED = 1e-4
 """Error of the motion, over its peak, that the iteration ends at."""

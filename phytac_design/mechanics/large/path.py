@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.large.newton import (
     Control,
@@ -21,9 +23,7 @@ from phytac_design.mechanics.large.newton import (
     increment,
 )
 from phytac_design.mechanics.large.stability import STRAY, stray
-from phytac_design.mechanics.solve import ShellModel
-from shapes.arrays import FloatArray
-from shapes.errors import NumericalError
+from phytac_design.mechanics.shell.solve import ShellModel
 
 CUTBACKS = 10
 """How often an increment may be halved before the path is given up."""

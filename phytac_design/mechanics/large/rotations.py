@@ -6,8 +6,7 @@ subtraction, so that rotations of 1e-12 rad keep their digits. Sources: Felippa 
 """
 
 import numpy as np
-
-from shapes.arrays import FloatArray
+from phytac_shapes.arrays import FloatArray
 
 SMALL = 0.1
 """Angle (rad) below which the series is used instead of a closed form that cancels."""

@@ -1,9 +1,8 @@
 """Whether quads make a shell: one or two elements at every edge, all facing the same way."""
 
 import numpy as np
-
-from shapes.arrays import BoolArray, FloatArray, IntArray
-from shapes.errors import NumericalError
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import NumericalError
 
 
 def check_quads(quads: IntArray, node_count: int) -> None:

@@ -14,6 +14,9 @@ r"""Quadrilaterals on a dome: a square core around the pole, rings of nodes from
 """
 
 import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 from phytac_design.mechanics.meshing.grid import (
     EDGE_FRACTION,
@@ -22,9 +25,6 @@ from phytac_design.mechanics.meshing.grid import (
     limited,
     place,
 )
-from shapes import Surface
-from shapes.arrays import FloatArray, IntArray
-from shapes.errors import DesignError
 
 SAMPLES = 2049
 ROUND = 0.45

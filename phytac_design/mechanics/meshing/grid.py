@@ -8,9 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-
-from shapes import Surface
-from shapes.arrays import FloatArray, IntArray
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
 
 EDGE_NAMES = {(0, 0): "BOTTOM", (0, 1): "TOP", (1, 0): "LEFT", (1, 1): "RIGHT"}
 """Node set of each open edge (axis, end) of the chart."""

@@ -7,25 +7,25 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError, NumericalError, OutputError
 
+from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
-from phytac_design.mechanics.compliance import point_motion
-from phytac_design.mechanics.discretisation import LEAST_RATIO, ProbedShell, estimate_error
-from phytac_design.mechanics.export import write_vtu
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.estimate import SAFETY, check_linear
 from phytac_design.mechanics.large.newton import Equilibrium, Loading
 from phytac_design.mechanics.large.path import solve_large
-from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.locate import locate
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
 from phytac_design.mechanics.pressing.place import Place
-from phytac_design.mechanics.receptors import sensor_model
-from phytac_design.mechanics.solve import ShellModel
-from phytac_design.spec import Design
-from shapes import Surface
-from shapes.arrays import FloatArray
-from shapes.errors import DesignError, NumericalError, OutputError
+from phytac_design.mechanics.shell.compliance import point_motion
+from phytac_design.mechanics.shell.discretisation import LEAST_RATIO, ProbedShell, estimate_error
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.mesh_writers import write_vtu
+from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
+from phytac_design.mechanics.shell.solve import ShellModel
 
 Theory = Literal["auto", "linear", "large"]
 NEAR = 9
@@ -297,7 +297,7 @@ def _pixels(
     design: Design, surface: Surface, tip_mm: FloatArray, moved_mm: FloatArray
 ) -> FloatArray | None:
     """Motion of tips (n, 3) in the camera's image, (n, 2) px."""
-    from phytac_design.optics.view import camera_of
+    from phytac_design.layout.cameras import camera_of
 
     try:
         camera = camera_of(design, surface)

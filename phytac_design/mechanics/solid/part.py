@@ -17,20 +17,20 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
+from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
-from phytac_design.mechanics import receptors as rc
-from phytac_design.mechanics.solid.mesh import (
+from phytac_design.mechanics.shell import receptor_stiffness as rc
+from phytac_design.mechanics.solid.solid_mesh_tets import (
     SolidMesh,
     SolidSizes,
     tube_parts,
     with_sets,
 )
 from phytac_design.mechanics.solid.tets import tetrahedra
-from phytac_design.spec import Design
-from shapes import Surface
-from shapes.arrays import FloatArray, IntArray
-from shapes.errors import DesignError
 
 GROWTH = 0.7
 """Growth of sizes per length away from the feet of tubes."""
@@ -126,7 +126,7 @@ def part_mesh(
     MissingPartError, DesignError, NumericalError
         As :func:`mesh.solid_mesh`.
     """
-    from phytac_design.fabrication.cad import shell_cad, write_step
+    from phytac_design.solids.cad import shell_cad, write_step
 
     centres = surface.point(np.asarray(contacts_uv, dtype=np.float64).reshape(-1, 2))
     gap = np.linalg.norm(surface.point(markers.uv)[:, None] - centres, axis=2).min(axis=1)

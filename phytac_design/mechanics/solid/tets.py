@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-
-from shapes.arrays import FloatArray, IntArray
-from shapes.errors import MissingPartError, NumericalError
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import MissingPartError, NumericalError
 
 GMSH_TET10, GMSH_TRIANGLE6 = 11, 9
 """Element type numbers of Gmsh."""

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-
-from shapes.arrays import FloatArray
-from shapes.errors import DesignError
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
 POISSON_MOST = 0.49999
 """Beyond it κ/μ exceeds 5·10⁴, and rounding spoils what the mixed element can vouch for."""

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-
-from shapes.arrays import FloatArray, IntArray
+from phytac_shapes.arrays import FloatArray, IntArray
 
 SAME = 1e-7
 """Nodes closer than this share of the body's size are one."""

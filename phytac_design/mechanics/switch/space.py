@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-
-from shapes.errors import DesignError
+from phytac_shapes.errors import DesignError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,9 +6,8 @@ from math import floor, log10
 from pathlib import Path
 
 import numpy as np
-
-from shapes.arrays import FloatArray
-from shapes.errors import OutputError
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import OutputError
 
 SIZE = (720.0, 440.0)
 FRAME = (70.0, 44.0, 700.0, 390.0)

@@ -1,8 +1,7 @@
 """Single elements of every awkward shape, for trials of their rigid motions."""
 
 import numpy as np
-
-from shapes.arrays import FloatArray
+from phytac_shapes.arrays import FloatArray
 
 SHAPES: dict[str, tuple[tuple[float, float, float], ...]] = {
     "square": ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)),

@@ -9,7 +9,7 @@ Woinowsky-Krieger, §114, here with shear). Bending and hoop membrane share the 
 
 import numpy as np
 
-from phytac_design.mechanics.element import SHEAR_FACTOR
+from phytac_design.mechanics.shell.element import SHEAR_FACTOR
 from phytac_design.mechanics.verification.case_parts import (
     SYMMETRY,
     Case,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from phytac_design.mechanics.element import SHEAR_FACTOR
+from phytac_design.mechanics.shell.element import SHEAR_FACTOR
 from phytac_design.mechanics.verification.case_parts import (
     Case,
     at,

@@ -11,8 +11,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-
-from shapes.errors import NumericalError
+from phytac_shapes.errors import NumericalError
 
 LAYERS = 2
 """Bricks through the thickness; the middle face is where they meet."""

@@ -3,11 +3,13 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from phytac_design.accuracy import Accuracy
-from phytac_design.check import check_design
+from phytac_shapes.errors import DesignError, PhytacError
+
+from phytac_design.design.accuracy import Accuracy
+from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
-from phytac_design.optics.view import cameras_of, stand_off_mm
-from phytac_design.spec import Design
+from phytac_design.layout.cameras import cameras_of, stand_off_mm
+from phytac_design.rules.check import check_design
 from phytac_design.study.advice.judge import Judged, judge
 from phytac_design.study.advice.knobs import ROW, choose, knobs_of
 from phytac_design.study.advice.mend import mends_of, passes_of
@@ -38,7 +40,6 @@ from phytac_design.study.advice.rows import (
     suspects,
 )
 from phytac_design.study.advice.slopes import Slope, slopes_of
-from shapes.errors import DesignError, PhytacError
 
 CHECKS = 5
 """Moves that are applied and judged."""

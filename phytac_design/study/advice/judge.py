@@ -6,24 +6,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import NumericalError
 
-from phytac_design.accuracy import Accuracy
-from phytac_design.cache import lookup, publish, stage_key
-from phytac_design.check import check_design
+from phytac_design.design.accuracy import Accuracy
+from phytac_design.design.field_groups import values_of
+from phytac_design.design.spec import Design
+from phytac_design.engine.cache import lookup, publish, stage_key
+from phytac_design.engine.stage import Context, Stage, write_arrays
 from phytac_design.layout import Markers
-from phytac_design.optics.view import cameras_of
+from phytac_design.layout.cameras import cameras_of
 from phytac_design.optics.visibility import FRACTION_MIN, best_of, check_visibility
-from phytac_design.reads import values_of
-from phytac_design.spec import Design
-from phytac_design.stage import Context, Stage, write_arrays
+from phytac_design.rules.check import check_design
+from phytac_design.simulation.imaging.nominal import paint_slopes
+from phytac_design.stages.loaded_views import UNDERLOAD, see_pressed
 from phytac_design.stages.resolution import RESOLUTION, RIM_SHARE
-from phytac_design.stages.underload import UNDERLOAD, see_pressed
 from phytac_design.stages.views import PICTURES
 from phytac_design.study.search.surrogate import FORCE_N, predict
-from phytac_design.twin.sight.nominal import paint_slopes
-from shapes import Surface
-from shapes.arrays import BoolArray, FloatArray
-from shapes.errors import NumericalError
 
 CROSSTALK_PX = 0.1
 """Most that a centroid may be disturbed."""
@@ -103,7 +103,7 @@ class Judged:
 
     def bad(self) -> BoolArray:
         """Markers (n,) that are part of a fault."""
-        from phytac_design.optics.underload import FUSED_PX
+        from phytac_design.optics.loaded_visibility import FUSED_PX
 
         load = self.load
         return np.asarray(

@@ -3,18 +3,18 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from phytac_shapes.errors import DesignError, PhytacError
 
-from phytac_design.check import check_design
+from phytac_design.design.spec import Design
+from phytac_design.layout.cameras import tolerance_mm
+from phytac_design.optics.incremental_renderer import Watch
+from phytac_design.optics.loaded_visibility import FUSED_PX, WALL_BACK, Sight, sight_of
 from phytac_design.optics.scene import build_scene
-from phytac_design.optics.underload import FUSED_PX, WALL_BACK, Sight, sight_of
-from phytac_design.optics.view import tolerance_mm
 from phytac_design.optics.visibility import FRACTION_MIN
-from phytac_design.optics.watch import Watch
-from phytac_design.spec import Design
+from phytac_design.rules.check import check_design
 from phytac_design.study.advice.judge import CROSSTALK_PX
 from phytac_design.study.advice.knobs import COUNT, ROW, Knob
 from phytac_design.study.advice.probe import Probe
-from shapes.errors import DesignError, PhytacError
 
 TIMES = (1, 2, 4, 8)
 """Steps that are looked at, either way."""

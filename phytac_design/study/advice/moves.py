@@ -3,9 +3,11 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from phytac_design.check import check_design
-from phytac_design.optics.view import cameras_of, stand_off_mm
-from phytac_design.spec import Design
+from phytac_shapes.errors import PhytacError
+
+from phytac_design.design.spec import Design
+from phytac_design.layout.cameras import cameras_of, stand_off_mm
+from phytac_design.rules.check import check_design
 from phytac_design.study.advice.judge import (
     CROSSTALK_PX,
     FIGURES,
@@ -18,7 +20,6 @@ from phytac_design.study.advice.judge import (
 )
 from phytac_design.study.advice.knobs import SIZE, Knob
 from phytac_design.study.advice.slopes import Slope
-from shapes.errors import PhytacError
 
 GOALS = ("force_middle_N", "force_worst_N", "gap_px", "load_gap_px")
 """What advice is for, where nothing is wrong; gaps only while they are below ``GAP_WANTED_PX``."""

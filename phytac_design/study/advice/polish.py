@@ -15,18 +15,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError, PhytacError
 from scipy.optimize import linprog
 
-from phytac_design.accuracy import Accuracy
-from phytac_design.design_file import parse_design
-from phytac_design.spec import Design
+from phytac_design.design.accuracy import Accuracy
+from phytac_design.design.design_file import parse_design
+from phytac_design.design.spec import Design
 from phytac_design.study.advice.judge import GAP_PX, STRAIN, Judged, judge
 from phytac_design.study.advice.knobs import FREE, choose, knobs_of
 from phytac_design.study.advice.moves import broken, stand_off_of
 from phytac_design.study.advice.probe import Probe
 from phytac_design.study.advice.slopes import Slope, slopes_of
-from shapes.arrays import FloatArray
-from shapes.errors import DesignError, PhytacError
 
 GOAL = "force_middle_N"
 GAPS = ("gap_px", "load_gap_px")

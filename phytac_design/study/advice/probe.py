@@ -15,27 +15,31 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from phytac_decoder.camera.camera import Camera
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-from decoder.camera import Camera
-from phytac_design.accuracy import Accuracy
+from phytac_design.design.accuracy import Accuracy
+from phytac_design.design.field_groups import values_of
+from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
-from phytac_design.mechanics.assembly import assemble, make_pattern
-from phytac_design.mechanics.loads import patch_loads
+from phytac_design.layout.cameras import cameras_of
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
-from phytac_design.mechanics.receptors import receptor_stiffness, sensor_model, unknown_receptors
-from phytac_design.mechanics.sensitivity import motion_rate
-from phytac_design.mechanics.solve import ShellModel
-from phytac_design.optics.view import cameras_of
-from phytac_design.reads import values_of
-from phytac_design.spec import Design
+from phytac_design.mechanics.shell.assembly import assemble, make_pattern
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.receptor_stiffness import (
+    receptor_stiffness,
+    sensor_model,
+    unknown_receptors,
+)
+from phytac_design.mechanics.shell.sensitivity import motion_rate
+from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_design.simulation.bound import Prior, Signals, cell_prior, contact_signals
+from phytac_design.simulation.response import point_motions
 from phytac_design.study.advice.carried import CarriedPaint
 from phytac_design.study.advice.judge import Judged, force_figures, middle_of
 from phytac_design.study.advice.outlines import gaps_px, ring_points
 from phytac_design.study.search.surrogate import FORCE_N
-from phytac_design.twin.bound import Prior, Signals, cell_prior, contact_signals
-from phytac_design.twin.response import point_motions
-from shapes import Surface
-from shapes.arrays import BoolArray, FloatArray, IntArray
 
 CONTACTS = 16
 """Receptors at which the bound is taken, at most."""

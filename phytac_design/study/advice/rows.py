@@ -4,16 +4,16 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
+from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, with_heights
-from phytac_design.spec import Design
+from phytac_design.simulation.bound import Signals
 from phytac_design.study.advice.judge import Judged
 from phytac_design.study.advice.knobs import ROW, ROWS, Fields, Knob, is_row, with_fields
 from phytac_design.study.advice.probe import Probe, View
 from phytac_design.study.search.surrogate import FORCE_N
-from phytac_design.twin.bound import Signals
-from shapes.arrays import BoolArray, FloatArray, IntArray
-from shapes.errors import DesignError
 
 STEP_MM = 0.5
 REACH_STEPS = 8

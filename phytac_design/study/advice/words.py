@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from phytac_design.finite import finite
+from phytac_design.core.json_values import finite
 from phytac_design.study.advice.advise import Advice
 from phytac_design.study.advice.judge import FIGURES, FORCES
 from phytac_design.study.advice.moves import FAULTS, RULES, Trial

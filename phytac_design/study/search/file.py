@@ -8,12 +8,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+from phytac_shapes.bounded_reader import joined, read_text, toml_table
+from phytac_shapes.errors import DesignError
 from pydantic import Field, ValidationError, model_validator
 
-from phytac_design.section import Section
+from phytac_design.design.base_table import Section
 from phytac_design.study.search.measures import MEASURES, RUNGS, measure_of, measures_up_to
-from shapes.errors import DesignError
-from shapes.reading import joined, read_text, toml_table
 
 Value = int | float | str
 Text = Annotated[str, Field(min_length=1, max_length=200)]
@@ -180,7 +180,7 @@ class Study(Section):
 
 def shipped_studies() -> list[str]:
     """Names of the studies that come with the package."""
-    folder = resources.files("phytac_design") / "studies"
+    folder = resources.files("phytac_design") / "data" / "studies"
     names = (item.name for item in folder.iterdir() if item.name.endswith(".toml"))
     return sorted(name.removesuffix(".toml") for name in names)
 
@@ -195,7 +195,7 @@ def load_study(name_or_path: str) -> tuple[Study, Path]:
     """
     path = Path(name_or_path)
     if name_or_path in shipped_studies() and not path.is_file():
-        source = resources.files("phytac_design") / "studies" / f"{name_or_path}.toml"
+        source = resources.files("phytac_design") / "data" / "studies" / f"{name_or_path}.toml"
         return parse_study(source.read_text(encoding="utf-8"), name_or_path), Path()
     try:
         text = read_text(path)

@@ -1,8 +1,7 @@
 """Fronts of what cannot be better in everything, and how much they cover."""
 
 import numpy as np
-
-from shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 
 def front(values: FloatArray) -> BoolArray:

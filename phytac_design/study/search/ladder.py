@@ -12,16 +12,16 @@ from hashlib import sha256
 from typing import Any
 
 import numpy as np
+from phytac_shapes.errors import DesignError, PhytacError
 
-from phytac_design.cache import code_hash
-from phytac_design.design_file import design_hash
+from phytac_design.design.design_file import design_hash
+from phytac_design.engine.cache import code_hash
 from phytac_design.study.search.candidate import Candidate
 from phytac_design.study.search.file import Constraint, Study
 from phytac_design.study.search.front import ranks
 from phytac_design.study.search.measures import MEASURES, RUNGS, stand_in
 from phytac_design.study.search.rungs import LADDER
 from phytac_design.study.search.space import Params, Space, make_space
-from shapes.errors import DesignError, PhytacError
 
 OK, REFUSED, UNFIT, DROPPED, FAILED = "ok", "refused", "unfit", "dropped", "failed"
 """Met everything so far; cannot be made; misses a constraint; others were better; went wrong."""
@@ -102,7 +102,7 @@ def setting(spec: str) -> tuple[Study, Space]:
     """Study and space of :func:`spec_of`'s text; from then on at hand in this process."""
     from pathlib import Path
 
-    from phytac_design.design_file import parse_design
+    from phytac_design.design.design_file import parse_design
 
     data = json.loads(spec)
     study = Study.model_validate(data["study"])

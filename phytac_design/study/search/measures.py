@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from difflib import get_close_matches
 
-from shapes.errors import DesignError
+from phytac_shapes.errors import DesignError
 
 RUNGS = ("rules", "sampled", "exact", "switch", "mechanics", "load", "twin")
 """From cheap to dear; what each does stands in ``rungs``."""

@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import OutputError
 from scipy.stats import spearmanr
 
-from phytac_design.finite import finite
+from phytac_design.core.json_values import finite
 from phytac_design.study.search.file import Study
 from phytac_design.study.search.front import front
 from phytac_design.study.search.ladder import OK
 from phytac_design.study.search.measures import MEASURES, measures_up_to
 from phytac_design.study.search.store import read_columns, read_study
-from shapes.arrays import BoolArray, FloatArray
-from shapes.errors import OutputError
 
 BINS = 12
 """Slices of a variable, by rank, for its importance."""

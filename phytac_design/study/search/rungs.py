@@ -12,22 +12,22 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
 from scipy.spatial import cKDTree
 
-from phytac_design.accuracy import settings_of
-from phytac_design.fabrication.bench.materials import mass_g
+from phytac_design.design.accuracy import settings_of
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context, write_arrays
+from phytac_design.fabrication.documents.materials import mass_g
+from phytac_design.geometry.envelope import edge_mm
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.density import density_of
-from phytac_design.optics.envelope import edge_mm
 from phytac_design.optics.gaps import outline_gaps
-from phytac_design.optics.sampled import sampled_fraction
+from phytac_design.optics.sampled_visibility import sampled_fraction
 from phytac_design.optics.visibility import FRACTION_MIN
-from phytac_design.spec import Design
-from phytac_design.stage import Context, write_arrays
 from phytac_design.study.search.candidate import Candidate
 from phytac_design.study.search.surrogate import FORCE_N, predict
-from shapes import Surface
-from shapes.arrays import FloatArray, IntArray
 
 Measures = dict[str, float]
 OUTLINE = 16
@@ -194,7 +194,7 @@ def mechanics(candidate: Candidate) -> Measures:
 
 def load(candidate: Candidate) -> Measures:
     """Presses at the greatest force, looked at, as in the stage ``underload`` of a build."""
-    from phytac_design.stages.underload import see_pressed
+    from phytac_design.stages.loaded_views import see_pressed
 
     with tempfile.TemporaryDirectory() as name:
         context = _context(candidate, Path(name))
@@ -212,7 +212,7 @@ def load(candidate: Candidate) -> Measures:
 
 def twin(candidate: Candidate) -> Measures:
     """A simulated sensor and its decoder, as a build makes them."""
-    from phytac_design.build import run_stages, select_stages
+    from phytac_design.stages.build import run_stages, select_stages
 
     start = time.process_time()
     context, _, _ = run_stages(

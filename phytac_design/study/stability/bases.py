@@ -4,10 +4,11 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from phytac_design.design_file import parse_design
-from phytac_design.spec import Design
-from shapes import Surface
-from shapes.errors import DesignError
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError
+
+from phytac_design.design.design_file import parse_design
+from phytac_design.design.spec import Design
 
 Data = dict[str, Any]
 

@@ -8,11 +8,12 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from phytac_shapes import REGISTRY
+from phytac_shapes.errors import InputError
+
 from phytac_design.study.stability.case import Case, Outcome
 from phytac_design.study.stability.rooms import ROOMS, drawn
 from phytac_design.study.stability.runner import run_cases
-from shapes import REGISTRY
-from shapes.errors import InputError
 
 JOURNAL = "journal.jsonl"
 
@@ -117,7 +118,7 @@ def run(
     OutputError
         If that folder cannot be written.
     """
-    from phytac_design.cache import code_hash
+    from phytac_design.engine.cache import code_hash
 
     start, fresh = time.perf_counter(), 0
 
@@ -144,7 +145,7 @@ def run(
         fresh=fresh,
     )
     if out:
-        from phytac_design.finite import finite
+        from phytac_design.core.json_values import finite
 
         text = json.dumps(finite(report.plain()), indent=1, ensure_ascii=False)
         (out / "stability.json").write_text(text + "\n", encoding="utf-8")

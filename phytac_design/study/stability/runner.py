@@ -11,9 +11,10 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+from phytac_shapes.errors import OutputError
+
 from phytac_design.study.stability.case import Case, Outcome
 from phytac_design.study.stability.worker import serve
-from shapes.errors import OutputError
 
 START_S = 60.0
 """What a new process may take to import what its first case needs."""

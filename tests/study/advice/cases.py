@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.accuracy import PRESETS
-from phytac_design.design_file import parse_design
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import parse_design
+from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
-from phytac_design.spec import Design
 from phytac_design.study.advice.judge import Judged, judge
 from phytac_design.study.advice.rows import as_explicit
 from tests.designs import of_shape

@@ -6,17 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from phytac_shapes.errors import DesignError
 from typer.testing import CliRunner
 
-from phytac_design.cli_advise import advise as command
-from phytac_design.design_file import load_design, to_toml
+from phytac_design.cli.advise_command import advise as command
+from phytac_design.design.design_file import load_design, to_toml
 from phytac_design.study.advice import judge as judging
 from phytac_design.study.advice.judge import GAP_PX, judge
 from phytac_design.study.advice.knobs import Knob
 from phytac_design.study.advice.moves import broken
 from phytac_design.study.advice.polish import GAIN_LEAST, GAP_ROOM_PX, Polished, polish, step_of
 from phytac_design.study.advice.slopes import SLOPED, Slope
-from shapes.errors import DesignError
 from tests.study.advice.cases import DRAFT, tube, with_long_row
 
 ONLY = ["wall", "layout.height_far_mm"]

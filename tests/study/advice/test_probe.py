@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phytac_design.layout import with_heights
-from phytac_design.optics.view import cameras_of
+from phytac_design.layout.cameras import cameras_of
 from phytac_design.study.advice.judge import judge
 from phytac_design.study.advice.knobs import knobs_of, with_fields
 from phytac_design.study.advice.outlines import gaps_px, ring_points
@@ -33,7 +33,7 @@ def test_gap_of_discs_square_before_the_camera() -> None:
         camera={"focal_px": 233.0},
         receptor={"band_marker_mm": 0.0},
     )  # fmt: skip
-    from phytac_design.check import check_design
+    from phytac_design.rules.check import check_design
 
     surface, markers = check_design(design)
     camera = cameras_of(design, surface)[0]

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from phytac_design.design_file import design_hash
+from phytac_design.design.design_file import design_hash
 from phytac_design.optics.visibility import check_visibility
 from phytac_design.study.search import rungs
 from phytac_design.study.search.candidate import Candidate

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.mesh import marker_mesh
-from phytac_design.mechanics.receptors import sensor_model
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.study.search.candidate import Candidate
 from phytac_design.study.search.rungs import mechanics, rules, sampled
 from phytac_design.study.search.surrogate import Flat, Unrolled, Wall, dent_of, waves_along

@@ -7,7 +7,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from phytac_design.cli_stability import stability
+from phytac_design.cli.stability_command import stability
 from phytac_design.study.stability import run as runs
 from phytac_design.study.stability.case import Case, Evidence, Outcome
 from phytac_design.study.stability.judge import judge

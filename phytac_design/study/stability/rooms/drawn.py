@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.check import check_design
-from phytac_design.optics.view import camera_of
+from phytac_design.layout.cameras import camera_of
+from phytac_design.rules.check import check_design
 from phytac_design.study.stability.bases import AROUND, SHAPES, base, changed, design_of
 from phytac_design.study.stability.case import Case, Evidence, Room
 from phytac_design.study.stability.faces import face_of
@@ -83,9 +83,9 @@ def check_drawn(values: Mapping[str, Any], found: Evidence) -> None:
     found.add("tips' pixels by the lens's formula", (pixels - exact) / camera.width_px, 1e-8)
     if not values.get("mesh", True):
         return
-    from phytac_design.mechanics.loads import patch_loads
     from phytac_design.mechanics.meshing.mesh import plain_mesh
-    from phytac_design.mechanics.solve import clamped_model
+    from phytac_design.mechanics.shell.loads import patch_loads
+    from phytac_design.mechanics.shell.solve import clamped_model
 
     step = float(np.sqrt(known.area_mm2 / 300.0))
     mesh = plain_mesh(surface, thickness_mm=design.wall.thickness_mm, size_mm=step)

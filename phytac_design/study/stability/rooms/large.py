@@ -4,14 +4,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from phytac_shapes.arrays import FloatArray
 
 from phytac_design.mechanics.large.newton import Equilibrium, Loading
 from phytac_design.mechanics.large.path import solve_large, trace_displacement
-from phytac_design.mechanics.solve import ShellModel
+from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification.case_parts import hold, no_support, patch
 from phytac_design.mechanics.verification.large_cases import ROOF, hinged_roof
 from phytac_design.study.stability.case import Case, Evidence, Room
-from shapes.arrays import FloatArray
 
 RESIDUAL = 1e-6
 """Of equilibrium, relative: the solver's own promise."""

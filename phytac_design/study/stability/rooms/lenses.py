@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from phytac_decoder.camera.lens import Lens
+from phytac_shapes.arrays import FloatArray
 
-from decoder.lens import Lens
 from phytac_design.study.stability.bases import SHAPES, design_of
 from phytac_design.study.stability.case import Case, Evidence, Room
-from shapes.arrays import FloatArray
 
 IMAGE_PX = 1e-9
 """Error of a projection, relative to the image's size: arithmetic's own."""
@@ -122,8 +122,8 @@ def _slope(lens: Lens, unit: FloatArray, found: Evidence) -> None:
 
 def check_fit(values: Mapping[str, Any], found: Evidence) -> None:
     """A camera that `fit` places: the rim reaches just as far into the image as it should."""
-    from phytac_design.optics.envelope import edge_mm
-    from phytac_design.optics.view import camera_of
+    from phytac_design.geometry.envelope import edge_mm
+    from phytac_design.layout.cameras import camera_of
 
     design = design_of(values)
     surface = design.surface()

@@ -8,25 +8,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.compliance import marker_compliance
-from phytac_design.mechanics.discretisation import ProbedShell, estimate_error
 from phytac_design.mechanics.large.quadratic import (
     QuadraticMesh,
     quadratic_mesh,
     quadratic_patch,
     run_ccx,
 )
-from phytac_design.mechanics.loads import patch_loads
 from phytac_design.mechanics.meshing.locate import locate
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh, plain_mesh
-from phytac_design.mechanics.solve import ShellModel, clamped_model
+from phytac_design.mechanics.shell.compliance import marker_compliance
+from phytac_design.mechanics.shell.discretisation import ProbedShell, estimate_error
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_design.study.stability.bases import SHAPES, design_of
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
 from phytac_design.study.stability.rooms.shell import balances
-from shapes import Surface
-from shapes.arrays import FloatArray
 
 RECIPROCAL = 1e-9
 """Betti's theorem, relative, beside the solution's own rounding."""

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 
 from phytac_design.layout import make_markers
+from phytac_design.simulation.contacts import draw_contacts, switch_states
+from phytac_design.simulation.response import motion_responses, superpose
+from phytac_design.simulation.scenario.file import UnitSection
+from phytac_design.simulation.scenario.scatter import CUT, draw_unit, wall_factor
 from phytac_design.study.stability.bases import SHAPES, design_of, numbers_of
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
 from phytac_design.study.stability.faces import face_of
-from phytac_design.twin.contacts import draw_contacts, switch_states
-from phytac_design.twin.response import motion_responses, superpose
-from phytac_design.twin.scenario.file import UnitSection
-from phytac_design.twin.scenario.scatter import CUT, draw_unit, wall_factor
 
 UNLIKELY = 1e-6
 """Chance that a right draw fails a test of its spread."""
@@ -130,10 +130,10 @@ def check_unit(values: Mapping[str, Any], found: Evidence) -> None:
 
 def check_response(values: Mapping[str, Any], found: Evidence) -> None:
     """Responses by adjoints, turned from one column, against each contact solved by itself."""
-    from phytac_design.mechanics.compliance import probe_motion
-    from phytac_design.mechanics.loads import patch_loads
     from phytac_design.mechanics.meshing.mesh import plain_mesh
-    from phytac_design.mechanics.solve import clamped_model
+    from phytac_design.mechanics.shell.compliance import probe_motion
+    from phytac_design.mechanics.shell.loads import patch_loads
+    from phytac_design.mechanics.shell.solve import clamped_model
 
     design = design_of(values)
     surface = design.surface()

@@ -4,17 +4,17 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from phytac_decoder.camera.camera import Camera
+from phytac_shapes.arrays import FloatArray, IntArray
 
-from decoder.camera import Camera
-from phytac_design.check import check_design
+from phytac_design.design.spec import Design
+from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.scene import FIRST_MARKER, Scene, build_scene, paint_owner
-from phytac_design.optics.view import camera_of, tolerance_mm
 from phytac_design.optics.visibility import check_visibility
-from phytac_design.spec import Design
+from phytac_design.rules.check import check_design
 from phytac_design.study.stability.bases import SHAPES, design_of, sized
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
-from shapes.arrays import FloatArray, IntArray
 
 PIXELS = 240
 """Pixels whose rays are cast, half of them on paint."""

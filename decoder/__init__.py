@@ -1,1 +1,0 @@
-"""The decoder that runs beside the sensor: camera frames in, newtons out."""

@@ -1,0 +1,1 @@
+"""The decoder that runs beside the sensor: camera frames in, forces in newtons out."""

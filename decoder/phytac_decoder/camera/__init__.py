@@ -1,0 +1,1 @@
+"""Camera model: lens, distortion and pose."""

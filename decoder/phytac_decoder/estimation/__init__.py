@@ -1,0 +1,1 @@
+"""From marker displacements to contacts and forces."""

@@ -1,0 +1,83 @@
+"""The paper's cascade-forward network, 10-10-10-1: 351 parameters, run in numpy."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from phytac_shapes.arrays import FloatArray, IntArray
+
+Activation = Literal["rectified", "identity"]
+ACTIVATIONS: tuple[str, ...] = get_args(Activation)
+INPUTS, HIDDEN = 10, 10
+SHAPES: dict[str, tuple[int, ...]] = {
+    "w1": (HIDDEN, INPUTS),
+    "b1": (HIDDEN,),
+    "w2": (HIDDEN, INPUTS + HIDDEN),
+    "b2": (HIDDEN,),
+    "w3": (1, INPUTS + 2 * HIDDEN),
+    "b3": (1,),
+}
+"""Every layer sees all earlier ones (cascade-forward): 110 + 210 + 31 = 351 parameters."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CascadeNetwork:
+    """Augmented local stiffness k = g(u of node and 8 neighbours, z) (paper, eq. 2).
+
+    Attributes
+    ----------
+    parameters : (351,) float
+        Flattened weights in the order of ``SHAPES``.
+    activation : str
+        ``rectified`` (the paper's "linear unit" read as rectified linear) or ``identity`` (the
+        literal reading, which makes the network affine).
+    scale_in : (10,) float
+        Inputs are divided by this (mm).
+    scale_out : float
+        Output is multiplied by this (N/mm).
+    """
+
+    parameters: FloatArray
+    activation: Activation
+    scale_in: FloatArray
+    scale_out: float
+
+    def layers(self) -> Mapping[str, FloatArray]:
+        """Weights by name."""
+        out, start = {}, 0
+        for name, shape in SHAPES.items():
+            size = int(np.prod(shape))
+            out[name] = self.parameters[start : start + size].reshape(shape)
+            start += size
+        return out
+
+    def __call__(self, features: FloatArray) -> FloatArray:
+        """Stiffness k (m,) in N/mm for features (m, 10) in mm."""
+        w = self.layers()
+        x = features / self.scale_in
+        first = self._activate(x @ w["w1"].T + w["b1"])
+        both = np.concatenate([x, first], axis=1)
+        second = self._activate(both @ w["w2"].T + w["b2"])
+        every = np.concatenate([both, second], axis=1)
+        return np.asarray((every @ w["w3"].T + w["b3"])[:, 0] * self.scale_out)
+
+    def _activate(self, values: FloatArray) -> FloatArray:
+        return np.maximum(values, 0.0) if self.activation == "rectified" else values
+
+
+def parameter_count() -> int:
+    """Number of parameters, 351 as in the paper."""
+    return int(sum(np.prod(shape) for shape in SHAPES.values()))
+
+
+def network_features(
+    apparent_mm: FloatArray, neighbours: IntArray, height_z_mm: FloatArray, koi: IntArray
+) -> FloatArray:
+    """nn_i = [u_i, u of its eight neighbours, z_i] of each key node, (m, 10) mm (paper, eq. 2).
+
+    A neighbour beyond a rim is on the clamped rim: its displacement is zero, which is what the
+    mechanics says too. At the seam of a closed surface neighbours wrap around.
+    """
+    padded = np.append(apparent_mm, 0.0)
+    return np.column_stack([apparent_mm[koi], padded[neighbours[koi]], height_z_mm[koi]])

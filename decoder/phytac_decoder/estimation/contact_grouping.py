@@ -1,0 +1,257 @@
+"""Key nodes grouped to contacts: where each presses, how hard, and how wide it is.
+
+A place between markers is found on the surface that the markers themselves span: around each of
+them a quadric through it fits its nearest others (derived here).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import exp, sqrt
+
+import numpy as np
+from phytac_shapes.arrays import FloatArray, IntArray
+
+NEAREST = 12
+"""Markers that each local quadric is fitted to."""
+NEAR_SPACINGS = 1.5
+"""Quadrics of markers within so many spacings of the nearest one have a say in a place."""
+REACH_SPACINGS = 2.0
+"""A quadric is not asked farther from its marker than this."""
+
+Place = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    """One contact of one frame.
+
+    Attributes
+    ----------
+    markers : tuple of int
+        Its key nodes, in growing order.
+    force_N : float
+        Sum of their forces.
+    position_mm : (x, y, z)
+        Mean of their places, weighted by force, brought to the surface.
+    size_mm : float
+        Diameter of the disc that, pressed evenly, has the same spread of force; each marker's
+        force counts as spread over its own cell.
+    id : int
+        Stays with the contact from frame to frame; -1 before it is tracked.
+    since_s : float
+        When it was first seen, on the source's clock.
+    sd_N : float, optional
+        Standard deviation of the force, where the estimator knows it.
+    """
+
+    markers: tuple[int, ...]
+    force_N: float
+    position_mm: Place
+    size_mm: float
+    id: int = -1
+    since_s: float = 0.0
+    sd_N: float | None = None
+
+
+def contact_groups(koi: IntArray, neighbours: IntArray) -> list[list[int]]:
+    """Key nodes in groups that hang together, as rows of ``koi``, in growing order.
+
+    Parameters
+    ----------
+    koi : (m,) int
+        Markers.
+    neighbours : (n, 8) int
+        Neighbour ids, -1 beyond a rim; one that is named by one side alone counts too.
+    """
+    of = {marker: row for row, marker in enumerate(koi.tolist())}
+    label = list(range(len(of)))
+
+    def root(row: int) -> int:
+        while label[row] != row:
+            label[row] = label[label[row]]
+            row = label[row]
+        return row
+
+    for row, near in enumerate(neighbours[koi].tolist()):
+        for marker in near:
+            if marker in of:
+                label[root(row)] = root(of[marker])
+    groups: dict[int, list[int]] = {}
+    for row in range(len(label)):
+        groups.setdefault(root(row), []).append(row)
+    return list(groups.values())
+
+
+def rows_of(
+    markers: Sequence[IntArray], koi: IntArray, neighbours: IntArray
+) -> list[IntArray] | None:
+    """Rows of ``koi`` that are each contact's, by those that were its own a frame ago.
+
+    A switch that has come is that of the contact beside it. None where that is none or any of
+    several, or where a contact has lost all of its own.
+
+    Parameters
+    ----------
+    markers : sequence of (k,) int
+        Key nodes of each contact; a contact may have none, and gets none.
+    koi : (m,) int
+        Key nodes of this frame.
+    neighbours : (n, 8) int
+        Neighbour ids, -1 beyond a rim.
+    """
+    owner = {marker: k for k, own in enumerate(markers) for marker in own.tolist()}
+    rows: list[list[int]] = [[] for _ in markers]
+    for row, marker in enumerate(koi.tolist()):
+        near = [marker] if marker in owner else neighbours[marker].tolist()
+        of = {owner[each] for each in near if each in owner}
+        if len(of) != 1:
+            return None
+        rows[of.pop()].append(row)
+    if any(len(own) and not left for own, left in zip(markers, rows, strict=True)):
+        return None
+    return [np.array(left, dtype=np.int64) for left in rows]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skin:
+    """The outer face around each of n markers: p + x·a + y·b + (c · [x, y, x², xy, y²])·normal.
+
+    Attributes
+    ----------
+    position_mm : (n, 3) float
+        Markers.
+    axes : (n, 3, 3) float
+        Rows a, b and the normal, orthonormal; the normal's sign is any.
+    quadric : (n, 5) float
+        Coefficients c; 1/mm for the last three.
+    spacing_mm : (n,) float
+        Distance to the markers around it.
+    """
+
+    position_mm: FloatArray
+    axes: FloatArray
+    quadric: FloatArray
+    spacing_mm: FloatArray
+
+    @classmethod
+    def through(cls, position_mm: FloatArray) -> "Skin":
+        """Fit it to markers (n, 3), each weighted by a Gaussian of its distance."""
+        count = len(position_mm)
+        gap = np.linalg.norm(position_mm[:, None] - position_mm[None], axis=2)
+        order = np.argsort(gap, axis=1)[:, 1 : NEAREST + 1]
+        near = np.take_along_axis(gap, order, axis=1)
+        # The middle of the four nearest: at a rim some of eight are missing.
+        spacing = np.median(near[:, :4], axis=1) if count > 1 else np.ones(count)
+        offset = position_mm[order] - position_mm[:, None]
+        weight = np.exp(-0.5 * (near / (1.5 * spacing[:, None])) ** 2)
+        _, vectors = np.linalg.eigh(np.einsum("nk,nki,nkj->nij", weight, offset, offset))
+        # Eigenvalues grow: the last two vectors span the tangent plane.
+        axes = np.swapaxes(vectors[:, :, ::-1], 1, 2)
+        x, y, z = np.moveaxis(np.einsum("nai,nki->nka", axes, offset), 2, 0)
+        terms = np.stack([x, y, x * x, x * y, y * y], axis=2)
+        root = np.sqrt(weight)[:, :, None]
+        quadric = (np.linalg.pinv(root * terms, rcond=1e-6) @ (root * z[:, :, None]))[:, :, 0]
+        return cls(
+            position_mm=position_mm,
+            axes=np.ascontiguousarray(axes),
+            quadric=quadric,
+            spacing_mm=np.maximum(spacing, 1e-9),
+        )
+
+    def nearest(self, point_mm: FloatArray, markers: Sequence[int]) -> FloatArray:
+        """Point (3,) of the face beside ``point_mm`` (3,), by those of ``markers`` nearest to it.
+
+        Parameters
+        ----------
+        point_mm : (3,) float
+            At most about a marker's spacing off the face.
+        markers : sequence of int
+            Markers around it; one at least.
+        """
+        places = self.position_mm[markers]
+        gap = np.linalg.norm(places - point_mm, axis=1)
+        best = int(gap.argmin())
+        spacing = float(self.spacing_mm[markers[best]])
+        beside = np.linalg.norm(places - places[best], axis=1) <= NEAR_SPACINGS * spacing
+        total, out = 0.0, np.zeros(3)
+        for row in np.flatnonzero(beside):
+            share = exp(-2.0 * (gap[row] ** 2 - gap[best] ** 2) / spacing**2)
+            out += share * self._onto(markers[int(row)], point_mm)
+            total += share
+        return np.asarray(out / total)
+
+    def _onto(self, marker: int, point_mm: FloatArray) -> FloatArray:
+        """Point (3,) of one marker's quadric, along its normal."""
+        axes, origin = self.axes[marker], self.position_mm[marker]
+        x, y, _ = axes @ (point_mm - origin)
+        far = sqrt(x * x + y * y) / (REACH_SPACINGS * float(self.spacing_mm[marker]))
+        if far > 1.0:
+            x, y = x / far, y / far
+        z = self.quadric[marker] @ np.array([x, y, x * x, x * y, y * y])
+        return np.asarray(origin + x * axes[0] + y * axes[1] + z * axes[2])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactFinder:
+    """Finds the contacts of a frame.
+
+    Attributes
+    ----------
+    position_mm : (n, 3) float
+        Markers on the outer face.
+    neighbours : (n, 8) int
+        Neighbour ids, -1 beyond a rim.
+    """
+
+    position_mm: FloatArray
+    neighbours: IntArray
+
+    @cached_property
+    def skin(self) -> Skin:
+        """The outer face between the markers."""
+        return Skin.through(self.position_mm)
+
+    @cached_property
+    def spacing_mm(self) -> float:
+        """Usual distance of neighbouring markers."""
+        return float(np.median(self.skin.spacing_mm))
+
+    def find(self, forces_N: FloatArray, koi: IntArray) -> list[Contact]:
+        """Contacts, the strongest first.
+
+        Parameters
+        ----------
+        forces_N : (n,) float
+            Force on every marker.
+        koi : (m,) int
+            Key nodes of interest.
+        """
+        # Plain lists: there are a dozen key nodes, and arrays of that size cost more to make.
+        markers, forces = koi.tolist(), forces_N[koi].tolist()
+        out = [
+            self._contact([markers[row] for row in group], [forces[row] for row in group])
+            for group in contact_groups(koi, self.neighbours)
+        ]
+        return sorted(out, key=lambda contact: -contact.force_N)
+
+    def _contact(self, markers: list[int], forces_N: list[float]) -> Contact:
+        # K·u may come out negative; a pull must not push the mean off the contact.
+        weight = np.array([max(force, 0.0) for force in forces_N])
+        if not weight.sum() > 0.0:
+            weight = np.ones(len(markers))
+        weight /= weight.sum()
+        places = self.position_mm[markers]
+        middle = weight @ places
+        # An even disc of radius r has the second moment r²/2, a square cell of side a has a²/6.
+        cell = float(weight @ self.skin.spacing_mm[markers] ** 2) / 6.0
+        moment = float(weight @ np.sum((places - middle) ** 2, axis=1)) + cell
+        if len(markers) > 1:
+            middle = self.skin.nearest(middle, markers)
+        x, y, z = middle.tolist()
+        return Contact(
+            markers=tuple(markers),
+            force_N=sum(forces_N),
+            position_mm=(x, y, z),
+            size_mm=2.0 * sqrt(2.0 * moment),
+        )

@@ -1,0 +1,183 @@
+"""What contacts do to the markers' images, and how that goes with all that is unknown of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from phytac_shapes.arrays import FloatArray, IntArray
+
+from phytac_decoder.mechanics.interaction_table import Images, with_mixed
+from phytac_decoder.mechanics.membrane_stretching import lost_share, powers_of
+from phytac_decoder.mechanics.response_table import Places
+
+UNKNOWNS = 6
+"""Of a contact: force (N), centre along and around (mm), second moments xx, xy, yy (mm²)."""
+
+
+@dataclass(kw_only=True)
+class State:
+    """A contact being fitted.
+
+    Attributes
+    ----------
+    place : int
+        Place of the tables nearest to it.
+    x : (6,) float
+        Its unknowns; the centre in the tangent plane about that place.
+    start_mm : (3,) float
+        Where its switches say that it is.
+    place_sd_mm : float
+        How well they do.
+    tables : (10, k, 2n) float32
+        Derivatives of the tables at the place.
+    markers : (m,) int
+        Switches that it was started from.
+    suspected : bool
+        It may be there: the others do not take its force, and it is not told.
+    """
+
+    place: int
+    x: FloatArray
+    start_mm: FloatArray
+    place_sd_mm: float
+    tables: NDArray[np.float32]
+    markers: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    suspected: bool = False
+
+    def copy(self) -> "State":
+        """One that can be fitted on its own."""
+        return replace(self, x=self.x.copy())
+
+
+def explained(
+    places: Places, states: Sequence[State], images: Images | None = None
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Shifts and slopes of each of all contacts at once, see :func:`explain`.
+
+    What a contact does to others, on its flat wall or by mixed terms, counts as its own slope; a
+    mixed term's shifts count half as the one's and half as the other's. ``images`` are those of
+    mixed terms, kept from where the contacts were before.
+    """
+    out = {}
+    wall = places.walls.wall[[state.place for state in states]] if places.walls else None
+    for k, state in enumerate(states):
+        if wall is None or wall[k] < 0:
+            out[k] = explain(state, places.orders, top_N=places.top_N)
+        elif k not in out:
+            own = np.flatnonzero(wall == wall[k]).tolist()
+            out |= dict(zip(own, _on_wall(places, [states[i] for i in own]), strict=True))
+    parts = [out[k] for k in range(len(states))]
+    if places.pairs is None or len(states) == 1:
+        return parts
+    images = images or Images(pairs=places.pairs)
+    points = np.stack([point_of(places, state) for state in states])
+    return with_mixed(images.between(points), np.array([state.x[0] for state in states]), parts)
+
+
+def point_of(places: Places, state: State) -> FloatArray:
+    """Centre (3,) mm of a contact."""
+    x, y = state.x[1:3]
+    along, around = places.along[state.place], places.around[state.place]
+    return np.asarray(places.point_mm[state.place] + x * along + y * around)
+
+
+def explain(state: State, orders: int, *, top_N: float = np.inf) -> tuple[FloatArray, FloatArray]:
+    """Shifts (2n,) px of one contact alone, and their slopes (6, 2n) by its unknowns.
+
+    Parameters
+    ----------
+    orders : int
+        Powers of the force in its tables; whatever rows there are besides are passed over.
+    top_N : float
+        Largest force that the tables were made with.
+    """
+    f = float(state.x[0])
+    rows = _rows(state, state.tables[:, :orders])
+    powers, change = powers_of(rows[0], f, top_N)
+    slope = ((f * powers).astype(np.float32) @ rows).astype(np.float64)
+    total = slope[0].copy()
+    slope[0] = ((1.0 + change) * powers).astype(np.float32) @ rows[0]
+    return total, slope
+
+
+def _on_wall(places: Places, states: Sequence[State]) -> list[tuple[FloatArray, FloatArray]]:
+    """The same of contacts that share a flat wall: more of its softness is lost than by each."""
+    out = [explain(state, places.orders, top_N=places.top_N) for state in states]
+    if len(states) == 1 or places.walls is None:
+        return out
+    near, weights = places.fits
+    force = [float(state.x[0]) for state in states]
+    stretch = []
+    for f, state in zip(force, states, strict=True):
+        cubic = places.walls.cubic(near[state.place], weights[state.place], state.place)
+        one = np.tensordot(_terms(state), cubic, axes=1)
+        # By unknowns: that of the force is per newton, as it stands.
+        one[1:] *= f
+        stretch.append(one)
+    order = np.arange(1, stretch[0].shape[1])
+    most = places.walls.most
+    whole = np.sum([f * one[0] for f, one in zip(force, stretch, strict=True)], axis=0)
+    lost, by_all = _lost(whole, stretch, most)
+    stiffer = np.zeros(places.shift_px.shape[2])
+    for k, (f, state) in enumerate(zip(force, states, strict=True)):
+        rows = _rows(state, state.tables[:, places.orders :])
+        own, by_own = _lost(f * stretch[k][0], stretch[k : k + 1], most)
+        total, slope = out[k]
+        more = ((lost**order - own**order).astype(np.float32) @ rows).astype(np.float64)
+        total += f * more[0]
+        more[1:] *= f
+        slope += more
+        slope -= np.outer(by_own[0], f * (order * own ** (order - 1)) @ rows[0])
+        stiffer += f * (order * lost ** (order - 1)) @ rows[0]
+    for part, by in zip(out, by_all, strict=True):
+        part[1][:] += np.outer(by, stiffer)
+    return out
+
+
+def _lost(
+    whole: FloatArray, stretch: Sequence[FloatArray], most: float
+) -> tuple[float, list[FloatArray]]:
+    """Share v of its softness that a wall loses under slopes (k, r), and its own slopes (6,).
+
+    Those are by the unknowns of contacts whose slopes (6, k, r) by theirs are ``stretch``.
+    """
+    lost, grows = lost_share(whole, most)
+    powers = lost ** np.arange(len(whole))
+    now = powers @ whole
+    return lost, [2.0 * grows * (np.einsum("k,ukr->ur", powers, one) @ now) for one in stretch]
+
+
+def _rows(state: State, tables: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Rows (6, k, 2n) of shifts and their slopes, by derivatives (10, k, 2n) of tables."""
+    rows = _terms(state) @ tables.reshape(10, -1)
+    return np.asarray(rows.reshape(UNKNOWNS, *tables.shape[1:]))
+
+
+def _terms(state: State) -> NDArray[np.float32]:
+    """What derivatives (10,) of the tables count for in shifts, and in their slopes, (6, 10).
+
+    Rows: value, d/dx, d/dy, then what the moments go with.
+    """
+    # Plain numbers, in one piece: this is asked for by each contact in each round of each frame.
+    _, x, y, m_xx, m_xy, m_yy = state.x.tolist()
+    xx, xy, yy, hx, hy = x * x / 2.0, x * y, y * y / 2.0, x / 2.0, y / 2.0
+    m_xx, m_yy = m_xx / 2.0, m_yy / 2.0
+    a, b, c = xx + m_xx, xy + m_xy, yy + m_yy
+    cubic = (
+        x * (xx / 3.0 + m_xx),
+        y * (xx + m_xx) + m_xy * x,
+        x * (yy + m_yy) + m_xy * y,
+        y * (yy / 3.0 + m_yy),
+    )
+    return np.array(
+        [
+            (1.0, x, y, a, b, c, *cubic),
+            (0.0, 1.0, 0.0, x, y, 0.0, a, b, c, 0.0),
+            (0.0, 0.0, 1.0, 0.0, x, y, 0.0, a, b, c),
+            (0.0, 0.0, 0.0, 0.5, 0.0, 0.0, hx, hy, 0.0, 0.0),
+            (0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, x, y, 0.0),
+            (0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, hx, hy),
+        ],
+        dtype=np.float32,
+    )

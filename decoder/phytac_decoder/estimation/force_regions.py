@@ -1,0 +1,300 @@
+"""Named regions of a surface (fingers, a palm) and the force on each."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.bounded_reader import read_text, toml_table
+from phytac_shapes.errors import InputError, cause_of
+
+REGIONS_MAX = 64
+NAME_MAX = 40
+"""Letters of a region's name."""
+NUMBER_MAX = 1e9
+SELECTORS = ("markers", "rows", "columns", "along", "around", "point_mm")
+KEYS = ("name", *SELECTORS, "radius_mm")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Region:
+    """A named set of markers.
+
+    Attributes
+    ----------
+    name : str
+        Of the region.
+    markers : tuple of int
+        In growing order; regions may share markers.
+    """
+
+    name: str
+    markers: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chart:
+    """Where markers stand on the design's chart; arrays run over n markers.
+
+    Attributes
+    ----------
+    row, column : (n,) int
+        Place in the lattice.
+    along, around : (n,) float
+        Shares, 0 to 1, of u (away from the camera) and of v (around).
+    closed : bool
+        Whether the surface closes around, so that a box may run over the seam.
+    """
+
+    row: IntArray
+    column: IntArray
+    along: FloatArray
+    around: FloatArray
+    closed: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegionForces:
+    """Sums forces over regions.
+
+    Attributes
+    ----------
+    regions : sequence of Region
+        In the order of every table.
+    markers : int
+        Of the sensor.
+    """
+
+    regions: Sequence[Region]
+    markers: int
+
+    @cached_property
+    def member(self) -> BoolArray:
+        """Which markers (r, n) lie in which region."""
+        out = np.zeros((len(self.regions), self.markers), dtype=np.bool_)
+        for row, region in enumerate(self.regions):
+            out[row, list(region.markers)] = True
+        return out
+
+    def of(self, markers: IntArray, forces_N: FloatArray) -> list[float]:
+        """Force of each region (r,), N, from those of some markers."""
+        out: list[float] = (self.member[:, markers] @ forces_N).tolist()
+        return out
+
+    def home(self, markers: Sequence[int], forces_N: Sequence[float]) -> str:
+        """Region with most of a contact's force, the first of several; "" if it is in none."""
+        inside = self.member[:, list(markers)]
+        if not inside.any():
+            return ""
+        # By number of markers where forces say nothing.
+        share = inside @ np.maximum(forces_N, 0.0) + 1e-9 * inside.sum(axis=1)
+        return self.regions[int(share.argmax())].name
+
+
+def load_regions(
+    path: Path, position_mm: FloatArray, chart: Chart | None = None
+) -> tuple[Region, ...]:
+    """Regions of a TOML or JSON file, as marker ids.
+
+    ``regions`` is a list of tables. Each has a ``name`` and what its markers must meet, all of
+    it: ``markers`` (ids), ``rows`` and ``columns`` (first and last), ``along`` and ``around``
+    (shares of the chart, from and to), ``point_mm`` with ``radius_mm`` (a ball). Tables of one
+    name make one region together.
+
+    Parameters
+    ----------
+    path : Path
+        Its end tells the format: ``.json``, or else TOML.
+    position_mm : (n, 3) float
+        Markers on the outer face.
+    chart : Chart, optional
+        Needed for rows, columns and shares.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or a region is no region of this sensor.
+    """
+    data = _read(path)
+    unknown = sorted(set(data) - {"regions"})
+    tables = data.get("regions")
+    if unknown or not isinstance(tables, list) or not tables:
+        got = f"unknown key {_short(unknown[0])}" if unknown else "no list of regions"
+        raise InputError(f"{path}: {got}; write one or more [[regions]] and nothing else")
+    return regions_of(tables, f"{path}: ", position_mm, chart)
+
+
+def regions_of(
+    tables: Sequence[Any], where: str, position_mm: FloatArray, chart: Chart | None = None
+) -> tuple[Region, ...]:
+    """Regions of tables, as marker ids; see :func:`load_regions`.
+
+    Parameters
+    ----------
+    tables : sequence of dict
+        One for each part of a region.
+    where : str
+        What stands before ``regions[0]`` in messages.
+    position_mm, chart
+        See :func:`load_regions`.
+
+    Raises
+    ------
+    InputError
+        If one is no region of this sensor.
+    """
+    found: dict[str, set[int]] = {}
+    for number, table in enumerate(tables):
+        label = f"{where}regions[{number}]"
+        name = _name(table, label)
+        found.setdefault(name, set()).update(_chosen(table, label, position_mm, chart).tolist())
+    if len(found) > REGIONS_MAX:
+        raise InputError(f"{where}{len(found)} regions; {REGIONS_MAX} at most")
+    return tuple(Region(name=name, markers=tuple(sorted(ids))) for name, ids in found.items())
+
+
+def regions_table(regions: Sequence[Region]) -> list[dict[str, Any]]:
+    """Regions as plain values, for a bundle."""
+    return [{"name": region.name, "markers": list(region.markers)} for region in regions]
+
+
+def regions_from(table: object, count: int) -> tuple[Region, ...]:
+    """Undo :func:`regions_table`, for a sensor of so many markers.
+
+    Raises
+    ------
+    ValueError
+        If it is no list of regions of this sensor.
+    """
+    if not isinstance(table, list) or not all(
+        isinstance(item, dict) and set(item) == {"name", "markers"} for item in table
+    ):
+        raise ValueError(f"regions are a list of names with markers (got {_short(table)})")
+    try:
+        return regions_of(table, "", np.zeros((count, 3)))
+    except InputError as error:
+        raise ValueError(str(error)) from None
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        text = read_text(path)
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"no regions at {path} ({reason}); give a TOML or JSON file") from None
+    try:
+        data = json.loads(text) if path.suffix.lower() == ".json" else toml_table(text)
+    except (ValueError, RecursionError) as error:
+        kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
+        raise InputError(f"{path} is no {kind}: {cause_of(error)}") from None
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: no table of regions; see docs/streaming.md")
+    return data
+
+
+def _name(table: object, where: str) -> str:
+    if not isinstance(table, dict):
+        raise InputError(f"{where}: a region is a table (got {_short(table)})")
+    unknown = sorted(set(table) - set(KEYS))
+    if unknown:
+        raise InputError(f"{where}: unknown key {_short(unknown[0])}; known: {', '.join(KEYS)}")
+    name = table.get("name")
+    if not isinstance(name, str) or not 1 <= len(name) <= NAME_MAX or not name.isprintable():
+        raise InputError(
+            f"{where}: name must be 1 to {NAME_MAX} printable letters (got {_short(name)})"
+        )
+    if name != name.strip():
+        raise InputError(f"{where}: name {name!r} begins or ends with a space; take it away")
+    return name
+
+
+def _chosen(
+    table: Mapping[str, Any], where: str, position_mm: FloatArray, chart: Chart | None
+) -> IntArray:
+    """Markers (m,) that meet everything a table asks for."""
+    given = [key for key in SELECTORS if key in table]
+    if not given:
+        raise InputError(f"{where}: says no place; give one or more of {', '.join(SELECTORS)}")
+    if ("point_mm" in table) != ("radius_mm" in table):
+        raise InputError(f"{where}: point_mm and radius_mm go together")
+    inside = np.ones(len(position_mm), dtype=np.bool_)
+    for key in given:
+        label = f"{where}.{key}"
+        if key == "markers":
+            inside &= _by_id(table[key], label, len(inside))
+        elif key == "point_mm":
+            inside &= _ball(table, label, position_mm)
+        elif chart is None:
+            raise InputError(
+                f"{label}: rows, columns and shares are known from the design alone; give the "
+                "design as well, or use markers or point_mm"
+            )
+        else:
+            inside &= CHARTED[key](table[key], label, chart)
+    if not inside.any():
+        raise InputError(f"{where} ({table['name']!r}): no marker lies there; widen it")
+    return np.flatnonzero(inside)
+
+
+def _by_id(value: object, label: str, count: int) -> BoolArray:
+    ids: list[Any] = value if isinstance(value, list) else []
+    good = all(isinstance(i, int) and not isinstance(i, bool) and 0 <= i < count for i in ids)
+    if not good or not ids:
+        raise InputError(f"{label}: a list of markers, 0 to {count - 1} (got {_short(value)})")
+    out = np.zeros(count, dtype=np.bool_)
+    out[ids] = True
+    return out
+
+
+def _ball(table: Mapping[str, Any], label: str, position_mm: FloatArray) -> BoolArray:
+    point = _numbers(table["point_mm"], label, 3)
+    (radius,) = _numbers([table["radius_mm"]], label.replace("point_mm", "radius_mm"), 1)
+    if not radius > 0.0:
+        raise InputError(f"{label}: radius_mm must be above 0 (got {radius:g})")
+    return np.asarray(np.linalg.norm(position_mm - point, axis=1) <= radius)
+
+
+def _numbers(value: object, label: str, count: int) -> list[float]:
+    items = value if isinstance(value, list) else []
+    good = [
+        isinstance(item, int | float) and not isinstance(item, bool) and abs(item) < NUMBER_MAX
+        for item in items
+    ]
+    if len(items) != count or not all(good):
+        word = "a number" if count == 1 else f"{count} numbers in a list"
+        raise InputError(f"{label}: {word} (got {_short(value)})")
+    return [float(item) for item in items]
+
+
+def _between(value: object, label: str, of: IntArray) -> BoolArray:
+    first, last = _numbers(value, label, 2)
+    if first > last or first < 0 or first != int(first) or last != int(last):
+        raise InputError(f"{label}: first and last, counted from 0 (got {_short(value)})")
+    return np.asarray((of >= first) & (of <= last))
+
+
+def _share(value: object, label: str, of: FloatArray, *, closed: bool) -> BoolArray:
+    low, high = _numbers(value, label, 2)
+    if not (0.0 <= low <= 1.0 and 0.0 <= high <= 1.0) or (low > high and not closed):
+        wrap = " (from above to, over the seam, where the surface closes around)" if closed else ""
+        raise InputError(f"{label}: shares from and to, 0 to 1{wrap} (got {_short(value)})")
+    if low <= high:
+        return np.asarray((of >= low) & (of <= high))
+    return np.asarray((of >= low) | (of <= high))
+
+
+CHARTED: dict[str, Callable[[object, str, Chart], BoolArray]] = {
+    "rows": lambda value, label, chart: _between(value, label, chart.row),
+    "columns": lambda value, label, chart: _between(value, label, chart.column),
+    "along": lambda value, label, chart: _share(value, label, chart.along, closed=False),
+    "around": lambda value, label, chart: _share(value, label, chart.around, closed=chart.closed),
+}
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

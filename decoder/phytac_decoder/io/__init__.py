@@ -1,0 +1,1 @@
+"""Bundles, recordings, cameras and motion sensors."""

@@ -1,0 +1,60 @@
+"""What every source of frames gives."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from phytac_shapes.arrays import ImageArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """A frame of each camera, of one instant.
+
+    Attributes
+    ----------
+    number : int
+        In its source, from 0; frames that were lost count.
+    timestamp_s : float
+        When it was taken, on the source's clock.
+    images : tuple of (h, w, 3) uint8
+        BGR, the near end's camera first.
+    ready_s : float
+        ``time.monotonic()`` at which it was at hand.
+    """
+
+    number: int
+    timestamp_s: float
+    images: tuple[ImageArray, ...]
+    ready_s: float
+
+
+class Source(ABC):
+    """Frames in order, as an iterator.
+
+    Attributes
+    ----------
+    said : str
+        Where they come from, in words.
+    clock : str
+        What timestamps count, in words.
+    live : bool
+        Whether they are being taken now.
+    skipped : int
+        Frames so far that could not be read.
+    missed : int
+        Frames so far that went by while one before was decoded.
+    """
+
+    said: str
+    clock: str
+    live: bool = False
+    skipped: int = 0
+    missed: int = 0
+
+    @abstractmethod
+    def __iter__(self) -> Iterator[Frame]: ...
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let files and cameras go."""

@@ -1,0 +1,271 @@
+"""Where frames come from: an image, a folder, a video, a camera; of two cameras, two of them."""
+
+import stat
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from phytac_shapes.arrays import ImageArray
+from phytac_shapes.errors import InputError
+
+from phytac_decoder.io.frame import Frame, Source
+from phytac_decoder.io.live_camera import Live
+from phytac_decoder.io.recorded_frames import SUFFIXES, Folder, Track, Video
+from phytac_decoder.io.synchronised_recordings import InStep
+
+CAMERAS_MAX = 2
+
+
+class Recording(Source):
+    """Recorded pictures of one camera or two, in step: see :class:`phytac_decoder.io.synchronised_recordings.InStep`.
+
+    Parameters
+    ----------
+    tracks : sequence of Track
+        One for each camera.
+    fps : float, optional
+        Play them at this rate; as fast as they are asked for if not given.
+    every : bool
+        Leave out none that is late. A camera would not wait.
+    loop : bool
+        Begin again after the last; time goes on.
+    report : callable
+        Told about frames that cannot be read.
+    clock, sleep : callable
+        Of seconds.
+
+    Attributes
+    ----------
+    count : int or None
+        Frames of one round; None where only reading them tells.
+
+    Raises
+    ------
+    InputError
+        If two recordings differ in length and no times tell what belongs together, or the rate is
+        none.
+    """
+
+    def __init__(
+        self,
+        tracks: Sequence[Track],
+        *,
+        fps: float | None = None,
+        every: bool = False,
+        loop: bool = False,
+        report: Callable[[str], None] = print,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        if fps is not None and not 0.0 < fps <= 1e6:
+            raise InputError(f"a rate lies above 0 and up to 1e6 fps (got {fps:g}); change --fps")
+        counts = {track.count for track in tracks}
+        self._steps = InStep(tracks, report)
+        if len(counts) > 1 and None not in counts and not self._steps.by_time:
+            said = " and ".join(f"{track.count} in {track.said}" for track in tracks)
+            raise InputError(
+                f"frames of two cameras come in pairs (got {said}); give as many of each"
+            )
+        self._tracks, self._fps, self._every, self._loop = tracks, fps, every, loop
+        self._report, self._clock_s, self._sleep = report, clock, sleep
+        self.count = min((count for count in counts if count is not None), default=None)
+        self._started_s: float | None = None
+        self._stamps: list[float] = []
+        self._offset_s = 0.0
+        self.said = " and ".join(track.said for track in tracks)
+        if fps:
+            self.clock = f"number of the frame / {fps:g} fps"
+        elif tracks[0].stamped:
+            self.clock = "the recording's own"
+        else:
+            self.clock = "when it was read, from the first (the files' names tell no times)"
+
+    def __iter__(self) -> Iterator[Frame]:
+        number, useful = 0, 0
+        while True:
+            steps = self._steps.grab(number)
+            if not steps:
+                if not useful:
+                    raise InputError(f"not one frame of {self.said} could be read")
+                if not self._loop:
+                    return
+                useful = 0
+                self._rewind()
+                continue
+            self.skipped += steps - 1
+            number += steps - 1
+            missed = self.missed
+            frame = self._frame(number)
+            number += 1
+            useful += self.missed > missed
+            if frame is not None:
+                useful += 1
+                yield frame
+
+    def _frame(self, number: int) -> Frame | None:
+        """The frame gone to, when it is due; None if it is late or torn."""
+        if self._late(number):
+            self.missed += 1
+            return None
+        try:
+            images = tuple(track.retrieve() for track in self._tracks)
+        except InputError as error:
+            self.skipped += 1
+            self._report(f"frame {number} skipped: {error}")
+            return None
+        now = self._clock_s()
+        if self._started_s is None:
+            self._started_s = now - (number / self._fps if self._fps else 0.0)
+        if self._fps:
+            stamp = number / self._fps
+            wait = self._started_s + stamp - now
+            if wait > 0.0:
+                self._sleep(wait)
+        elif self._tracks[0].stamped:
+            self._stamps.append(self._tracks[0].time_s())
+            stamp = self._offset_s + self._stamps[-1]
+        else:
+            stamp = now - self._started_s
+        return Frame(number=number, timestamp_s=stamp, images=images, ready_s=self._clock_s())
+
+    def _late(self, number: int) -> bool:
+        """Whether a camera would be giving the next frame already."""
+        if self._fps is None or self._every or self._started_s is None:
+            return False
+        return (self._clock_s() - self._started_s) * self._fps >= number + 1
+
+    def _rewind(self) -> None:
+        self._steps.rewind()
+        if self._stamps:
+            first, last, steps = self._stamps[0], self._stamps[-1], len(self._stamps) - 1
+            # One usual interval between the last frame and the first of the next round.
+            self._offset_s += (last - first) * (steps + 1) / steps if steps else 0.0
+            self._stamps = []
+
+    def close(self) -> None:
+        """Let files go."""
+        for track in self._tracks:
+            track.close()
+
+
+def open_source(
+    wheres: Sequence[str],
+    *,
+    fps: float | None = None,
+    every: bool = False,
+    loop: bool = False,
+    pace: bool = True,
+    size_px: tuple[int, int] | None = None,
+    report: Callable[[str], None] = print,
+) -> Source:
+    """Frames of an image, a folder of images, a video or a camera; of two, in step.
+
+    Parameters
+    ----------
+    wheres : sequence of str
+        A path, a camera's number (``0``; a folder of that name is ``./0``), or an address
+        (``rtsp://…``); for two cameras two of a kind, the near end's first.
+    fps, every, loop
+        See :class:`Recording`.
+    pace : bool
+        Wait until each frame of a recording is due; otherwise ``fps`` only tells when it was taken,
+        and no frame is left out.
+    size_px : tuple of int, optional
+        Width and height to ask a camera for.
+    report : callable
+        Told about frames that cannot be read.
+
+    Raises
+    ------
+    InputError
+        If there is no such source, or they don't go together.
+    """
+    if not 1 <= len(wheres) <= CAMERAS_MAX:
+        raise InputError(f"frames come from one camera or two (got {len(wheres)} sources)")
+    cameras = [_device(where) for where in wheres]
+    devices = [device for device in cameras if device is not None]
+    if len(devices) == len(wheres):
+        if loop or every:
+            raise InputError("a camera neither begins again nor waits; leave --loop, --every out")
+        return Live(devices, fps=fps, size_px=size_px, report=report)
+    if devices:
+        raise InputError(
+            f"a camera and a recording do not go together (got {' and '.join(wheres)})"
+        )
+    tracks = [_track(Path(where)) for where in wheres]
+    if pace:
+        return Recording(tracks, fps=fps, every=every, loop=loop, report=report)
+    return Recording(
+        tracks, fps=fps, every=True, loop=loop, report=report, sleep=lambda _seconds: None
+    )
+
+
+def first_frames(
+    wheres: Sequence[str],
+    count: int,
+    *,
+    size_px: tuple[int, int] | None = None,
+    report: Callable[[str], None] = print,
+) -> list[ImageArray]:
+    """Mean (h, w, 3) uint8 of the first frames of each camera: less noise than one has.
+
+    Parameters
+    ----------
+    wheres, size_px, report
+        See :func:`open_source`; recordings are read from their beginning.
+    count : int
+        How many; frames that cannot be read do not count.
+
+    Raises
+    ------
+    InputError
+        If there are fewer, they differ in size, or see :func:`open_source`.
+    """
+    source = open_source(wheres, pace=False, size_px=size_px, report=report)
+    totals: list[NDArray[np.uint32]] = []
+    got = 0
+    try:
+        # Of large frames, as many as may be asked for are more than memory holds.
+        for _, frame in zip(range(count), source, strict=False):
+            totals = totals or [np.zeros(image.shape, np.uint32) for image in frame.images]
+            for total, image in zip(totals, frame.images, strict=True):
+                if total.shape != image.shape:
+                    raise InputError(f"frames of {source.said} differ in size; give one recording")
+                np.add(total, image, out=total)
+            got += 1
+    finally:
+        source.close()
+    if got < count:
+        raise InputError(
+            f"{source.said} gave {got} frames, fewer than the {count} that show the "
+            "unloaded sensor; ask for fewer"
+        )
+    return [np.rint(total / count).astype(np.uint8) for total in totals]
+
+
+def _device(where: str) -> int | str | None:
+    """What OpenCV opens a camera by; None for a recording."""
+    if where.isdecimal() and len(where) <= 4:
+        return int(where)
+    if "://" in where:
+        return where
+    try:
+        return where if stat.S_ISCHR(Path(where).stat().st_mode) else None
+    except (OSError, ValueError):
+        return None
+
+
+def _track(where: Path) -> Track:
+    try:
+        kind = where.stat().st_mode
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(
+            f"no frames at {where} ({reason}); give an image, a folder of images, a video, or a "
+            "camera's number"
+        ) from None
+    if stat.S_ISDIR(kind) or where.suffix.lower() in SUFFIXES:
+        return Folder(where)
+    return Video(where)

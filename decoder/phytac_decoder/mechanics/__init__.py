@@ -1,0 +1,1 @@
+"""Tabulated mechanics of a sensor, as a bundle holds them."""

@@ -1,0 +1,231 @@
+"""What a contact at any place does to the markers' images: tables over places, and between them.
+
+A patch of force f about a place shifts the images by::
+
+    d(f) = f·S₁ + f²·S₂ + f³·S₃
+
+with one row of each S per place, tabulated for an even disc. Between places the rows are a cubic
+in the tangent plane, fitted to the places around (moving least squares). What another patch of
+the same force does differs by its moments, to second order: a shift (x, y) of its centre, and
+second moments about it that are not the disc's, ::
+
+    d = S(x, y) + ½·(m_xx ∂²S/∂x² + 2·m_xy ∂²S/∂x∂y + m_yy ∂²S/∂y²)
+
+so that one table serves discs, balls and edges of any size and turn (derived here).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from phytac_decoder.mechanics.interaction_table import Pairs
+    from phytac_decoder.mechanics.membrane_stretching import Walls
+
+NEAR = 20
+"""Places that a cubic is fitted to: twice its ten coefficients."""
+TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
+"""Powers of x and y of the cubic."""
+FACTORIALS = (1.0, 1.0, 2.0, 6.0)
+LOPSIDED = 1.5
+"""Ratio of spreads of the places around from which on they are all on one side, as at a rim."""
+FADE = 4.0
+"""Weight of the farthest place that a cubic is fitted to, as exp(-FADE)."""
+EVEN = 1e-4
+"""One less the cosine of the normals around a place on a flat wall: 0.8°."""
+AROUND = 8
+"""Places that are looked at for it."""
+CHUNK = 256
+"""Places handled together: bounds the memory."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Places:
+    """Tables over p places of a sensor with n markers.
+
+    Attributes
+    ----------
+    point_mm : (p, 3) float
+        Places on the outer face.
+    along, around : (p, 3) float
+        Unit tangents: away from the camera, and square to it.
+    shift_px : (p, k, 2n) float32
+        S₁ … S_k: px per N, N², …, as (x0, y0, x1, y1, …). With walls, after these, px per N times
+        v, v², …: how the response goes with the softness that a wall has lost.
+    radius_mm : float
+        Of the disc.
+    top_N : float
+        Largest force that the tables were made with.
+    pairs : Pairs, optional
+        What contacts at once do to each other.
+    walls : Walls, optional
+        Flat walls.
+    """
+
+    point_mm: FloatArray
+    along: FloatArray
+    around: FloatArray
+    shift_px: NDArray[np.float32]
+    radius_mm: float
+    top_N: float = np.inf
+    pairs: "Pairs | None" = None
+    walls: "Walls | None" = None
+
+    @property
+    def orders(self) -> int:
+        """Powers of the force in the tables."""
+        return int(self.shift_px.shape[1]) - (self.walls.orders if self.walls else 0)
+
+    @cached_property
+    def spacing_mm(self) -> float:
+        """Median distance from a place to the nearest other."""
+        near, _ = self.fits
+        if near.shape[1] < 2:
+            return self.radius_mm
+        gap = self.point_mm - self.point_mm[near[:, 1]]
+        return float(np.median(np.linalg.norm(gap, axis=1)))
+
+    def scaled(self, stiffness: float) -> "Places":
+        """Tables of a sensor that is stiffer by a factor: d(f) becomes d(f / stiffness)."""
+        powers = np.ones(self.shift_px.shape[1])
+        powers[: self.orders] = np.arange(1.0, self.orders + 1.0)
+        rows = self.shift_px * (stiffness**-powers).astype(np.float32)[:, None]
+        pairs = self.pairs.scaled(stiffness) if self.pairs else None
+        walls = self.walls.scaled(stiffness) if self.walls else None
+        top_N = stiffness * self.top_N
+        return self._like(replace(self, shift_px=rows, pairs=pairs, walls=walls, top_N=top_N))
+
+    def with_rows(self, shift_px: NDArray[np.float32], pairs: "Pairs | None") -> "Places":
+        """Other tables over the same places."""
+        return self._like(replace(self, shift_px=shift_px, pairs=pairs))
+
+    def _like(self, out: "Places") -> "Places":
+        # Depends on the places alone, and takes a third of a second.
+        for known in ("fits", "flat"):
+            if known in self.__dict__:
+                out.__dict__[known] = self.__dict__[known]
+        return out
+
+    def nearest(self, point_mm: FloatArray) -> IntArray:
+        """Number (m,) of the place nearest to each of points (m, 3)."""
+        # |q|² - 2 p·q: |p|² is the same for all places.
+        gap = self._squares - 2.0 * (point_mm @ self.point_mm.T)
+        return np.asarray(np.argmin(gap, axis=1))
+
+    @cached_property
+    def _squares(self) -> FloatArray:
+        return np.asarray(np.sum(self.point_mm**2, axis=1))
+
+    @cached_property
+    def flat(self) -> BoolArray:
+        """Places (p,) on flat walls: those nearest to them look the same way."""
+        normal = np.cross(self.along, self.around)
+        near = self.fits[0][:, :AROUND]
+        return np.asarray(np.einsum("pqi,pi->pq", normal[near], normal).min(axis=1) > 1.0 - EVEN)
+
+    def laid(self, place: int, points_mm: FloatArray) -> FloatArray:
+        """Tangent-plane coordinates (m, 2) of points (m, 3) about a place; chords keep lengths."""
+        arm = points_mm - self.point_mm[place]
+        return _laid(arm, self.along[place], self.around[place])
+
+    def beside(self, places: Sequence[int], points_mm: FloatArray) -> FloatArray:
+        """The same (m, 2) of points (m, 3), each about a place of its own."""
+        arm = points_mm - self.point_mm[places]
+        return _laid(arm, self.along[places], self.around[places])
+
+    @cached_property
+    def fits(self) -> tuple[IntArray, NDArray[np.float32]]:
+        """Places (p, q) that each cubic is fitted to, and what makes it of their rows, (p, 10, q).
+
+        Coefficients are derivatives at the place: value, x, y, xx, xy, yy, xxx, xxy, xyy, yyy.
+        """
+        count = len(self.point_mm)
+        parts = [self._fitted(np.arange(k, min(k + CHUNK, count))) for k in range(0, count, CHUNK)]
+        near, weights = zip(*parts, strict=True)
+        return np.concatenate(near), np.concatenate(weights).astype(np.float32)
+
+    def _fitted(self, own: IntArray) -> tuple[IntArray, FloatArray]:
+        normal = np.cross(self.along, self.around)
+        gap = self._squares - 2.0 * (self.point_mm[own] @ self.point_mm.T)
+        # On a thin sensor the far side is near: its normals tell.
+        gap[normal[own] @ normal.T <= 0.0] = np.inf
+        # The place itself first, whatever rounding says.
+        gap[np.arange(len(own)), own] = -np.inf
+        wanted = min(2 * NEAR, len(self.point_mm))
+        near = np.argsort(gap, axis=1, kind="stable")[:, :wanted]
+        far = np.isinf(np.take_along_axis(gap, near, axis=1))
+        far[:, 0] = False
+        arm = self.point_mm[near] - self.point_mm[own][:, None]
+        xy = _laid(arm, self.along[own][:, None], self.around[own][:, None])
+        best = _balanced(xy, far)[:, :NEAR]
+        near, far = np.take_along_axis(near, best, axis=1), np.take_along_axis(far, best, axis=1)
+        xy = np.take_along_axis(xy, best[:, :, None], axis=1)
+        size = np.linalg.norm(np.where(far[:, :, None], 0.0, xy), axis=2).max(axis=1)
+        size = np.where(size > 0.0, size, 1.0)
+        xy = xy / size[:, None, None]
+        basis = np.stack([xy[..., 0] ** a * xy[..., 1] ** b for a, b in TERMS], axis=2)
+        weight = np.where(far, 0.0, np.exp(-FADE * np.sum(xy**2, axis=2)))
+        fit = np.linalg.pinv(weight[:, :, None] * basis, rcond=1e-8) * weight[:, None]
+        scale = np.array([FACTORIALS[a] * FACTORIALS[b] for a, b in TERMS])
+        powers = size[:, None] ** np.array([a + b for a, b in TERMS])
+        return near, fit * (scale / powers)[:, :, None]
+
+    def shares(self, points_mm: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Place (m,) nearest to each of points (m, 3), and what rows count in the cubic there.
+
+        Counts (m, q) are those of the rows of the places (q,) that it is fitted to, see
+        :attr:`fits`.
+        """
+        place = self.nearest(points_mm)
+        x, y = self.beside(place.tolist(), points_mm).T
+        xx, xy, yy = x * x / 2.0, x * y, y * y / 2.0
+        cubic = (x * xx / 3.0, xx * y, x * yy, y * yy / 3.0)
+        powers = np.stack([np.ones_like(x), x, y, xx, xy, yy, *cubic], axis=1)
+        return place, np.einsum("mt,mtq->mq", powers, self.fits[1][place])
+
+    def normals(self, points_mm: FloatArray) -> FloatArray:
+        """Outward unit normals (m, 3) at points (m, 3) of the outer face."""
+        place, counts = self.shares(points_mm)
+        each = np.cross(self.along, self.around)[self.fits[0][place]]
+        out = np.einsum("mq,mqi->mi", counts, each)
+        return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
+
+    def cubic(self, place: int) -> Any:
+        """Derivatives (10, k, 2n) float32 of the rows at a place; see :attr:`fits`."""
+        near, weights = self.fits
+        rows = self.shift_px[near[place]].reshape(near.shape[1], -1)
+        return (weights[place] @ rows).reshape(len(TERMS), *self.shift_px.shape[1:])
+
+
+def _balanced(xy: FloatArray, far: BoolArray) -> IntArray:
+    """Order (p, q) of the places (p, q, 2) around, nearest first.
+
+    On a rim the nearest lie along it, on too few lines for a cubic across: there distances count
+    less the way in which the places spread less.
+    """
+    weight = np.where(far, 0.0, 1.0)
+    total = weight.sum(axis=1)
+    mean = np.einsum("pq,pqi->pi", weight, xy) / total[:, None]
+    from_mean = (xy - mean[:, None]) * weight[:, :, None]
+    spread = np.einsum("pqi,pqj->pij", from_mean, from_mean) / total[:, None, None]
+    least, most = np.linalg.eigvalsh(spread).T
+    lopsided = most > LOPSIDED * least
+    square = np.sum(xy**2, axis=2)
+    weighed = np.einsum("pqi,pij,pqj->pq", xy, spread, xy)
+    square = np.where(lopsided[:, None], weighed, square)
+    square[far] = np.inf
+    square[:, 0] = -np.inf
+    return np.argsort(square, axis=1, kind="stable")
+
+
+def _laid(arm: FloatArray, along: FloatArray, around: FloatArray) -> FloatArray:
+    """Coordinates (…, 2) of arms (…, 3) in a tangent plane, as long as the arms."""
+    xy = np.stack([np.sum(arm * along, axis=-1), np.sum(arm * around, axis=-1)], axis=-1)
+    flat = np.linalg.norm(xy, axis=-1)
+    stretch = np.linalg.norm(arm, axis=-1) / np.where(flat > 0.0, flat, 1.0)
+    return np.asarray(xy * np.minimum(stretch, 2.0)[..., None])

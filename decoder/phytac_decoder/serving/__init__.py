@@ -1,0 +1,1 @@
+"""Live operation: the sensor loop, force streams, the live view."""

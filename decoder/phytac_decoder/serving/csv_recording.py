@@ -1,0 +1,181 @@
+"""A stream's contacts, and the forces of its regions, as CSV."""
+
+import contextlib
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from phytac_shapes.errors import OutputError
+
+from phytac_decoder.serving.wire_protocol import Message
+
+COLUMNS = (
+    "sequence",
+    "timestamp_s",
+    "valid",
+    "contacts",
+    "contact",
+    "force_N",
+    "x_mm",
+    "y_mm",
+    "z_mm",
+    "markers",
+    "id",
+    "size_mm",
+    "since_s",
+    "region",
+    "sd_N",
+)
+REGION_COLUMNS = ("sequence", "timestamp_s", "valid", "total_N")
+"""Before one column for each region, ``region_NAME_N``."""
+
+
+class _Rows:
+    """Rows of a new CSV file, handed to the system at once: a kill loses none before it.
+
+    Parameters
+    ----------
+    path : Path
+        File to make.
+    columns : sequence of str
+        Its first line.
+    option : str
+        Of the command, that names the file.
+
+    Raises
+    ------
+    OutputError
+        If it is there already, or cannot be written.
+    """
+
+    def __init__(self, path: Path, columns: Sequence[str], option: str) -> None:
+        self._path = path
+        self.rows, self._whole_bytes = 0, 0
+        try:
+            self._file = path.open("xb", buffering=0)
+        except FileExistsError:
+            raise OutputError(
+                f"{path} is there already; give {option} another name, or remove it"
+            ) from None
+        except OSError as error:
+            raise OutputError(f"{path} cannot be written ({error.strerror})") from None
+        try:
+            self._put([columns])
+        except OutputError:
+            self._file.close()
+            path.unlink()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._file.close()
+
+    def _put(self, rows: Sequence[Sequence[object]]) -> None:
+        text = io.StringIO(newline="")
+        csv.writer(text, lineterminator="\n").writerows(rows)
+        data = text.getvalue().encode()
+        left = memoryview(data)
+        try:
+            while left:
+                left = left[self._file.write(left) :]
+        except OSError as error:
+            # Half a row would spoil those before it.
+            with contextlib.suppress(OSError):
+                self._file.truncate(self._whole_bytes)
+            raise OutputError(f"{self._path} cannot be written ({error.strerror})") from None
+        self._whole_bytes += len(data)
+
+
+class Recorder(_Rows):
+    """One row for each contact of each frame; a frame without any has one, with ``contacts`` 0.
+
+    Parameters
+    ----------
+    path : Path
+        File to make.
+
+    Raises
+    ------
+    OutputError
+        If it is there already, or cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, COLUMNS, "--record")
+
+    def add(self, message: Message) -> None:
+        """Write a frame's rows.
+
+        Raises
+        ------
+        OutputError
+            If the disk takes no more.
+        """
+        contacts = message["contacts"]
+        head = (
+            message["sequence"],
+            message["timestamp_s"],
+            int(message["valid"]),
+            len(contacts),
+        )
+        rows = [
+            (
+                *head,
+                number,
+                contact["force_N"],
+                *contact["position_mm"],
+                " ".join(map(str, contact["markers"])),
+                contact["id"],
+                contact["size_mm"],
+                contact["since_s"],
+                contact.get("region", ""),
+                contact.get("sd_N", ""),
+            )
+            for number, contact in enumerate(contacts)
+        ]
+        self._put(rows or [(*head, *[""] * (len(COLUMNS) - len(head)))])
+        self.rows += len(rows) or 1
+
+
+class RegionRecorder(_Rows):
+    """One row for each frame: the force of every region.
+
+    Parameters
+    ----------
+    path : Path
+        File to make.
+    names : sequence of str
+        Of the regions.
+
+    Raises
+    ------
+    OutputError
+        If it is there already, or cannot be written.
+    """
+
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        columns = [*REGION_COLUMNS, *(f"region_{name}_N" for name in names)]
+        super().__init__(path, columns, "--record-regions")
+
+    def add(self, message: Message) -> None:
+        """Write a frame's row.
+
+        Raises
+        ------
+        OutputError
+            If the disk takes no more.
+        """
+        forces = [region["force_N"] for region in message["regions"]]
+        head = (message["sequence"], message["timestamp_s"], int(message["valid"]))
+        self._put([(*head, message["total_N"], *forces)])
+        self.rows += 1

@@ -1,0 +1,238 @@
+"""A live view of the forces in a browser, on this machine alone, that never slows the sensor.
+
+Each browser is served by a thread of its own from the newest frames; one that reads slowly sees
+fewer of them. The sensor's loop only leaves its message.
+"""
+
+import contextlib
+import itertools
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import OutputError
+
+from phytac_decoder.serving.live_view_page import PAGE
+from phytac_decoder.serving.wire_protocol import Message, end_message, json_bytes
+
+PORT = 8057
+LOOPBACK = "127.0.0.1"
+VIEWERS_MAX = 8
+PUSH_S = 1.0 / 30.0
+"""A browser is told no more often than this."""
+KEPT = 4096
+"""Frames whose forces wait to be drawn as curves: over 8 s at 480 fps."""
+CURVE_MAX = 64
+"""Points of the curves in one push; of more, the ends and what lies evenly between."""
+PATIENCE_S = 5.0
+"""A browser that takes nothing for this long is closed."""
+NAMES = ("127.0.0.1", "localhost", "[::1]")
+"""Hosts that a browser may have asked for: a page of another site may not read forces."""
+AROUND_GAP = np.pi / 2.0
+"""Markers with no gap around the axis beyond this stand around it."""
+POLE_SHARE = 0.35
+"""Markers this near the axis, of the farthest, stand on a pole."""
+
+
+def unrolled(position_mm: FloatArray) -> FloatArray:
+    """Markers (n, 3) laid out flat, (n, 2) mm: right and up.
+
+    Around the sensor's axis: unrolled, angle by mean radius to the right, the axis upward. With a
+    pole: as seen along the axis, distances from it true. A sheet: on its two long directions.
+    """
+    x, y, z = position_mm.T
+    radius, angle = np.hypot(x, y), np.arctan2(y, x)
+    ring = np.sort(angle)
+    gap = float(np.diff(ring, append=ring[0] + 2.0 * np.pi).max())
+    if gap > AROUND_GAP or np.ptp(z) < 0.1 * max(float(np.ptp(x)), float(np.ptp(y))):
+        centred = position_mm - position_mm.mean(axis=0)
+        _, vectors = np.linalg.eigh(centred.T @ centred)
+        return np.asarray(centred @ vectors[:, :0:-1])
+    if radius.min() > POLE_SHARE * radius.max():
+        return np.column_stack([angle * radius.mean(), z])
+    top = z[radius.argmin()]
+    reach = np.hypot(radius, z - top)
+    return np.column_stack([reach * np.cos(angle), reach * np.sin(angle)])
+
+
+class LiveView:
+    """Shows messages to browsers on this machine.
+
+    Parameters
+    ----------
+    hello : dict
+        The stream's first message, with positions.
+    port : int
+        0 takes a free one.
+
+    Raises
+    ------
+    OutputError
+        If the port is taken.
+    """
+
+    def __init__(self, hello: Message, *, port: int = PORT) -> None:
+        place = np.asarray(hello["positions_mm"], dtype=np.float64)
+        self.hello = json_bytes(hello | {"unrolled_mm": np.round(unrolled(place), 2).tolist()})
+        self._news = threading.Condition()
+        self._last: Message | None = None
+        self._curve: deque[tuple[int, list[float]]] = deque(maxlen=KEPT)
+        self._count = itertools.count(1)
+        self.number = 0
+        self.viewers = 0
+        self.ended = ""
+
+        class Handler(_Handler):
+            view = self
+
+        try:
+            self._http = _Http((LOOPBACK, port), Handler)
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise OutputError(
+                f"cannot listen at {LOOPBACK}, port {port} ({reason}); give another --port"
+            ) from None
+        self.port = int(self._http.server_address[1])
+        self._thread = threading.Thread(
+            target=self._http.serve_forever, args=(0.1,), name="live view", daemon=True
+        )
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close("the source has ended" if error is None else "stopped")
+
+    @property
+    def url(self) -> str:
+        """Where to look."""
+        return f"http://{LOOPBACK}:{self.port}/"
+
+    def publish(self, message: Message) -> None:
+        """Leave a frame's message for whoever looks; returns at once."""
+        forces = [region["force_N"] for region in message.get("regions", [])]
+        point = [message["timestamp_s"], message["total_N"], *forces]
+        with self._news:
+            self.number = next(self._count)
+            self._last = message
+            self._curve.append((self.number, point))
+            self._news.notify_all()
+
+    def close(self, reason: str = "stopped") -> None:
+        """Tell browsers that this is the end; close all. May be called twice."""
+        with self._news:
+            self.ended = self.ended or reason
+            self._news.notify_all()
+        until = time.monotonic() + 1.0
+        while self.viewers and time.monotonic() < until:
+            time.sleep(0.01)
+        self._http.shutdown()
+        self._http.server_close()
+        self._thread.join(timeout=2.0)
+
+    def wait_for_news(self, seen: int) -> tuple[int, bytes] | None:
+        """Number and JSON of what came after frame ``seen``; None if nothing did for a second.
+
+        The last one says that the stream has ended.
+        """
+        with self._news:
+            self._news.wait_for(lambda: self.number > seen or self.ended, timeout=1.0)
+            if self.number <= seen:
+                return (-1, json_bytes(end_message(self.ended))) if self.ended else None
+            number, message = self.number, self._last
+            points = [point for at, point in self._curve if at > seen]
+        if len(points) > CURVE_MAX:
+            chosen = np.linspace(0, len(points) - 1, CURVE_MAX).round().astype(int)
+            points = [points[k] for k in chosen]
+        return number, json_bytes({**(message or {}), "curve": points})
+
+    def come(self, step: int) -> bool:
+        """Count a browser in or out; whether there is room for it."""
+        with self._news:
+            if step > 0 and self.viewers >= VIEWERS_MAX:
+                return False
+            self.viewers += step
+            return True
+
+
+class _Http(ThreadingHTTPServer):
+    daemon_threads = True
+    block_on_close = False
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Say nothing: a browser that goes away is no fault."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """The page, and its events."""
+
+    view: LiveView
+    timeout = PATIENCE_S
+    protocol_version = "HTTP/1.0"
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002 - the base's name
+        """Say nothing."""
+
+    def do_GET(self) -> None:
+        """Answer a request."""
+        host = self.headers.get("Host", "").rsplit(":", 1)[0]
+        routes: dict[str, Callable[[], None]] = {"/": self._page, "/events": self._events}
+        if host not in NAMES:
+            self.send_error(HTTPStatus.FORBIDDEN, "This view is for this machine alone")
+        elif self.path in routes:
+            # A browser that closes is no error.
+            with contextlib.suppress(OSError):
+                routes[self.path]()
+        else:
+            self.send_error(HTTPStatus.NOT_FOUND)
+
+    def _page(self) -> None:
+        body = PAGE.encode()
+        self._head("text/html; charset=utf-8")
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def _events(self) -> None:
+        view = self.view
+        if not view.come(1):
+            self.send_error(HTTPStatus.SERVICE_UNAVAILABLE, f"{VIEWERS_MAX} browsers look already")
+            return
+        try:
+            self._head("text/event-stream")
+            self.end_headers()
+            self._tell(view.hello)
+            seen = 0
+            while seen >= 0:
+                news = view.wait_for_news(seen)
+                if news is None:
+                    # Finds out whether the browser is still there.
+                    self.wfile.write(b": still here\n\n")
+                    continue
+                seen, text = news
+                self._tell(text)
+                time.sleep(PUSH_S)
+        finally:
+            view.come(-1)
+
+    def _head(self, kind: str) -> None:
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", kind)
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("Content-Security-Policy", "default-src 'self' 'unsafe-inline'")
+
+    def _tell(self, text: bytes) -> None:
+        self.wfile.write(b"data: " + text + b"\n\n")

@@ -1,0 +1,381 @@
+"""Messages of a force stream: what they hold, and how they stand on the wire.
+
+``docs/streaming.md`` is the description for those who read them.
+"""
+
+import json
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import InputError, cause_of
+
+from phytac_decoder.estimation.contact_estimates import Located
+from phytac_decoder.estimation.contact_grouping import Contact, ContactFinder
+from phytac_decoder.estimation.contact_tracker import ContactTracker
+from phytac_decoder.estimation.force_regions import Region, RegionForces
+from phytac_decoder.estimation.frame_reading import Reading, nearest_marker, pushes
+from phytac_decoder.estimation.sensor_limits import named
+from phytac_decoder.io.bundle import Bundle
+
+FORMAT = "phytac-stream"
+VERSION = "1.2"
+FRAMINGS = ("lines", "length")
+"""JSON lines, or each message after its length in bytes (4 bytes, big-endian)."""
+MESSAGE_MAX_BYTES = 1 << 24
+"""A longer message is a broken stream."""
+FORCE_LIMIT_N = 1e6
+"""What is beyond this is no force but a computation gone wrong."""
+FORCE_DIGITS = 4
+POSITION_DIGITS = 3
+SIZE_DIGITS = 2
+TIME_DIGITS = 6
+UNITS = {"force": "N", "length": "mm", "time": "s", "latency": "ms", "frame": "sensor"}
+
+Message = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Messages:
+    """Makes the messages of one sensor's stream, frame after frame: contacts keep their ids.
+
+    Attributes
+    ----------
+    bundle : Bundle
+        The sensor's decoder.
+    estimator : str
+        That gives the forces.
+    source : str
+        Where frames come from, in words.
+    clock : str
+        What ``timestamp_s`` counts (see :attr:`phytac_decoder.io.frame_sources.Source.clock`).
+    started_unix_s : float
+        Unix time at which ``decoded_s`` is 0.
+    normals : (n, 3) float, optional
+        Outward unit normals of the surface at the markers. Those of the tables of ``auto`` if not
+        given; without either there is no net vector.
+    regions : sequence of Region
+        Whose forces are told, see :func:`phytac_decoder.estimation.force_regions.load_regions`.
+    """
+
+    bundle: Bundle
+    estimator: str
+    source: str = ""
+    clock: str = ""
+    started_unix_s: float = 0.0
+    normals: FloatArray | None = None
+    regions: Sequence[Region] = ()
+
+    @cached_property
+    def finder(self) -> ContactFinder:
+        """Finds contacts among key nodes."""
+        bundle = self.bundle
+        return ContactFinder(position_mm=bundle.position_mm, neighbours=bundle.model.neighbours)
+
+    @cached_property
+    def tracker(self) -> ContactTracker:
+        """Knows the contacts so far."""
+        return ContactTracker(spacing_mm=self.finder.spacing_mm)
+
+    @cached_property
+    def outward(self) -> FloatArray | None:
+        """Outward unit normals (n, 3) at the markers, where they are known."""
+        locator = self.bundle.model.locator
+        if self.normals is not None or locator is None:
+            return self.normals
+        return locator.places.normals(self.bundle.position_mm)
+
+    @cached_property
+    def region_forces(self) -> RegionForces:
+        """Sums forces over regions."""
+        return RegionForces(regions=self.regions, markers=len(self.bundle.position_mm))
+
+    def hello(self, *, positions: bool = True) -> Message:
+        """The first message; serial ports get it without the markers' ``positions``."""
+        bundle = self.bundle
+        out: Message = {
+            "type": "hello",
+            "format": FORMAT,
+            "version": VERSION,
+            "design": bundle.design,
+            "design_hash": bundle.design_hash,
+            "estimator": self.estimator,
+            "source": self.source,
+            "clock": self.clock,
+            "started_unix_s": round(self.started_unix_s, TIME_DIGITS),
+            "cameras": len(bundle.cameras),
+            "markers": len(bundle.position_mm),
+            "force_max_N": float(bundle.force_max_N),
+            "units": UNITS,
+            "limits": bundle.limits(),
+        }
+        if self.regions:
+            out["regions"] = [
+                {"name": region.name, "markers": list(region.markers)} for region in self.regions
+            ]
+        if positions:
+            out["positions_mm"] = np.round(bundle.position_mm, POSITION_DIGITS).tolist()
+        return out
+
+    def frame(
+        self,
+        reading: Reading,
+        *,
+        sequence: int,
+        timestamp_s: float,
+        decoded_s: float = 0.0,
+        latency_ms: float = 0.0,
+        missed: int = 0,
+        imu: Message | None = None,
+    ) -> Message:
+        """One frame's forces; forces that are no numbers are left out, with a warning.
+
+        Parameters
+        ----------
+        reading : Reading
+            Of the frame.
+        sequence : int
+            Number of the frame in its source.
+        timestamp_s : float
+            When it was taken.
+        decoded_s, latency_ms : float
+            When it was decoded, and how long after it was at hand.
+        missed : int
+            Frames before this one that were not decoded.
+        imu : dict, optional
+            Motion sample that belongs to it.
+        """
+        forces, koi = reading.forces_N, reading.koi
+        # Not so for NaN.
+        good = np.abs(forces[koi]) <= FORCE_LIMIT_N
+        warnings, broken = list(reading.warnings), koi[~good]
+        if len(broken):
+            warnings.append(
+                f"the forces on {len(broken)} markers ({named(broken)}) came out as no numbers; "
+                "they are left out"
+            )
+        koi = koi[good]
+        if reading.found is not None:
+            sound = [one for one in reading.found.contacts if _is_sound(one)]
+            reading = replace(reading, found=replace(reading.found, contacts=sound))
+        pressed = pushes(reading, koi, self.bundle.position_mm)
+        out: Message = {
+            "type": "frame",
+            "sequence": sequence,
+            "timestamp_s": _rounded(timestamp_s, TIME_DIGITS),
+            "decoded_s": _rounded(decoded_s, TIME_DIGITS),
+            "latency_ms": _rounded(latency_ms, 3),
+            "valid": reading.valid and not len(broken),
+            "total_N": _rounded(pressed.force_N.sum(), FORCE_DIGITS),
+            "contacts": self._contacts(reading, koi, timestamp_s),
+            "koi": koi.tolist(),
+            "forces_N": np.round(forces[koi], FORCE_DIGITS).tolist(),
+            "warnings": warnings,
+            "missed": missed,
+        }
+        if self.outward is not None:
+            # Pressing acts along the inward normal.
+            net = -(pressed.force_N @ self.outward[pressed.markers])
+            out["net_force_N"] = [_rounded(part, FORCE_DIGITS) for part in net]
+        if self.regions:
+            sums = self.region_forces.of(pressed.markers, pressed.force_N)
+            out["regions"] = [
+                {"name": region.name, "force_N": _rounded(force, FORCE_DIGITS)}
+                for region, force in zip(self.regions, sums, strict=True)
+            ]
+        if imu is not None:
+            out["imu"] = imu
+        return out
+
+    def _contacts(self, reading: Reading, koi: IntArray, time_s: float) -> list[Message]:
+        """Contacts with their ids, the strongest first."""
+        if not reading.valid:
+            return []
+        if reading.found is None:
+            contacts = self.finder.find(reading.forces_N, koi)
+        else:
+            strongest = sorted(reading.found.contacts, key=lambda one: -one.force_N)
+            contacts = [_as_found(one) for one in strongest]
+        found = self.tracker.update(contacts, time_s)
+        return [self._contact(contact, reading.forces_N) for contact in found]
+
+    def _contact(self, contact: Contact, forces_N: FloatArray) -> Message:
+        out: Message = {
+            "markers": list(contact.markers),
+            "force_N": _rounded(contact.force_N, FORCE_DIGITS),
+            "position_mm": [_rounded(part, POSITION_DIGITS) for part in contact.position_mm],
+            "id": contact.id,
+            "size_mm": _rounded(contact.size_mm, SIZE_DIGITS),
+            "since_s": _rounded(contact.since_s, TIME_DIGITS),
+        }
+        if contact.sd_N is not None:
+            out["sd_N"] = _rounded(contact.sd_N, FORCE_DIGITS)
+        if self.regions:
+            markers = list(contact.markers)
+            if not markers:
+                place = np.array(contact.position_mm)
+                markers = [nearest_marker(place, self.bundle.position_mm)]
+            out["region"] = self.region_forces.home(markers, forces_N[markers].tolist())
+        return out
+
+
+def _is_sound(located: Located) -> bool:
+    told = [located.sd_N, located.radius_mm, *located.point_mm]
+    return abs(located.force_N) <= FORCE_LIMIT_N and bool(np.isfinite(told).all())
+
+
+def _as_found(located: Located) -> Contact:
+    x, y, z = located.point_mm.tolist()
+    return Contact(
+        markers=tuple(sorted(located.markers.tolist())),
+        force_N=located.force_N,
+        position_mm=(x, y, z),
+        size_mm=2.0 * located.radius_mm,
+        sd_N=located.sd_N,
+    )
+
+
+def end_message(reason: str) -> Message:
+    """The last message, with why the stream ends."""
+    return {"type": "end", "reason": reason}
+
+
+def _rounded(value: float, digits: int) -> float:
+    # Adding 0.0 makes -0.0 a plain zero.
+    return round(float(value), digits) + 0.0
+
+
+def json_bytes(message: Message) -> bytes:
+    """UTF-8 JSON on one line, ASCII alone: some readers take other line ends for their own.
+
+    Raises
+    ------
+    InputError
+        If it holds a number that is not finite.
+    """
+    try:
+        text = json.dumps(message, separators=(",", ":"), allow_nan=False)
+    except ValueError as error:
+        raise InputError(f"a message holds a number that is not finite ({error})") from None
+    return text.encode()
+
+
+def framed(text: bytes, framing: str) -> bytes:
+    """One message's JSON as it stands on the wire.
+
+    Raises
+    ------
+    InputError
+        If there is no such framing, or the message is too long.
+    """
+    check_framing(framing)
+    if len(text) > MESSAGE_MAX_BYTES:
+        raise InputError(f"a message of {len(text)} bytes is longer than {MESSAGE_MAX_BYTES}")
+    return text + b"\n" if framing == "lines" else struct.pack(">I", len(text)) + text
+
+
+def encode(message: Message, framing: str) -> bytes:
+    """A message as it stands on the wire.
+
+    Raises
+    ------
+    InputError
+        See :func:`json_bytes` and :func:`framed`.
+    """
+    return framed(json_bytes(message), framing)
+
+
+def with_dropped(text: bytes, dropped: int) -> bytes:
+    """A message's JSON with the number of messages that its receiver was not sent.
+
+    The rest of it is the same for all receivers and made once.
+    """
+    return text[:-1] + b',"dropped":%d}' % dropped
+
+
+def check_framing(framing: str) -> None:
+    """Refuse a framing that there is not.
+
+    Raises
+    ------
+    InputError
+        If there is none of this name.
+    """
+    if framing not in FRAMINGS:
+        raise InputError(f"no format {framing!r} for a stream; known: {', '.join(FRAMINGS)}")
+
+
+ASK = "read it in the format that phytac serve was given (--format)"
+
+
+class Splitter:
+    """Bytes as they arrive, in pieces of any size, to messages.
+
+    Parameters
+    ----------
+    framing : str
+        One of ``FRAMINGS``.
+    """
+
+    def __init__(self, framing: str) -> None:
+        check_framing(framing)
+        self._framing = framing
+        self._held = bytearray()
+
+    def feed(self, data: bytes) -> list[Message]:
+        """Messages that are complete with these bytes.
+
+        Raises
+        ------
+        InputError
+            If they are no messages of a stream.
+        """
+        self._held += data
+        out = []
+        while (text := self._next()) is not None:
+            out.append(_parsed(text))
+        return out
+
+    def _next(self) -> bytes | None:
+        held = self._held
+        if self._framing == "lines":
+            start, end = 0, held.find(b"\n")
+            length = len(held) if end < 0 else end
+            after = end + 1
+            ready = end >= 0
+        else:
+            if len(held) < 4:
+                return None
+            start, (length,) = 4, struct.unpack(">I", held[:4])
+            end = after = 4 + length
+            ready = len(held) >= end
+        if length > MESSAGE_MAX_BYTES:
+            raise InputError(
+                f"a message of {length} bytes or more; is this a stream in the format "
+                f"{self._framing!r} of phytac serve? {ASK}"
+            )
+        if not ready:
+            return None
+        text = bytes(held[start:end])
+        del held[:after]
+        return text
+
+
+def _parsed(text: bytes) -> Message:
+    try:
+        message = json.loads(text, parse_constant=_refuse)
+    except ValueError as error:
+        raise InputError(f"not a message of a stream: {cause_of(error)}; {ASK}") from None
+    except RecursionError:
+        raise InputError(f"not a message of a stream: nested too deeply; {ASK}") from None
+    if not isinstance(message, dict) or not isinstance(message.get("type"), str):
+        raise InputError(f"not a message of a stream: no object with a 'type'; {ASK}")
+    return message
+
+
+def _refuse(name: str) -> float:
+    raise ValueError(f"{name} is no number of JSON")

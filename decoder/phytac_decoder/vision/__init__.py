@@ -1,0 +1,1 @@
+"""From a frame to marker positions and switch states."""

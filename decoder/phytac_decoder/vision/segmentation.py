@@ -1,0 +1,197 @@
+"""Eyes: paint masks in YCbCr and sub-pixel blob centroids."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
+from phytac_shapes.errors import InputError
+
+COSINE_MIN = 0.80
+"""Chroma within about 37 degrees of a paint's own hue belongs to that paint."""
+RAMP = 0.2
+"""Chroma over the floor, as a fraction of the full one, from which on a pixel counts in full."""
+LEAST = 1e-6
+"""Of a painted pixel: none counts for nothing."""
+LABELS_MAX = 65000
+"""Most labels that 16-bit labelling is trusted with."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColourModel:
+    """Hue directions of the paints in the (Cr, Cb) plane.
+
+    A paint in shade keeps its hue and loses chroma, so a pixel's class is decided by direction,
+    and its coverage by how much of the paint's full chroma it has.
+
+    Attributes
+    ----------
+    names : (k,) str
+        Paints; ``red`` is the switches' tip.
+    chroma : (k, 2) float
+        (Cr - 128, Cb - 128) of each paint under full light.
+    floor : float
+        Least chroma of a painted pixel, as a fraction of its paint's full chroma.
+    ramp : float
+        Pixels count for their share of full chroma; from the floor on so much higher up less than
+        that, down to nothing: one that is about to fall below it does not pull the centroid, and
+        brightness moves none, as it would if all counted for what they have above the floor.
+    """
+
+    names: tuple[str, ...]
+    chroma: FloatArray
+    floor: float = 0.3
+    ramp: float = RAMP
+
+    def counts(self, share: FloatArray) -> FloatArray:
+        """What pixels with a share of their paint's full chroma count; 0 below the floor."""
+        whole = np.clip(share, 0.0, 1.0)
+        if self.ramp > 0.0:
+            whole = whole * np.clip((share - self.floor) / self.ramp, LEAST, 1.0)
+        return np.where(share >= self.floor, whole, 0.0)
+
+    @classmethod
+    def from_rgb(cls, paints: Mapping[str, tuple[int, int, int]]) -> "ColourModel":
+        """Model of paints given as 8-bit RGB; their order is the class order."""
+        rgb = np.array([list(paints.values())], dtype=np.uint8)
+        ycc = cv2.cvtColor(rgb, cv2.COLOR_RGB2YCrCb)[0].astype(np.float64)
+        return cls(names=tuple(paints), chroma=ycc[:, 1:] - 128.0)
+
+    @cached_property
+    def _tables(self) -> tuple[ImageArray, FloatArray]:
+        """Class (0 none, 1 + k) and coverage in [0, 1] for every 8-bit (Cr, Cb)."""
+        cr, cb = np.meshgrid(np.arange(256.0), np.arange(256.0), indexing="ij")
+        plane = np.stack([cr, cb], axis=-1).reshape(-1, 2) - 128.0
+        full = np.linalg.norm(self.chroma, axis=1)
+        along = plane @ (self.chroma / full[:, None]).T
+        size = np.linalg.norm(plane, axis=1)
+        best = np.argmax(along / np.maximum(size, 1e-9)[:, None], axis=1)
+        picked = along[np.arange(len(best)), best]
+        ok = (picked >= COSINE_MIN * size) & (picked >= self.floor * full[best])
+        table = np.where(ok, best + 1, 0).astype(np.uint8)
+        return table, self.counts(along / full)
+
+    def classify(self, image_bgr: ImageArray) -> tuple[ImageArray, NDArray[np.uint16]]:
+        """Class of each pixel (h, w) uint8 and its flat index into the (Cr, Cb) tables."""
+        ycc = cv2.cvtColor(image_bgr, cv2.COLOR_BGR2YCrCb)
+        flat = ycc[:, :, 1].astype(np.uint16)
+        flat <<= 8
+        flat |= ycc[:, :, 2]
+        return self._tables[0][flat], flat
+
+    def coverage(self, flat: NDArray[np.uint16], colour: int) -> FloatArray:
+        """How much of a paint's full chroma pixels have, in [0, 1]."""
+        return np.asarray(self._tables[1][flat, colour])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blobs:
+    """Connected same-colour regions of one image.
+
+    Attributes
+    ----------
+    colour : (m,) int
+        Index into the colour model's names.
+    centroid_px : (m, 2) float
+        Chroma-weighted centroid (x, y).
+    area_px : (m,) int
+        Pixels.
+    weight : (m,) float
+        Sum of coverage: the blob's area with partial pixels counted in part.
+    box_px : (m, 4) int
+        Left, top, right and bottom pixel of each.
+    labels : (h, w) int32 or None
+        1 + blob index of each pixel, 0 outside blobs; only where asked for.
+    """
+
+    colour: IntArray
+    centroid_px: FloatArray
+    area_px: IntArray
+    weight: FloatArray
+    box_px: IntArray
+    labels: NDArray[np.int32] | None = None
+
+
+def check_image(image: ImageArray, *, width_px: int, height_px: int) -> ImageArray:
+    """Return an 8-bit colour image of the expected size.
+
+    Raises
+    ------
+    InputError
+        If it is not (height, width, 3) uint8.
+    """
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+        raise InputError(
+            f"image must be 8-bit colour (h, w, 3); got shape {image.shape}, {image.dtype}"
+        )
+    if image.shape[:2] != (height_px, width_px):
+        raise InputError(
+            f"image is {image.shape[1]}x{image.shape[0]} px, the decoder was made for "
+            f"{width_px}x{height_px}; use frames of that camera mode or rebuild the design with it"
+        )
+    return image
+
+
+def segment(
+    image_bgr: ImageArray, model: ColourModel, *, area_min_px: int = 3, with_labels: bool = False
+) -> Blobs:
+    """Find every painted blob of at least ``area_min_px`` pixels (8-connected, per colour)."""
+    classes, flat = model.classify(image_bgr)
+    labels = np.zeros(classes.shape, dtype=np.int32) if with_labels else None
+    parts: list[tuple[IntArray, FloatArray, IntArray, FloatArray, IntArray]] = []
+    found = 0
+    for colour in range(len(model.names)):
+        mask = cv2.compare(classes, colour + 1, cv2.CMP_EQ)
+        own, renumber, boxes = _components(mask, area_min_px)
+        points = cv2.findNonZero(mask)
+        place = np.zeros((0, 2), dtype=np.int32) if points is None else points[:, 0]
+        blob = renumber[own[place[:, 1], place[:, 0]]]
+        place, blob = place[blob > 0], blob[blob > 0]
+        x, y = place.T
+        size = int(renumber.max(initial=0)) + 1
+        weight = model.coverage(flat[y, x], colour)
+        total = np.bincount(blob, weights=weight, minlength=size)[1:]
+        sums = [np.bincount(blob, weights=weight * c, minlength=size)[1:] for c in (x, y)]
+        if labels is not None:
+            labels[y, x] = blob + found
+        found += size - 1
+        parts.append(
+            (
+                np.full(size - 1, colour, dtype=np.int64),
+                np.column_stack(sums) / total[:, None],
+                np.bincount(blob, minlength=size)[1:].astype(np.int64),
+                np.asarray(total, dtype=np.float64),
+                boxes,
+            )
+        )
+    colours, centroids, areas, weights, corners = (
+        list(column) for column in zip(*parts, strict=True)
+    )
+    return Blobs(
+        colour=np.concatenate(colours),
+        centroid_px=np.concatenate(centroids),
+        area_px=np.concatenate(areas),
+        weight=np.concatenate(weights),
+        box_px=np.concatenate(corners),
+        labels=labels,
+    )
+
+
+def _components(mask: ImageArray, area_min_px: int) -> tuple[NDArray[Any], IntArray, IntArray]:
+    """Label image of a mask, the blob number (0: too small) of each label, and blobs' boxes."""
+    # 16-bit labels are three times faster; a label starts at the beginning of a run of pixels, so
+    # an image with fewer runs than 16-bit numbers cannot overflow them.
+    runs = cv2.countNonZero(cv2.compare(mask[:, 1:], mask[:, :-1], cv2.CMP_GT)) + len(mask)
+    kind = cv2.CV_16U if runs < LABELS_MAX else cv2.CV_32S
+    count, own, stats, _ = cv2.connectedComponentsWithStats(mask, ltype=kind)
+    keep = stats[:, cv2.CC_STAT_AREA] >= area_min_px
+    keep[0] = False
+    renumber = np.zeros(count, dtype=np.int64)
+    renumber[keep] = np.arange(1, int(keep.sum()) + 1)
+    left, top, width, height = stats[keep, :4].astype(np.int64).T
+    boxes = np.column_stack([left, top, left + width - 1, top + height - 1])
+    return own, renumber, boxes

@@ -1,0 +1,84 @@
+"""The digital channel: red tips in the image to bits b_1 … b_n."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+
+from phytac_decoder.vision.segmentation import Blobs
+
+RED_LEAST_PX = 4.0
+"""Least red that counts as a tip."""
+RED_RATIO = 1.3
+"""A switch can be read if its tip, when out, shows this many times its red at rest and more: what
+tells is half way between, and tips as printed and as pressed show an eighth more or less."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TipModel:
+    """What the camera sees of each switch's red tip; arrays run over n markers.
+
+    Attributes
+    ----------
+    on_px : (n, 2) float
+        Centroid of the visible red when the switch is on and nothing is deformed.
+    red_rest_px, red_on_px : (n,) float
+        Visible red area with the switch off (the tip rests in its hole) and on.
+    """
+
+    on_px: FloatArray
+    red_rest_px: FloatArray
+    red_on_px: FloatArray
+
+    @cached_property
+    def readable(self) -> BoolArray:
+        """Switches (n,) whose red tells on from off.
+
+        A camera that looks straight into a hole sees the resting tip too: such a switch tells
+        little, whatever its threshold.
+        """
+        return np.asarray(self.red_on_px > RED_RATIO * self.red_rest_px + RED_LEAST_PX)
+
+    def blind(self, played: BoolArray) -> IntArray:
+        """Switches (b,) among those that matter (n,) whose red does not tell."""
+        return np.flatnonzero(~self.readable & played)
+
+    @property
+    def threshold_px(self) -> FloatArray:
+        """A switch is on when it shows more red than this: half way between off and on."""
+        return np.maximum(0.5 * (self.red_rest_px + self.red_on_px), RED_LEAST_PX)
+
+
+def read_switches(
+    blobs: Blobs, tips: TipModel, *, red_index: int, shift_px: FloatArray
+) -> BoolArray:
+    """Bits (n,): each red blob counts for the tip expected nearest to it.
+
+    Parameters
+    ----------
+    blobs : Blobs
+        Of the image.
+    tips : TipModel
+        Expected tips.
+    red_index : int
+        Class of the red paint.
+    shift_px : (n, 2) float
+        Shift of each marker in this frame: the tip moves with it; NaN counts as none.
+    """
+    count = len(tips.on_px)
+    pick = np.flatnonzero(blobs.colour == red_index)
+    area = np.zeros(count)
+    if len(pick):
+        expected = tips.on_px + np.nan_to_num(shift_px)
+        visible = np.isfinite(expected[:, 0])
+        expected = np.where(visible[:, None], expected, np.inf)
+        with np.errstate(invalid="ignore"):
+            distance = np.linalg.norm(blobs.centroid_px[pick, None] - expected[None], axis=2)
+        distance = np.nan_to_num(distance, nan=np.inf)
+        nearest = np.argmin(distance, axis=1)
+        # A tip is no farther from its expected place than about its own size.
+        reach = 2.0 * np.sqrt(np.maximum(tips.red_on_px[nearest], 1.0)) + 2.0
+        near = distance[np.arange(len(pick)), nearest] <= reach
+        np.add.at(area, nearest[near], blobs.weight[pick[near]])
+    return np.asarray(area > tips.threshold_px)

@@ -1,0 +1,1 @@
+"""The command ``phytac``: one module per command."""

@@ -1,0 +1,138 @@
+"""``phytac build``: everything of a design, or what a scene, a tolerance or a budget asks for."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from phytac_shapes.errors import DesignError
+
+from phytac_design.cli.options import JsonOption, Preset, SeedOption, say
+
+
+def build(
+    design: Annotated[
+        str, typer.Argument(help="A shipped design or the path of a file; none with --from-study.")
+    ] = "",
+    out: Annotated[
+        Path | None, typer.Option(help="The build's own folder; exports/NAME if not given.")
+    ] = None,
+    accuracy: Annotated[
+        Preset | None, typer.Option(help="Speed against accuracy; standard if not given.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Change a setting of the preset: refine=5. As often as asked."),
+    ] = None,
+    tolerance: Annotated[
+        str | None, typer.Option(help="Build as cheaply as this error allows: 2%.")
+    ] = None,
+    tolerance_of: Annotated[
+        str, typer.Option(help="What the tolerance is of: force, visibility or volume.")
+    ] = "force",
+    budget: Annotated[
+        str | None, typer.Option(help="Build as finely as this time allows: 60s, 5m.")
+    ] = None,
+    scene: Annotated[
+        str, typer.Option(help="Build what a scene requires alone; see phytac plan.")
+    ] = "",
+    only: Annotated[str, typer.Option(help="Stages, comma separated, with what they need.")] = "",
+    from_study: Annotated[
+        Path | None, typer.Option(help="Folder of a study: build one of its candidates.")
+    ] = None,
+    trial: Annotated[int | None, typer.Option(help="Number of that candidate.", min=0)] = None,
+    seed: SeedOption = 0,
+    force: Annotated[
+        bool,
+        typer.Option(help="Overwrite another design's folder; go on though markers hide or fuse."),
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Build everything of a design: shell, views, mesh, decoder, report."""
+    from phytac_design.design.accuracy import settings_of, with_settings
+    from phytac_design.design.design_file import load_design
+    from phytac_design.design.spec import Design
+    from phytac_design.stages.build import build as run_build
+
+    _refuse_both(
+        {
+            "--accuracy or --set": accuracy is not None or bool(settings),
+            "--tolerance": tolerance is not None,
+            "--budget": budget is not None,
+        }
+    )
+    within = tolerance is not None or budget is not None
+    _refuse_both({"--scene": bool(scene), "--only": bool(only), "--tolerance or --budget": within})
+    if bool(design) == (from_study is not None) or (from_study is None) != (trial is None):
+        raise DesignError(
+            "give a design to build, as in: phytac build cylinder60; or a study's candidate, as "
+            "in: phytac build --from-study FOLDER --trial 42"
+        )
+    loaded: Design
+    if from_study is not None and trial is not None:
+        from phytac_design.study.search.rebuild import rebuild
+
+        loaded = rebuild(from_study, trial)
+    else:
+        loaded = load_design(design)
+    target = out or Path("exports") / (f"{loaded.name}-{scene}" if scene else loaded.name)
+    names = [name.strip() for name in only.split(",") if name.strip()]
+    chosen = with_settings(settings_of((accuracy or Preset.standard).value), settings or [])
+    try:
+        if within:
+            from phytac_design.cli.tradeoff_command import build_within
+
+            build_within(
+                loaded,
+                target,
+                tolerance=tolerance,
+                tolerance_of=tolerance_of,
+                budget=budget,
+                seed=seed,
+                force=force,
+                as_json=as_json,
+            )
+            return
+        if scene:
+            from phytac_design.cli.plan_command import build_scene
+
+            build_scene(
+                loaded, scene, target, accuracy=chosen, seed=seed, force=force, as_json=as_json
+            )
+            return
+        result = run_build(
+            loaded,
+            target,
+            accuracy=chosen,
+            only=names or None,
+            seed=seed,
+            force=force,
+            progress=say,
+        )
+    except KeyboardInterrupt:
+        say("stopped; run the same command again to go on where it was")
+        raise typer.Exit(130) from None
+    if as_json:
+        summary = {
+            "out": str(result.out),
+            "ran": list(result.ran),
+            "cached": list(result.cached),
+            "seconds": round(result.seconds, 3),
+            "timing_s": result.timing_s,
+        }
+        typer.echo(json.dumps(summary, indent=1))
+        return
+    typer.echo(
+        f"{target}: {len(result.ran)} stages run, {len(result.cached)} from the cache, "
+        f"{result.seconds:.1f} s"
+    )
+    page = target / "report" / "report.html"
+    if page.is_file():
+        typer.echo(f"open {page}")
+
+
+def _refuse_both(given: dict[str, bool]) -> None:
+    """Say which two of several options that exclude each other were given."""
+    names = [name for name, is_given in given.items() if is_given]
+    if len(names) > 1:
+        raise DesignError(f"{names[0]} and {names[1]} exclude each other; give one of them")

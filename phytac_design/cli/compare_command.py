@@ -1,0 +1,46 @@
+"""``phytac compare``: two or more builds side by side."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from phytac_design.cli.options import JsonOption
+
+FEWEST = 2
+
+
+def compare(
+    folders: Annotated[
+        list[Path], typer.Argument(help="Folders of whole builds, two or more.", show_default=False)
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Page to write; comparison.html if not given.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Put builds side by side: key figures, what differs in their designs, maps and shells."""
+    from phytac_shapes.errors import InputError, OutputError
+
+    from phytac_design.report.builds import read_builds
+    from phytac_design.report.compare import compare_page, comparison
+
+    if len(folders) < FEWEST:
+        raise InputError(
+            f"a comparison needs two builds or more (got {len(folders)}); name another folder"
+        )
+    builds = read_builds(folders)
+    if as_json:
+        typer.echo(json.dumps(comparison(builds), indent=1, ensure_ascii=False))
+    if as_json and out is None:
+        return
+    target = out or Path("comparison.html")
+    try:
+        target.write_text(compare_page(builds), encoding="utf-8")
+    except OSError as error:
+        raise OutputError(
+            f"cannot write {target}: {error.strerror}; choose another --out"
+        ) from None
+    if not as_json:
+        typer.echo(f"wrote {target}: {', '.join(build.label for build in builds)}")

@@ -1,0 +1,68 @@
+"""Reports of a running stream, whose reader may have stopped reading."""
+
+import contextlib
+import os
+import queue
+import sys
+import threading
+import time
+from types import TracebackType
+from typing import Self
+
+from phytac_design.cli.options import say
+
+WAITING = 256
+"""Reports that may wait for their reader; those that come after them go."""
+FLUSH_S = 1.0
+"""At the end the last reports have this long to go out."""
+
+
+class Reports:
+    """Lines on standard error, written by a thread of its own.
+
+    A call returns at once, whatever is behind standard error: where a pipe is full or closed,
+    reports are lost, and the stream goes on.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: queue.Queue[str | None] = queue.Queue(WAITING)
+        self._thread = threading.Thread(target=self._write, name="reports", daemon=True)
+        self._thread.start()
+
+    def __call__(self, text: str) -> None:
+        """Write a line, unless too many wait already."""
+        with contextlib.suppress(queue.Full):
+            self._waiting.put_nowait(text)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        until = time.monotonic() + FLUSH_S
+        with contextlib.suppress(queue.Full):
+            self._waiting.put(None, timeout=FLUSH_S)
+        self._thread.join(timeout=max(until - time.monotonic(), 0.0))
+
+    def _write(self) -> None:
+        while (text := self._waiting.get()) is not None:
+            # A file that is closed is a ValueError.
+            with contextlib.suppress(OSError, ValueError):
+                _put(text)
+
+
+def _put(text: str) -> None:
+    """Write a line past Python's own buffer: a thread that hangs in that one spoils the exit."""
+    try:
+        handle = sys.stderr.fileno()
+    except (AttributeError, OSError):
+        # None, or what stands in for it, such as in a test.
+        say(text)
+        return
+    left = f"{text}\n".encode(sys.stderr.encoding, "backslashreplace")
+    while left:
+        left = left[os.write(handle, left) :]

@@ -1,0 +1,46 @@
+"""The command that exports a decoder's network."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from phytac_shapes.errors import InputError
+
+from phytac_design.cli.options import JsonOption
+
+
+def export_onnx(
+    bundle: Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")],
+    out: Annotated[Path, typer.Argument(help="File to write, such as network.onnx.")],
+    estimator: Annotated[
+        str, typer.Option(help="Whose network: fem_nn or fem_nn_identity.")
+    ] = "fem_nn",
+    as_json: JsonOption = False,
+) -> None:
+    """Write a decoder's network as ONNX, checked equal to the decoder's own."""
+    try:
+        from phytac_design.training.onnx_export import INPUT, OUTPUT
+        from phytac_design.training.onnx_export import export_onnx as run
+    except ModuleNotFoundError as error:
+        if error.name != "onnx":
+            raise
+        raise InputError(
+            "the package onnx is missing; install it with: pip install 'phytac-design[train]'"
+        ) from None
+    done = run(bundle, out, estimator=estimator)
+    if as_json:
+        facts = {
+            "out": str(done.out),
+            "estimator": done.estimator,
+            "input": INPUT,
+            "output": OUTPUT,
+            "opset": done.opset,
+            "difference": done.difference,
+        }
+        typer.echo(json.dumps(facts, indent=1))
+        return
+    typer.echo(
+        f"{done.out}: network of {done.estimator}, {INPUT} to {OUTPUT}, opset {done.opset}; equal "
+        f"to the decoder's within {done.difference:.1g} of the largest stiffness"
+    )

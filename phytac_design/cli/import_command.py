@@ -1,0 +1,115 @@
+"""The command that reads a user's own rig."""
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from phytac_design.cli.options import DesignArgument, JsonOption, say
+
+
+class Keep(StrEnum):
+    """What of a sample is kept."""
+
+    inputs = "inputs"
+    points = "points"
+    frames = "frames"
+
+
+def import_(
+    design: DesignArgument,
+    log: Annotated[Path, typer.Argument(help="CSV of contacts; see docs/datasets.md.")],
+    frames: Annotated[
+        list[Path],
+        typer.Option(help="Folder of images, or a video; twice for two cameras, near end first."),
+    ],
+    bundle: Annotated[Path, typer.Option(help="The design's decoder, as in exports/NAME/decoder.")],
+    out: Annotated[Path, typer.Option(help="The data set's own folder.")],
+    rest: Annotated[
+        list[str] | None,
+        typer.Option(help="The unloaded sensor: one of the frames (name or number) or a file."),
+    ] = None,
+    camera: Annotated[
+        list[Path] | None,
+        typer.Option(help="Lens calibration (OpenCV, ROS, Kalibr) to compare with the design's."),
+    ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            "--tolerance-s",
+            help="Largest difference of a row's time and its frame's; half a frame if not given.",
+            min=0.0,
+        ),
+    ] = None,
+    offset: Annotated[
+        float, typer.Option("--offset-s", help="Seconds to add to the log's clock.")
+    ] = 0.0,
+    fps: Annotated[
+        float | None,
+        typer.Option(help="Frames a second, where neither names nor video say.", min=1e-6),
+    ] = None,
+    radius: Annotated[
+        float | None,
+        typer.Option("--radius-mm", help="Of contacts whose radius the log lacks.", min=0.0),
+    ] = None,
+    off: Annotated[
+        float, typer.Option("--off-mm", help="Farthest a contact may lie off the wall.", min=0.0)
+    ] = 2.0,
+    keep: Annotated[
+        Keep, typer.Option(help="The network's inputs alone, all markers, or the frames as well.")
+    ] = Keep.points,
+    skip_bad: Annotated[
+        bool, typer.Option("--skip-bad", help="Leave samples with problems out.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Read your own rig: a log of contacts, and images or video, as a data set."""
+    from phytac_design.design.design_file import load_design
+    from phytac_design.workflows.import_rig import Settings, import_rig
+
+    done = import_rig(
+        load_design(design),
+        log,
+        frames=frames,
+        bundle=bundle,
+        out=out,
+        rest=rest or [],
+        cameras=camera or [],
+        settings=Settings(
+            off_mm=off,
+            tolerance_s=tolerance,
+            offset_s=offset,
+            fps=fps,
+            radius_mm=radius,
+            keep=keep.value,
+            skip_bad=skip_bad,
+        ),
+        progress=say,
+    )
+    samples = done.samples
+    flagged = int((samples.status > 0).sum())
+    if done.left_out:
+        say(f"left out: {done.problems.text()}")
+    if as_json:
+        summary = {
+            "out": str(out),
+            "samples": samples.count,
+            "flagged": flagged,
+            "contacts": int(samples.contacts.sum()),
+            "left_out": done.left_out,
+            "problems": [text for _, text in done.problems.found],
+            "notes": done.meta.notes,
+        }
+        typer.echo(json.dumps(summary, indent=1))
+        return
+    said = f", {done.left_out} left out" if done.left_out else ""
+    typer.echo(
+        f"{out}: {samples.count} samples ({flagged} flagged{said}), "
+        f"{int(samples.contacts.sum())} contacts"
+    )
+    for index, reason in enumerate(samples.reasons):
+        count = int((samples.reason_index == index).sum())
+        if count:
+            typer.echo(f"  {count} flagged: {reason}")

@@ -1,0 +1,160 @@
+"""Commands of the shell's mechanics: press, mesh, calibrate."""
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from phytac_design.cli.options import DesignArgument, JsonOption, Preset, say
+
+FORCE = "Force of the press, N, inward."
+AT = "Marker number, or chart position u,v; the middle if not given."
+RADIUS = "Radius of the pressed disc, mm; the design's fingertip if not given, 0 for a point."
+REFINE = "Shell elements per marker pitch around."
+
+
+class Theory(StrEnum):
+    """Theories of the shell."""
+
+    auto = "auto"
+    linear = "linear"
+    large = "large"
+
+
+class Parameter(StrEnum):
+    """Parameters of a shell that can be calibrated."""
+
+    modulus = "modulus"
+    thickness = "thickness"
+    poisson = "poisson"
+
+
+AtOption = Annotated[str, typer.Option(help=AT)]
+RadiusOption = Annotated[float | None, typer.Option(help=RADIUS)]
+RefineOption = Annotated[int, typer.Option(help=REFINE, min=1, max=32)]
+
+
+def press(
+    design: DesignArgument,
+    force: Annotated[float, typer.Option(help=FORCE)],
+    at: AtOption = "",
+    radius: RadiusOption = None,
+    theory: Annotated[
+        Theory, typer.Option(help="auto takes large displacements where linear is too far off.")
+    ] = Theory.auto,
+    tolerance: Annotated[float, typer.Option(help="Accepted error of linear theory, %.")] = 5.0,
+    refine: RefineOption = 4,
+    receptors: Annotated[
+        bool, typer.Option(help="Give the wall the stiffness of its tubes and holes.")
+    ] = True,
+    vtu: Annotated[Path | None, typer.Option(help="Moved mesh to write, for ParaView.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Press on the shell with a force: what moves, by which theory, and how sure that is."""
+    from phytac_design.design.design_file import load_design
+    from phytac_design.layout import make_markers
+    from phytac_design.mechanics.pressing import press as mechanics
+    from phytac_design.mechanics.pressing.place import place_of
+    from phytac_design.mechanics.pressing.press_report import press_dict, press_text, press_warnings
+
+    loaded = load_design(design)
+    surface = loaded.surface()
+    markers = make_markers(loaded, surface)
+    place = place_of(loaded, surface, markers, force_N=force, at=at, radius_mm=radius)
+    accepted = tolerance / 100.0
+    result = mechanics.press(
+        loaded,
+        surface,
+        markers,
+        place,
+        theory=theory.value,
+        tolerance=accepted,
+        refine=refine,
+        receptors=receptors,
+        progress=say,
+    )
+    if vtu:
+        say(f"wrote {mechanics.write_press(vtu, result)}")
+    for warning in press_warnings(result, tolerance=accepted):
+        say(f"warning: {warning}")
+    if as_json:
+        plain = press_dict(result, markers, name=loaded.name, tolerance=accepted)
+        typer.echo(json.dumps(plain, indent=1))
+    else:
+        typer.echo(press_text(result, markers, name=loaded.name, tolerance=accepted))
+
+
+def mesh(
+    design: DesignArgument,
+    out: Annotated[Path, typer.Option(help="Folder for the files.")],
+    solid: Annotated[
+        bool, typer.Option(help="Also the true CAD as quadratic tetrahedra (gmsh; minutes).")
+    ] = False,
+    formats: Annotated[str, typer.Option(help="Of inp, msh, vtu, comma separated.")] = (
+        "inp,msh,vtu"
+    ),
+    force: Annotated[float, typer.Option(help="Force of the ready load step, N, inward.")] = 10.0,
+    at: AtOption = "",
+    radius: RadiusOption = None,
+    refine: RefineOption = 4,
+    size: Annotated[
+        float | None,
+        typer.Option(help="Factor on the solid's element sizes; by the sensor if not given."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write meshes with sets, section, material and a load step: ccx runs them as they are."""
+    from phytac_design.design.design_file import load_design
+    from phytac_design.layout import make_markers
+    from phytac_design.mechanics.pressing.place import place_of
+    from phytac_design.mechanics.solid import mesh_files
+
+    kinds = [kind.strip() for kind in formats.split(",") if kind.strip()]
+    mesh_files.check_formats(kinds)
+    loaded = load_design(design)
+    surface = loaded.surface()
+    markers = make_markers(loaded, surface)
+    place = place_of(loaded, surface, markers, force_N=force, at=at, radius_mm=radius)
+    if solid:
+        mesh_files.check_solid(loaded, surface, markers, place, size=size)
+    mesh_files.make_folder(out)
+    sensor = (out, loaded, surface, markers, place)
+    facts = {"shell": mesh_files.write_shell_files(*sensor, refine=refine, formats=kinds)}
+    if solid:
+        facts["solid"] = mesh_files.write_solid_files(
+            *sensor, size=size, formats=kinds, progress=say
+        )
+    if as_json:
+        typer.echo(json.dumps({"out": str(out)} | facts, indent=1))
+        return
+    for name, made in facts.items():
+        files = ", ".join(f"{name}.{kind}" for kind in kinds)
+        typer.echo(f"{out}: {files}: {made['nodes']} nodes, {made['elements']} elements")
+
+
+def calibrate(
+    design: DesignArgument,
+    measurements: Annotated[Path, typer.Argument(help="CSV of forces and displacements.")],
+    fix: Annotated[list[Parameter] | None, typer.Option(help="Known: stays as designed.")] = None,
+    limit: Annotated[float, typer.Option(help="Widest ± accepted.", min=0.001, max=1.0)] = 0.1,
+    accuracy: Annotated[Preset, typer.Option(help="Speed against accuracy.")] = Preset.standard,
+    out: Annotated[Path | None, typer.Option(help="Design file to write, calibrated.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Fit modulus, wall and Poisson's ratio to measured forces and displacements."""
+    from phytac_design.design.design_file import load_design
+    from phytac_design.mechanics.calibration.calibrate_design import (
+        calibrate_design,
+        write_calibrated,
+    )
+
+    loaded = load_design(design)
+    fixed = [parameter.value for parameter in fix or []]
+    fit = calibrate_design(
+        loaded, measurements, fixed=fixed, limit=limit, accuracy=accuracy.value, progress=say
+    )
+    if out:
+        say(f"wrote {write_calibrated(loaded, fit, out)}")
+    typer.echo(json.dumps(fit.as_dict(), indent=1) if as_json else fit.text())

@@ -1,0 +1,147 @@
+"""The commands of the virtual sensor."""
+
+import json
+import os
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from phytac_shapes.errors import DesignError
+
+from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, say
+
+REASONS = 5
+"""Reasons that are told at the end."""
+
+
+class Route(StrEnum):
+    """How a sample is seen."""
+
+    points = "points"
+    frames = "frames"
+
+
+class Displacement(StrEnum):
+    """How the shell is solved."""
+
+    auto = "auto"
+    linear = "linear"
+    large = "large"
+
+
+class Keep(StrEnum):
+    """What of a sample is kept."""
+
+    inputs = "inputs"
+    points = "points"
+    frames = "frames"
+
+
+def simulate(
+    design: DesignArgument,
+    scenario: Annotated[
+        str, typer.Argument(help="A shipped scenario (see `phytac scenarios`) or a file's path.")
+    ] = "platform",
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The data set's own folder; exports/DESIGN-SCENARIO if not given."),
+    ] = None,
+    accuracy: Annotated[
+        Preset, typer.Option(help="Fineness of the simulated wall.")
+    ] = Preset.standard,
+    route: Annotated[
+        Route | None,
+        typer.Option(help="Projected points or rendered frames; the scenario's if not given."),
+    ] = None,
+    displacement: Annotated[
+        Displacement | None,
+        typer.Option(help="Theory of the wall; the scenario's if not given."),
+    ] = None,
+    keep: Annotated[
+        Keep,
+        typer.Option(help="The network's inputs alone, all markers, or the frames as well."),
+    ] = Keep.points,
+    unit: Annotated[
+        int | None,
+        typer.Option(min=0, help="0: as designed; k: the k-th virtual print; the scenario's."),
+    ] = None,
+    samples: Annotated[
+        int | None, typer.Option(min=1, help="Samples; the scenario's if not given.")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, max=256, help="Processes; one for each core if not given.")
+    ] = None,
+    seed: SeedOption = 0,
+    force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Simulate a scenario on a virtual sensor: a data set to train and judge decoders.
+
+    A run that was stopped or killed goes on where it was when the same command is given again.
+    """
+    from phytac_design.design.design_file import load_design
+    from phytac_design.simulation.run.job import Job
+    from phytac_design.simulation.scenario.file import load_scenario, parse_scenario
+    from phytac_design.workflows.simulate import simulate as run
+
+    loaded, wanted = load_design(design), load_scenario(scenario)
+    if samples is not None and wanted.kind == "cycles":
+        raise DesignError(
+            f"--samples does not go with {wanted.name}, a scenario of cycles; set cycle.count and "
+            "cycle.every in its file"
+        )
+    data = wanted.model_dump(mode="json", exclude_unset=True)
+    for table, key, value in (
+        ("solve", "route", route and route.value),
+        ("solve", "displacement", displacement and displacement.value),
+        ("unit", "number", unit),
+        ("touch", "samples", samples),
+    ):
+        if value is not None:
+            data.setdefault(table, {})[key] = value
+    job = Job(
+        design=loaded,
+        scenario=parse_scenario(data, scenario),
+        seed=seed,
+        accuracy=accuracy.value,
+        keep=keep.value,
+    )
+    target = out or Path("exports") / f"{loaded.name}-{wanted.name}"
+    count = workers or len(os.sched_getaffinity(0))
+    try:
+        done = run(job, target, workers=count, force=force, progress=say)
+    except KeyboardInterrupt:
+        say("stopped; run the same command again to go on where it was")
+        raise typer.Exit(130) from None
+    if as_json:
+        summary = {
+            "out": str(done.out),
+            "samples": done.samples,
+            "solved": done.solved,
+            "statuses": done.statuses,
+            "theories": done.theories,
+            "reasons": done.reasons,
+            "seconds": round(done.seconds, 3),
+        }
+        typer.echo(json.dumps(summary, indent=1))
+        return
+    statuses = ", ".join(f"{number} {name}" for name, number in done.statuses.items() if number)
+    theories = ", ".join(f"{number} {name}" for name, number in done.theories.items() if number)
+    typer.echo(f"{done.out}: {done.samples} samples ({statuses}; {theories}), {done.seconds:.0f} s")
+    for reason, number in sorted(done.reasons.items(), key=lambda item: -item[1])[:REASONS]:
+        typer.echo(f"  {number} sample{'' if number == 1 else 's'}: {reason}")
+    if len(done.reasons) > REASONS:
+        typer.echo(f"  and {len(done.reasons) - REASONS} other reasons")
+
+
+def scenarios(as_json: JsonOption = False) -> None:
+    """List the shipped scenarios."""
+    from phytac_design.simulation.scenario.file import load_scenario, shipped_scenarios
+
+    known = {name: load_scenario(name).description for name in shipped_scenarios()}
+    if as_json:
+        typer.echo(json.dumps(known, indent=1))
+        return
+    for name, description in known.items():
+        typer.echo(f"{name:10s} {description}")

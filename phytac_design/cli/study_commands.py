@@ -1,0 +1,160 @@
+"""The commands that search the design space."""
+
+import json
+from contextlib import closing, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from phytac_design.cli.options import JsonOption, say
+
+if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
+StudyArgument = Annotated[
+    str, typer.Argument(help="A shipped study or the path of a study file.", show_default=False)
+]
+OutOption = Annotated[
+    Path | None, typer.Option(help="The study's own folder; studies/NAME if not given.")
+]
+WorkersOption = Annotated[
+    int, typer.Option(min=0, help="Processes on this machine; 0 for this one alone.")
+]
+SchedulerOption = Annotated[
+    str, typer.Option(help="Address of a running Dask scheduler, as tcp://host:8786.")
+]
+CandidatesOption = Annotated[
+    int | None, typer.Option(min=1, help="In place of the study's budget.candidates.")
+]
+SecondsOption = Annotated[
+    float | None, typer.Option(min=0.0, help="In place of the study's budget.seconds.")
+]
+
+
+def sweep(
+    study: StudyArgument = "",
+    out: OutOption = None,
+    workers: WorkersOption = 0,
+    scheduler: SchedulerOption = "",
+    candidates: CandidatesOption = None,
+    seconds: SecondsOption = None,
+    measures: Annotated[
+        bool, typer.Option("--measures", help="List what a study can ask for, and end.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Cover a design space evenly; without a study, list the shipped ones."""
+    if measures:
+        _list_measures(as_json=as_json)
+        return
+    if not study:
+        _list_studies()
+        return
+    _run("sweep", study, out, workers, scheduler, candidates, seconds, "", as_json=as_json)
+
+
+def optimise(
+    study: StudyArgument = "",
+    out: OutOption = None,
+    workers: WorkersOption = 0,
+    scheduler: SchedulerOption = "",
+    candidates: CandidatesOption = None,
+    seconds: SecondsOption = None,
+    storage: Annotated[
+        str, typer.Option(help="Database URL of Optuna's trials; a file in the folder.")
+    ] = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Search a design space for the best; without a study, list the shipped ones."""
+    if not study:
+        _list_studies()
+        return
+    _run("optimise", study, out, workers, scheduler, candidates, seconds, storage, as_json=as_json)
+
+
+def _run(
+    kind: Literal["sweep", "optimise"],
+    name: str,
+    out: Path | None,
+    workers: int,
+    scheduler: str,
+    candidates: int | None,
+    seconds: float | None,
+    storage: str,
+    *,
+    as_json: bool,
+) -> None:
+    from phytac_shapes.errors import DesignError
+
+    from phytac_design.study.search.drive import run_study
+    from phytac_design.study.search.file import load_study
+    from phytac_design.study.search.report import read_results, summary, write_page
+    from phytac_design.study.search.space import make_space
+
+    study, folder = load_study(name)
+    given = {"candidates": candidates, "seconds": seconds}
+    budget = study.budget.model_copy(
+        update={key: value for key, value in given.items() if value is not None}
+    )
+    study = study.model_copy(update={"budget": budget})
+    if workers and scheduler:
+        raise DesignError("--workers and --scheduler exclude each other; leave one out")
+    space = make_space(study, folder)
+    where = out or Path("studies") / study.name
+    with _pool(workers, scheduler) as pool:
+        done = run_study(study, space, where, kind=kind, pool=pool, storage=storage, progress=say)
+    page = write_page(done.folder)
+    figures = summary(read_results(done.folder))
+    if as_json:
+        from phytac_design.core.json_values import finite
+
+        facts = {"out": str(done.folder), "seconds": done.seconds, "new": done.new} | figures
+        typer.echo(json.dumps(finite(facts), indent=1, ensure_ascii=False))
+        return
+    counts = ", ".join(f"{count} {status}" for status, count in figures["statuses"].items())
+    typer.echo(
+        f"{done.results}: {figures['candidates']} candidates ({counts}), {done.new} of them now "
+        f"in {done.seconds:.0f} s; {page}"
+    )
+    for row in figures["front"][:10]:
+        values = ", ".join(
+            f"{key} {value:.5g}" if isinstance(value, float) else f"{key} {value}"
+            for key, value in row.items()
+            if key != "trial"
+        )
+        typer.echo(f"  trial {row['trial']}: {values}")
+    if len(figures["front"]) > 10:
+        typer.echo(f"  … and {len(figures['front']) - 10} more on the front")
+
+
+def _pool(workers: int, scheduler: str) -> "AbstractContextManager[Any]":
+    """Where candidates climb."""
+    if not workers and not scheduler:
+        return nullcontext()
+    from phytac_design.study.search.dask_pool import DaskPool
+
+    return closing(DaskPool(workers=workers, address=scheduler, say=say))
+
+
+def _list_measures(*, as_json: bool) -> None:
+    from dataclasses import asdict
+
+    from phytac_design.study.search.measures import MEASURES
+
+    if as_json:
+        from phytac_design.core.json_values import finite
+
+        every = [finite(asdict(measure)) for measure in MEASURES.values()]
+        typer.echo(json.dumps(every, indent=1, ensure_ascii=False))
+        return
+    for measure in MEASURES.values():
+        unit = f" ({measure.unit})" if measure.unit else ""
+        typer.echo(f"{measure.rung:10s} {measure.name:28s} {measure.doc}{unit}")
+
+
+def _list_studies() -> None:
+    from phytac_design.study.search.file import load_study, shipped_studies
+
+    for name in shipped_studies():
+        typer.echo(f"{name:24s} {load_study(name)[0].description}")

@@ -1,0 +1,110 @@
+"""The command that measures what speed costs in accuracy."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from phytac_design.cli.options import DesignArgument, JsonOption, say
+
+if TYPE_CHECKING:
+    from phytac_design.design.spec import Design
+
+
+def tradeoff(
+    design: DesignArgument,
+    only: Annotated[
+        str, typer.Option(help="Knobs, comma separated, or `joint` for the whole build; all.")
+    ] = "",
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The result's own folder; exports/NAME-tradeoff if not given."),
+    ] = None,
+    quick: Annotated[bool, typer.Option(help="Few joint settings.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure time, memory and error of every knob, and the fronts of the whole build.
+
+    A run that was stopped or killed goes on where it was when the same command is given again.
+    """
+    from phytac_design.design.design_file import load_design
+    from phytac_design.study.tradeoff.run import tradeoff as run
+
+    loaded = load_design(design)
+    target = out or Path("exports") / f"{loaded.name}-tradeoff"
+    names = [name.strip() for name in only.split(",") if name.strip()]
+    try:
+        done = run(loaded, target, only=names, quick=quick, progress=say)
+    except KeyboardInterrupt:
+        say("stopped; run the same command again to go on where it was")
+        raise typer.Exit(130) from None
+    if as_json:
+        typer.echo(json.dumps(done.as_dict(), indent=1, ensure_ascii=False))
+        return
+    typer.echo(done.text())
+    typer.echo(f"written to {target}")
+
+
+def build_within(
+    design: "Design",
+    out: Path,
+    *,
+    tolerance: str | None,
+    tolerance_of: str,
+    budget: str | None,
+    seed: int,
+    force: bool,
+    as_json: bool = False,
+) -> None:
+    """Build to a tolerance or in a time, and say what was predicted and what came.
+
+    Parameters
+    ----------
+    design : Design
+        What to build.
+    out : Path
+        Folder of the build.
+    tolerance, budget : str or None
+        As typed: ``2%`` or ``60s``; one of the two.
+    tolerance_of : str
+        ``force``, ``visibility`` or ``volume``.
+    seed, force
+        As of ``phytac build``.
+    as_json : bool
+        Print what stands in ``report/trade.json`` instead.
+    """
+    from typing import get_args
+
+    from phytac_shapes.errors import DesignError
+
+    from phytac_design.study.tradeoff.build_to import (
+        AUDIT,
+        audit_lines,
+        build_to,
+        read_seconds,
+        read_tolerance,
+    )
+    from phytac_design.study.tradeoff.knobs import Quantity
+
+    known = {name: name for name in get_args(Quantity) if name != "score"}
+    if tolerance_of not in known:
+        raise DesignError(
+            f"--tolerance-of {tolerance_of!r} is not known; choose of {', '.join(known)}"
+        )
+    result, choice = build_to(
+        design,
+        out,
+        tolerance=None if tolerance is None else read_tolerance(tolerance),
+        of=known[tolerance_of],
+        budget_s=None if budget is None else read_seconds(budget),
+        seed=seed,
+        force=force,
+        progress=say,
+    )
+    if as_json:
+        typer.echo((out / AUDIT).read_text(encoding="utf-8").rstrip())
+        return
+    typer.echo(f"{result.out}: {result.seconds:.0f} s, {len(result.ran)} stages ran")
+    for line in audit_lines(choice, result.seconds):
+        typer.echo(f"  {line}")

@@ -1,0 +1,1 @@
+"""Helpers that every package uses: kernels, threads, plain JSON values, worker pool, journal."""

@@ -1,0 +1,36 @@
+"""Compiled loops and threads, shared by the rasteriser and its users."""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar, cast
+
+import numba
+
+from phytac_design.core.threads import THREADS
+
+Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+
+
+def kernel(function: Kernel) -> Kernel:
+    """Compile with numba, cached on disk, free of the interpreter lock; 1 / 0 is inf."""
+    return cast("Kernel", numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+def workers() -> int:
+    """Threads to use: ``$PHYTAC_THREADS``, or the cores this process may run on, at most eight."""
+    own = os.environ.get(THREADS, "")
+    return max(1, min(8, int(own) if own.isdigit() else len(os.sched_getaffinity(0))))
+
+
+def in_bands(work: Callable[[int, int], None], rows: int, *, band_rows: int = 0) -> None:
+    """Call ``work(first, last)`` on bands of rows, on as many threads as there are cores.
+
+    ``band_rows`` bounds the height of a band (and so its memory); 0 gives each thread one band.
+    """
+    threads = workers()
+    size = band_rows or max(1, -(-rows // threads))
+    starts = list(range(0, rows, size))
+    stops = [min(start + size, rows) for start in starts]
+    with ThreadPoolExecutor(max_workers=threads) as pool:
+        list(pool.map(work, starts, stops))

@@ -1,0 +1,100 @@
+"""Fixtures of a design file: bodies beside the receptors that the camera sees and that can hide."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, ValidationInfo, model_validator
+
+from phytac_design.design.base_table import Section
+from phytac_design.design.fixture_files import TRIANGLES_MAX, read_stl
+
+FIXTURES_MAX = 12
+Length = Annotated[float, Field(ge=-1e4, le=1e4)]
+Point = tuple[Length, Length, Length]
+
+
+class Fixture(Section):
+    """What all fixtures have."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 _.-]{0,63}$")
+    """What messages call it: letters, digits, spaces, '_', '-', '.'."""
+
+
+class CylinderFixture(Fixture):
+    """A rod between two points, with flat ends."""
+
+    kind: Literal["cylinder"] = "cylinder"
+    """A rod."""
+    radius_mm: float = Field(gt=0.0, le=1e4)
+    """Radius."""
+    from_mm: Point
+    """Middle of one end, (x, y, z) in the sensor frame."""
+    to_mm: Point
+    """Middle of the other end."""
+
+    @model_validator(mode="after")
+    def _has_length(self) -> Self:
+        if self.from_mm == self.to_mm:
+            raise ValueError(
+                f"from_mm and to_mm of the fixture {self.name!r} are the same point; move one"
+            )
+        return self
+
+
+class BoxFixture(Fixture):
+    """A box with its sides along x, y and z, or turned about z."""
+
+    kind: Literal["box"] = "box"
+    """A box."""
+    centre_mm: Point
+    """Its middle, (x, y, z) in the sensor frame."""
+    size_mm: tuple[
+        Annotated[float, Field(gt=0.0, le=1e4)],
+        Annotated[float, Field(gt=0.0, le=1e4)],
+        Annotated[float, Field(gt=0.0, le=1e4)],
+    ]
+    """Lengths of its sides along x, y and z, before it is turned."""
+    turn_deg: float = Field(0.0, ge=-360.0, le=360.0)
+    """Turn about z, from x towards y."""
+
+
+class MeshFixture(Fixture):
+    """A body from an STL file, in the sensor frame and millimetres."""
+
+    kind: Literal["mesh"] = "mesh"
+    """A body of triangles."""
+    file: str = ""
+    """STL file beside the design file; it is read into vertices_mm and triangles."""
+    vertices_mm: tuple[Point, ...] = Field((), max_length=3 * TRIANGLES_MAX)
+    """Corners, (x, y, z) in the sensor frame."""
+    triangles: tuple[tuple[int, int, int], ...] = Field((), max_length=TRIANGLES_MAX)
+    """Three corners each, numbered from 0; both sides are visible."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_file(cls, data: Any, info: ValidationInfo) -> Any:
+        """Put the triangles of ``file`` in its place: the design holds all it needs."""
+        if not (isinstance(data, dict) and isinstance(data.get("file", ""), str)):
+            return data
+        named = data.get("file", "")
+        if not named:
+            return data
+        if data.get("triangles"):
+            raise ValueError("file and triangles exclude each other; keep one of them")
+        folder = (info.context or {}).get("folder", ".")
+        return {**data, "file": "", **read_stl(Path(folder) / named)}
+
+    @model_validator(mode="after")
+    def _has_corners(self) -> Self:
+        if not self.triangles:
+            raise ValueError(f"the fixture {self.name!r} needs a file (STL) or triangles")
+        numbers = [corner for triangle in self.triangles for corner in triangle]
+        if min(numbers) < 0 or max(numbers) >= len(self.vertices_mm):
+            raise ValueError(
+                f"triangles of the fixture {self.name!r} name corners {min(numbers)} to "
+                f"{max(numbers)}; it has 0 to {len(self.vertices_mm) - 1}"
+            )
+        return self
+
+
+AnyFixture = Annotated[CylinderFixture | BoxFixture | MeshFixture, Field(discriminator="kind")]

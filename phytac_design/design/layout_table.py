@@ -1,0 +1,120 @@
+"""The tables ``[layout]`` and ``[receptor]`` of a design file."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, ValidationInfo, model_validator
+
+from phytac_design.design.base_table import Section, assumed
+from phytac_design.design.positions import read_positions
+
+ColourName = Literal["blue", "green", "yellow", "magenta", "cyan"]
+
+
+class LayoutSection(Section):
+    """Markers on the surface, and how tall their receptors are."""
+
+    kind: Literal["spiral", "straight", "phyllotaxis", "explicit"] = "spiral"
+    """`spiral` turns each row against the one before; `straight` lines rows up; `phyllotaxis`
+    spreads `count` markers by the golden angle over equal areas; `explicit` takes `positions`."""
+    rows: int = Field(23, ge=1, le=2000)
+    """Markers along the sensor; row 0 is nearest the camera (`spiral`, `straight`)."""
+    columns: int = Field(16, ge=1, le=2000)
+    """Markers around the sensor; towards a pole rows hold fewer (`spiral`, `straight`)."""
+    count: int = Field(200, ge=1, le=50000)
+    """Markers in all (`phyllotaxis`)."""
+    spiral_angle_deg: float = Field(50.5, gt=-89.0, lt=89.0)
+    """Angle α of a spiral; from the axis each row shifts by row pitch · tan α."""
+    spiral_from: Literal["axis", "circumference"] = assumed("axis")
+    """What α is measured from; from the circumference each row shifts by row pitch / tan α."""
+    row_pitch_exponent: float = Field(1.0, ge=0.2, le=5.0)
+    """Distance along the surface grows as (row number)^exponent; above 1 rows widen away."""
+    colours: tuple[ColourName, ...] = Field(("blue", "green"), min_length=1, max_length=16)
+    """Paints of the columns, repeated around; without columns, neighbours differ where they can."""
+    colour_pattern: Literal["columns", "checkerboard"] = "columns"
+    """`columns` paints a column in one colour; `checkerboard` moves on by one colour a row."""
+    heights: Literal["linear", "constant", "power", "line-of-sight"] = "linear"
+    """Profile from near to far: `linear`; `constant` (the near height); `power`, with
+    `height_exponent`; `line-of-sight`, the least at which none hides another from the camera."""
+    height_near_mm: float = Field(0.5, gt=0.0, le=1000.0)
+    """Receptor height in the row nearest the camera, from the inner face of the wall."""
+    height_far_mm: float = Field(11.5, gt=0.0, le=1000.0)
+    """Receptor height in the farthest row; for `line-of-sight` the most that is allowed."""
+    height_exponent: float = Field(3.0, ge=0.2, le=10.0)
+    """Exponent of the `power` profile; above 1 near rows stay short."""
+    sight_margin_mm: float = assumed(0.15, ge=0.0, le=100.0)
+    """For `line-of-sight`: clear space that the camera sees beside each painted band."""
+    sight_dent_mm: float = assumed(0.0, ge=0.0, le=100.0)
+    """For `line-of-sight`: keep that space also while the wall is pressed in by this much anywhere
+    (the report says how far a force presses it); 0 for at rest only."""
+    sight_dent_radius_mm: float = assumed(10.0, gt=0.0, le=1000.0)
+    """Radius of those dents: at this distance a seventh of their depth is left."""
+    positions_csv: str = ""
+    """CSV file of positions for `explicit`, relative to the design file; read in its place."""
+    positions: tuple[tuple[float, ...], ...] = Field((), max_length=50000)
+    """Positions for `explicit`: all (u, v) in the chart, or all (x, y, z) in mm."""
+    position_colours: tuple[ColourName, ...] = ()
+    """Paint of each position; empty for `colours` in turn."""
+    position_heights_mm: tuple[Annotated[float, Field(gt=0.0, le=1000.0)], ...] = ()
+    """Receptor height of each position; empty for the profile of `heights`."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_positions(cls, data: Any, info: ValidationInfo) -> Any:
+        """Put the positions of ``positions_csv`` in its place: the design holds all it needs."""
+        if not (isinstance(data, dict) and isinstance(data.get("positions_csv", ""), str)):
+            return data
+        named = data.get("positions_csv", "")
+        if not named:
+            return data
+        if data.get("positions"):
+            raise ValueError("positions and positions_csv exclude each other; keep one of them")
+        folder = (info.context or {}).get("folder", ".")
+        return {**data, "positions_csv": "", **read_positions(Path(folder) / named)}
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if (self.kind == "explicit") != bool(self.positions):
+            raise ValueError(
+                "kind 'explicit' needs positions (or positions_csv)"
+                if self.kind == "explicit"
+                else f"positions are for kind 'explicit' only (kind is {self.kind!r}); set it or "
+                "remove them"
+            )
+        sizes = {len(row) for row in self.positions}
+        if len(sizes) > 1 or not sizes <= {2, 3}:
+            raise ValueError(
+                f"positions must be all (u, v) or all (x, y, z) (got {sorted(sizes)} numbers)"
+            )
+        for name in ("position_colours", "position_heights_mm"):
+            if len(getattr(self, name)) not in {0, len(self.positions)}:
+                raise ValueError(
+                    f"{name} must have one entry for each of {len(self.positions)} positions "
+                    f"(got {len(getattr(self, name))})"
+                )
+        unknown = sorted(set(self.position_colours) - set(self.colours))
+        if unknown:
+            raise ValueError(f"position_colours {', '.join(unknown)} must be among colours")
+        return self
+
+    @property
+    def wanted(self) -> int:
+        """Markers asked for, before any are left out."""
+        if self.kind == "phyllotaxis":
+            return self.count
+        return len(self.positions) if self.kind == "explicit" else self.rows * self.columns
+
+
+class ReceptorSection(Section):
+    """The printed tube that carries a marker."""
+
+    diameter_outer_mm: float = assumed(3.0, gt=0.0, le=200.0)
+    """Outer diameter of the tube."""
+    diameter_hole_mm: float = assumed(1.6, gt=0.0, le=200.0)
+    """Through-hole for the stem of the switch, from the outer face to the end face."""
+    band_marker_mm: float = assumed(1.0, ge=0.0, le=200.0)
+    """Painted length of the tube's side below the end face; the end face is always painted."""
+    direction: Literal["normal", "axis", "tilted"] = assumed("normal")
+    """Where tubes point: square to the wall, straight to the sensor's axis, or `tilted`."""
+    tilt_deg: float = Field(0.0, gt=-60.0, lt=60.0)
+    """For `tilted`: lean from the wall's normal towards the near end, where the camera is."""

@@ -1,0 +1,99 @@
+"""Positions of markers from a CSV file: the `explicit` layout."""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from phytac_shapes.bounded_reader import read_text
+from phytac_shapes.errors import DesignError
+
+CHART, SPACE = ("u", "v"), ("x_mm", "y_mm", "z_mm")
+FURTHER = ("colour", "height_mm")
+LINES_MAX = 50_000
+SHOWN = 120
+"""Characters of a bad first line that its message shows."""
+
+
+def read_positions(path: Path) -> dict[str, Any]:
+    """Read ``positions``, ``position_colours`` and ``position_heights_mm`` of a design's layout.
+
+    The first line names the columns: ``u,v`` (chart coordinates) or ``x_mm,y_mm,z_mm``, then
+    ``colour`` and ``height_mm`` if wanted. Blank lines and lines that begin with ``#`` are skipped.
+
+    Raises
+    ------
+    DesignError
+        If the file cannot be read or a line is not acceptable, with the line's number.
+    """
+    try:
+        text = read_text(path, encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise DesignError(f"{path} is not a CSV file: it is not text; save it as UTF-8") from None
+    except OSError as error:
+        raise DesignError(
+            f"cannot read positions from {path}: {error.strerror}; layout.positions_csv is "
+            "relative to the design file"
+        ) from None
+    try:
+        lines = _lines(text)
+    except csv.Error as error:
+        raise DesignError(f"{path} is not a CSV file: {error}; save it as u,v lines") from None
+    if not lines:
+        raise DesignError(
+            f"{path} has no positions; write u,v or x_mm,y_mm,z_mm as its first line, then one "
+            "position on each"
+        )
+    (first, names), rows = lines[0], lines[1:]
+    place = CHART if set(CHART) <= set(names) else SPACE
+    known = {*place, *FURTHER}
+    if not set(place) <= set(names) <= known or len(set(names)) != len(names):
+        raise DesignError(
+            f"{path}, line {first}: columns must be u,v or x_mm,y_mm,z_mm, then colour and "
+            f"height_mm if wanted (got {','.join(names)[:SHOWN]})"
+        )
+    if not 1 <= len(rows) <= LINES_MAX:
+        raise DesignError(
+            f"{path} has {len(rows)} positions; give 1 to {LINES_MAX}, one on each line"
+        )
+    table = [_row(path, number, names, cells) for number, cells in rows]
+    out: dict[str, Any] = {"positions": [[row[name] for name in place] for row in table]}
+    if "colour" in names:
+        out["position_colours"] = [row["colour"] for row in table]
+    if "height_mm" in names:
+        out["position_heights_mm"] = [row["height_mm"] for row in table]
+    return out
+
+
+def _lines(text: str) -> list[tuple[int, list[str]]]:
+    """Number and cells of each line that says something."""
+    return [
+        (number, [cell.strip() for cell in next(csv.reader([line], strict=True))])
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+
+
+def _row(path: Path, number: int, names: list[str], cells: list[str]) -> dict[str, Any]:
+    """One line's cells by name, numbers as numbers."""
+    if len(cells) != len(names):
+        raise DesignError(
+            f"{path}, line {number}: {len(names)} cells are needed ({','.join(names)}), got "
+            f"{len(cells)}; correct the line"
+        )
+    row: dict[str, Any] = {}
+    for name, cell in zip(names, cells, strict=True):
+        if name == "colour":
+            row[name] = cell
+            continue
+        try:
+            value = float(cell)
+        except ValueError:
+            value = np.nan
+        if not np.isfinite(value) or (name == "height_mm" and value <= 0.0):
+            wanted = "a height above 0" if name == "height_mm" else "a number"
+            raise DesignError(
+                f"{path}, line {number}: {name} must be {wanted} (got {cell[:SHOWN]!r})"
+            )
+        row[name] = value
+    return row

@@ -1,0 +1,237 @@
+"""Scene files: what matters of a sensor, in TOML; a build then models that and no more."""
+
+from contextlib import contextmanager
+from contextvars import ContextVar
+from difflib import get_close_matches
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
+
+from phytac_shapes.bounded_reader import joined, read_text, toml_table
+from phytac_shapes.errors import DesignError
+from pydantic import Field, ValidationError, model_validator
+
+from phytac_design.design.base_table import Section
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+Output = Literal[
+    "views",
+    "visibility",
+    "underload",
+    "resolution",
+    "fabrication",
+    "shell",
+    "mesh",
+    "decoder",
+    "frames",
+    "report",
+]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+REGIONS_MAX = 64
+ALL_AT_ONCE = 5
+"""Contacts at once that a build without a scene draws at most."""
+
+
+class RegionSection(Section):
+    """A part of the surface that contacts are centred in, as shares of the chart."""
+
+    name: str = Field("", max_length=40)
+    """What it is, for reports."""
+    along: tuple[Share, Share] = (0.0, 1.0)
+    """From and to along the sensor (u), 0 at the near end."""
+    around: tuple[Share, Share] = (0.0, 1.0)
+    """From and to around the sensor (v); the first may exceed the second where it closes around."""
+
+    @model_validator(mode="after")
+    def _has_a_size(self) -> Self:
+        if not self.along[0] < self.along[1]:
+            raise ValueError(f"along must grow (got {list(self.along)})")
+        if self.around[0] == self.around[1]:
+            raise ValueError(f"around must have a size (got {list(self.around)})")
+        return self
+
+
+class ContactSection(Section):
+    """Contacts that matter; what is absent is the design's (its table `training`)."""
+
+    force_min_N: float | None = Field(None, gt=0.0, le=1e4)
+    """Smallest force of a contact."""
+    force_max_N: float | None = Field(None, gt=0.0, le=1e4)
+    """Largest force of a contact."""
+    radius_min_mm: float | None = Field(None, gt=0.0, le=1e3)
+    """Smallest radius of a patch."""
+    radius_max_mm: float | None = Field(None, gt=0.0, le=1e3)
+    """Largest radius of a patch."""
+    at_once: int = Field(ALL_AT_ONCE, ge=1, le=50)
+    """Contacts at once, at most."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        for low, high in (("force_min_N", "force_max_N"), ("radius_min_mm", "radius_max_mm")):
+            first, last = getattr(self, low), getattr(self, high)
+            if first is not None and last is not None and first > last:
+                raise ValueError(f"{low} must not exceed {high} (got {first:g} and {last:g})")
+        return self
+
+
+class Scene(Section):
+    """One scene. Lengths in mm, forces in N, frame rates in Hz."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
+    """Name of the scene; letters, digits, '_', '-', '.'."""
+    description: str = Field("", max_length=2000)
+    """What it is, for reports."""
+    outputs: tuple[Output, ...] = Field(min_length=1)
+    """What is wanted: `views` (pictures), `visibility` (at rest), `underload` (pressed),
+    `resolution`, `fabrication`, `shell`, `mesh`, `decoder`, `frames`, `report` (everything)."""
+    camera: Literal["near", "far"] | None = None
+    """The one camera that matters, of a sensor with two; absent: the design's."""
+    estimator: Literal["any", "auto", "koi_inverse", "fem_nn"] = "any"
+    """Estimator that the decoder is for; `any`: `auto` where it keeps up with the frames."""
+    frame_rate_Hz: float | None = Field(None, gt=0.0, le=1e6)
+    """Frames that have to be decoded per second; absent: latency does not matter."""
+    error_allowed: float = Field(0.02, gt=0.0, le=1.0)
+    """Error of a force that is accepted, as a share of it."""
+    contacts: ContactSection = ContactSection()
+    regions: tuple[RegionSection, ...] = Field((), max_length=REGIONS_MAX)
+    """Parts of the surface that are touched; none: all of it."""
+
+    @property
+    def wants(self) -> frozenset[str]:
+        """Names of the outputs, all of them where a report is wanted."""
+        return frozenset(get_args(Output) if "report" in self.outputs else self.outputs)
+
+    @property
+    def pictures(self) -> bool:
+        """Whether anyone looks at pictures of the sensor."""
+        return "views" in self.wants
+
+    @property
+    def networks(self) -> bool:
+        """Whether the networks of the paper are trained."""
+        return self.estimator == "fem_nn" or "report" in self.outputs
+
+    @property
+    def samples(self) -> bool:
+        """Whether the design's own number of simulated samples is needed, not a few to judge by."""
+        return self.networks
+
+    @property
+    def at_once(self) -> int:
+        """Contacts at once, at most."""
+        return self.contacts.at_once
+
+    @property
+    def reach_mm(self) -> float | None:
+        """Largest radius of a patch; matters only where a part of the surface is touched."""
+        return self.contacts.radius_max_mm if self.regions else None
+
+    def inputs(self, parts: "Sequence[str]") -> dict[str, Any]:
+        """Plain values of some properties, those left out that a build without a scene has."""
+        data = self.model_dump(mode="json")
+        values = {name: data.get(name, getattr(self, name)) for name in parts}
+        return {name: value for name, value in values.items() if value != WITHOUT[name]}
+
+
+WITHOUT: dict[str, Any] = {
+    "name": None,
+    "pictures": True,
+    "networks": True,
+    "samples": True,
+    "at_once": ALL_AT_ONCE,
+    "regions": [],
+    "reach_mm": None,
+}
+"""What stages may read of a scene, and what they take it to be without one."""
+
+CURRENT: ContextVar[Scene | None] = ContextVar("scene", default=None)
+
+
+@contextmanager
+def building(scene: Scene) -> "Iterator[None]":
+    """Builds within are of this scene."""
+    token = CURRENT.set(scene)
+    try:
+        yield
+    finally:
+        CURRENT.reset(token)
+
+
+def shipped_scenes() -> list[str]:
+    """Names of the scenes that come with the package."""
+    folder = resources.files("phytac_design") / "data" / "scenes"
+    return sorted(
+        item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml")
+    )
+
+
+def load_scene(name_or_path: str) -> Scene:
+    """Read a shipped scene by name, or any scene file by path.
+
+    Raises
+    ------
+    DesignError
+        If there is no such scene, it is not TOML, or a key or value is not acceptable.
+    """
+    text, where = _read(name_or_path)
+    try:
+        data = toml_table(text)
+    except ValueError as error:
+        raise DesignError(
+            f"{where} is not TOML: {error}; start from a shipped scene "
+            f"({', '.join(shipped_scenes())})"
+        ) from None
+    return parse_scene(data, where)
+
+
+def parse_scene(data: dict[str, Any], where: str) -> Scene:
+    """Validate a parsed scene file; every problem is in the one error.
+
+    Raises
+    ------
+    DesignError
+        With every key that is not known and every value that will not do.
+    """
+    try:
+        return Scene.model_validate(data)
+    except ValidationError as error:
+        lines = joined(_explain(item) for item in error.errors())
+        raise DesignError(f"scene {where}: {lines}") from None
+
+
+def _read(name_or_path: str) -> tuple[str, str]:
+    path, shipped = Path(name_or_path), shipped_scenes()
+    if name_or_path in shipped and not path.is_file():
+        source = resources.files("phytac_design") / "data" / "scenes" / f"{name_or_path}.toml"
+        return source.read_text(encoding="utf-8"), name_or_path
+    try:
+        return read_text(path), str(path)
+    except UnicodeDecodeError:
+        raise DesignError(f"{path} is not TOML: it is not even text; give a scene file") from None
+    except OSError as error:
+        near = get_close_matches(name_or_path, shipped, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise DesignError(
+            f"no scene {name_or_path!r} ({error.strerror}){hint} "
+            f"(shipped: {', '.join(shipped)}; or give the path of a scene file)"
+        ) from None
+
+
+def _explain(item: Any) -> str:
+    """One problem as a sentence: where, what, got, and what would do."""
+    where = ".".join(str(part) for part in item["loc"])
+    if item["type"] == "extra_forbidden":
+        table = [part for part in item["loc"][:-1] if isinstance(part, str)]
+        tables: dict[str, type[Section]] = {"contacts": ContactSection, "regions": RegionSection}
+        model = tables.get(table[0], Scene) if table else Scene
+        known = list(model.model_fields)
+        near = get_close_matches(str(item["loc"][-1]), known, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else f" (known: {', '.join(known)})"
+        return f"unknown key {where!r}{hint}"
+    if item["type"] == "missing":
+        return f"{where} is missing; see docs/plan.md for what it means"
+    message = item["msg"][0].lower() + item["msg"][1:]
+    got = "" if isinstance(item["input"], dict | Section) else f" (got {item['input']!r})"
+    return f"{where or 'file'}: {message.removeprefix('value error, ')}{got}"

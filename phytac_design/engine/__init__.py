@@ -1,0 +1,1 @@
+"""Stages, their cache and its eviction."""

@@ -1,0 +1,193 @@
+"""What a stage is: a pure function of the design's tables and of earlier stages, writing files."""
+
+import ctypes
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from phytac_shapes import Surface
+
+from phytac_design.design.accuracy import Accuracy
+from phytac_design.design.field_groups import values_of
+from phytac_design.design.scene import CURRENT, Scene
+from phytac_design.design.spec import Design
+from phytac_design.engine.cache import record as cache_record
+from phytac_design.layout import Markers, make_markers
+
+EXPORT = "export"
+"""Files below this folder of a result are the user's; the rest is for later stages."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Context:
+    """What a running stage sees.
+
+    Attributes
+    ----------
+    design : Design
+        The resolved design.
+    accuracy : Accuracy
+        The preset's settings.
+    seed : int
+        Seed of everything random.
+    folders : dict
+        Result folder of each stage that this one needs.
+    progress : callable
+        Called with a short text about what is being done.
+    uses : dict
+        Arrays that the running stage may read of those stages of which it does not read all.
+    scene : Scene, optional
+        What the build is limited to; None: everything.
+    """
+
+    design: Design
+    accuracy: Accuracy
+    seed: int
+    folders: dict[str, Path] = field(default_factory=dict)
+    progress: Callable[[str], None] = print
+    uses: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    scene: Scene | None = field(default_factory=CURRENT.get)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The sensing surface."""
+        return self.design.surface()
+
+    @cached_property
+    def markers(self) -> Markers:
+        """The markers on it."""
+        return make_markers(self.design, self.surface)
+
+    def facts(self, stage: str) -> dict[str, Any]:
+        """Figures that an earlier stage reported."""
+        data: dict[str, Any] = json.loads((self.folders[stage] / "facts.json").read_text())
+        return data
+
+    def arrays(self, stage: str) -> dict[str, Any]:
+        """Arrays that an earlier stage left."""
+        with np.load(self.folders[stage] / "arrays.npz") as data:
+            return {name: data[name] for name in self.uses.get(stage, data.files)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """One step of a build.
+
+    Attributes
+    ----------
+    name : str
+        As in ``--only`` and the timings.
+    reads : tuple of str
+        What of the design file it reads, in the names of :mod:`phytac_design.design.field_groups`: a change
+        elsewhere does not run it again.
+    knobs : tuple of str
+        Settings of the accuracy preset that it reads.
+    needs : tuple of str
+        Stages it reads from.
+    uses : dict
+        Of some of them, the arrays alone that it reads: others may change.
+    seeded : bool
+        Whether it draws random numbers.
+    graphics : bool
+        Whether it does more where the machine has graphics libraries.
+    scene : tuple of str
+        Properties of a scene that it reads.
+    gate : callable or None
+        Reads the stage's result and says why a build should stop here; "" to go on.
+    finish : callable or None
+        Called with the exports folder once the files are there: marks them with what the result
+        itself does not depend on, such as the design's name.
+    run : callable
+        Writes ``facts.json``, ``arrays.npz`` and ``export/…`` into the folder it is given.
+    """
+
+    name: str
+    reads: tuple[str, ...]
+    run: Callable[[Context, Path], None]
+    knobs: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
+    uses: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    seeded: bool = False
+    graphics: bool = False
+    scene: tuple[str, ...] = ()
+    gate: Callable[[Context], str] | None = None
+    finish: Callable[[Design, Path], None] | None = None
+
+    def inputs(self, context: Context, keys: dict[str, str]) -> dict[str, Any]:
+        """Everything the result depends on, as plain values.
+
+        Of needed stages whose results ``context.folders`` holds, their contents count: what came
+        out the same runs nothing again. Of others their key stands for it.
+        """
+        settings = context.accuracy.as_dict()
+        values = context.scene.inputs(self.scene) if context.scene else {}
+        if "regions" in values:  # what is in play there depends on it
+            values["footprint_mm"] = context.design.switch.footprint_diameter_mm
+        # A build without a scene keeps its keys.
+        limits = {"scene": values} if values else {}
+        return limits | {
+            "reads": values_of(context.design, self.reads),
+            "knobs": {knob: settings[knob] for knob in self.knobs},
+            "needs": {name: self._needed(name, context, keys) for name in self.needs},
+            "seed": context.seed if self.seeded else None,
+            "graphics": graphics_libraries() if self.graphics else None,
+        }
+
+    def _needed(self, name: str, context: Context, keys: dict[str, str]) -> Any:
+        """What stands for a needed result in the key."""
+        folder = context.folders.get(name)
+        if folder is None:
+            return keys[name]
+        made = cache_record(folder)
+        if name in self.uses:
+            return {array: made["arrays"][array] for array in self.uses[name]}
+        return made["files"]
+
+
+def array_hashes(folder: Path) -> dict[str, str]:
+    """SHA-256 of each array that a stage wrote, shape and type included."""
+    path = folder / "arrays.npz"
+    if not path.is_file():
+        return {}
+    out = {}
+    with np.load(path) as data:
+        for name in data.files:
+            array = np.ascontiguousarray(data[name])
+            kind = f"{array.dtype.str}{array.shape}"
+            out[name] = sha256(kind.encode() + array.tobytes()).hexdigest()
+    return out
+
+
+@cache
+def graphics_libraries() -> dict[str, bool]:
+    """Which of the system's graphics libraries can be loaded: installing one runs stages again."""
+    found = {}
+    for name in ("libEGL.so.1", "libGL.so.1", "libX11.so.6"):
+        try:
+            ctypes.CDLL(name)
+            found[name] = True
+        except OSError:
+            found[name] = False
+    return found
+
+
+def export_path(folder: Path, name: str) -> Path:
+    """Path of an exported file below a stage's folder; makes its parent."""
+    path = folder / EXPORT / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def write_facts(folder: Path, facts: dict[str, Any]) -> None:
+    """Write a stage's figures."""
+    (folder / "facts.json").write_text(json.dumps(facts, indent=1, sort_keys=True))
+
+
+def write_arrays(folder: Path, arrays: dict[str, Any]) -> None:
+    """Write a stage's arrays."""
+    np.savez(folder / "arrays.npz", allow_pickle=False, **arrays)

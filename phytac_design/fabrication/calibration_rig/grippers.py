@@ -1,0 +1,160 @@
+"""Grippers: a palm that covers several receptors, and a jaw with three indenters and load cells.
+
+In the frame of the middle region, as the indenters.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+
+from phytac_design.design.spec import Design
+from phytac_design.fabrication.calibration_rig.regions import (
+    RADIUS_MIN_mm,
+    Regions,
+    clear_mm,
+    frames_at,
+)
+from phytac_design.fabrication.calibration_rig.solids import (
+    LIP_mm,
+    OVER_mm,
+    bolt_places,
+    box,
+    fitted_indenter,
+    rig_places,
+    rod,
+    tool_height_mm,
+)
+from phytac_design.layout import Markers
+
+PALM_SHARE = 2.0
+"""Radius of the palm over that of the largest patch."""
+CURVED_SHARE = 0.6
+"""Largest radius of the palm over the surface's radius of curvature."""
+LEAN_MAX_deg = 10.0
+"""Normals of a jaw's regions may differ by this much from the middle one."""
+WALL_mm = 1.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Jaw:
+    """A jaw with three seats.
+
+    Attributes
+    ----------
+    body : manifold3d.Manifold
+        The jaw, in the middle region's frame.
+    markers : tuple of int
+        Regions that its indenters press, the middle one first.
+    """
+
+    body: Any
+    markers: tuple[int, ...]
+
+
+def middle_marker(design: Design, surface: Surface, markers: Markers) -> int:
+    """Marker farthest from all rims, the nearest to the middle of the markers among equals."""
+    clear = np.minimum(clear_mm(design, surface, markers.uv), 1e6)
+    points = surface.point(markers.uv)
+    middle = surface.domain.mean(axis=1)
+    off = np.linalg.norm(points - surface.point(middle[None]), axis=1)
+    return int(np.lexsort((off, -np.round(clear, 6)))[0])
+
+
+def palm_radius_mm(design: Design, surface: Surface, markers: Markers, marker: int) -> float:
+    """Radius of the palm's face at a marker: as large as curvature and rims let it be."""
+    uv = markers.uv[[marker]]
+    room = float(clear_mm(design, surface, uv)[0]) - design.kit.clearance_mm
+    reach = float(surface.reach_mm(uv)[0])
+    wanted = PALM_SHARE * design.training.patch_radius_max_mm
+    return float(min(wanted, room, CURVED_SHARE * reach))
+
+
+def palm(design: Design, surface: Surface, markers: Markers, tolerance_mm: float) -> Any:
+    """Wide indenter that follows the surface over several receptors; None if rims are too near."""
+    marker = middle_marker(design, surface, markers)
+    radius = palm_radius_mm(design, surface, markers, marker)
+    if radius < RADIUS_MIN_mm:
+        return None
+    return fitted_indenter(surface, markers.uv[marker], radius, design.kit, tolerance_mm)
+
+
+def three_markers(
+    design: Design, surface: Surface, markers: Markers, regions: Regions
+) -> tuple[int, ...]:
+    """Three regions that one jaw can press at once, the middle one first; () if there are none.
+
+    Their load cells must stand side by side and their normals within ``LEAN_MAX_deg``.
+    """
+    if not regions.faces:
+        return ()
+    points, normal = surface.point(markers.uv), markers.normal
+    middle = middle_marker(design, surface, markers)
+    room = design.kit.cell_diameter_mm + 2.0 * WALL_mm
+    wide = regions.faces[0].radius_mm + design.kit.clearance_mm
+    fits = clear_mm(design, surface, markers.uv) >= wide
+    away = points - points[middle]
+    far = np.linalg.norm(away, axis=1)
+    lean = normal @ normal[middle] >= np.cos(np.radians(LEAN_MAX_deg))
+    near = np.flatnonzero(fits & lean & (far >= room))
+    best: tuple[float, tuple[int, ...]] = (np.inf, ())
+    for one in near[np.argsort(far[near], kind="stable")][:60].tolist():
+        opposite = near[np.linalg.norm(away[near] + away[one], axis=1) < 0.3 * far[one]]
+        for other in opposite[:8].tolist():
+            length = float(far[one] + far[other])
+            if length < best[0] - 1e-9:
+                best = (length, (middle, one, other))
+    return best[1]
+
+
+def jaw(
+    design: Design, surface: Surface, markers: Markers, regions: Regions, tolerance_mm: float
+) -> Jaw | None:
+    """Jaw with seats for three load cells with fitted indenters; None if no three fit."""
+    chosen = three_markers(design, surface, markers, regions)
+    if not chosen:
+        return None
+    kit = design.kit
+    frame = frames_at(surface, markers.uv[[chosen[0]]])[0]
+    ids = list(chosen)
+    points = (surface.point(markers.uv[ids]) - surface.point(markers.uv[[chosen[0]]])) @ frame
+    normal = markers.normal[ids] @ frame
+    turns = np.einsum("ij,njk->nik", frame.T, frames_at(surface, markers.uv[ids]))
+    seat = points + (tool_height_mm(kit) + kit.cell_height_mm) * normal
+    slab = float(seat[:, 2].max()) + kit.seat_mm
+    post = 0.5 * kit.cell_diameter_mm + WALL_mm
+    # Around the rig's screws too; the middle post is at the origin.
+    reach = np.maximum(np.abs(seat[:, :2]).max(axis=0) + post, 0.5 * kit.rig_bolt_square_mm + 5.0)
+    body = box(np.array([*-reach, slab]), np.array([*reach, slab + kit.seat_mm]))
+    tall = (slab + 0.5 * kit.seat_mm - seat[:, 2]) / normal[:, 2]
+    inner = 0.5 * kit.cell_diameter_mm + kit.clearance_mm
+    for k in range(len(ids)):
+        start, up = seat[k], normal[k]
+        lip = start - LIP_mm[1] * up
+        ring = rod(lip, start + up, inner + LIP_mm[0], tolerance_mm)
+        ring = ring - rod(lip - OVER_mm * up, start, inner, tolerance_mm)
+        body = body + rod(start, start + tall[k] * up, inner + LIP_mm[0], tolerance_mm) + ring
+    for k in range(len(ids)):
+        places = np.column_stack([bolt_places(kit), np.zeros(kit.cell_bolts)])
+        at = seat[k] + places @ turns[k].T
+        through = (tall[k] + kit.seat_mm + 2.0 * OVER_mm) * normal[k]
+        holes = rod(
+            at - OVER_mm * normal[k], at + through, 0.5 * kit.cell_bolt_hole_mm, tolerance_mm
+        )
+        body = body - holes
+    if not _rig_fits(design, seat):
+        return None
+    rig: FloatArray = np.column_stack([rig_places(kit), np.full(4, -OVER_mm)])
+    rise = np.array([0.0, 0.0, slab + kit.seat_mm + 2.0 * OVER_mm])
+    body = body - rod(rig, rig + rise, 0.5 * kit.rig_bolt_hole_mm, tolerance_mm)
+    return Jaw(body=body, markers=chosen)
+
+
+def _rig_fits(design: Design, seat: FloatArray) -> bool:
+    """Whether the rig's screws pass beside all load cells."""
+    kit = design.kit
+    gap = np.linalg.norm(rig_places(kit)[:, None] - seat[None, :, :2], axis=2)
+    least = 0.5 * kit.cell_diameter_mm + kit.clearance_mm + 0.5 * kit.rig_bolt_hole_mm
+    return bool(gap.min() > least)

@@ -1,0 +1,187 @@
+"""The regions that are pressed, and the face of the indenter that fits each.
+
+Heights are measured in a region's own frame: origin on the outer face, x along u, z along the
+outward normal.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+
+from phytac_design.design.spec import Design
+from phytac_design.fabrication.calibration_rig.symmetry import Symmetry, find_symmetry
+from phytac_design.layout import Markers
+
+FIT_mm = 0.045
+"""A face may stray this far from the surface of the regions it serves."""
+RADIUS_MIN_mm = 0.8
+"""Thinner indenters bend; regions that leave less room are left out."""
+NARROWER = 0.75
+"""Radii near rims step down by this."""
+RINGS, SECTORS = 2, 24
+ROUNDS = 30
+EDGE_POINTS = 721
+
+
+@dataclass(frozen=True, kw_only=True)
+class Face:
+    """Concave face of one indenter.
+
+    Attributes
+    ----------
+    marker : int
+        Region that it is cut from.
+    radius_mm : float
+        Radius of the pressed disc.
+    """
+
+    marker: int
+    radius_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Regions:
+    """What is pressed, with what.
+
+    Attributes
+    ----------
+    symmetry : Symmetry
+        Where the choice comes from.
+    marker : (m,) int
+        Regions, in the order in which they are pressed.
+    face : (m,) int
+        Which of ``faces`` presses each.
+    faces : tuple of Face
+        Indenters.
+    too_near : (k,) int
+        Needed markers that stand so near a rim that no indenter fits beside it.
+    """
+
+    symmetry: Symmetry
+    marker: IntArray
+    face: IntArray
+    faces: tuple[Face, ...]
+    too_near: IntArray
+
+
+def frames_at(surface: Surface, uv: FloatArray) -> FloatArray:
+    """Axes (n, 3, 3), in columns: along u, across, outward normal."""
+    normal = surface.normal(uv)
+    along = surface.tangents(uv)[:, 0]
+    along = along - np.sum(along * normal, axis=1)[:, None] * normal
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    return np.stack([along, np.cross(normal, along), normal], axis=2)
+
+
+def heights_mm(surface: Surface, uv: FloatArray, xy: FloatArray) -> FloatArray:
+    """Height of the outer face over the tangent planes at ``uv`` (n, 2), (n, k) mm.
+
+    ``xy`` (k, 2) are places in the planes. Found by Newton's method along each normal, on the
+    distance to the surface's foot.
+    """
+    frame, base = frames_at(surface, uv), surface.point(uv)
+    places = base[:, None] + np.einsum("nij,kj->nki", frame[:, :, :2], xy)
+    up = np.broadcast_to(frame[:, None, :, 2], places.shape).reshape(-1, 3)
+    places = places.reshape(-1, 3)
+    height = np.zeros(len(places))
+    todo = np.arange(len(places))
+    for _ in range(ROUNDS):
+        at = places[todo] + height[todo, None] * up[todo]
+        foot = surface.chart(at)
+        normal = surface.normal(foot)
+        gap = np.sum((at - surface.point(foot)) * normal, axis=1)
+        cosine = np.maximum(np.sum(normal * up[todo], axis=1), 0.2)
+        height[todo] -= gap / cosine
+        todo = todo[np.abs(gap) > 1e-9]
+        if len(todo) == 0:
+            break
+    return np.asarray(height.reshape(len(uv), len(xy)))
+
+
+def disc_places(radius_mm: float, *, rings: int = RINGS, sectors: int = SECTORS) -> FloatArray:
+    """Places on a disc: rings outwards, the centre last, (rings · sectors + 1, 2)."""
+    angle = 2.0 * np.pi * np.arange(sectors) / sectors
+    ring = np.column_stack([np.cos(angle), np.sin(angle)])
+    radii = radius_mm * np.arange(1, rings + 1) / rings
+    places = (radii[:, None, None] * ring[None]).reshape(-1, 2)
+    return np.concatenate([places, np.zeros((1, 2))])
+
+
+def fit_mm(heights: FloatArray) -> FloatArray:
+    """Farthest that each face (n, k) strays from each other one, pushed home, (n, n) mm."""
+    apart = heights[:, None] - heights[None]
+    return np.asarray((apart.max(axis=2) - apart.min(axis=2)) / 2.0)
+
+
+def clear_mm(design: Design, surface: Surface, uv: FloatArray) -> FloatArray:
+    """Distance from places on the outer face to the nearest rim that stands out of it, (n,)."""
+    out = np.full(len(uv), np.inf)
+    if design.wall.rim_length_mm == 0.0 or design.wall.rim_flange_mm == 0.0:
+        return out
+    points = surface.point(uv)
+    for axis, end in surface.edges():
+        low, high = surface.domain[1 - axis]
+        edge = np.full((EDGE_POINTS, 2), surface.domain[axis, end])
+        edge[:, 1 - axis] = np.linspace(low, high, EDGE_POINTS)
+        gap = np.linalg.norm(points[:, None] - surface.point(edge)[None], axis=2)
+        out = np.minimum(out, gap.min(axis=1))
+    return out
+
+
+def radii_mm(design: Design, surface: Surface, uv: FloatArray) -> FloatArray:
+    """Radius of the indenter for each place, (n,) mm: the smallest patch, narrower near rims.
+
+    0 where not even ``RADIUS_MIN_mm`` fits.
+    """
+    room = clear_mm(design, surface, uv) - design.kit.clearance_mm
+    radius = np.full(len(uv), design.training.patch_radius_min_mm)
+    while bool(np.any(radius > room)):
+        radius = np.where(radius > room, NARROWER * radius, radius)
+        radius = np.where(radius < RADIUS_MIN_mm, 0.0, radius)
+        if bool(np.all((radius <= room) | (radius == 0.0))):
+            break
+    return radius
+
+
+def make_regions(design: Design, surface: Surface, markers: Markers) -> Regions:
+    """Regions by symmetry, and as few indenters as fit them."""
+    symmetry = find_symmetry(surface, markers)
+    uv = markers.uv[symmetry.needed]
+    radius = radii_mm(design, surface, uv)
+    reached: BoolArray = radius > 0.0
+    faces: list[Face] = []
+    face = np.full(len(uv), -1)
+    for size in np.unique(radius[reached])[::-1]:
+        own = np.flatnonzero(radius == size)
+        for seed, served in _covers(heights_mm(surface, uv[own], disc_places(float(size)))):
+            face[own[served]] = len(faces)
+            marker = int(symmetry.needed[own[seed]])
+            faces.append(Face(marker=marker, radius_mm=float(size)))
+    chosen, face = symmetry.needed[reached], face[reached]
+    # One indenter after the other, up and down one column after the other.
+    column = markers.column[chosen]
+    along = np.where(column % 2 == 0, 1.0, -1.0) * markers.uv[chosen, 0]
+    order = np.lexsort((along, column, face))
+    return Regions(
+        symmetry=symmetry,
+        marker=chosen[order],
+        face=face[order],
+        faces=tuple(faces),
+        too_near=symmetry.needed[~reached],
+    )
+
+
+def _covers(heights: FloatArray) -> list[tuple[int, IntArray]]:
+    """Faces that serve all of (n, k), each the one that serves most of what is left."""
+    fits = fit_mm(heights) <= FIT_mm
+    left = np.ones(len(heights), dtype=np.bool_)
+    out = []
+    while left.any():
+        count = np.sum(fits & left[None], axis=1)
+        seed = int(count.argmax())
+        served = np.flatnonzero(fits[seed] & left)
+        out.append((seed, served))
+        left[served] = False
+    return out

@@ -1,0 +1,129 @@
+"""The assembly sheet: one page that opens from disk, steps in order, with counts and pictures."""
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+from phytac_design.design.spec import Design
+from phytac_design.fabrication.documents.recipe import Recipe
+from phytac_design.fabrication.switch_set import SwitchSet
+from phytac_design.report.page import drawing, figure, page, table
+
+
+def switch_table(switches: SwitchSet) -> str:
+    """HTML table of the kinds of switches: label, threshold, length, count."""
+    rows = [
+        (
+            switches.label(kind),
+            float(switches.threshold_N[kind[0]]),
+            float(switches.lengths_mm[kind[1]]),
+            len(switches.markers_of(kind)),
+        )
+        for kind in switches.kinds
+    ]
+    return table(["switch", "threshold (N)", "length (mm)", "count"], rows)
+
+
+def bill_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """HTML table of the bill of materials."""
+    head = ["part", "count", "material", "volume (mm³)", "mass (g)", "file or note"]
+    body = [
+        (
+            row["part"],
+            row["count"],
+            row["material"],
+            row["volume_mm3"] or None,
+            row["mass_g"] if row["volume_mm3"] else None,
+            row["file"] or row["note"],
+        )
+        for row in rows
+    ]
+    return table(head, body)
+
+
+def _listed(items: Sequence[str]) -> str:
+    return "<ol>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ol>"
+
+
+def assembly_html(
+    design: Design,
+    switches: SwitchSet,
+    recipe: Recipe,
+    *,
+    bill: Sequence[Mapping[str, Any]],
+    steps: Sequence[str],
+    fixture_steps: Sequence[str],
+    pictures: Mapping[str, bytes],
+    section: str,
+) -> str:
+    """HTML of the sheet.
+
+    Parameters
+    ----------
+    bill : sequence of mappings
+        Rows of the bill of materials.
+    steps : sequence of str
+        Steps of casting.
+    fixture_steps : sequence of str
+        Steps of mounting the sensor's fixtures.
+    pictures : mapping
+        Caption to PNG.
+    section : str
+        SVG of a section through a receptor.
+    """
+    count = len(switches.bowl)
+    colours = " and ".join(dict.fromkeys(design.layout.colours))
+    shell = [
+        (
+            "Print shell/shell.stl in tough resin as shell/print_report.svg shows, or its pieces "
+            "and glue them on their keys; wash it, cure it; look through every hole."
+        ),
+        (
+            f"Paint {count} receptors {colours} as bench/paint_map.pdf says: end face and last "
+            f"{design.receptor.band_marker_mm:g} mm of the side. The pages seen from inside are "
+            "for the pen; the pages seen from outside are wrapped around the shell to check."
+        ),
+        "Or print shell/shell.3mf in several materials: then nothing is painted.",
+        (
+            "Before the switches are glued: run kit/shell.gcode and fit the wall with "
+            "`phytac calibrate` (kit/README.md)."
+        ),
+    ]
+    place = [
+        (
+            f"Put {count} switches in, sorted by label: bench/switch_placement.csv, or the label "
+            "below each marker on the paint map."
+        ),
+        (
+            "Push the stem through from outside until the bowl's rim lies on the outer face; glue "
+            "the rim with a thin ring of cyanoacrylate, none in the hole."
+        ),
+        (
+            f"The red tip ends {design.switch.tip_recess_mm:g} mm behind the receptor's end face: "
+            "look from the camera's end; a tip that shows now would show always."
+        ),
+    ]
+    shown = "".join(figure(data, caption) for caption, data in pictures.items())
+    calibrate = [
+        "After assembly: run kit/decoder.gcode for data with the switches in.",
+    ]
+    grams = (
+        f"<p>{recipe.rubber_g:.1f} g of rubber in all: A {recipe.a_g:.2f} g, "
+        f"B {recipe.b_g:.2f} g, C {recipe.c_g:.2f} g.</p>"
+    )
+    sections = [
+        ("Pulled apart", shown),
+        ("1 Shell", _listed(shell)),
+        ("2 Switches: casting", grams + _listed(steps)),
+        (
+            "3 Switches: placing",
+            switch_table(switches)
+            + drawing(section, "Section through one receptor with its switch.")
+            + _listed(place),
+        ),
+        ("4 Camera, light, connectors", _listed(fixture_steps)),
+        ("5 Calibration", _listed(calibrate)),
+        ("Bill of materials", bill_table(bill)),
+    ]
+    lead = f'<p class="foot">{escape(design.description)}</p>'
+    return page(f"{design.name}: assembly", sections, lead)

@@ -1,0 +1,162 @@
+"""Casting recipe: grams of each component, from the volumes of switches and molds.
+
+Ratios, times and temperatures are the paper's: A to C 1 : 5 by weight, (A + C) to B 6 : 1.
+"""
+
+from dataclasses import dataclass
+
+from phytac_design.design.spec import Design
+from phytac_design.fabrication.documents.materials import DENSITY_g_cm3
+from phytac_design.mechanics.switch.receptor import rubber_of
+
+A_TO_C = 5.0
+AC_TO_B = 6.0
+FINE_g = 2.0
+"""Below this a part must be weighed to 0.01 g: a tenth of a gram would be 5 %."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """Amounts to weigh, g.
+
+    Attributes
+    ----------
+    switch_mm3, silicone_mm3 : float
+        Volume of all switches with what the molds' channels hold, and of the silicone molds.
+    rubber_g, a_g, b_g, c_g : float
+        Rubber in all with the waste, and its parts.
+    silicone_g : float
+        Silicone with the waste; 0 where molds are printed.
+    """
+
+    switch_mm3: float
+    silicone_mm3: float
+    waste_rubber: float
+    waste_silicone: float
+    rubber_g: float
+    a_g: float
+    b_g: float
+    c_g: float
+    silicone_g: float
+
+
+def make_recipe(design: Design, switch_mm3: float, silicone_mm3: float) -> Recipe:
+    """Amounts for volumes of switches (with channels) and of silicone molds, mm³."""
+    bench = design.bench
+    rubber = switch_mm3 / 1000.0 * DENSITY_g_cm3["tpu"] * (1.0 + bench.waste_rubber)
+    ac = rubber * AC_TO_B / (AC_TO_B + 1.0)
+    return Recipe(
+        switch_mm3=switch_mm3,
+        silicone_mm3=silicone_mm3,
+        waste_rubber=bench.waste_rubber,
+        waste_silicone=bench.waste_silicone,
+        rubber_g=rubber,
+        a_g=ac / (1.0 + A_TO_C),
+        c_g=ac * A_TO_C / (1.0 + A_TO_C),
+        b_g=rubber / (AC_TO_B + 1.0),
+        silicone_g=silicone_mm3 / 1000.0 * DENSITY_g_cm3["silicone"] * (1.0 + bench.waste_silicone),
+    )
+
+
+def recipe_steps(design: Design, recipe: Recipe) -> list[str]:
+    """Steps in order, with the amounts."""
+    shrink = 100.0 * design.mold.shrink_rubber
+    steps = []
+    if design.mold.way == "silicone-master":
+        steps += [
+            (
+                f"Mix {recipe.silicone_g:.1f} g of silicone by its maker's ratio, degas it, pour "
+                "it over both printed trays (domes, stems) up to their rims, let it cure as its "
+                "maker says. Coat the prints with release agent first: many resins keep silicone "
+                "from curing."
+            ),
+            (
+                "Lift both silicone halves off; look for torn pegs. Try how they close on their "
+                "four keys. The hole above each stem is a vent and stays open."
+            ),
+        ]
+        fill = (
+            "Lay the dome half down, cavities up, and fill its cavities and the ways around them "
+            "{volume}. Close the stem half on its keys, pressing from the middle outward, until "
+            "rubber stands in every vent; lay a flat plate and about 1 kg on it."
+        )
+        trim = (
+            " Cut what has set in the vents off each stem at the step where it grows thinner "
+            "({step:g} mm in radius): the tip ends there."
+        )
+    else:
+        steps.append("Clean the printed plates and spray release agent on them.")
+        fill = (
+            "Lay the dome plate down, cavities up, and fill its cavities and the ways around them "
+            "{volume}. Press the core plate on its keys until rubber stands in every stem's hole, "
+            "scrape that side, then screw or weight the cap on."
+        )
+        trim = " Open at the channel all around; pull off the thin sheet between the bowls."
+    return [
+        *steps,
+        (
+            f"Work at 25 to 35 °C. Weigh {recipe.a_g:.2f} g of A and {recipe.c_g:.2f} g of C "
+            f"(1 : {A_TO_C:g} by weight) into one cup; stir for 2 min."
+        ),
+        "Degas A + C under vacuum for 5 min.",
+        (
+            f"Pour {recipe.a_g + recipe.c_g:.2f} g of A + C into {recipe.b_g:.2f} g of B "
+            f"({AC_TO_B:g} : 1 by weight); stir for 30 s; degas for 1 min. It sets soon: go on "
+            "at once."
+        ),
+        fill.format(volume=f"({recipe.switch_mm3 / 1000.0:.2f} cm³ in all)"),
+        "Cure at 65 °C for 1 h.",
+        (
+            f"Demould; the rubber has shrunk by {shrink:.2g} %, which the mold allows for. Sort "
+            "the switches by the label beside each cavity."
+            + trim.format(step=design.mold.vent_step_mm)
+        ),
+        "Paint the end of each stem red; let it dry.",
+        (
+            "Glue each switch by the rim of its bowl with cyanoacrylate, the stem through its "
+            "receptor, where switch_placement.csv and the paint map say."
+        ),
+    ]
+
+
+def recipe_text(design: Design, recipe: Recipe) -> str:
+    """Markdown page of the recipe."""
+    modulus_MPa = rubber_of(design).material.modulus_MPa
+    fine = " Weigh A and B to 0.01 g." if min(recipe.a_g, recipe.b_g) < FINE_g else ""
+    rows = [
+        ("A", recipe.a_g),
+        ("B", recipe.b_g),
+        ("C", recipe.c_g),
+        ("rubber in all", recipe.rubber_g),
+    ]
+    if recipe.silicone_g > 0.0:
+        rows.append(("silicone", recipe.silicone_g))
+    lines = [
+        f"# {design.name}: casting the switches",
+        "",
+        f"{recipe.switch_mm3 / 1000.0:.2f} cm³ of rubber in the molds, "
+        f"{100.0 * recipe.waste_rubber:g} % more for cups and flash; densities are assumed "
+        f"(rubber {DENSITY_g_cm3['tpu']:g} g/cm³, silicone {DENSITY_g_cm3['silicone']:g} g/cm³)."
+        + fine,
+        "",
+        "| part | g |",
+        "|---|---|",
+        *(f"| {name} | {grams:.2f} |" for name, grams in rows),
+        "",
+        *(f"{number}. {step}" for number, step in enumerate(recipe_steps(design, recipe), start=1)),
+        "",
+        (
+            "A multi-material print of shell/shell.3mf needs no paint on the receptors; the tips "
+            "of the switches are painted all the same."
+        ),
+        "",
+        "Rubber: Hei-Cast 8400N as in the paper. Another one has ratios and times of its own."
+        if design.switch.material == "tpu-8400n"
+        else f"These ratios and times are those of Hei-Cast 8400N; the design names "
+        f"{design.switch.material!r}: follow its maker's.",
+    ]
+    lines.append(
+        f"The bowls are designed for a modulus of {modulus_MPa:.3g} MPa. This mix is not known to "
+        "give it: thresholds go in proportion. Cast a strip, pull it, and set switch.modulus_MPa."
+    )
+    return "\n".join(lines) + "\n"

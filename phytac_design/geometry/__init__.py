@@ -1,0 +1,1 @@
+"""Triangle meshes, boundary loops, ray queries and overlaps."""

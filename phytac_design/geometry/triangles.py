@@ -1,0 +1,127 @@
+"""A plain triangle mesh: what crosses the borders between manifold3d, STL, 3MF and checks."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from phytac_shapes.arrays import FloatArray, IntArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class TriangleMesh:
+    """An indexed triangle mesh in the sensor's frame.
+
+    Attributes
+    ----------
+    vertices_mm : (n, 3) float
+        Corner points.
+    triangles : (m, 3) int
+        Corner ids, counter-clockwise seen from outside.
+    """
+
+    vertices_mm: FloatArray
+    triangles: IntArray
+
+    @property
+    def corners_mm(self) -> FloatArray:
+        """Corner points of each triangle, (m, 3, 3)."""
+        return self.vertices_mm[self.triangles]
+
+    @property
+    def volume_mm3(self) -> float:
+        """Enclosed volume by the divergence theorem, positive when triangles face outward."""
+        a, b, c = np.moveaxis(self.corners_mm, 1, 0)
+        return float(np.einsum("ni,ni->", a, np.cross(b, c)) / 6.0)
+
+    def flipped(self) -> "TriangleMesh":
+        """Return the same surface seen from the other side."""
+        return TriangleMesh(vertices_mm=self.vertices_mm, triangles=self.triangles[:, ::-1])
+
+
+def grid_triangles(ids: IntArray, *, closed: bool) -> IntArray:
+    """Triangles of a grid of vertex ids (rows, columns).
+
+    ``closed`` joins the last column to the first. Counter-clockwise where columns run to the right
+    and rows upward. Triangles with a vertex twice (at a pole) are left out.
+    """
+    onward = np.roll(ids, -1, axis=1) if closed else ids[:, 1:]
+    here = ids if closed else ids[:, :-1]
+    a, b, c, d = (part.ravel() for part in (here[:-1], onward[:-1], onward[1:], here[1:]))
+    return _proper(np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])]))
+
+
+def strip_triangles(first: IntArray, second: IntArray, *, mirrored: bool = False) -> IntArray:
+    """Triangles of a closed strip between two rings of vertex ids (s,), the first on the left.
+
+    Vertices may repeat; triangles with a vertex twice are left out. ``mirrored`` cuts the cells
+    along their other diagonal.
+    """
+    a, b = np.roll(first, -1), np.roll(second, -1)
+    if mirrored:
+        return _proper(
+            np.concatenate([np.column_stack([a, first, b]), np.column_stack([first, second, b])])
+        )
+    return _proper(
+        np.concatenate([np.column_stack([a, first, second]), np.column_stack([a, second, b])])
+    )
+
+
+def _proper(triangles: IntArray) -> IntArray:
+    a, b, c = triangles.T
+    return np.asarray(triangles[(a != b) & (b != c) & (c != a)])
+
+
+def widening(sides: int) -> float:
+    """Circumradius of a regular polygon over the radius of the circle of the same area."""
+    angle = 2.0 * np.pi / sides
+    return float(np.sqrt(angle / np.sin(angle)))
+
+
+def sides_for(radius_mm: float, tolerance_mm: float, *, minimum: int = 12) -> int:
+    """Sides, a multiple of 4, of the equal-area polygon within ``tolerance_mm`` of a circle.
+
+    The corners stand out by about r·θ²/12 (θ = 2π/sides), more than the sides fall short (θ²/24).
+    """
+    sides = np.pi * np.sqrt(radius_mm / (3.0 * tolerance_mm))
+    return max(minimum, 4 * int(np.ceil(sides / 4.0)))
+
+
+def prisms(start_mm: FloatArray, end_mm: FloatArray, radius_mm: float, sides: int) -> TriangleMesh:
+    """Closed prisms that stand for round rods, all in one mesh of separate components.
+
+    Parameters
+    ----------
+    start_mm, end_mm : (n, 3) float
+        Ends of each axis.
+    radius_mm : float
+        Radius of the rod; the polygon has the area of its circle.
+    sides : int
+        Sides of the polygon.
+    """
+    axis = end_mm - start_mm
+    axis = axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    # The frame depends on the axis alone: rods on one axis have corners on the same lines.
+    helper = np.where(np.abs(axis[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    first = np.cross(helper, axis)
+    first = first / np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(axis, first)
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    ring = first[:, None] * np.cos(angle)[:, None] + second[:, None] * np.sin(angle)[:, None]
+    ring = ring * (radius_mm * widening(sides))
+    vertices = np.concatenate([start_mm[:, None] + ring, end_mm[:, None] + ring], axis=1)
+    triangles = _prism_triangles(sides)
+    offset = 2 * sides * np.arange(len(axis))
+    return TriangleMesh(
+        vertices_mm=vertices.reshape(-1, 3),
+        triangles=(triangles[None] + offset[:, None, None]).reshape(-1, 3),
+    )
+
+
+def _prism_triangles(sides: int) -> IntArray:
+    """Triangles of one prism: ids 0…sides-1 around the start, sides…2·sides-1 around the end."""
+    near = np.arange(sides)
+    onward = (near + 1) % sides
+    side = [[near, onward, onward + sides], [near, onward + sides, near + sides]]
+    fan = np.arange(1, sides - 1)
+    zero = np.zeros_like(fan)
+    caps = [[zero, fan + 1, fan], [zero + sides, fan + sides, fan + 1 + sides]]
+    return np.concatenate([np.column_stack(part) for part in side + caps])

@@ -1,0 +1,249 @@
+"""The design's cameras, and the refusal of those that cannot work."""
+
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from typing import NoReturn
+
+import numpy as np
+from phytac_decoder.camera.camera import Camera, fit_distance_mm
+from phytac_decoder.camera.lens import Lens, Pinhole
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
+
+from phytac_design.design.spec import Design
+from phytac_design.geometry.envelope import bar_span_mm, edge_mm, open_far
+from phytac_design.layout import Markers
+
+TOLERANCE_PX = 0.1
+"""Polygons stay this close to the circles they stand for, in pixels."""
+LEAST_SHARE = 0.05
+"""Stand-off, as a share of the rim's radius, that `fit` gives a lens too wide for it to fill."""
+NEAREST_SHARE = 1e-4
+"""Such a lens fits its rim even this near: it looks more than 89.99° aside."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Readers:
+    """A sensor's cameras together: each marker in the image of the camera that reads it.
+
+    Attributes
+    ----------
+    cameras : tuple of Camera
+        One or two.
+    read_by : (n,) int
+        Camera of each marker.
+    """
+
+    cameras: tuple[Camera, ...]
+    read_by: IntArray
+
+    def project(self, points_mm: FloatArray) -> FloatArray:
+        """Pixels (..., n, 2) of points (..., n, 3), one or many for each marker."""
+        flat = points_mm.reshape(-1, 3)
+        shape = (*points_mm.shape[:-1], 2)
+        return self._own([camera.project(flat).reshape(shape) for camera in self.cameras])
+
+    def jacobian(self, points_mm: FloatArray) -> FloatArray:
+        """Derivative of :meth:`project` by the points, (n, 2, 3) px/mm."""
+        each = [camera.jacobian(points_mm) for camera in self.cameras]
+        return np.asarray(np.stack(each)[self.read_by, np.arange(len(self.read_by))])
+
+    def _own(self, each: list[FloatArray]) -> FloatArray:
+        """Of pixels (..., n, 2) in every image those in each marker's own."""
+        out = each[0]
+        for number, other in enumerate(each[1:], start=1):
+            out = np.where((self.read_by == number)[:, None], other, out)
+        return out
+
+
+def camera_of(design: Design, surface: Surface) -> Camera:
+    """Return the design's one camera, see :func:`cameras_of`.
+
+    Raises
+    ------
+    DesignError
+        If the camera cannot work, or the design has two.
+    """
+    cameras = cameras_of(design, surface)
+    if len(cameras) > 1:
+        raise DesignError(
+            'this step works with one camera (got camera.ends = "both"); set camera.ends = "near" '
+            'or "far"'
+        )
+    return cameras[0]
+
+
+def cameras_of(design: Design, surface: Surface) -> tuple[Camera, ...]:
+    """Cameras on the sensor axis, at the stand-off of the design or its `fit`; the near one first.
+
+    Raises
+    ------
+    DesignError
+        If a camera stands inside the sensor, its wall or its light bar, or cannot see the whole
+        edge before it.
+    """
+    return tuple(_camera_at(design, surface, end) for end in design.camera.end_numbers)
+
+
+def stand_off_mm(design: Design, surface: Surface, camera: Camera) -> float:
+    """Distance from a camera's centre to its own rim, as the design file counts it."""
+    end = 1 if camera.rotation[2, 2] < 0.0 else 0
+    start = _start_mm(edge_mm(surface, end, -design.wall.thickness_mm), end)
+    z = float(camera.position_mm[2])
+    return z - start if end else start - z
+
+
+def _start_mm(rim: FloatArray, end: int) -> float:
+    """Z from which a stand-off counts: 0 at the near end, the edge's plane at the far one."""
+    return float(rim[:, 2].max()) if end else 0.0
+
+
+def _camera_at(design: Design, surface: Surface, end: int) -> Camera:
+    """Camera before the near end (0), or beyond the far one (1) looking back."""
+    section = design.camera
+    lens = section.lens()
+    if end == 1 and not open_far(surface):
+        raise DesignError(
+            f"no camera can look in from the far end: the {surface.name} is not open there (got "
+            f'camera.ends = "{section.ends}"); set camera.ends = "near"'
+        )
+    rim = edge_mm(surface, end, -design.wall.thickness_mm)
+    sign = 1.0 if end == 0 else -1.0
+    start = _start_mm(rim, end)
+
+    @cache
+    def fit(fill: float) -> float:
+        return fit_stand_off_mm(lens, rim, end=end, start_mm=start, fill=fill)
+
+    given = section.stand_off_mm
+    stand_off = fit(section.fill) if given == "fit" else float(given)
+    z = start - sign * stand_off
+    camera = Camera.at(lens, z_mm=z, backward=end == 1)
+    fix = f'set camera.stand_off_mm = "fit" ({fit(section.fill):.2f} mm here)'
+    side = "near" if end == 0 else "far"
+    plane = float((sign * rim[:, 2]).min() * sign)
+    if sign * z >= sign * plane:
+        raise DesignError(
+            f"the camera stands inside the sensor: its centre is at z = {z:.2f} mm, at or beyond "
+            f"the {side} rim's plane at z = {plane:.2f} mm (got stand_off_mm = {stand_off:g}); "
+            f"{fix}"
+        )
+    _refuse_wall(design, surface, camera, fix)
+    # Without a bar its span is not worth finding.
+    near, far = bar_span_mm(design, surface) if design.light.bar_radius_mm > 0.0 else (0.0, 0.0)
+    if near < far and near <= z <= far:
+        raise DesignError(
+            f"the camera stands inside the light bar: the bar starts at z = "
+            f"{far if end else near:.2f} mm, the camera's centre is at z = {z:.2f} mm; raise "
+            f"light.bar_start_mm above {-stand_off:.2f}"
+        )
+    where = f"stand-off {stand_off:.2f} mm, focal length {camera.focal_px:g} px"
+    if not camera.sees(rim).all():
+        mend = f"move it back to at least {fit(1.0):.2f} mm or {fix}"
+        _refuse_blind(camera, rim, side, where, mend)
+    return camera
+
+
+def fit_stand_off_mm(
+    lens: Lens, rim: FloatArray, *, end: int, start_mm: float, fill: float
+) -> float:
+    """Least stand-off at which a rim stays within ``fill`` of half the smaller image side.
+
+    Where it does so at any distance, as in a lens that looks back, ``LEAST_SHARE`` of its radius.
+
+    Parameters
+    ----------
+    rim : (n, 3) float
+        Points of the edge nearest the camera, inner face.
+    end : int
+        0 for a camera before the near end, 1 for one beyond the far end.
+    start_mm : float
+        Z from which the stand-off counts.
+
+    Raises
+    ------
+    DesignError
+        If no distance does.
+    """
+    return _fitted(lens, np.asarray(rim, dtype=np.float64).tobytes(), end, start_mm, fill)
+
+
+@lru_cache(maxsize=32)
+def _fitted(lens: Lens, rim_bytes: bytes, end: int, start_mm: float, fill: float) -> float:
+    """:func:`fit_stand_off_mm`; a design's cameras are asked for by several checks."""
+    rim = np.frombuffer(rim_bytes).reshape(-1, 3)
+    frame = Camera.at(lens, z_mm=start_mm, backward=end == 1)
+    points = frame.to_camera(rim)
+    nearest = float(points[:, 2].min())
+    widest = float(np.linalg.norm(points[:, :2], axis=1).max())
+
+    def reach(distance: float) -> FloatArray:
+        return np.asarray(points + np.array([0.0, 0.0, distance - nearest]))
+
+    found = fit_distance_mm(lens, reach, fill=fill, least_mm=NEAREST_SHARE * widest)
+    return (found if found > NEAREST_SHARE * widest else LEAST_SHARE * widest) - nearest
+
+
+def _refuse_wall(design: Design, surface: Surface, camera: Camera, fix: str) -> None:
+    """Raise if the camera's centre lies in the wall of the sensing surface."""
+    centre = camera.position_mm[None]
+    foot = surface.chart(centre)
+    within = (foot >= surface.domain[:, 0]) & (foot <= surface.domain[:, 1])
+    height = float(np.sum((centre - surface.point(foot)) * surface.normal(foot)))
+    if bool(within.all()) and -design.wall.thickness_mm <= height <= 0.0:
+        raise DesignError(
+            f"the camera stands inside the shell wall ({-height:.2f} mm below the outer face, the "
+            f"wall is {design.wall.thickness_mm:g} mm thick); {fix}"
+        )
+
+
+def _refuse_blind(camera: Camera, rim: FloatArray, side: str, where: str, mend: str) -> NoReturn:
+    """Raise, as some point of the rim before the camera projects outside of the image."""
+    pixels = camera.project(rim)
+    if np.isnan(pixels).any():
+        raise DesignError(
+            f"the camera cannot see the {side} rim: part of it lies beyond the lens's field of "
+            f"{np.rad2deg(camera.lens.field_rad):.1f}° from the axis ({where}); {mend}"
+        )
+    reach = np.abs(pixels - camera.centre_px).max(axis=0)
+    raise DesignError(
+        f"the camera cannot see the {side} rim: it projects {reach[0]:.0f} x {reach[1]:.0f} px "
+        f"from the image centre, the image ends at {camera.width_px / 2:.0f} x "
+        f"{camera.height_px / 2:.0f} px ({where}); {mend}"
+    )
+
+
+def refuse_swallowed(design: Design, surface: Surface, markers: Markers) -> None:
+    """Raise a ``DesignError`` if the light bar reaches a receptor's end face or its red tip."""
+    radius = design.light.bar_radius_mm
+    near, far = bar_span_mm(design, surface) if radius > 0.0 else (0.0, 0.0)
+    if near >= far:
+        return
+    axis = (markers.tip_mm - markers.foot_mm) / markers.height_mm[:, None]
+    out = max(design.switch.stroke_mm - design.switch.tip_recess_mm, 0.0)
+    reach = markers.tip_mm + np.linspace(0.0, out, 5)[:, None, None] * axis
+    beside = (reach[..., 2] > near) & (reach[..., 2] < far)
+    distance = np.where(beside, np.linalg.norm(reach[..., :2], axis=-1), np.inf)
+    least = float(distance.min())
+    if least <= radius:
+        row = int(markers.row[distance.min(axis=0).argmin()])
+        raise DesignError(
+            f"the light bar swallows receptor tips: in row {row} a tip with its switch on comes "
+            f"within {least:.2f} mm of the axis, the bar's radius is {radius:g} mm; lower "
+            f"light.bar_radius_mm below {least:.2f} or layout.height_far_mm"
+        )
+
+
+def tolerance_mm(camera: Camera, markers: Markers) -> FloatArray:
+    """Tessellation tolerance of each receptor: ``TOLERANCE_PX`` pixels at its end face, (n,) mm."""
+    if isinstance(camera.lens, Pinhole):
+        depth = camera.to_camera(markers.tip_mm)[:, 2]
+        return np.asarray(TOLERANCE_PX * np.maximum(depth, 1e-3) / camera.focal_px)
+    slope = camera.jacobian(markers.tip_mm)
+    known = np.isfinite(slope).all(axis=(1, 2))
+    scale = np.full(markers.count, np.nan)
+    scale[known] = np.linalg.norm(slope[known], ord=2, axis=(1, 2))
+    # Receptors beyond the lens's field show nothing; they are made as coarse as the coarsest.
+    least = float(np.nanmin(scale, initial=camera.focal_px / 1e3))
+    return np.asarray(TOLERANCE_PX / np.where(np.isfinite(scale), scale, least))

@@ -1,0 +1,110 @@
+"""How near receptors come to each other: distances of segments, searched by trees."""
+
+import numpy as np
+from phytac_shapes.arrays import FloatArray, IntArray
+from scipy.spatial import cKDTree
+
+from phytac_design.design.spec import Design
+from phytac_design.layout import Markers
+
+
+def smallest_receptor_gap_mm(
+    design: Design, markers: Markers
+) -> tuple[float, tuple[int, int] | None]:
+    """Smallest gap between two tubes and the ids of the two; (inf, None) for a single marker.
+
+    Gaps above the sum of one diameter and the printer's gap are not looked for: then the gap
+    between the nearest ends is returned.
+    """
+    if markers.count < 2:
+        return np.inf, None
+    diameter = design.receptor.diameter_outer_mm
+    best, pair = min(nearest_pair(markers.tip_mm), nearest_pair(markers.foot_mm))
+    wanted = diameter + design.print_rules.gap_min_mm
+    # Overlapping ends settle it; else tubes are apart at their ends and candidates are few.
+    if best >= wanted:
+        pairs = _candidates(markers, wanted)
+        if len(pairs):
+            distance = segment_distance_mm(
+                markers.foot_mm[pairs[:, 0]],
+                markers.tip_mm[pairs[:, 0]],
+                markers.foot_mm[pairs[:, 1]],
+                markers.tip_mm[pairs[:, 1]],
+            )
+            at = _least(distance)
+            if distance[at] < best:
+                best, pair = float(distance[at]), (int(pairs[at, 0]), int(pairs[at, 1]))
+    return best - diameter, pair
+
+
+def _least(values_mm: FloatArray) -> int:
+    """Index of the least value; of values equal but for rounding, the first."""
+    return int(np.argmin(np.round(values_mm, 9)))
+
+
+def nearest_pair(points_mm: FloatArray) -> tuple[float, tuple[int, int]]:
+    """Smallest distance between two of at least two points (n, 3), and their ids in order."""
+    distance, other = cKDTree(points_mm).query(points_mm, k=min(len(points_mm), 8))
+    first = _least(distance[:, 1])
+    least = float(distance[first, 1])
+    # Coincident points may list a point after its twin; of equals the lowest id is named.
+    equal = other[first][distance[first] <= least + 1e-9]
+    second = int(equal[equal != first].min())
+    return least, (min(first, second), max(first, second))
+
+
+def _candidates(markers: Markers, reach_mm: float) -> IntArray:
+    """Pairs of tubes (k, 2) whose axes may come within ``reach_mm``, by samples along them."""
+    steps = int(np.ceil(markers.height_mm.max() / reach_mm)) + 1
+    along = np.linspace(0.0, 1.0, steps)
+    samples = (
+        markers.foot_mm[:, None] + along[:, None] * (markers.tip_mm - markers.foot_mm)[:, None]
+    )
+    # The nearest points of two axes each lie within half a step (≤ reach) of a sample.
+    step = markers.height_mm.max() / (steps - 1)
+    tree = cKDTree(samples.reshape(-1, 3))
+    pairs = tree.query_pairs(reach_mm + step, output_type="ndarray") // steps
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+    keys = np.unique(pairs.min(axis=1) * markers.count + pairs.max(axis=1))
+    return np.asarray(np.column_stack(np.divmod(keys, markers.count)))
+
+
+def segment_distance_mm(
+    p0: FloatArray, p1: FloatArray, q0: FloatArray, q1: FloatArray
+) -> FloatArray:
+    """Distance between segments p0-p1 and q0-q1, (n, 3) each; (n,), any unit.
+
+    Closed form for the inner minimum where it exists, else the least of the four end-to-segment
+    distances (Eberly, *Robust computation of distance between line segments*, 2015).
+    """
+    d1, d2, r = p1 - p0, q1 - q0, p0 - q0
+    a, e, b = _dot(d1, d1), _dot(d2, d2), _dot(d1, d2)
+    c, f = _dot(d1, r), _dot(d2, r)
+    det = a * e - b * b
+    skew = det > 1e-12 * a * e
+    safe = np.where(skew, det, 1.0)
+    s, t = (b * f - c * e) / safe, (a * f - b * c) / safe
+    inner = skew & (s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)
+    between = r + s[:, None] * d1 - t[:, None] * d2
+    ends = np.min(
+        [
+            _point_segment(p0, q0, q1),
+            _point_segment(p1, q0, q1),
+            _point_segment(q0, p0, p1),
+            _point_segment(q1, p0, p1),
+        ],
+        axis=0,
+    )
+    nearest = np.minimum(np.linalg.norm(between, axis=1), ends)
+    return np.asarray(np.where(inner, nearest, ends))
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("ni,ni->n", a, b))
+
+
+def _point_segment(p: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
+    axis = b - a
+    length2 = np.maximum(_dot(axis, axis), np.finfo(np.float64).tiny)
+    along = np.clip(_dot(p - a, axis) / length2, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(p - a - along[:, None] * axis, axis=1))

@@ -1,0 +1,99 @@
+"""Calibration of a design file on a file of measurements, and the calibrated design file."""
+
+from collections.abc import Callable, Collection
+from functools import partial
+from pathlib import Path
+from typing import cast
+
+from phytac_shapes.errors import OutputError
+
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import parse_design, to_toml
+from phytac_design.design.spec import Design
+from phytac_design.layout import make_markers
+from phytac_design.mechanics.calibration.calibration import LIMIT, calibrate
+from phytac_design.mechanics.calibration.calibration_result import Calibration, Name, Parameters
+from phytac_design.mechanics.calibration.measurements import read_measurements
+from phytac_design.mechanics.calibration.probe_response import ProbeResponse
+from phytac_design.mechanics.shell.receptor_stiffness import receptor_stiffness, unknown_receptors
+
+
+def calibrate_design(
+    design: Design,
+    path: Path,
+    *,
+    fixed: Collection[str] = (),
+    limit: float = LIMIT,
+    accuracy: str = "standard",
+    progress: Callable[[str], None] = print,
+) -> Calibration:
+    """Fit a design's wall and material to the measurements in a CSV file.
+
+    Parameters
+    ----------
+    design : Design
+        The sensor; its wall and material are where the search begins.
+    path : Path
+        Measurements (``docs/formats.md``).
+    fixed : collection of str
+        Parameters that stay as designed: ``modulus``, ``thickness``, ``poisson``.
+    limit : float
+        Widest half-interval of modulus and thickness, as a fraction, that is returned.
+    accuracy : str
+        Preset: its ``refine`` sets the coarser of the two meshes.
+    progress : callable
+        Called with a line about each round.
+
+    Raises
+    ------
+    InputError
+        If the file is not usable.
+    NumericalError
+        If the data cannot tell the parameters.
+    """
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    rows = read_measurements(path, surface, markers, wall_mm=design.wall.thickness_mm)
+    unknown = unknown_receptors(design)
+    if unknown:
+        progress(f"calibrate: the wall is taken as plain: {unknown}")
+    factors = None if unknown else partial(receptor_stiffness, design, markers)
+    around = PRESETS[accuracy].refine * design.layout.columns
+    return calibrate(
+        ProbeResponse(surface=surface, rows=rows, around=around, factors=factors),
+        force_N=rows.force_N,
+        displacement_mm=rows.displacement_mm,
+        press=rows.press,
+        start=Parameters(
+            modulus=design.material.modulus_MPa,
+            thickness=design.wall.thickness_mm,
+            poisson=design.material.poisson,
+        ),
+        fixed=cast(Collection[Name], fixed),
+        limit=limit,
+        progress=progress,
+    )
+
+
+def write_calibrated(design: Design, fit: Calibration, path: Path) -> Path:
+    """Write the design with the fitted modulus, wall and Poisson's ratio.
+
+    It describes the unit that was measured, to decode it; to print another one, keep the design.
+
+    Raises
+    ------
+    OutputError
+        If the file exists already or cannot be written.
+    """
+    data = design.model_dump(mode="json")
+    data["wall"]["thickness_mm"] = fit.value.thickness
+    data["material"] |= {"modulus_MPa": fit.value.modulus, "poisson": fit.value.poisson}
+    made = parse_design(data, f"calibrated design {design.name!r}")
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(to_toml(made))
+    except FileExistsError:
+        raise OutputError(f"{path} exists already; choose another name or remove it") from None
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror}") from None
+    return path

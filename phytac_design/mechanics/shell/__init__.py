@@ -1,0 +1,1 @@
+"""The linear shell: element, solver, loads, compliance."""

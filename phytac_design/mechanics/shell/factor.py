@@ -1,0 +1,164 @@
+"""Factor of a stiffness matrix: its solver, the rounding error of its solutions, its condition."""
+
+from functools import cached_property
+from importlib import import_module
+from typing import Any
+from weakref import finalize
+
+import numpy as np
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
+
+SUPERLU = {
+    "permc_spec": "MMD_AT_PLUS_A",
+    "diag_pivot_thresh": 1e-6,
+    "options": {"SymmetricMode": True, "Equil": False},
+}
+"""Settings that exploit the symmetry of a stiffness matrix."""
+SOLVERS = ("superlu", "pardiso")
+"""SciPy's own, and Intel's (package ``pypardiso``, optional)."""
+PROBES = 4
+"""Random vectors that measure how a model amplifies rounding."""
+ROUNDING = 2.0**-50
+"""Perturbation δ of the scaled entries: four units in the last place.
+
+Measured against solutions of the same shell turned in space, the estimate is then 0.8 to 10 times
+the true error wherever that exceeds 1e-12.
+"""
+POSITIVE_DEFINITE = 2
+"""PARDISO's number for such matrices, real and symmetric."""
+
+
+LEAST_LOAD = 1e-100
+"""Loads that differ by more than this from those that numbers are made for are solved scaled."""
+
+
+class Factor:
+    """Factor of a positive definite matrix, scaled to a diagonal of ones.
+
+    The error of a solution x is that of a matrix whose entries are off by a random δ in √(K_ii
+    K_jj), which is what rounding in the elements, in the sum over them and in elimination comes
+    to: δx = A⁻¹ δA x, so that over δA, and over random vectors s with y = A⁻¹s ::
+
+        E‖δx‖² = δ² Σ_i (y_i²) Σ_j~i (x_j²)        averaged over s (j ~ i: A has an entry)
+
+    A few y serve all loads; a load costs no further solve. If the residual is larger than such
+    δA would leave, δ is raised in proportion. (Derived here.)
+
+    Parameters
+    ----------
+    matrix : scipy.sparse matrix, (n, n)
+        Symmetric, with all entries of its blocks, zeros included.
+    solver : str
+        One of ``SOLVERS``.
+
+    Raises
+    ------
+    NumericalError
+        If the matrix has no positive diagonal or cannot be factored, or the solver is not there.
+    """
+
+    def __init__(self, matrix: Any, *, solver: str = "superlu") -> None:
+        if solver not in SOLVERS:
+            raise NumericalError(f"unknown solver {solver!r}; choose one of {', '.join(SOLVERS)}")
+        diagonal = matrix.diagonal()
+        if not np.all(diagonal > 0.0):
+            raise NumericalError(
+                "the stiffness has a zero on its diagonal: a DOF carries no stiffness; "
+                "check thickness, modulus and Poisson's ratio"
+            )
+        self.scale: FloatArray = 1.0 / np.sqrt(diagonal)
+        # Scaled in place: a sparse product would drop the explicit zeros, and without them the
+        # ordering no longer sees a node's six DOFs as one and leaves twice the fill.
+        self.scaled = matrix.tocsc(copy=True)
+        columns = np.repeat(self.scale, np.diff(self.scaled.indptr))
+        self.scaled.data *= self.scale[self.scaled.indices] * columns
+        self.backend: Any = _superlu(self.scaled) if solver == "superlu" else _Pardiso(self.scaled)
+
+    def solve(self, loads: FloatArray) -> tuple[FloatArray, float]:
+        """Motion (n, m) under loads (n, m), and the largest relative rounding error over them."""
+        right = self.scale[:, None] * loads
+        most = np.abs(right).max(axis=0, initial=0.0)
+        if np.any((most > 0.0) & ((most < LEAST_LOAD) | (most > 1.0 / LEAST_LOAD))):
+            # Squares of such numbers are none; by powers of two nothing else changes.
+            power = np.frexp(most)[1]
+            scaled, worst = self.solve(np.ldexp(loads, -power))
+            return np.ldexp(scaled, power), worst
+        x = self.backend.solve(right)
+        square = x * x
+        size = np.sqrt(square.sum(axis=0))
+        gain, degree = self._probes
+        expected = ROUNDING * np.sqrt(degree @ square)
+        left = np.linalg.norm(right - self.scaled @ x, axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            raised = np.maximum(1.0, left / expected)
+            error = ROUNDING * raised * np.sqrt(np.mean(gain @ square, axis=0)) / size
+        # NaN marks a solution that is not finite, or a load without any.
+        error = np.where(np.any(loads != 0.0, axis=0), error, 0.0)
+        return self.scale[:, None] * x, float(np.max(error, initial=0.0))
+
+    @cached_property
+    def _probes(self) -> tuple[FloatArray, FloatArray]:
+        """Σ_i~j y_i² of each probe (k, n), and entries per column (n,)."""
+        pattern = self.scaled.copy()
+        pattern.data[:] = 1.0
+        draws = np.random.default_rng(0).normal(size=(self.scale.size, PROBES))
+        gain = pattern @ np.square(self.backend.solve(draws))
+        return np.ascontiguousarray(gain.T), np.diff(pattern.indptr).astype(np.float64)
+
+    @cached_property
+    def condition(self) -> float:
+        """Condition number of the scaled matrix in the 1-norm (Higham and Tisseur's estimate)."""
+        from scipy.sparse.linalg import LinearOperator, onenormest
+
+        solve = self.backend.solve
+        inverse = LinearOperator(
+            self.scaled.shape,
+            dtype=np.float64,
+            matvec=solve,
+            rmatvec=solve,
+            matmat=solve,
+            rmatmat=solve,
+        )
+        return float(onenormest(inverse) * abs(self.scaled).sum(axis=0).max())
+
+
+def _superlu(matrix: Any) -> Any:
+    from scipy.sparse.linalg import splu
+
+    try:
+        return splu(matrix, **SUPERLU)
+    except RuntimeError as error:
+        raise NumericalError(f"the stiffness cannot be factored ({error})") from error
+
+
+class _Pardiso:
+    """Cholesky factor by Intel MKL; threads as ``MKL_NUM_THREADS`` says."""
+
+    def __init__(self, matrix: Any) -> None:
+        from scipy.sparse import triu
+
+        try:
+            library: Any = import_module("pypardiso")
+        except ImportError as error:
+            raise NumericalError(
+                f"solver 'pardiso' needs the package pypardiso ({error}); install it "
+                "(pip install pypardiso) or use solver 'superlu'"
+            ) from error
+        self._failure = library.pardiso_wrapper.PyPardisoError
+        self._upper = triu(matrix, format="csr")
+        self._solver = library.PyPardisoSolver(mtype=POSITIVE_DEFINITE)
+        self._call(self._solver.factorize)
+        finalize(self, self._solver.free_memory, everything=True)
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """Solution (n,) or (n, m) of right sides of that shape."""
+        return np.asarray(self._call(self._solver.solve, right))
+
+    def _call(self, work: Any, *rest: Any) -> Any:
+        try:
+            return work(self._upper, *rest)
+        except self._failure as error:
+            raise NumericalError(
+                f"the stiffness cannot be factored ({error}); -4 means not positive definite"
+            ) from error

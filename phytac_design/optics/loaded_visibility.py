@@ -1,0 +1,283 @@
+"""What the camera sees of a *pressed* sensor: hidden, fused and disturbed markers, and from when.
+
+Crosstalk is the part of a marker's image shift that is not its own motion: what a neighbour covers
+or uncovers moves the centroid of the pixels that are left. With ``alone`` the marker's pixels if
+its receptor were the only thing, in the same pose::
+
+    offset = centroid(visible) - centroid(alone)      crosstalk = |offset(pressed) - offset(rest)|
+
+Both centroids are of the same pixel samples, so a marker that nothing covers has none, exactly.
+
+Receptors move as rigid bodies. The wall, which in truth moves with them, stands still: it is
+allowed to hide only what lies clearly behind it (``WALL_BACK``), so that a receptor that is pushed
+outward beside a dent is not lost in it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from phytac_decoder.camera.camera import Camera
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+
+from phytac_design.optics.gaps import outline_gaps
+from phytac_design.optics.incremental_renderer import Glance, Watch
+from phytac_design.optics.scene import Scene
+from phytac_design.optics.visibility import FRACTION_MIN, PIXELS_MIN
+
+FUSED_PX = 2.0
+"""Markers of one colour this near (one free pixel or none) count as fused under load."""
+STILL = 0.1
+"""A marker that moves by less than this share of the greatest image shift counts as still."""
+WALL_BACK = 0.05
+"""Share of the distance by which the wall must be nearer than what it hides, in all poses."""
+BISECTIONS = 6
+"""Halvings of a force interval in which something happens."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sight:
+    """One state of the sensor as the camera sees it; arrays over n markers.
+
+    Attributes
+    ----------
+    fraction : (n,) float
+        Visible fraction.
+    visible_px : (n,) int
+        Visible pixels.
+    gap_same_px, gap_other_px : (n,) float
+        Distance to the nearest pixel of another marker of its own, and of another, colour.
+    alone_px : (n, 2) float
+        Centroid of the marker's pixels with its receptor alone; NaN if that shows none.
+    offset_px : (n, 2) float
+        Centroid of the visible pixels less ``alone_px``; NaN if not visible.
+    """
+
+    fraction: FloatArray
+    visible_px: IntArray
+    gap_same_px: FloatArray
+    gap_other_px: FloatArray
+    alone_px: FloatArray
+    offset_px: FloatArray
+
+    @property
+    def hidden(self) -> BoolArray:
+        """Markers that count as occluded."""
+        return np.asarray((self.fraction < FRACTION_MIN) | (self.visible_px < PIXELS_MIN))
+
+    @property
+    def fused(self) -> BoolArray:
+        """Markers that nearly touch another one of their colour."""
+        return np.asarray(self.gap_same_px <= FUSED_PX)
+
+    def of(self, counted: BoolArray) -> "Sight":
+        """The same with markers that do not count (n,) whole, far from all, and still."""
+        return Sight(
+            fraction=np.where(counted, self.fraction, 1.0),
+            visible_px=np.where(counted, self.visible_px, np.iinfo(np.int64).max),
+            gap_same_px=np.where(counted, self.gap_same_px, np.inf),
+            gap_other_px=np.where(counted, self.gap_other_px, np.inf),
+            alone_px=np.where(counted[:, None], self.alone_px, 0.0),
+            offset_px=np.where(counted[:, None], self.offset_px, 0.0),
+        )
+
+    def shift_px(self, rest: "Sight") -> FloatArray:
+        """Own motion of each marker on the image, (n,); 0 if it would not show."""
+        return np.asarray(np.nan_to_num(np.linalg.norm(self.alone_px - rest.alone_px, axis=1)))
+
+    def crosstalk_px(self, rest: "Sight") -> FloatArray:
+        """Shift of each centroid that is not its marker's own motion, (n,); 0 if not visible."""
+        return np.asarray(np.nan_to_num(np.linalg.norm(self.offset_px - rest.offset_px, axis=1)))
+
+
+def sight(scene: Scene, camera: Camera) -> Sight:
+    """Visibility, gaps and centroid offsets of a scene, at rest or moved."""
+    return sight_of(Watch(scene, camera).look(scene), scene)
+
+
+def sight_of(seen: Glance, scene: Scene) -> Sight:
+    """The same from a glance at the scene."""
+    own, other = outline_gaps(seen.pixels, seen.starts, scene.colour)
+    visible, alone = seen.visible, seen.alone
+    with np.errstate(divide="ignore", invalid="ignore"):
+        own_px = alone[:, 1:] / alone[:, :1]
+        offset = visible[:, 1:] / visible[:, :1] - own_px
+        fraction = np.where(alone[:, 0] > 0.0, visible[:, 0] / alone[:, 0], 0.0)
+    return Sight(
+        fraction=fraction,
+        visible_px=visible[:, 0].astype(np.int64),
+        gap_same_px=own,
+        gap_other_px=other,
+        alone_px=own_px,
+        offset_px=offset,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnderLoad:
+    """Worst of many presses, each alone; arrays over p presses or n markers.
+
+    Attributes
+    ----------
+    hidden, fused : (p,) int
+        Markers hidden, and fused, at the full force.
+    press_gap_same_px, press_gap_other_px, press_crosstalk_px : (p,) float
+        Least gaps and greatest crosstalk of each press.
+    shift_px : (p,) float
+        Greatest image shift of a marker, for comparison.
+    first_force_N : (p,) float
+        Force from which something hides or fuses; inf if nothing does up to the full force.
+    first_marker : (p,) int
+        A marker that does so first; -1 if none.
+    least_fraction, least_gap_same_px, least_gap_other_px : (n,) float
+        Least over all presses.
+    crosstalk_px, crosstalk_still_px : (n,) float
+        Greatest over all presses; and over those that move the marker's own image by less than
+        ``STILL`` of the greatest shift.
+    """
+
+    hidden: IntArray
+    fused: IntArray
+    press_gap_same_px: FloatArray
+    press_gap_other_px: FloatArray
+    press_crosstalk_px: FloatArray
+    shift_px: FloatArray
+    first_force_N: FloatArray
+    first_marker: IntArray
+    least_fraction: FloatArray
+    least_gap_same_px: FloatArray
+    least_gap_other_px: FloatArray
+    crosstalk_px: FloatArray
+    crosstalk_still_px: FloatArray
+
+    def with_other(self, other: "UnderLoad") -> "UnderLoad":
+        """Both together: the same presses seen by two cameras that count different markers."""
+        sooner = self.first_force_N <= other.first_force_N
+        least = ("press_gap_same_px", "press_gap_other_px", "first_force_N", "least_fraction",
+                 "least_gap_same_px", "least_gap_other_px")  # fmt: skip
+        most = ("press_crosstalk_px", "shift_px", "crosstalk_px", "crosstalk_still_px")
+        values = {name: np.minimum(getattr(self, name), getattr(other, name)) for name in least}
+        values |= {name: np.maximum(getattr(self, name), getattr(other, name)) for name in most}
+        return UnderLoad(
+            hidden=self.hidden + other.hidden,
+            fused=self.fused + other.fused,
+            first_marker=np.where(sooner, self.first_marker, other.first_marker),
+            **values,
+        )
+
+    @property
+    def worst(self) -> int:
+        """Press at which something happens first; the one with the least gap if nothing does."""
+        order = np.lexsort((self.press_gap_same_px, self.first_force_N))
+        return int(order[0])
+
+
+class _Presses:
+    """Looks at one sensor while it is pressed."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        camera: Camera,
+        counted: BoolArray,
+        pivots_mm: FloatArray,
+        forces_N: FloatArray,
+    ) -> None:
+        self.scene, self.counted, self.pivots_mm = scene, counted, pivots_mm
+        self.ladder = np.concatenate([[0.0], forces_N])
+        self.watch = Watch(scene, camera, wall_back=WALL_BACK)
+        self.rest = sight_of(self.watch.look(scene), scene).of(counted)
+
+    def at(self, path: FloatArray, force_N: float) -> Sight:
+        """Sight at a force; between those of the path (k, n, 6) motion is linear."""
+        ladder = self.ladder
+        k = int(np.clip(np.searchsorted(ladder, force_N) - 1, 0, len(ladder) - 2))
+        share = (force_N - ladder[k]) / (ladder[k + 1] - ladder[k])
+        before = path[k - 1] if k > 0 else np.zeros_like(path[0])
+        motion = (1.0 - share) * before + share * path[k]
+        moved = self.scene.moved(motion[:, :3], motion[:, 3:], self.pivots_mm)
+        return sight_of(self.watch.look(moved), moved).of(self.counted)
+
+    def lost(self, seen: Sight) -> BoolArray:
+        """Markers that hide or fuse, and did not at rest."""
+        rest = self.rest
+        return np.asarray((seen.hidden & ~rest.hidden) | (seen.fused & ~rest.fused))
+
+    def first(self, path: FloatArray, seen: Sight) -> tuple[float, int]:
+        """Force from which, and marker to which, something happens; it does in ``seen``."""
+        low, high = 0.0, float(self.ladder[-1])
+        for _ in range(BISECTIONS):
+            middle = (low + high) / 2.0
+            here = self.at(path, middle)
+            if self.lost(here).any():
+                high, seen = middle, here
+            else:
+                low = middle
+        return high, int(self.lost(seen).argmax())
+
+
+def press_all(
+    scene: Scene,
+    camera: Camera,
+    *,
+    pivots_mm: FloatArray,
+    motions: FloatArray,
+    forces_N: FloatArray,
+    counted: BoolArray | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> UnderLoad:
+    """See the sensor under every press, and find from which force anything hides or fuses.
+
+    Between the given forces motion is interpolated linearly.
+
+    Parameters
+    ----------
+    scene, camera : Scene, Camera
+        The sensor at rest.
+    pivots_mm : (n, 3) float
+        Points that ``motions`` are of: the middle face under each marker.
+    motions : (p, k, n, 6) float
+        Translation (mm) and rotation (rad) for p presses at k rising forces.
+    forces_N : (k,) float
+        Those forces; the last is the full one.
+    counted : (n,) bool, optional
+        Markers that are read through this camera; all by default.
+    """
+    own = np.ones(scene.count, dtype=bool) if counted is None else counted
+    presses = _Presses(scene, camera, own, pivots_mm, forces_N)
+    rest, count = presses.rest, len(motions)
+    per_press = {name: np.zeros(count) for name in ("same", "other", "crosstalk", "shift")}
+    hidden, fused = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    first, marker = np.full(count, np.inf), np.full(count, -1)
+    fraction, crosstalk = rest.fraction.copy(), np.zeros((2, scene.count))
+    same, other = rest.gap_same_px.copy(), rest.gap_other_px.copy()
+    for press, path in enumerate(motions):
+        seen = presses.at(path, float(presses.ladder[-1]))
+        shift, stray = seen.shift_px(rest), seen.crosstalk_px(rest)
+        still = shift <= STILL * shift.max()
+        hidden[press], fused[press] = int(seen.hidden.sum()), int(seen.fused.sum())
+        per_press["same"][press] = float(seen.gap_same_px.min())
+        per_press["other"][press] = float(seen.gap_other_px.min())
+        per_press["crosstalk"][press] = float(stray.max())
+        per_press["shift"][press] = float(shift.max())
+        fraction = np.minimum(fraction, seen.fraction)
+        same, other = np.minimum(same, seen.gap_same_px), np.minimum(other, seen.gap_other_px)
+        crosstalk = np.maximum(crosstalk, np.stack([stray, np.where(still, stray, 0.0)]))
+        if presses.lost(seen).any():
+            first[press], marker[press] = presses.first(path, seen)
+        progress(f"under load: {press + 1} of {count} presses")
+    return UnderLoad(
+        hidden=hidden,
+        fused=fused,
+        press_gap_same_px=per_press["same"],
+        press_gap_other_px=per_press["other"],
+        press_crosstalk_px=per_press["crosstalk"],
+        shift_px=per_press["shift"],
+        first_force_N=first,
+        first_marker=marker,
+        least_fraction=fraction,
+        least_gap_same_px=same,
+        least_gap_other_px=other,
+        crosstalk_px=crosstalk[0],
+        crosstalk_still_px=crosstalk[1],
+    )

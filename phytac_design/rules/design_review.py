@@ -1,0 +1,175 @@
+"""``phytac check``: rules, visibility and density of a design, with no solid and no mesh."""
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from phytac_decoder.camera.camera import Camera
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, IntArray
+
+from phytac_design.design.spec import Design
+from phytac_design.geometry.envelope import edge_mm
+from phytac_design.layout import Markers
+from phytac_design.layout.cameras import cameras_of, stand_off_mm
+from phytac_design.optics.density import density_of
+from phytac_design.optics.lens_facts import lens_facts
+from phytac_design.optics.scene import BAR, RESIN
+from phytac_design.optics.separability import check_paints
+from phytac_design.optics.sharpness import sharpness
+from phytac_design.optics.visibility import (
+    Visibility,
+    best_of,
+    check_visibility,
+    heights_face,
+    visibility_advice,
+)
+from phytac_design.rules.check import check_design
+
+WIDE_DEG = 60.0
+"""A camera that sees its rim this far off the axis sees the wall aslant, row behind row."""
+BLUR_MAX = 0.5
+"""Width of a point's image, as a share of the gap to the next marker of its colour."""
+STEPS = (1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
+"""Stand-offs that are tried, as multiples of one that does not do."""
+
+
+def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
+    """Figures of the report that need only layout and camera.
+
+    Raises
+    ------
+    DesignError
+        If the design cannot be printed or seen at all.
+    """
+    start = time.perf_counter()
+    surface, markers = check_design(design)
+    cameras = cameras_of(design, surface)
+    rng = np.random.default_rng(seed)
+    each = [
+        check_visibility(design, surface, markers, rng=rng, camera=camera) for camera in cameras
+    ]
+    seen, best = best_of(each)
+    density = density_of(surface, markers)
+    summary = seen.summary()
+    return {
+        "design": design.name,
+        "markers": {
+            "count": density.count,
+            "rows": len(np.unique(markers.row)) if markers.in_rows else None,
+            "columns": int(markers.column.max()) + 1 if markers.in_rows else None,
+            "layout": design.layout.kind,
+            "density_per_cm2": density.per_cm2,
+            "density_local_min_per_cm2": density.local_min_per_cm2,
+            "density_local_max_per_cm2": density.local_max_per_cm2,
+            "density_times_paper": density.times_paper,
+            "sensing_area_cm2": density.area_cm2,
+            "surface_class": density.surface_class,
+        },
+        "colours": check_paints(design).summary(),
+        "visibility": summary,
+        "occluded_markers": np.flatnonzero(seen.occluded).tolist(),
+        "fused_markers": np.flatnonzero(seen.fused).tolist(),
+        "clear": summary["occluded"] == 0 and summary["fused"] == 0,
+        "advice": visibility_advice(
+            design,
+            markers,
+            np.flatnonzero(seen.occluded),
+            np.flatnonzero(seen.fused),
+            seen.hidden_by,
+        ),
+        "warnings": warnings_of(design, surface, markers, cameras, each, best),
+        "stand_off_mm": stand_off_mm(design, surface, cameras[0]),
+        "cameras": [
+            {
+                "end": "far" if end else "near",
+                "stand_off_mm": stand_off_mm(design, surface, camera),
+                "best_for": int((best == number).sum()),
+                "visibility": own.summary(),
+                "lens": lens_facts(design, surface, markers, camera),
+            }
+            for number, (end, camera, own) in enumerate(
+                zip(design.camera.end_numbers, cameras, each, strict=True)
+            )
+        ],
+        "seconds": time.perf_counter() - start,
+    }
+
+
+def warnings_of(
+    design: Design,
+    surface: Surface,
+    markers: Markers,
+    cameras: tuple[Camera, ...],
+    each: list[Visibility],
+    best: IntArray,
+) -> list[str]:
+    """What is odd about a design and its cameras, though it may work; each as a sentence.
+
+    ``best`` (n,) is the number of the camera that sees each marker best.
+    """
+    out = []
+    if heights_face(design):
+        out.append(
+            "receptors are not taller the farther they are from the camera, so near ones can hide "
+            f"far ones; {heights_face(design)}"
+        )
+    for number, (camera, seen) in enumerate(zip(cameras, each, strict=True)):
+        out.extend(blurred(design, surface, markers, camera, seen, best == number))
+    if len(cameras) == 1:
+        out.extend(too_close(design, surface, markers, cameras[0], each[0]))
+    return out
+
+
+def blurred(
+    design: Design,
+    surface: Surface,
+    markers: Markers,
+    camera: Camera,
+    seen: Visibility,
+    own: BoolArray,
+) -> list[str]:
+    """Say so if ``own`` markers (n,) blur into the gap to the next one of their colour."""
+    blur = np.nan_to_num(sharpness(design.camera, camera, surface, markers).blur_px)
+    share = np.where(own, blur / np.maximum(seen.gap_same_colour_px, 1.0), 0.0)
+    worst = int(share.argmax())
+    if share[worst] < BLUR_MAX:
+        return []
+    stop = design.camera.f_number
+    mend = np.ceil(10.0 * stop * share[worst] / BLUR_MAX) / 10.0
+    said = (
+        f"the image of a point at marker {worst} is {blur[worst]:.2g} px wide (camera.f_number = "
+        f"{stop:g}), {seen.gap_same_colour_px[worst]:.2g} px from the next marker of its colour; "
+        "`phytac simulate` shows it in its frames, a build does not"
+    )
+    return [f"{said}: raise camera.f_number to {mend:g}, or set camera.focus_mm"]
+
+
+def too_close(
+    design: Design, surface: Surface, markers: Markers, camera: Camera, seen: Visibility
+) -> list[str]:
+    """Say so if `fit` puts a wide lens where receptors or the bar hide some, and what would do."""
+    hidden = int(np.isin(seen.hidden_by, (RESIN, BAR)).sum())
+    end = design.camera.end_numbers[0]
+    rim = camera.to_camera(edge_mm(surface, end, -design.wall.thickness_mm))
+    aside = np.arctan2(np.hypot(rim[:, 0], rim[:, 1]), rim[:, 2])
+    slant = float(np.degrees(aside).max())
+    if design.camera.stand_off_mm != "fit" or hidden == 0 or slant < WIDE_DEG:
+        return []
+    stand_off = stand_off_mm(design, surface, camera)
+    said = (
+        f'the lens is so wide that camera.stand_off_mm = "fit" puts it {stand_off:.2f} mm before '
+        f"the rim, where {hidden} markers hide behind receptors or the light bar"
+    )
+    for step in STEPS:
+        away = float(camera.rotation[2, 2]) * (stand_off - step * stand_off)
+        back = replace(camera, position_mm=camera.position_mm + np.array([0.0, 0.0, away]))
+        rng = np.random.default_rng(0)
+        other = check_visibility(design, surface, markers, rng=rng, camera=back)
+        if other.clear.all():
+            return [
+                f"{said}; set camera.stand_off_mm = {step * stand_off:.1f}: every marker is seen"
+            ]
+    mend = "use a longer camera.focal_px, taller far receptors or fewer markers"
+    return [f"{said}; {STEPS[0]:g} to {STEPS[-1]:g} times that distance do not mend it: {mend}"]

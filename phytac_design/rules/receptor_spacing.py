@@ -1,0 +1,119 @@
+"""Rules on where receptors stand: off the open edges, apart from each other."""
+
+import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from scipy.spatial import cKDTree
+
+from phytac_design.design.spec import Design
+from phytac_design.layout import Markers
+from phytac_design.layout.receptor_distances import nearest_pair, smallest_receptor_gap_mm
+from phytac_design.rules.clearance import lower_heights
+from phytac_design.rules.refusal import SLACK_mm, fewer, refuse
+
+EDGE_POINTS = 1025
+"""Points of an edge among which the one nearest to a marker is looked for, before refining."""
+
+
+def edge_distance_mm(surface: Surface, uv: FloatArray, axis: int, end: int) -> FloatArray:
+    """Distance in space (n,) from points of the outer face to its edge (axis, end), mm.
+
+    Exact for the nearest of them; for others up to the spacing of ``EDGE_POINTS`` too great.
+    """
+    low, high = surface.domain[1 - axis]
+    fixed = surface.domain[axis, end]
+
+    def edge(t: FloatArray) -> FloatArray:
+        at = np.empty((len(t), 2))
+        at[:, axis], at[:, 1 - axis] = fixed, t
+        return surface.point(at)
+
+    stations = np.linspace(low, high, EDGE_POINTS)
+    points = surface.point(uv)
+    known = edge(stations)
+    best, nearest = cKDTree(known).query(points)
+    spacing = float(np.linalg.norm(np.diff(known, axis=0), axis=1).max())
+    close = np.flatnonzero(best <= best.min() + spacing)
+    points = points[close]
+    at, step = stations[nearest[close]], stations[1] - stations[0]
+    closed = surface.periodic[1 - axis]
+
+    def squared(t: FloatArray) -> FloatArray:
+        return np.asarray(np.sum((edge(t) - points) ** 2, axis=1))
+
+    for _ in range(3):
+        # The foot is at the vertex of a parabola through three points, ever closer ones.
+        middle, before, after = squared(at), squared(at - step), squared(at + step)
+        bend = before - 2.0 * middle + after
+        with np.errstate(divide="ignore", invalid="ignore"):
+            move = np.where(bend > 0.0, 0.5 * step * (before - after) / bend, 0.0)
+        at = at + np.clip(move, -step, step)
+        at = at if closed else np.clip(at, low, high)
+        step /= 16.0
+    best[close] = np.minimum(best[close], np.sqrt(squared(at)))
+    return np.asarray(best)
+
+
+def check_ends(design: Design, surface: Surface, markers: Markers) -> None:
+    """Check that tubes and switch footprints stay within the open edges of the surface."""
+    receptor, switch = design.receptor, design.switch
+    sizes = [("tube", "receptor.diameter_outer_mm", receptor.diameter_outer_mm / 2.0)]
+    if design.wall.rim_length_mm > 0.0 and design.wall.rim_flange_mm > 0.0:
+        # Only a rim that stands out meets the bowls on the outer face.
+        foot = switch.footprint_diameter_mm / 2.0
+        sizes.append(("switch footprint", "switch.footprint_diameter_mm", foot))
+    for axis, end in surface.edges():
+        distance = edge_distance_mm(surface, markers.uv, axis, end)
+        # Of markers equally near but for rounding the first is named.
+        worst = int(np.argmin(np.round(distance, 9)))
+        for what, field, radius in sizes:
+            if distance[worst] < radius - SLACK_mm:
+                edge = "end" if axis == 0 else "side"
+                mend = {
+                    "phyllotaxis": f"lower {field}",
+                    "explicit": f"move it inward or lower {field}",
+                }.get(
+                    design.layout.kind,
+                    f"lower layout.{'columns' if axis else 'rows'} or {field}",
+                )
+                refuse(
+                    f"receptor {markers.name(worst)} lies {distance[worst]:.2f} mm from the {edge} "
+                    f"of the surface, less than the radius of its {what} ({radius:.2f} mm): it "
+                    f"cuts the rim; {mend}"
+                )
+
+
+def check_receptor_gaps(design: Design, surface: Surface, markers: Markers) -> None:
+    """Check that tubes keep the printer's gap between each other.
+
+    The gap is the distance between the axes' segments less one diameter: exact for sides that
+    meet, up to a few hundredths of a millimetre too small where flat ends are nearest.
+    """
+    gap, pair = smallest_receptor_gap_mm(design, markers)
+    least = design.print_rules.gap_min_mm
+    if pair is None or gap >= least - SLACK_mm:
+        return
+    first, second = markers.name(pair[0]), markers.name(pair[1])
+    state = f"overlap by {-gap:.2f} mm" if gap < 0.0 else f"are {gap:.2f} mm apart"
+    one_row = markers.row[pair[0]] == markers.row[pair[1]]
+    spacing = fewer(design, "columns" if one_row else "rows or columns")
+    mend = lower_heights(design, surface, markers)
+    refuse(
+        f"receptors {first} and {second} meet: they {state} (the printer needs a gap of "
+        f"{least:g} mm); {mend + ', or ' if mend else ''}{spacing} "
+        "receptor.diameter_outer_mm"
+    )
+
+
+def check_footprints(design: Design, surface: Surface, markers: Markers) -> None:
+    """Check that the bowls of neighbouring switches do not overlap on the outer face."""
+    if markers.count < 2:
+        return
+    apart, (low, high) = nearest_pair(surface.point(markers.uv))
+    size = design.switch.footprint_diameter_mm
+    if apart < size - SLACK_mm:
+        refuse(
+            f"switches {markers.name(low)} and {markers.name(high)} overlap on the outer face "
+            f"(footprint {size:g} mm, centres {apart:.2f} mm apart); {fewer(design)} "
+            f"switch.footprint_diameter_mm to {np.floor(apart * 10.0) / 10.0:g}"
+        )

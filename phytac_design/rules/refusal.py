@@ -1,0 +1,26 @@
+"""How rules refuse: one error with what fails, by how much, and what mends it."""
+
+from typing import NoReturn
+
+from phytac_shapes.errors import DesignError
+
+from phytac_design.design.spec import Design
+
+SLACK_mm = 1e-9
+"""Lengths that meet a rule exactly pass in spite of rounding."""
+
+
+def refuse(text: str) -> NoReturn:
+    """Raise the refusal."""
+    raise DesignError(text)
+
+
+def fewer(design: Design, what: str = "rows or layout.columns") -> str:
+    """Fix that spaces markers out; ``what`` to lower where the layout has rows."""
+    if design.layout.kind == "explicit":
+        return "move layout.positions apart or lower"
+    return (
+        "lower layout.count or"
+        if design.layout.kind == "phyllotaxis"
+        else f"lower layout.{what} or"
+    )

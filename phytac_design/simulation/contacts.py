@@ -1,0 +1,248 @@
+"""Drawing contacts: patches on the surface with a force, and which switches they trip."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import DesignError
+
+from phytac_design.design.spec import Design
+from phytac_design.layout import Markers
+from phytac_design.layout.arc import by_area
+from phytac_design.layout.thresholds import thresholds_N
+from phytac_design.mechanics.shell.pressure_sharing import footprint_force_share
+
+Placement = Literal["receptor", "anywhere"]
+Inside = Callable[[FloatArray], BoolArray]
+"""Which chart positions (m, 2) may be centres of contacts, (m,)."""
+JITTER_MM = 1.0
+"""A rig that presses on receptors hits them within this distance, along and around."""
+JITTER_SHARE = 1.0 / 3.0
+"""But within this share of the smallest patch's radius, on the smallest sensors."""
+TRIES = 400
+POOL = 2048
+"""Places drawn at once: charts are cheaper by the thousand than one by one."""
+EMPTY_POOLS = 50
+"""Draws without a single place that end the search."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contacts:
+    """Contacts of many samples; arrays run over c contacts.
+
+    Attributes
+    ----------
+    sample : (c,) int
+        Sample each contact belongs to.
+    uv : (c, 2) float
+        Centre, chart coordinates.
+    radius_mm : (c,) float
+        Radius of the patch.
+    force_N : (c,) float
+        Inward normal force, spread evenly over the patch.
+    samples : int
+        Number of samples.
+    """
+
+    sample: IntArray
+    uv: FloatArray
+    radius_mm: FloatArray
+    force_N: FloatArray
+    samples: int
+
+    @property
+    def counts(self) -> IntArray:
+        """Contacts in each sample, (samples,)."""
+        return np.bincount(self.sample, minlength=self.samples)
+
+    def of_sample(self, number: int) -> "Contacts":
+        """Contacts of one sample, as the only one."""
+        own = np.flatnonzero(self.sample == number)
+        return Contacts(
+            sample=np.zeros(len(own), dtype=np.int64),
+            uv=self.uv[own],
+            radius_mm=self.radius_mm[own],
+            force_N=self.force_N[own],
+            samples=1,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Switching:
+    """What the contacts do to the switches.
+
+    Attributes
+    ----------
+    bits : (samples, n) bool
+        Switches that are on: force on the footprint above the threshold.
+    owner : (samples, n) int
+        Contact (global index) that presses most on a switch that is on; -1 where off.
+    receptor_force_N : (samples, n) float
+        The truth per receptor: a contact's force is shared among the switches it tripped in
+        proportion to their footprint forces, so that they sum to the contact's force.
+    tripped : (c,) bool
+        Contacts that tripped at least one switch.
+    """
+
+    bits: BoolArray
+    owner: IntArray
+    receptor_force_N: FloatArray
+    tripped: BoolArray
+
+
+def draw_contacts(
+    design: Design,
+    surface: Surface,
+    markers: Markers,
+    *,
+    samples: int,
+    rng: np.random.Generator,
+    placement: Placement = "receptor",
+    most: int = 5,
+    inside: Inside | None = None,
+) -> Contacts:
+    """Draw samples of one contact, and (a share of them) of two to ``most`` at once.
+
+    Forces are uniform in the design's range, radii in theirs. ``receptor`` presses on receptors
+    within ``JITTER_MM``, as the paper's rig traverses them; ``anywhere`` is uniform over the area
+    that senses. Centres lie within the open edges. Contacts of one sample keep apart by more than
+    both radii and a footprint; where the sensor has no room for as many, a sample has fewer.
+    Centres are where ``inside`` says, if that is given; where no receptor is, anywhere there.
+
+    Raises
+    ------
+    DesignError
+        If nothing that senses is inside.
+    """
+    training = design.training
+    jitter = min(JITTER_MM, JITTER_SHARE * training.patch_radius_min_mm)
+    places = _places(surface, markers, placement, rng, jitter, inside)
+    rows: list[tuple[int, float, float, float, float]] = []
+    for sample in range(samples):
+        multi = rng.random() < training.multi_contact and most > 1
+        wanted = int(rng.integers(2, most + 1)) if multi else 1
+        placed: list[tuple[FloatArray, float]] = []
+        for _ in range(TRIES):
+            if len(placed) == wanted:
+                break
+            uv, point = next(places)
+            radius = rng.uniform(training.patch_radius_min_mm, training.patch_radius_max_mm)
+            room = radius + design.switch.footprint_diameter_mm
+            if all(np.linalg.norm(point - other) > room + size for other, size in placed):
+                placed.append((point, radius))
+                force = rng.uniform(training.force_min_N, training.force_max_N)
+                rows.append((sample, float(uv[0]), float(uv[1]), radius, force))
+    table = np.array(rows)
+    return Contacts(
+        sample=table[:, 0].astype(np.int64),
+        uv=table[:, 1:3],
+        radius_mm=table[:, 3],
+        force_N=table[:, 4],
+        samples=samples,
+    )
+
+
+def _places(
+    surface: Surface,
+    markers: Markers,
+    placement: Placement,
+    rng: np.random.Generator,
+    jitter_mm: float,
+    inside: Inside | None = None,
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Chart coordinates (2,) and points (3,) of one random place after the other."""
+    held = np.arange(markers.count)
+    if inside is not None:
+        held = np.flatnonzero(inside(markers.uv))
+    empty = 0
+    while True:
+        if placement == "anywhere" or len(held) == 0:
+            uv = by_area(surface, rng.random((POOL, 2)))
+            uv = uv[surface.sensing(uv)]
+        else:
+            ids = held[rng.integers(len(held), size=POOL)]
+            uv = _beside(surface, markers, ids, rng, jitter_mm)
+        if inside is not None:
+            uv = uv[inside(uv)]
+        empty = 0 if len(uv) else empty + 1
+        if empty == EMPTY_POOLS:
+            raise DesignError(
+                f"no contact can be drawn: {EMPTY_POOLS * POOL} places drawn, none of them in the "
+                "regions asked for; widen along and around"
+            )
+        yield from zip(uv, surface.point(uv), strict=True)
+
+
+def _beside(
+    surface: Surface, markers: Markers, ids: IntArray, rng: np.random.Generator, jitter_mm: float
+) -> FloatArray:
+    """Places (m, 2) within ``jitter_mm`` of markers (m,), along and around, within open edges."""
+    step = rng.uniform(-jitter_mm, jitter_mm, size=(len(ids), 2))
+    return beside(surface, markers.uv[ids], step)
+
+
+def beside(surface: Surface, uv: FloatArray, step_mm: FloatArray) -> FloatArray:
+    """Chart positions at steps (m, 2) along and around from ``uv`` (m, 2), within open edges.
+
+    Steps are taken in the tangent plane and brought back to the surface, so that they are as
+    long at a pole as anywhere.
+    """
+    along = surface.tangents(uv)[:, 0]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    aside = step_mm[:, :1] * along + step_mm[:, 1:] * np.cross(surface.normal(uv), along)
+    moved = surface.chart(surface.point(uv) + aside)
+    low, high = surface.domain.T
+    inside = np.clip(moved, low, high)
+    return np.where(np.array(surface.periodic), moved, inside)
+
+
+def switch_states(
+    design: Design, surface: Surface, markers: Markers, contacts: Contacts
+) -> Switching:
+    """Apply the activation law: a switch is on when its footprint carries over its threshold.
+
+    Pressure is even over a patch, so a footprint carries the force times the overlapped share.
+    """
+    share = footprint_force_share(
+        surface,
+        contacts.uv,
+        contacts.radius_mm,
+        markers.uv,
+        design.switch.footprint_diameter_mm / 2.0,
+    )
+    total = np.zeros((contacts.samples, markers.count))
+    np.add.at(total, contacts.sample, share * contacts.force_N[:, None])
+    return share_out(contacts, share, total > thresholds_N(design, markers))
+
+
+def share_out(contacts: Contacts, share: FloatArray, bits: BoolArray) -> Switching:
+    """Who presses the switches that are on, and the truth per receptor.
+
+    Parameters
+    ----------
+    contacts : Contacts
+        c contacts.
+    share : (c, n) float
+        Share of each contact's force on each footprint.
+    bits : (samples, n) bool
+        Switches that are on.
+    """
+    carried = share * contacts.force_N[:, None]
+    owner = np.full(bits.shape, -1, dtype=np.int64)
+    most = np.zeros(bits.shape)
+    for index, sample in enumerate(contacts.sample):
+        better = bits[sample] & (carried[index] > most[sample])
+        owner[sample, better] = index
+        most[sample, better] = carried[index, better]
+    mine = owner[contacts.sample] == np.arange(len(contacts.sample))[:, None]
+    tripped = mine.any(axis=1)
+    # Contacts that overlap share the switches they trip together.
+    weight = np.where(bits[contacts.sample], carried, 0.0)
+    norm = weight.sum(axis=1, keepdims=True)
+    parts = contacts.force_N[:, None] * weight / np.where(norm > 0.0, norm, 1.0)
+    truth = np.zeros(bits.shape)
+    np.add.at(truth, contacts.sample, parts)
+    return Switching(bits=bits, owner=owner, receptor_force_N=truth, tripped=tripped)

@@ -1,0 +1,96 @@
+"""Simulated data sets: contacts, their truth, and what was measured."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from phytac_decoder.estimation.cascade_network import network_features
+from phytac_decoder.estimation.estimators import ForceModel
+from phytac_shapes.arrays import FloatArray
+
+from phytac_design.simulation.contacts import Contacts, Switching
+from phytac_design.training.levenberg_marquardt import KeyNodeData
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dataset:
+    """One data set.
+
+    Attributes
+    ----------
+    contacts : Contacts
+        What was pressed.
+    switching : Switching
+        What the switches did, and the truth per receptor.
+    shift_px : (samples, n, 2) float
+        Measured marker shifts, noise included.
+    """
+
+    contacts: Contacts
+    switching: Switching
+    shift_px: FloatArray
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Any], name: str) -> "Dataset":
+        """Read the set ``name`` from a stage's arrays (keys ``name.field``)."""
+        part = {key.removeprefix(f"{name}."): arrays[key] for key in arrays if key.startswith(name)}
+        return cls(
+            contacts=Contacts(
+                sample=part["sample"],
+                uv=part["uv"],
+                radius_mm=part["radius_mm"],
+                force_N=part["force_N"],
+                samples=len(part["bits"]),
+            ),
+            switching=Switching(
+                bits=part["bits"],
+                owner=part["owner"],
+                receptor_force_N=part["receptor_force_N"],
+                tripped=part["tripped"],
+            ),
+            shift_px=part["shift_px"],
+        )
+
+    def arrays(self, name: str) -> dict[str, Any]:
+        """Arrays for a stage, keys ``name.field``."""
+        contacts, switching = self.contacts, self.switching
+        fields = {
+            "sample": contacts.sample,
+            "uv": contacts.uv,
+            "radius_mm": contacts.radius_mm,
+            "force_N": contacts.force_N,
+            "bits": switching.bits,
+            "owner": switching.owner,
+            "receptor_force_N": switching.receptor_force_N,
+            "tripped": switching.tripped,
+            "shift_px": self.shift_px,
+        }
+        return {f"{name}.{key}": value for key, value in fields.items()}
+
+
+def key_node_data(model: ForceModel, data: Dataset) -> KeyNodeData:
+    """One training row per switch that is on (paper, eq. 2)."""
+    sample, marker = np.nonzero(data.switching.bits)
+    apparent = np.einsum("ni,sni->sn", model.shift_to_mm, data.shift_px)
+    features = [
+        network_features(apparent[s], model.neighbours, model.height_z_mm, np.flatnonzero(bits))
+        for s, bits in enumerate(data.switching.bits)
+    ]
+    return KeyNodeData(
+        features=np.concatenate(features),
+        apparent_mm=apparent[sample, marker],
+        stiffness_force_N=(apparent @ model.stiffness.T)[sample, marker],
+        force_N=data.switching.receptor_force_N[sample, marker],
+        sample=sample,
+    )
+
+
+def decode_points(model: ForceModel, data: Dataset, estimator: str) -> FloatArray:
+    """Decoded receptor forces (samples, n) N of one estimator, from measured shifts and bits."""
+    return np.stack(
+        [
+            model.forces(estimator, shift, np.flatnonzero(bits))
+            for shift, bits in zip(data.shift_px, data.switching.bits, strict=True)
+        ]
+    )

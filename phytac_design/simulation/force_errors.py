@@ -1,0 +1,103 @@
+"""How far decoded forces are from the truth, per contact."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from phytac_shapes.arrays import BoolArray, FloatArray
+
+from phytac_design.simulation.contacts import Contacts, Switching
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """Errors of contact forces.
+
+    Attributes
+    ----------
+    mae_N, sd_N, rmse_N, bias_N : float
+        Mean absolute error, standard deviation of the error, root mean square, mean error.
+    relative_error : float
+        Mean of |error| / force over contacts.
+    samples : int
+        Contacts judged.
+    """
+
+    mae_N: float
+    sd_N: float
+    rmse_N: float
+    bias_N: float
+    relative_error: float
+    samples: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self)
+
+
+def score(estimate_N: FloatArray, truth_N: FloatArray) -> Score:
+    """Score estimated against true contact forces, (c,) each."""
+    if len(truth_N) == 0:
+        nan = float("nan")
+        return Score(mae_N=nan, sd_N=nan, rmse_N=nan, bias_N=nan, relative_error=nan, samples=0)
+    error = estimate_N - truth_N
+    return Score(
+        mae_N=float(np.abs(error).mean()),
+        sd_N=float(error.std()),
+        rmse_N=float(np.sqrt((error**2).mean())),
+        bias_N=float(error.mean()),
+        relative_error=float((np.abs(error) / truth_N).mean()),
+        samples=len(truth_N),
+    )
+
+
+def contact_forces(receptor_N: FloatArray, contacts: Contacts, switching: Switching) -> FloatArray:
+    """Decoded forces (samples, n) summed over the switches that each contact tripped, (c,)."""
+    out = np.zeros(len(contacts.sample))
+    sample, marker = np.nonzero(switching.owner >= 0)
+    np.add.at(out, switching.owner[sample, marker], receptor_N[sample, marker])
+    return out
+
+
+def judge(
+    receptor_N: FloatArray,
+    contacts: Contacts,
+    switching: Switching,
+    *,
+    height_mm: FloatArray,
+    middle_mm: tuple[float, float],
+) -> dict[str, Any]:
+    """Scores over all judged contacts and apart by number, force and height.
+
+    Parameters
+    ----------
+    receptor_N : (samples, n) float
+        Decoded forces.
+    contacts, switching : Contacts, Switching
+        The truth. Contacts that tripped no switch cannot be decoded and are counted apart.
+    height_mm : (c,) float
+        Distance of each contact from the near rim along the sensor.
+    middle_mm : (low, high)
+        Heights that count as the middle (15 to 95 mm of 120 in the paper).
+    """
+    estimate = contact_forces(receptor_N, contacts, switching)
+    seen, truth = switching.tripped, contacts.force_N
+    alone = contacts.counts[contacts.sample] == 1
+    middle = (height_mm >= middle_mm[0]) & (height_mm <= middle_mm[1])
+    groups: Mapping[str, BoolArray] = {
+        "single": alone,
+        "multi": ~alone,
+        "below_5N": truth < 5.0,
+        "from_5N": truth >= 5.0,
+        "middle": middle,
+        "near_rims": ~middle,
+    }
+    out: dict[str, Any] = score(estimate[seen], truth[seen]).as_dict()
+    for name, group in groups.items():
+        out[name] = score(estimate[seen & group], truth[seen & group]).as_dict()
+    owner = switching.owner
+    on = owner >= 0
+    receptor = score(receptor_N[on], switching.receptor_force_N[on]).as_dict()
+    out["receptor"] = {key: value for key, value in receptor.items() if key != "relative_error"}
+    return out

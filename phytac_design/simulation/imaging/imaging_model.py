@@ -1,0 +1,399 @@
+"""How a virtual sensor is seen: by frames, or by points that behave as if they came from frames."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from phytac_decoder.estimation.decode import confirmed, locate_in, locate_markers
+from phytac_decoder.io.bundle import Bundle
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
+from phytac_shapes.errors import InputError
+
+from phytac_design.design.spec import Design
+from phytac_design.layout import make_markers
+from phytac_design.layout.cameras import cameras_of
+from phytac_design.optics.exposure import Exposure, expose, lens_blur
+from phytac_design.optics.incremental_renderer import Watch
+from phytac_design.optics.loaded_visibility import WALL_BACK, sight_of
+from phytac_design.simulation.imaging.grid import grid_error
+from phytac_design.simulation.imaging.nominal import expected_views, seeing_bundle
+from phytac_design.simulation.imaging.paint import PaintPoints
+from phytac_design.simulation.imaging.tips import TipCover
+from phytac_design.simulation.imaging.virtual_camera import Eye, strip_of
+from phytac_design.simulation.sensor_instance import Unit
+
+Centroids = Literal["paint", "pixels"]
+DRAWS = 8
+"""Noisy rest frames that a unit's rest positions and their noise are measured in."""
+UNSURE_px = 1.0
+"""A marker at rest whose place scatters more from frame to frame is mistaken for others."""
+STREAM = 23
+"""Of the generators of those frames."""
+GRID_px = ((0.25, 0.5), (0.5, -0.25), (-0.25, 0.25))
+"""Besides none, shifts of the image at which the error of placing markers on pixels is measured."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """What was read of one sample; arrays over n markers.
+
+    Attributes
+    ----------
+    shift_px : (n, 2) float
+        Shift against the rest frame, the red tip's cover corrected; NaN where not found.
+    bits : (n,) bool
+        Switches that read as on.
+    found : (n,) bool
+        Markers that were seen.
+    status : str
+        Why nothing could be read; "" if it could.
+    """
+
+    shift_px: FloatArray
+    bits: BoolArray
+    found: BoolArray
+    status: str = ""
+
+    @classmethod
+    def nothing(cls, count: int, status: str) -> "Seen":
+        """Of a sample that cannot be read."""
+        no = np.zeros(count, dtype=np.bool_)
+        return cls(shift_px=np.full((count, 2), np.nan), bits=no, found=no.copy(), status=status)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AtRest:
+    """What the unloaded unit shows, measured in its own frames; arrays over n markers.
+
+    Attributes
+    ----------
+    bundle : Bundle
+        The design's eyes, set to where this unit's markers are.
+    rest_px : (n, 2) float
+        Rest positions: mean of ``DRAWS`` frames; NaN where not found.
+    noise_px : (n, 2) float
+        Standard deviation of one frame's positions.
+    grid_px : (n, 2) float
+        Standard deviation of the error that depends on where on the pixels a marker lies.
+    tip_bias_px : (n, 2) float
+        What this unit's own tip covers, less what the decoder allows for.
+    """
+
+    bundle: Bundle
+    rest_px: FloatArray
+    noise_px: FloatArray
+    grid_px: FloatArray
+    tip_bias_px: FloatArray
+
+
+class Eyes:
+    """All cameras of one unit.
+
+    Parameters
+    ----------
+    design, surface : Design, Surface
+        The sensor as designed: what the decoder expects.
+    unit : Unit
+        The sensor as made.
+    exposure : Exposure
+        How frames are exposed.
+    views : mapping, optional
+        Arrays of the stage ``views``, where they are known already.
+    compliance_px : (2n, n) float, optional
+        Of the stage ``response``: with it switches whose red is in doubt are asked for the force
+        that their markers' motion speaks of, as the decoder does.
+    centroids : {"paint", "pixels"}
+        How points are found: from the paint that faces the camera, or with what neighbours, bar
+        and wall hide of it as well, from exact ID maps.
+    samples : int
+        Samples per pixel of frames.
+    wall_follows : bool
+        Whether the wall in the scene moves with its receptors.
+    at_rest : AtRest or str, optional
+        :attr:`rest` of other eyes of the same unit and settings, so as not to measure it again.
+    """
+
+    def __init__(
+        self,
+        design: Design,
+        surface: Surface,
+        unit: Unit,
+        *,
+        exposure: Exposure,
+        views: Mapping[str, Any] | None = None,
+        compliance_px: FloatArray | None = None,
+        centroids: Centroids = "paint",
+        samples: int = 8,
+        wall_follows: bool = True,
+        at_rest: AtRest | str | None = None,
+    ) -> None:
+        nominal = make_markers(design, surface)
+        self.unit, self.exposure, self.centroids = unit, exposure, centroids
+        self._given = at_rest
+        self.confirm = compliance_px is not None
+        self.nominal = seeing_bundle(
+            design,
+            surface,
+            nominal,
+            expected_views(design, surface, nominal) if views is None else views,
+            compliance_px=compliance_px,
+        )
+        strip = strip_of(design, surface, nominal) if exposure.fall_off else None
+        self.eyes = [
+            Eye(
+                design,
+                surface,
+                unit,
+                camera,
+                lens_blur(design, aim, surface, nominal) if exposure.lens_blur else None,
+                strip=strip,
+                samples=samples,
+                follow=wall_follows,
+            )
+            for camera, aim in zip(unit.cameras, cameras_of(design, surface), strict=True)
+        ]
+
+    @property
+    def count(self) -> int:
+        """Number of markers."""
+        return self.unit.markers.count
+
+    @property
+    def rest(self) -> AtRest | str:
+        """What the unloaded unit shows, or why it cannot be read; can be pickled."""
+        return self._rest
+
+    @property
+    def status(self) -> str:
+        """Why this unit cannot be read at all; "" if it can."""
+        return self._rest if isinstance(self._rest, str) else ""
+
+    @property
+    def at_rest(self) -> AtRest:
+        """What the unloaded unit shows.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read, see :attr:`status`.
+        """
+        if isinstance(self._rest, str):
+            raise InputError(self._rest)
+        return self._rest
+
+    def frame(
+        self,
+        motion: FloatArray,
+        bits: BoolArray,
+        light: float = 1.0,
+        rng: np.random.Generator | None = None,
+    ) -> tuple[ImageArray, ...]:
+        """Frame (h, w, 3), BGR, of each camera.
+
+        Parameters
+        ----------
+        motion : (n, 6) float
+            Translation (mm) and rotation vector (rad) of the middle face under each marker.
+        bits : (n,) bool
+            Switches that are on.
+        light : float
+            Brightness over that at the start.
+        rng : Generator, optional
+            Draws the noise; none without.
+        """
+        return tuple(
+            self._exposed(eye, eye.light(eye.scene(motion, bits)), light, rng) for eye in self.eyes
+        )
+
+    def read(self, frames: tuple[ImageArray, ...]) -> Seen:
+        """Read frames as the decoder does, against this unit's rest frames."""
+        if self.status:
+            return Seen.nothing(self.count, self.status)
+        rest = self.at_rest
+        bundle = rest.bundle
+        try:
+            matched, bits = locate_markers(bundle, frames)
+        except InputError as error:
+            return Seen.nothing(self.count, str(error))
+        moved = matched.position_px - rest.rest_px
+        if self.confirm:
+            bias = np.where(bits[:, None], bundle.tip_bias_px, 0.0)
+            bits = confirmed(bundle, bits, moved - bias)
+        shift = moved - np.where(bits[:, None], bundle.tip_bias_px, 0.0)
+        found = np.isfinite(shift[:, 0])
+        return Seen(shift_px=shift, bits=bits, found=found)
+
+    def points(
+        self,
+        motion: FloatArray,
+        bits: BoolArray,
+        light: float = 1.0,
+        rng: np.random.Generator | None = None,
+    ) -> Seen:
+        """What :meth:`read` would find in :meth:`frame`, without an image; parameters as there.
+
+        Bits are taken as they are. Noise is that of each marker's centroid in this unit's frames,
+        which grows as light gets scarce; and the error of segmentation that depends on where on
+        the pixels a marker lies: the same for the same place, and none for a marker at rest.
+        """
+        if self.status:
+            return Seen.nothing(self.count, self.status)
+        rest = self.at_rest
+        shift = self.exact(motion, bits, light)
+        shift += self._covered(motion, bits) + np.where(bits[:, None], rest.tip_bias_px, 0.0)
+        shift[~np.isfinite(rest.rest_px[:, 0])] = np.nan
+        if rng is not None:
+            place = self._places_at_rest
+            grid = grid_error(place + shift, self.unit.number) - grid_error(place, self.unit.number)
+            noise = rng.standard_normal(shift.shape) * rest.noise_px / np.sqrt(light)
+            shift += rest.grid_px * grid + noise
+        return Seen(shift_px=shift, bits=bits.copy(), found=np.isfinite(shift[:, 0]))
+
+    def exact(self, motion: FloatArray, bits: BoolArray, light: float = 1.0) -> FloatArray:
+        """Shift (n, 2) px of each marker's paint, without noise and without what tips cover."""
+        out = self._places(motion, light) - self._places_at_rest
+        if self.centroids == "pixels":
+            out += self._hiding(motion, bits)
+        return out
+
+    def _places(self, motion: FloatArray, light: float) -> FloatArray:
+        """Centroid (n, 2) px of each marker's paint, through the camera that reads it."""
+        each = [paint.centroids(motion, light) for paint in self._paints]
+        return np.asarray(np.stack(each)[self.nominal.read_by, np.arange(self.count)])
+
+    def _covered(self, motion: FloatArray, bits: BoolArray) -> FloatArray:
+        """How far the tips that are out move centroids, over what they do at rest, (n, 2) px."""
+        still = np.zeros_like(motion)
+        each = [
+            tips.shift_px(motion, bits & (self.nominal.read_by == number))
+            - tips.shift_px(still, bits & (self.nominal.read_by == number))
+            for number, tips in enumerate(self._tips)
+        ]
+        return np.asarray(sum(each))
+
+    @cached_property
+    def _tips(self) -> list[TipCover]:
+        return [TipCover(eye.rest, eye.on, eye.camera, eye.pivots_mm) for eye in self.eyes]
+
+    @cached_property
+    def _paints(self) -> list[PaintPoints]:
+        return [
+            PaintPoints(
+                eye.rest,
+                eye.camera,
+                self.unit.markers,
+                chosen=self.nominal.read_by == number,
+                colours=self.nominal.colours,
+                colour=self.nominal.colour,
+                strip=eye.strip,
+                paint=eye.paint,
+            )
+            for number, eye in enumerate(self.eyes)
+        ]
+
+    @cached_property
+    def _places_at_rest(self) -> FloatArray:
+        return self._places(np.zeros((self.count, 6)), 1.0)
+
+    @cached_property
+    def _watches(self) -> list[tuple[Watch, FloatArray]]:
+        """Watch on each camera's scene, and how far hiding moves each centroid at rest, (n, 2)."""
+        out = []
+        for eye in self.eyes:
+            watch = Watch(eye.rest, eye.camera, wall_back=WALL_BACK)
+            out.append((watch, sight_of(watch.look(eye.rest), eye.rest).offset_px))
+        return out
+
+    def _hiding(self, motion: FloatArray, bits: BoolArray) -> FloatArray:
+        """How far what hides parts of a marker moves its centroid, over that at rest, (n, 2) px."""
+        each = []
+        for eye, (watch, rest) in zip(self.eyes, self._watches, strict=True):
+            scene = eye.scene(motion, bits, follow=False)
+            each.append(sight_of(watch.look(scene), scene).offset_px - rest)
+        return np.asarray(np.stack(each)[self.nominal.read_by, np.arange(self.count)])
+
+    def _exposed(
+        self,
+        eye: Eye,
+        light: NDArray[np.float32],
+        brightness: float,
+        rng: np.random.Generator | None,
+    ) -> ImageArray:
+        return expose(light, eye.camera, self.exposure, brightness=brightness, rng=rng)
+
+    @cached_property
+    def _rest(self) -> AtRest | str:
+        """Measure the unit at rest; a sentence if its frames cannot be read."""
+        if self._given is not None:
+            return self._given
+        still, off = np.zeros((self.count, 6)), np.zeros(self.count, dtype=np.bool_)
+        lights = [eye.light(eye.scene(still, off)) for eye in self.eyes]
+        rng = np.random.default_rng([STREAM, self.unit.number])
+
+        def draw() -> tuple[ImageArray, ...]:
+            return tuple(
+                self._exposed(eye, light, 1.0, rng)
+                for eye, light in zip(self.eyes, lights, strict=True)
+            )
+
+        try:
+            bundle = self._set_to(draw())
+            found = np.stack([locate_markers(bundle, draw())[0].position_px for _ in range(DRAWS)])
+            clean = tuple(
+                self._exposed(eye, light, 1.0, None)
+                for eye, light in zip(self.eyes, lights, strict=True)
+            )
+            before = locate_markers(bundle, clean)[0].position_px
+            grid = self._grid(bundle, before)
+            after = locate_markers(bundle, self.frame(still, ~off))[0].position_px
+        except InputError as error:
+            return str(error)
+        noise = found.std(axis=0, ddof=1)
+        sure = np.linalg.norm(noise, axis=1) <= UNSURE_px
+        return AtRest(
+            bundle=bundle,
+            rest_px=np.where(sure[:, None], found.mean(axis=0), np.nan),
+            noise_px=noise,
+            grid_px=grid,
+            tip_bias_px=np.nan_to_num(after - before - bundle.tip_bias_px),
+        )
+
+    def _grid(self, bundle: Bundle, before: FloatArray) -> FloatArray:
+        """Standard deviation (n, 2) px of the centroids' error over places on the pixels."""
+        still, off = np.zeros((self.count, 6)), np.zeros(self.count, dtype=np.bool_)
+        scenes = [eye.scene(still, off) for eye in self.eyes]
+        found = [before]
+        for shift in GRID_px:
+            frames = tuple(
+                self._exposed(eye, eye.light(scene, shift), 1.0, None)
+                for eye, scene in zip(self.eyes, scenes, strict=True)
+            )
+            found.append(locate_markers(bundle, frames)[0].position_px - np.array(shift))
+        return np.asarray(np.stack(found).std(axis=0, ddof=1))
+
+    def _set_to(self, frames: tuple[ImageArray, ...]) -> Bundle:
+        """The design's eyes, with markers and tips expected where this unit's rest frame has them.
+
+        What is not found there is expected where the design has it.
+        """
+        shown = []
+        for number, frame in enumerate(frames):
+            old = self.nominal.shown_by(number)
+            matched, _ = locate_in(self.nominal, number, frame)
+            move = np.where(matched.found[:, None], matched.position_px - old.rest_px, 0.0)
+            tips = replace(old.tips, on_px=old.tips.on_px + move)
+            shown.append(replace(old, rest_px=old.rest_px + move, tips=tips))
+        read_by, own = self.nominal.read_by, np.arange(self.count)
+        return replace(
+            self.nominal,
+            shown=tuple(shown),
+            rest_px=np.stack([item.rest_px for item in shown])[read_by, own],
+            tips=replace(
+                self.nominal.tips,
+                on_px=np.stack([item.tips.on_px for item in shown])[read_by, own],
+            ),
+        )

@@ -1,0 +1,158 @@
+"""The simulated sensor's own shell: its mesh is finer than the decoder's and not nested in it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+
+from phytac_design.design.spec import Design
+from phytac_design.layout import make_markers
+from phytac_design.mechanics.meshing.grid import product_grid
+from phytac_design.mechanics.meshing.local import thinned_lines
+from phytac_design.mechanics.meshing.mesh import ShellMesh, _shell, chart_mesh, plain_mesh
+from phytac_design.mechanics.shell.receptor_stiffness import (
+    receptor_stiffness,
+    sensor_model,
+    unknown_receptors,
+)
+from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
+from phytac_design.simulation.sample_plan import Region
+from phytac_design.simulation.scenario.scatter import wall_factor
+from phytac_design.simulation.sensor_instance import Unit
+
+MARGIN = 1.0
+"""How far beyond the touched part the mesh stays fine, in √(R t), the length in which bending
+decays; twice that gains nothing."""
+WORTH = 0.85
+"""A local mesh is taken if it has at most this share of the whole fine one's nodes."""
+
+
+def truth_shell(design: Design, surface: Surface, refine: int) -> tuple[ShellMesh, ShellModel]:
+    """Mesh and linear model of the simulated sensor, blind to the markers.
+
+    The wall has its receptors' stiffness, as the real one does, wherever that is known. On shapes
+    that close around, ``refine`` elements per column around, and along the count that makes them
+    about square; on others ``refine`` elements for each side of a marker's cell.
+    """
+    mesh = truth_mesh(design, surface, refine)
+    markers = make_markers(design, surface)
+    return mesh, sensor_model(design, markers, mesh, receptors=not unknown_receptors(design))
+
+
+def truth_mesh(design: Design, surface: Surface, refine: int) -> ShellMesh:
+    """Mesh of :func:`truth_shell`."""
+    markers = make_markers(design, surface)
+    wall = design.wall.thickness_mm
+    if markers.lattice and surface.periodic[1] and not any(surface.poles):
+        (u0, u1), (v0, v1) = surface.domain
+        around = refine * markers.lattice.columns
+        corner = surface.unwrap(np.array([[u0, v0], [u1, v0], [u0, v1]]))
+        width = np.abs(corner[2, 0] - corner[0, 0]) / around
+        along = max(round(float(np.abs(corner[1, 1] - corner[0, 1]) / width)), 2)
+        return chart_mesh(surface, thickness_mm=wall, n_along=along, n_around=around)
+    cell = float(np.sqrt(surface.area_mm2() / markers.count))
+    return plain_mesh(surface, thickness_mm=wall, size_mm=cell / refine)
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnitShell:
+    """Shell of one virtual sensor.
+
+    Attributes
+    ----------
+    mesh : ShellMesh
+        Its mesh.
+    model : ShellModel
+        Its linear model.
+    whole_nodes : int
+        Nodes of the mesh that is fine all over.
+    whole_because : str
+        Why the mesh is fine all over; "" where it is fine in the touched part alone.
+    """
+
+    mesh: ShellMesh
+    model: ShellModel
+    whole_nodes: int
+    whole_because: str
+
+
+def unit_shell(
+    design: Design,
+    surface: Surface,
+    unit: Unit,
+    refine: int,
+    region: Region | None = None,
+    *,
+    local: bool = True,
+) -> UnitShell:
+    """Shell of a virtual sensor as printed: its wall, its material, its receptors where they are.
+
+    Unit 0 on a mesh that is fine all over is :func:`truth_shell`.
+
+    Parameters
+    ----------
+    design, surface : Design, Surface
+        The sensor as designed.
+    unit : Unit
+        How this print differs.
+    refine : int
+        As in :func:`truth_shell`.
+    region : Region, optional
+        The touched part of the chart. None: all of it.
+    local : bool
+        Whether the mesh is fine in that part alone.
+    """
+    whole = truth_mesh(design, surface, refine)
+    mesh, because = whole, "asked for"
+    if local and region is not None:
+        mesh, because = local_mesh(design, surface, whole, region)
+    return UnitShell(
+        mesh=mesh,
+        model=unit_model(design, surface, unit, mesh),
+        whole_nodes=len(whole.nodes_mm),
+        whole_because=because,
+    )
+
+
+def unit_model(design: Design, surface: Surface, unit: Unit, mesh: ShellMesh) -> ShellModel:
+    """Linear model of a virtual sensor on any mesh of its middle face."""
+    thickness: float | FloatArray = design.wall.thickness_mm
+    modulus: float | FloatArray = design.material.modulus_MPa * unit.modulus
+    if len(unit.wall.waves):
+        # Chart coordinates of corners have no mean next to a pole or over a seam; places do.
+        centre = surface.chart(mesh.nodes_mm[mesh.quads].mean(axis=1))
+        thickness = thickness * wall_factor(unit.wall, centre)
+    else:
+        thickness = thickness * unit.wall.mean
+    if not unknown_receptors(design):
+        factors = receptor_stiffness(design, unit.markers, mesh)
+        thickness, modulus = factors.section(thickness_mm=thickness, modulus_MPa=modulus)
+    return clamped_model(
+        mesh, thickness_mm=thickness, modulus_MPa=modulus, poisson=design.material.poisson
+    )
+
+
+def local_mesh(
+    design: Design, surface: Surface, whole: ShellMesh, region: Region
+) -> tuple[ShellMesh, str]:
+    """Mesh as fine as ``whole`` in and around a region and coarser elsewhere; or whole, and why."""
+    if any(surface.poles):
+        return whole, "a mesh around a pole has no lines to thin out"
+    if region.whole.all():
+        return whole, "all of the wall is touched"
+    size = np.sort(np.ptp(surface.bounds_mm(), axis=0))[1] / 2.0
+    margin = MARGIN * float(np.sqrt(size * design.wall.thickness_mm))
+    lines = []
+    for axis in (0, 1):
+        fine = np.unique(whole.uv[:, axis])
+        if surface.periodic[axis]:
+            fine = np.append(fine, surface.domain[axis, 1])
+        if not region.whole[axis]:
+            part = float(region.low[axis]), float(region.high[axis])
+            fine = thinned_lines(surface, axis, fine, part=part, margin_mm=margin)
+        lines.append(fine)
+    mesh = _shell(surface, product_grid(surface, lines[0], lines[1]), whole.thickness_mm)
+    if len(mesh.nodes_mm) > WORTH * len(whole.nodes_mm):
+        return whole, "nearly all of the wall is touched"
+    return mesh, ""

@@ -1,0 +1,165 @@
+r"""Koiter's mixed term of two discs, as the cameras see it.
+
+With x the linear motion of a newton on a disc and Π the shell's energy, the mixed term of discs i
+and k solves ``K·x_ik = -Π‴(x_i, x_k)``, and the image sees it by its slope H, and what the two
+motions do together to the image by its bend (the lens, and arms that turn)::
+
+    M = H·x_ik + x_i·H'·x_k
+
+Images of some pairs, drawn at random, tell the axes along which most of all of them lies (Halko,
+Martinsson and Tropp 2011 find a range so). Along an axis g ::
+
+    g·H·x_ik = -Π‴(x_i, x_k, z)      K·z = Hᵀ·g
+
+(derived here: the third derivative of an energy is symmetric): a matrix over the DOFs for each
+axis, and pairs only products.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from phytac_decoder.mechanics.interaction_table import Pairs
+from phytac_decoder.mechanics.response_table import Places
+from phytac_shapes.arrays import FloatArray, IntArray
+
+from phytac_design.mechanics.large.cubic_stiffness import DOFS, third_derivatives
+from phytac_design.mechanics.shell.pressure import tangent_frame
+from phytac_design.simulation.pressed_series import Pressed, Seen
+
+SHARE = 2.2
+"""Distance of places over the disc's radius."""
+MOST = 250
+"""Places at most: tables grow by their square."""
+ELEMENTS_MOST = 40000
+"""Shells of more have no such tables: time and memory grow with both."""
+AXES = 64
+"""Of the images, at most."""
+DRAWN = 6
+"""Pairs drawn at random, for each axis."""
+NEAR, NEAR_SHARE = 6.0, 0.6
+"""Distance over the disc's radius up to which pairs count as near, and the share of those drawn
+that are: they do more to each other, and differ more."""
+BATCH = 32
+"""Loads solved together."""
+MOVED = 1e-2
+"""Motion (mm and rad) of the differences for the image's bend."""
+
+
+def pair_spacing_mm(area_mm2: float, radius_mm: float) -> float:
+    """Distance of the places of a table over so much surface."""
+    return max(SHARE * radius_mm, float(np.sqrt(area_mm2 / MOST)))
+
+
+class Mixed:
+    """Mixed terms of discs at p places.
+
+    Parameters
+    ----------
+    shell, see : Pressed, Seen
+        The sensor's shell, and what its cameras see.
+    uv : (p, 2) float
+        Places.
+    radius_mm : float
+        Of the discs.
+    """
+
+    def __init__(self, shell: Pressed, see: Seen, uv: FloatArray, radius_mm: float) -> None:
+        self.shell, self.see, self.uv, self.radius_mm = shell, see, uv, radius_mm
+        self.held = shell.model.fixed.ravel()
+        parts = [uv[k : k + BATCH] for k in range(0, len(uv), BATCH)]
+        # A newton's linear motions, (6N, p), and those of receptors, (p, n, 6).
+        self.motion = np.concatenate([shell.linear(part, radius_mm)[1] for part in parts], axis=1)
+        self.feet = np.stack([shell.feet.linear(motion) for motion in self.motion.T])
+        self.bend = bend_of(see, self.feet.shape[1])
+        self.point_mm = shell.surface.point(uv)
+        quads = shell.model.quads
+        # DOFs (E, 24) of the elements.
+        self.dofs = (6 * quads[:, :, None] + np.arange(6)).reshape(len(quads), DOFS)
+
+    def pairs(self, progress: Callable[[str], None] = lambda _: None) -> Pairs:
+        """Tables of all pairs of the places."""
+        axes = self.axes()
+        progress(f"places: pairs of contacts, {len(axes)} axes")
+        along, around = tangent_frame(self.shell.surface, self.uv)
+        grid = Places(
+            point_mm=self.point_mm,
+            along=along,
+            around=around,
+            shift_px=self.coordinates(axes),
+            radius_mm=self.radius_mm,
+        )
+        return Pairs(grid=grid, axes_px=axes.astype(np.float32))
+
+    def axes(self) -> FloatArray:
+        """Axes (r, 2n) of the images, each of unit length."""
+        _, size, axes = np.linalg.svd(self.images(self.drawn()), full_matrices=False)
+        return np.asarray(axes[:AXES][size[:AXES] > 0.0])
+
+    def drawn(self) -> IntArray:
+        """Pairs (k, 2) of places that do not overlap, near ones more often."""
+        gap = np.linalg.norm(self.point_mm[:, None] - self.point_mm[None], axis=2)
+        pairs = np.argwhere(np.triu(gap > 2.0 * self.radius_mm))
+        near = gap[pairs[:, 0], pairs[:, 1]] < NEAR * self.radius_mm
+        rng, count = np.random.default_rng(0), DRAWN * AXES
+        some = rng.permutation(np.flatnonzero(near))[: round(NEAR_SHARE * count)]
+        rest = rng.permutation(np.setdiff1d(np.arange(len(pairs)), some))[: count - len(some)]
+        return np.asarray(pairs[np.sort(np.concatenate([some, rest]))])
+
+    def images(self, pairs: IntArray) -> FloatArray:
+        """M (k, 2n) px/N² of pairs of places (k, 2), each solved for itself."""
+        push = np.zeros((len(pairs), len(self.motion)))
+        for some, third in third_derivatives(self.shell.model):
+            own = self.motion[self.dofs[some]].astype(np.float32)
+            for k, (i, j) in enumerate(pairs):
+                by_one = third @ own[:, None, :, i, None]
+                force = by_one[..., 0] @ own[:, :, j, None]
+                np.add.at(push[k], self.dofs[some].ravel(), -force.ravel())
+        push[:, self.held] = 0.0
+        out = []
+        for first in range(0, len(pairs), BATCH):
+            part = slice(first, first + BATCH)
+            moved = self.shell.model.solve(push[part].T).motion.reshape(len(self.motion), -1)
+            for (i, j), motion in zip(pairs[part], moved.T, strict=True):
+                slope = np.einsum("nij,nj->ni", self.see.slope, self.shell.feet.linear(motion))
+                bent = np.einsum("nj,nijk,nk->ni", self.feet[i], self.bend, self.feet[j])
+                out.append((slope + bent).ravel())
+        return np.array(out).reshape(len(pairs), -1)
+
+    def coordinates(self, axes: FloatArray) -> NDArray[np.float32]:
+        """M (p, p, r) of all pairs along axes (r, 2n), px/N²."""
+        push = np.stack([self.shell.feet.matrix.T @ self.see.pull(g).ravel() for g in axes], axis=1)
+        push[self.held] = 0.0
+        stirred = self.shell.model.solve(push).motion.reshape(push.shape)
+        count = self.motion.shape[1]
+        told = np.zeros((len(axes), count, count), dtype=np.float32)
+        for some, third in third_derivatives(self.shell.model):
+            own = self.motion[self.dofs[some]].astype(np.float32)
+            z = stirred[self.dofs[some]].astype(np.float32)
+            flat = own.reshape(-1, count)
+            along = (third.reshape(len(third), -1, DOFS) @ z).transpose(2, 0, 1)
+            for number, matrix in enumerate(along):
+                pulls = matrix.reshape(-1, DOFS, DOFS) @ own
+                told[number] -= flat.T @ pulls.reshape(-1, count)
+        feet = self.feet.reshape(count, -1)
+        for number, axis in enumerate(axes):
+            bend = np.einsum("ni,nijk->njk", axis.reshape(-1, 2), self.bend)
+            turned = np.einsum("pnj,njk->pnk", self.feet, bend).reshape(count, -1)
+            told[number] += (turned @ feet.T).astype(np.float32)
+        return np.ascontiguousarray(told.transpose(1, 2, 0))
+
+
+def bend_of(see: Seen, count: int) -> FloatArray:
+    """Second derivatives (n, 2, 6, 6) of the images of n markers by their motion."""
+    step = MOVED * np.eye(6)
+
+    def at(motion: FloatArray) -> FloatArray:
+        return see.shift(np.tile(motion, (count, 1)))
+
+    out = np.empty((count, 2, 6, 6))
+    for i in range(6):
+        for k in range(i + 1):
+            one, two = step[i] + step[k], step[i] - step[k]
+            bent = at(one) + at(-one) - at(two) - at(-two)
+            out[:, :, i, k] = out[:, :, k, i] = bent / (4.0 * MOVED**2)
+    return out

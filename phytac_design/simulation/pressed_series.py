@@ -1,0 +1,222 @@
+"""What a disc at a place does to receptors and to their images, in powers of its force.
+
+The powers are fitted to the motion at a few forces, the greatest last; that motion is linear,
+Koiter's expansion to third order, or large displacements where the expansion does not hold.
+"""
+
+import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
+
+from phytac_design.design.spec import Design
+from phytac_design.layout import Markers
+from phytac_design.layout.cameras import Readers
+from phytac_design.mechanics.large.fast_newton import Rough
+from phytac_design.mechanics.meshing.mesh import ShellMesh
+from phytac_design.mechanics.shell.pressure import Holes, touch_loads
+from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_design.simulation.contacts import Contacts
+from phytac_design.simulation.indenters import flat_touches
+from phytac_design.simulation.receptor_kinematics import Feet
+from phytac_design.simulation.response import point_motions, rigid_slope, turned_points
+
+SERIES_MAX = 0.9
+"""Largest the second and third term may be together over the first, at the greatest force."""
+SOLVED_AT = {4: 0.06, 5: 0.005}
+"""Error of the expansion at the greatest force, in the norm of the stiffness, from which on
+large displacements are solved, by the powers of the force that are kept. With fewer powers none
+are."""
+BEYOND = SOLVED_AT[4]
+"""The same from which on a sensor is beyond the expansion."""
+
+
+class Pressed:
+    """Receptors' motion under discs.
+
+    Parameters
+    ----------
+    design, surface, markers : Design, Surface, Markers
+        The sensor.
+    mesh, model : ShellMesh, ShellModel
+        Its shell.
+    orders : int
+        Powers of the force.
+
+    Attributes
+    ----------
+    forces : (orders - 1,) float
+        Forces (N) that motions are known at, besides the first newton.
+    solved, beyond : int
+        Discs so far that large displacements were solved for; that are beyond the expansion.
+    """
+
+    def __init__(
+        self,
+        design: Design,
+        surface: Surface,
+        markers: Markers,
+        *,
+        mesh: ShellMesh,
+        model: ShellModel,
+        orders: int,
+    ) -> None:
+        receptor = design.receptor
+        self.mesh, self.surface, self.model, self.orders = mesh, surface, model, orders
+        self.holes = Holes.of(surface, markers.uv, receptor.diameter_hole_mm / 2.0)
+        self.feet = Feet(mesh, surface, markers.uv, receptor.diameter_outer_mm / 2.0)
+        self.shell = Rough(model)
+        most = design.training.force_max_N
+        self.forces = most * np.arange(1, orders) / max(orders - 1, 1)
+        self.solved = self.beyond = 0
+
+    def motions(self, uv: FloatArray, radius_mm: float) -> list[list[FloatArray]]:
+        """For each place the motion (n, 6) per newton, then that under each of the forces.
+
+        Of a place that is known to linear theory alone there is nothing more than the first.
+
+        Parameters
+        ----------
+        uv : (c, 2) float
+            Places.
+        radius_mm : float
+            Of the disc.
+
+        Raises
+        ------
+        NumericalError
+            If linear theory fails.
+        """
+        loads, linear = self.linear(uv, radius_mm)
+        return [self._motions(loads[:, k], linear[:, k].copy()) for k in range(len(uv))]
+
+    def linear(self, uv: FloatArray, radius_mm: float) -> tuple[FloatArray, FloatArray]:
+        """Loads (6N, c) of a newton on discs at places (c, 2), and their linear motions (6N, c).
+
+        Raises
+        ------
+        NumericalError
+            If linear theory fails.
+        """
+        count = len(uv)
+        touches = flat_touches(
+            Contacts(
+                sample=np.arange(count),
+                uv=uv,
+                radius_mm=np.full(count, radius_mm),
+                force_N=np.ones(count),
+                samples=count,
+            )
+        )
+        loads = touch_loads(self.mesh, self.surface, touches, holes=self.holes).toarray()
+        return loads, self.model.solve(loads).motion.reshape(loads.shape)
+
+    def _motions(self, load: FloatArray, first: FloatArray) -> list[FloatArray]:
+        out = [self.feet.linear(first)]
+        if self.orders == 1:
+            return out
+        series = self._series(load, first)
+        gap = self._gap(load, first, series) if self.orders in SOLVED_AT else 0.0
+        # A gap that is no number holds nowhere.
+        self.beyond += not gap <= BEYOND
+        if self.orders in SOLVED_AT and not gap <= SOLVED_AT[self.orders]:
+            large = self._large(load, first)
+            if large:
+                self.solved += 1
+                series = large
+        return out + [self.feet.large(motion) for motion in series]
+
+    def _series(self, load: FloatArray, first: FloatArray) -> list[FloatArray]:
+        """Motions (6N,) at the forces by Koiter's expansion; none where it says nothing."""
+        try:
+            second, third = self.shell.series(load, first)
+        except (ArithmeticError, NumericalError, np.linalg.LinAlgError):
+            return []
+        most = float(self.forces[-1])
+        more = np.linalg.norm((most * second + most**2 * third).reshape(-1, 6)[:, :3], axis=1)
+        size = np.linalg.norm(first.reshape(-1, 6)[:, :3], axis=1)
+        if not float(more.max()) <= SERIES_MAX * float(size.max()):
+            return []
+        return [f * first + f**2 * second + f**3 * third for f in self.forces]
+
+    def _gap(self, load: FloatArray, first: FloatArray, series: list[FloatArray]) -> float:
+        """Error of the expansion at the greatest force; inf where it says nothing."""
+        if not series:
+            return float("inf")
+        most = float(self.forces[-1])
+        try:
+            return self.shell.gap(most * load, series[-1], most * first)
+        except (ArithmeticError, NumericalError):
+            return float("inf")
+
+    def _large(self, load: FloatArray, first: FloatArray) -> list[FloatArray]:
+        """The same by large displacements; none where one of them cannot be solved."""
+        out: list[FloatArray] = []
+        for force in self.forces.tolist():
+            motion = self.shell.rough(force * load, force * first)
+            if motion is None:
+                return []
+            out.append(motion)
+        return out
+
+
+class Seen:
+    """What the cameras see of motion.
+
+    Parameters
+    ----------
+    readers : Readers
+        Cameras.
+    mid_mm : (n, 3) float
+        Markers on the middle face.
+    arm_mm : (n, 3) float
+        From there to the paint that the camera sees.
+    slope : (n, 2, 6) float, optional
+        How the image of each marker's paint moves with the wall under it, px per mm and radian;
+        that of the point that is watched if not given.
+    """
+
+    def __init__(
+        self,
+        readers: Readers,
+        mid_mm: FloatArray,
+        arm_mm: FloatArray,
+        slope: FloatArray | None = None,
+    ) -> None:
+        self.readers, self.arm_mm = readers, arm_mm
+        self.watched = mid_mm + arm_mm
+        self.rest = readers.project(self.watched)
+        point = rigid_slope(readers.jacobian(self.watched), arm_mm)
+        self.slope = point if slope is None else slope
+        self.more = self.slope - point
+
+    def powers(self, motions: list[FloatArray], forces: FloatArray) -> FloatArray:
+        """Rows (k, 2n) of the powers of the force, exact at each of the forces (k - 1,)."""
+        first = np.einsum("nij,nj->ni", self.slope, motions[0]).ravel()
+        if len(motions) == 1:
+            return np.asarray(first[None])
+        rest = [
+            (self.shift(motion).ravel() / f - first) / f
+            for f, motion in zip(forces, motions[1:], strict=True)
+        ]
+        powers = forces[:, None] ** np.arange(len(forces))
+        return np.concatenate([first[None], np.linalg.solve(powers, np.stack(rest))])
+
+    def pull(self, row: FloatArray) -> FloatArray:
+        """Force and moment (n, 6) on each receptor whose work is ``row`` (2n,) times its shifts."""
+        return np.asarray(np.einsum("nij,ni->nj", self.slope, row.reshape(-1, 2)))
+
+    def shift(self, motion: FloatArray, *, linear: bool = False) -> FloatArray:
+        """Shifts (…, n, 2) px under motion (…, n, 6): translations mm, rotation vectors rad.
+
+        That of the point watched through the true lens, and, to first order, what the paint that
+        comes into sight and goes out of it does besides.
+
+        Parameters
+        ----------
+        linear : bool
+            Motion is linear theory's, whose rotations are infinitesimal.
+        """
+        moved = (point_motions if linear else turned_points)(motion, self.arm_mm)
+        seen = self.readers.project(self.watched + moved) - self.rest
+        return np.asarray(seen + np.einsum("nij,...nj->...ni", self.more, motion))

@@ -1,0 +1,321 @@
+"""Tables of what contacts at any place do to the markers' images, by the decoder's own mesh.
+
+Linear theory gives the first power of the force, Koiter's expansion or large displacements
+(:mod:`pressed`) the others; the camera is the true lens, and receptors turn with the wall's inner
+face (:mod:`feet`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from phytac_decoder.io.bundle_locator import LEAST_PLACES
+from phytac_decoder.mechanics.interaction_table import Pairs
+from phytac_decoder.mechanics.response_table import AROUND, FACTORIALS, TERMS, Places
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import DesignError
+from scipy.spatial import cKDTree
+
+from phytac_design.design.spec import Design
+from phytac_design.layout import Markers
+from phytac_design.mechanics.meshing.mesh import ShellMesh
+from phytac_design.mechanics.shell.compliance import turns_of
+from phytac_design.mechanics.shell.pressure import tangent_frame
+from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_design.simulation.flat_walls import with_walls
+from phytac_design.simulation.interaction_tables import ELEMENTS_MOST, Mixed, pair_spacing_mm
+from phytac_design.simulation.pressed_series import Pressed, Seen
+
+BATCH = 32
+"""Loads solved together."""
+APART = 2.0
+"""Distance of places at which the higher powers of the force are solved, over that of places:
+they are a small part of the shifts, and are interpolated."""
+TURN_rad = 0.1
+"""Median angle between the walls at neighbouring places from which on they are close enough. On
+flatter walls markers show the wall's slope rather than its motion, which changes sooner."""
+CLOSER = 2.0
+"""How much closer places stand there."""
+FINE = 513
+"""Points along u that rings are spaced by."""
+BYTES_MAX = 400e6
+"""Largest tables; places stand wider apart where they would be larger."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rings:
+    """Places over a surface, in rings along u.
+
+    Attributes
+    ----------
+    uv : (p, 2) float
+        Places.
+    base : (p,) int
+        The place of the same ring that each is a turned copy of; itself where it is none.
+    turns : (p,) int
+        By how many sectors it is turned from there.
+    """
+
+    uv: FloatArray
+    base: IntArray
+    turns: IntArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tabulated:
+    """Tables, and how they came about.
+
+    Attributes
+    ----------
+    places : Places
+        The tables.
+    solves : int
+        Places solved; the others are turned copies.
+    bent : int
+        Places at which the higher powers of the force were found.
+    large : int
+        Of these, those solved with large displacements.
+    spacing_mm : float
+        What places are at most apart.
+    unsure : int
+        Of these, those whose series says nothing at the greatest force, and that were not solved:
+        linear ones stand there.
+    give : list of float
+        How far the edges of each flat wall hold it, see :mod:`walls`; 1 where they hold still.
+    """
+
+    places: Places
+    solves: int
+    bent: int
+    large: int
+    unsure: int
+    spacing_mm: float
+    give: list[float]
+
+
+def rings(surface: Surface, spacing_mm: float, sectors: int) -> Rings:
+    """Places at most about ``spacing_mm`` apart; ``sectors`` > 1 repeats them around so often."""
+    (u0, u1), (v0, v1) = surface.domain
+    u, v = np.linspace(u0, u1, FINE), np.linspace(v0, v1, 65)
+    grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
+    metric = surface.metric(grid).reshape(len(u), len(v), 2, 2)
+    along = np.sqrt(metric[..., 0, 0]).max(axis=1)
+    length = np.append(0.0, np.cumsum((along[1:] + along[:-1]) / 2.0 * np.diff(u)))
+    around = np.trapezoid(np.sqrt(metric[..., 1, 1]), v, axis=1)
+    steps = max(int(np.ceil(length[-1] / spacing_mm)), 2)
+    uv: list[tuple[float, float]] = []
+    base: list[int] = []
+    turns: list[int] = []
+    for place in np.linspace(0.0, length[-1], steps + 1):
+        at = float(np.interp(place, length, u))
+        width = float(np.interp(at, u, around))
+        start = len(uv)
+        if not surface.periodic[1]:
+            number = max(int(np.ceil(width / spacing_mm)), 2)
+            uv += [(at, float(k)) for k in np.linspace(v0, v1, number + 1)]
+            base += range(start, len(uv))
+            turns += [0] * (number + 1)
+            continue
+        per = max(int(np.ceil(width / spacing_mm / sectors)), 1)
+        number = 1 if width < 1e-6 * length[-1] else per * sectors
+        uv += [(at, v0 + (v1 - v0) * k / number) for k in range(number)]
+        base += [start + k % per for k in range(number)]
+        turns += [k // per for k in range(number)]
+    return Rings(uv=np.array(uv), base=np.array(base), turns=np.array(turns))
+
+
+def place_spacing_mm(surface: Surface, share: float, radius_mm: float) -> float:
+    """What places are at most apart, by their distance over the patches' radius (mm)."""
+    spacing = share * radius_mm
+    uv = rings(surface, spacing, 1).uv
+    normal = np.cross(*tangent_frame(surface, uv))
+    # The nearest is each place itself.
+    _, near = cKDTree(surface.point(uv)).query(surface.point(uv), k=min(AROUND, len(uv)))
+    cosine = np.einsum("pqi,pi->pq", normal[near], normal).min(axis=1)
+    flatter = float(np.median(cosine)) > np.cos(TURN_rad)
+    return spacing / CLOSER if flatter else spacing
+
+
+def make_places(
+    design: Design,
+    surface: Surface,
+    markers: Markers,
+    *,
+    mesh: ShellMesh,
+    model: ShellModel,
+    see: Seen,
+    spacing_mm: float,
+    orders: int,
+    near: Callable[[float, FloatArray], BoolArray] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Tabulated:
+    """Tables over the whole surface, or a part of it.
+
+    Where the shell repeats itself around (checked), the places of one column are solved and turned.
+
+    Parameters
+    ----------
+    design, surface, markers : Design, Surface, Markers
+        The sensor.
+    mesh, model : ShellMesh, ShellModel
+        The decoder's own shell.
+    see : Seen
+        What the cameras see of the markers.
+    spacing_mm : float
+        Between places, at most.
+    orders : int
+        Powers of the force: 1 (linear theory) to 5; see :data:`pressed.SOLVED_AT`.
+    near : callable, optional
+        ``near(spacing, uv)`` says which of places (p, 2) so far apart are wanted; all without it.
+
+    Raises
+    ------
+    NumericalError
+        If the shell cannot be solved.
+    DesignError
+        If fewer than ``LEAST_PLACES`` are wanted.
+    """
+    training = design.training
+    radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
+    columns = markers.lattice.columns if markers.lattice else 1
+    sectors, turn = turns_of(model, mesh, columns)
+    if turn is not None and not _markers_turn(markers, turn, columns // sectors):
+        sectors, turn = 1, None
+    least = np.sqrt(surface.area_mm2() * orders * 8.0 * markers.count / BYTES_MAX)
+    spacing = max(spacing_mm, float(least))
+
+    def table(powers: int, apart_mm: float) -> tuple[Places, FloatArray, int, Pressed, int]:
+        ring = rings(surface, apart_mm, sectors)
+        wanted = np.flatnonzero(_wanted(ring.uv, apart_mm, near))
+        if len(wanted) < LEAST_PLACES:
+            raise DesignError(
+                f"the part of the surface asked for holds {len(wanted)} places of the tables, "
+                f"{apart_mm:.2g} mm apart; it takes {LEAST_PLACES}: widen it"
+            )
+        row = np.full(len(ring.uv), -1)
+        row[wanted] = np.arange(len(wanted))
+        solved = np.unique(ring.base[wanted])
+        shell = Pressed(design, surface, markers, mesh=mesh, model=model, orders=powers)
+        out = np.zeros((len(wanted), powers, 2 * markers.count), dtype=np.float32)
+        copies = [wanted[ring.base[wanted] == base] for base in solved]
+        unsure = 0
+        for first in range(0, len(solved), BATCH):
+            batch = solved[first : first + BATCH]
+            for own, motions in zip(
+                copies[first : first + BATCH], shell.motions(ring.uv[batch], radius), strict=True
+            ):
+                unsure += len(motions) < powers
+                for place in own:
+                    times = int(ring.turns[place])
+                    turned = [_turned(m, turn, times, columns, sectors) for m in motions]
+                    out[row[place], : len(motions)] = see.powers(turned, shell.forces)
+            progress(
+                f"places: {min(first + BATCH, len(solved))} of {len(solved)}"
+                + (", large displacements" if powers > 1 else "")
+            )
+        along, around = tangent_frame(surface, ring.uv[wanted])
+        places = Places(
+            point_mm=surface.point(ring.uv[wanted]),
+            along=along,
+            around=around,
+            shift_px=out,
+            radius_mm=radius,
+        )
+        return places, ring.uv[wanted], len(solved), shell, unsure
+
+    places, uv, solves, _, _ = table(1, spacing)
+    if orders == 1:
+        return Tabulated(
+            places=places, solves=solves, bent=0, large=0, unsure=0, spacing_mm=spacing, give=[]
+        )
+    # A small part of the surface holds too few places so far apart.
+    apart = (
+        APART * spacing
+        if _enough(rings(surface, APART * spacing, sectors).uv, APART * spacing, near)
+        else spacing
+    )
+    higher, _, bent, shell, unsure = table(orders, apart)
+    more = between(higher, places.point_mm)[:, 1:].astype(np.float32)
+    whole = np.concatenate([places.shift_px, more], axis=1)
+    places = replace(places, shift_px=whole, top_N=float(shell.forces[-1]))
+    progress("places: flat walls")
+    places, give = with_walls(shell, see, places, uv)
+    progress("places: pairs of contacts")
+    # Of contacts on flat walls tension tells; beyond the expansion pairs on other flat parts
+    # would double the errors, while on curved walls they still help (patch).
+    holds = unsure == 0 and not give and (shell.beyond == 0 or not places.flat.any())
+    pairs = _pairs(shell, see, radius, near, progress) if holds else None
+    return Tabulated(
+        places=replace(places, pairs=pairs),
+        solves=solves,
+        bent=bent,
+        large=shell.solved,
+        unsure=unsure,
+        spacing_mm=spacing,
+        give=give,
+    )
+
+
+def _enough(
+    uv: FloatArray, apart_mm: float, near: Callable[[float, FloatArray], BoolArray] | None
+) -> bool:
+    """Whether tables hold those of places (p, 2) so far apart that are wanted."""
+    return int(_wanted(uv, apart_mm, near).sum()) >= LEAST_PLACES
+
+
+def _wanted(
+    uv: FloatArray, apart_mm: float, near: Callable[[float, FloatArray], BoolArray] | None
+) -> BoolArray:
+    """Which of places (p, 2) so far apart are wanted."""
+    return np.ones(len(uv), dtype=np.bool_) if near is None else near(apart_mm, uv)
+
+
+def _pairs(
+    shell: Pressed,
+    see: Seen,
+    radius_mm: float,
+    near: Callable[[float, FloatArray], BoolArray] | None,
+    progress: Callable[[str], None],
+) -> Pairs | None:
+    """Tables of pairs of places; None where too few are wanted, or the shell is too large."""
+    if len(shell.model.quads) > ELEMENTS_MOST:
+        return None
+    apart = pair_spacing_mm(shell.surface.area_mm2(), radius_mm)
+    uv = rings(shell.surface, apart, 1).uv
+    if not _enough(uv, apart, near):
+        return None
+    wanted = uv[_wanted(uv, apart, near)]
+    return Mixed(shell, see, wanted, radius_mm).pairs(progress)
+
+
+def between(places: Places, points_mm: FloatArray) -> FloatArray:
+    """Rows (m, k, 2n) at points (m, 3) of the surface: cubics about the nearest places."""
+    nearest = places.nearest(points_mm)
+    out = np.zeros((len(points_mm), *places.shift_px.shape[1:]))
+    for place in np.unique(nearest).tolist():
+        own = np.flatnonzero(nearest == place)
+        x, y = places.laid(place, points_mm[own]).T
+        powers = np.stack([x**a * y**b / (FACTORIALS[a] * FACTORIALS[b]) for a, b in TERMS])
+        out[own] = np.einsum("tm,tkr->mkr", powers, places.cubic(place))
+    return out
+
+
+def _markers_turn(markers: Markers, turn: FloatArray, step: int) -> bool:
+    """Whether markers land on those ``step`` columns on."""
+    if markers.lattice is None or markers.count % markers.lattice.columns:
+        return False
+    mid = markers.mid_mm.reshape(-1, markers.lattice.columns, 3)
+    gap = np.abs(mid @ turn.T - np.roll(mid, -step, axis=1)).max()
+    return bool(gap <= 1e-6 * np.abs(mid).max())
+
+
+def _turned(
+    motion: FloatArray, turn: FloatArray | None, times: int, columns: int, sectors: int
+) -> FloatArray:
+    """Motion (n, 6) of a load that is turned by some sectors."""
+    if turn is None or times == 0:
+        return motion
+    power = np.linalg.matrix_power(turn, times)
+    field = motion.reshape(-1, columns, 2, 3) @ power.T
+    return np.asarray(np.roll(field, times * (columns // sectors), axis=1).reshape(motion.shape))

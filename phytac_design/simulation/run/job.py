@@ -1,0 +1,128 @@
+"""A simulation: all that its data set depends on."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from typing import Any, Literal, get_args
+
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError
+
+from phytac_design.design.accuracy import PRESETS, Preset
+from phytac_design.design.spec import Design
+from phytac_design.engine.cache import code_hash
+from phytac_design.layout import Markers, make_markers
+from phytac_design.simulation.sample_plan import Plan
+from phytac_design.simulation.scenario.draw import make_plan
+from phytac_design.simulation.scenario.file import Scenario
+from phytac_design.simulation.scenario.scatter import draw_unit
+from phytac_design.simulation.sensor_instance import Unit
+
+Keep = Literal["inputs", "points", "frames"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """All that a data set depends on.
+
+    Attributes
+    ----------
+    design : Design
+        The sensor.
+    scenario : Scenario
+        What is done to it, on which virtual unit, and how it is solved and seen.
+    seed : int
+        Of everything random.
+    accuracy : str
+        Preset of the twin's mesh.
+    keep : str
+        ``inputs`` of the network alone, ``points`` (all markers), or ``frames`` as well.
+    """
+
+    design: Design
+    scenario: Scenario
+    seed: int = 0
+    accuracy: Preset = "standard"
+    keep: Keep = "points"
+
+    def __post_init__(self) -> None:
+        """Refuse settings that no data set can be made with.
+
+        Raises
+        ------
+        DesignError
+            With what is wrong and what would do.
+        """
+        if not (isinstance(self.design, Design) and isinstance(self.scenario, Scenario)):
+            raise DesignError(
+                "a job needs a design and a scenario that are loaded (got "
+                f"{type(self.design).__name__} and {type(self.scenario).__name__}); use "
+                "load_design and load_scenario"
+            )
+        if self.accuracy not in PRESETS:
+            known = ", ".join(PRESETS)
+            raise DesignError(f"accuracy must be one of {known} (got {self.accuracy!r})")
+        if self.keep not in get_args(Keep):
+            known = ", ".join(get_args(Keep))
+            raise DesignError(f"keep must be one of {known} (got {self.keep!r})")
+        if self.keep == "frames" and self.scenario.solve.route != "frames":
+            raise DesignError(
+                "frames cannot be kept where none are made (got route = 'points'); set "
+                "solve.route = 'frames', or --route frames"
+            )
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
+            raise DesignError(f"the seed must be a whole number from 0 on (got {self.seed!r})")
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of the job and of the program."""
+        text = json.dumps([code_hash(), self.plain()], sort_keys=True)
+        return sha256(text.encode()).hexdigest()
+
+    def plain(self) -> dict[str, Any]:
+        """The job as plain values, to hash it and to hand it to other processes."""
+        return {
+            "design": self.design.model_dump(mode="json"),
+            "scenario": self.scenario.model_dump(mode="json"),
+            "seed": self.seed,
+            "accuracy": self.accuracy,
+            "keep": self.keep,
+        }
+
+    @classmethod
+    def of(cls, plain: Mapping[str, Any]) -> "Job":
+        """Undo :meth:`plain`."""
+        return cls(
+            design=Design.model_validate(plain["design"]),
+            scenario=Scenario.model_validate(plain["scenario"]),
+            seed=plain["seed"],
+            accuracy=plain["accuracy"],
+            keep=plain["keep"],
+        )
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The sensing surface."""
+        return self.design.surface()
+
+    @cached_property
+    def markers(self) -> Markers:
+        """The markers as designed."""
+        return make_markers(self.design, self.surface)
+
+    @cached_property
+    def unit(self) -> Unit:
+        """The virtual sensor."""
+        return draw_unit(self.design, self.surface, self.markers, self.scenario.unit, self.seed)
+
+    @cached_property
+    def plan(self) -> Plan:
+        """All samples before they are solved."""
+        return make_plan(self.design, self.surface, self.unit, self.scenario, seed=self.seed)
+
+    @property
+    def refine(self) -> int:
+        """Elements of the twin's mesh per marker pitch."""
+        return PRESETS[self.accuracy].truth_refine

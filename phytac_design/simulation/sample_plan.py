@@ -1,0 +1,58 @@
+"""What a scenario does to a sensor, sample by sample, before anything is solved."""
+
+from dataclasses import dataclass
+
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+
+from phytac_design.simulation.contacts import Switching
+from phytac_design.simulation.indenters import Touches
+
+
+@dataclass(frozen=True, kw_only=True)
+class Region:
+    """Box of the chart that a scenario's contacts lie in, patches included.
+
+    Attributes
+    ----------
+    low, high : (2,) float
+        Of u and v. On a periodic axis ``low`` may exceed ``high``: the box then runs over the seam.
+    whole : (2,) bool
+        Axes that are covered from end to end.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    whole: BoolArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """All samples of a scenario on one unit; cheap to make, the same for every worker.
+
+    Attributes
+    ----------
+    touches : Touches
+        Contacts with the force that a gauge behind the indenter reads.
+    felt_N : (c,) float
+        Force of the elastic shell that moves as this one does: ``touches.force_N`` with the
+        history of creep in it.
+    time_s : (s,) float
+        When each sample is taken.
+    sequence : (s,) int
+        Samples of one press with a common history share a number: keep them on one side of a
+        split.
+    light : (s,) float
+        Brightness of the light over that at the start.
+    switching : Switching
+        Switches with their hysteresis, and the truth per receptor.
+    region : Region
+        Where contacts lie.
+    """
+
+    touches: Touches
+    felt_N: FloatArray
+    time_s: FloatArray
+    sequence: IntArray
+    light: FloatArray
+    switching: Switching
+    region: Region

@@ -1,0 +1,60 @@
+"""One printed sensor: how it differs from its design, drawn once."""
+
+from dataclasses import dataclass
+
+from phytac_decoder.camera.camera import Camera
+from phytac_shapes.arrays import FloatArray
+
+from phytac_design.layout import Markers
+
+
+@dataclass(frozen=True, kw_only=True)
+class WallField:
+    """Thickness over the nominal one, smooth over the wall.
+
+    Attributes
+    ----------
+    mean : float
+        Factor of the whole wall.
+    waves : (k, 4) float
+        Rows (amplitude, cycles along u, cycles along v, phase in rad) of cosine waves over the
+        chart; whole cycles along periodic axes.
+    domain : (2, 2) float
+        The chart's (low, high) of u and v.
+    """
+
+    mean: float
+    waves: FloatArray
+    domain: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unit:
+    """A virtual sensor.
+
+    Attributes
+    ----------
+    number : int
+        0 is the design itself, without scatter.
+    markers : Markers
+        As printed: moved along the wall, and their heights.
+    wall : WallField
+        Thickness.
+    modulus : float
+        Young's modulus over the design's.
+    on_N, off_N : (n,) float
+        Force on a footprint above which a switch comes on, and below which it goes off again.
+    cameras : tuple of Camera
+        As mounted and focused.
+    paint : (colours + 1, 3) float
+        Factor on the linear RGB albedo of each of the layout's colours, and of red (last).
+    """
+
+    number: int
+    markers: Markers
+    wall: WallField
+    modulus: float
+    on_N: FloatArray
+    off_N: FloatArray
+    cameras: tuple[Camera, ...]
+    paint: FloatArray

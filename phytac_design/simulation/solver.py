@@ -1,0 +1,212 @@
+"""How the wall of a virtual sensor moves under the touches of one sample."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import PhytacError
+
+from phytac_design.design.spec import Design
+from phytac_design.mechanics.large.modified import Modified
+from phytac_design.mechanics.shell.pressure import Holes, touch_loads
+from phytac_design.simulation.indenters import Touches
+from phytac_design.simulation.instance_shell import unit_shell
+from phytac_design.simulation.receptor_kinematics import Feet
+from phytac_design.simulation.sample_plan import Region
+from phytac_design.simulation.sensor_instance import Unit
+
+Displacement = Literal["linear", "large", "auto"]
+Theory = Literal["rest", "linear", "large"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """Motion of one sample.
+
+    Attributes
+    ----------
+    motion : (n, 6) float or None
+        Translation (mm) of the middle face under each marker, and rotation vector (rad) of the
+        tube that stands there.
+    status : str
+        ``ok``; ``flagged``: an equilibrium that is unstable, not known to be stable, or reached
+        by a jump, or linear motion by more than the wall's thickness; ``failed``: no motion.
+    reason : str
+        Why it is not ``ok``; else empty.
+    theory : str
+        ``rest``, ``linear`` or ``large``: what was solved.
+    error_estimate : float
+        Error of theory and iteration over the greatest translation; that of the mesh is not part
+        of it. NaN where it was not looked for (``linear`` asked for) or nothing was found.
+    softest : float
+        Least Ritz value of the tangent against the stiffness at rest; NaN where not looked for.
+    guarded : str
+        Why the slow, path-following method was taken; "" where it was not.
+    """
+
+    motion: FloatArray | None
+    status: Literal["ok", "flagged", "failed"]
+    reason: str
+    theory: Theory
+    error_estimate: float
+    softest: float = float("nan")
+    guarded: str = ""
+
+
+class Solver:
+    """The wall of one virtual sensor; built once, for many samples.
+
+    What is found depends on the sample alone, bit for bit, not on those before it.
+
+    Parameters
+    ----------
+    design, surface : Design, Surface
+        The sensor as designed.
+    unit : Unit
+        How this print differs.
+    refine : int
+        Elements of the mesh per marker pitch (``accuracy.PRESETS``).
+    displacement : str
+        ``linear``, ``large``, or ``auto``: linear in the samples where its estimated error, with
+        its safety, is within the tolerance, and large in the others.
+    tolerance : float
+        Error that ``auto`` leaves, over the greatest translation.
+    region : Region, optional
+        The touched part of the chart; None: all of it.
+    local : bool
+        Whether the mesh is fine in that part alone.
+
+    Attributes
+    ----------
+    feet : Feet
+        How the receptors move with the wall.
+    nodes, whole_nodes : int
+        Of the mesh, and of one that is fine all over.
+    whole_because : str
+        Why the mesh is fine all over; "" where it is not.
+    """
+
+    def __init__(
+        self,
+        design: Design,
+        surface: Surface,
+        unit: Unit,
+        *,
+        refine: int,
+        displacement: Displacement = "auto",
+        tolerance: float = 0.01,
+        region: Region | None = None,
+        local: bool = True,
+    ) -> None:
+        self.surface = surface
+        self.displacement, self.tolerance = displacement, tolerance
+        shell = unit_shell(design, surface, unit, refine, region, local=local)
+        self.mesh, self.model = shell.mesh, shell.model
+        self.nodes, self.whole_nodes = len(shell.mesh.nodes_mm), shell.whole_nodes
+        self.whole_because = shell.whole_because
+        self.count = unit.markers.count
+        receptor = design.receptor
+        self.feet = Feet(self.mesh, surface, unit.markers.uv, receptor.diameter_outer_mm / 2.0)
+        self._holes = Holes.of(surface, unit.markers.uv, receptor.diameter_hole_mm / 2.0)
+        self._shell = Modified(self.model)
+        self.deepest_mm = float(np.sort(np.ptp(surface.bounds_mm(), axis=0))[1]) / 2.0
+
+    def solve(self, touches: Touches, felt_N: FloatArray) -> Motion:
+        """Motion under the touches of one sample, whatever becomes of it; never an exception.
+
+        Parameters
+        ----------
+        touches : Touches
+            Contacts of the sample; their ``force_N`` is not used.
+        felt_N : (c,) float
+            Force that each presses with.
+        """
+        if len(felt_N) == 0 or not np.any(felt_N):
+            return Motion(
+                motion=np.zeros((self.count, 6)),
+                status="ok",
+                reason="",
+                theory="rest",
+                error_estimate=0.0,
+                softest=1.0,
+            )
+        theory: Theory = "linear" if self.displacement == "linear" else "large"
+        try:
+            force = self.load(touches, felt_N)
+            linear = self._shell.linear(force)
+            dent = self._refuse_deep(linear)
+        except (PhytacError, ArithmeticError, MemoryError, ValueError) as error:
+            return _failed(str(error) or type(error).__name__, theory)
+        if self.displacement == "linear":
+            reason = self._too_deep(dent)
+            return Motion(
+                motion=self.feet.linear(linear),
+                status="flagged" if reason else "ok",
+                reason=reason,
+                theory="linear",
+                error_estimate=float("nan"),
+            )
+        tolerance = self.tolerance if self.displacement == "auto" else None
+        found = self._shell.solve(force, tolerance=tolerance, linear=linear)
+        sample = found.sample
+        if sample.motion is None or not np.all(np.isfinite(sample.motion)):
+            return _failed(sample.reason or "the motion is not finite", theory, found.guarded)
+        theory = "large" if sample.large else "linear"
+        moved = self.feet.large if sample.large else self.feet.linear
+        return Motion(
+            motion=moved(sample.motion),
+            status=sample.status,
+            reason=sample.reason,
+            theory=theory,
+            error_estimate=found.error,
+            softest=found.softest,
+            guarded=found.guarded,
+        )
+
+    def load(self, touches: Touches, felt_N: FloatArray) -> FloatArray:
+        """Nodal load (6N,) of one sample; nothing presses on the receptors' holes."""
+        unit = touch_loads(self.mesh, self.surface, touches, holes=self._holes)
+        return np.asarray(unit @ felt_N).ravel()
+
+    def _too_deep(self, dent: float) -> str:
+        """Why linear motion says little; "" where the wall moves by less than its thickness."""
+        thickness = self.mesh.thickness_mm
+        if dent <= thickness:
+            return ""
+        return (
+            f"linear theory has the wall pressed in by {dent:.3g} mm, more than its thickness of "
+            f"{thickness:.3g} mm, where it is far off; use displacement large or auto"
+        )
+
+    def _refuse_deep(self, linear: FloatArray) -> float:
+        """How far loads press the wall in, mm; refused if by more than the sensor has.
+
+        Raises
+        ------
+        ArithmeticError
+            If they would, by linear theory.
+        """
+        moved = linear.reshape(-1, 6)[:, :3]
+        # Motions of any size are squared without an overflow.
+        scale = float(np.abs(moved).max()) or 1.0
+        dent = scale * float(np.linalg.norm(moved / scale, axis=1).max())
+        if not dent <= self.deepest_mm:
+            raise ArithmeticError(
+                f"the touches are too strong for this wall: linear theory has it pressed in by "
+                f"{dent:.3g} mm, and the sensor is {self.deepest_mm:.3g} mm from its middle to its "
+                "side; lower the forces or raise wall.thickness_mm"
+            )
+        return dent
+
+
+def _failed(reason: str, theory: Theory, guarded: str = "") -> Motion:
+    return Motion(
+        motion=None,
+        status="failed",
+        reason=reason,
+        theory=theory,
+        error_estimate=float("nan"),
+        guarded=guarded,
+    )

@@ -1,0 +1,1 @@
+"""CAD and print meshes of the shell, and STEP reading."""

@@ -1,0 +1,250 @@
+"""The shell as exact CAD (OpenCASCADE through CadQuery) and its STEP file."""
+
+import itertools
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import CadKernelError, NumericalError, OutputError
+
+from phytac_design.design.spec import Design
+from phytac_design.layout import Markers
+from phytac_design.solids.cad_kernel import cadquery
+from phytac_design.solids.cad_wall import WALLS, wall_cad
+from phytac_design.solids.receptor_tubes import receptor_axes
+
+__all__ = [
+    "WALLS",
+    "CadBody",
+    "CadFacts",
+    "cad_facts",
+    "read_assembly",
+    "read_step",
+    "revolved_cad",
+    "shell_cad",
+    "wall_cad",
+    "write_assembly",
+    "write_step",
+    "write_stl_by_cad",
+]
+STEP_DATE = "2000-01-01T00:00:00"
+"""Time stamp of every STEP file: the same inputs give the same file."""
+COLOUR_OF = "MECHANICAL_DESIGN_GEOMETRIC_PRESENTATION_REPRESENTATION"
+"""STEP's name for the entity that gives items their looks."""
+VOLUME_REL = 1e-6
+"""Relative error asked of OpenCASCADE's volume."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CadFacts:
+    """Facts of a CAD solid: volume and area exact, ``valid`` by OpenCASCADE's own check."""
+
+    volume_mm3: float
+    area_mm2: float
+    valid: bool
+    solids: int
+
+
+def shell_cad(design: Design, surface: Surface, markers: Markers) -> Any:
+    """Wall, rims, tubes and holes as one ``cadquery`` solid, mm.
+
+    Raises
+    ------
+    DesignError
+        If no CAD builder is registered for the surface family.
+    CadKernelError
+        If OpenCASCADE does not return exactly one sound solid.
+    """
+    cq = cadquery()
+    wall = wall_cad(surface, design.wall)
+    axes = receptor_axes(design, surface, markers)
+    receptor = design.receptor
+    tubes = _rods(cq, axes.root_mm, axes.tip_mm, receptor.diameter_outer_mm / 2.0)
+    holes = _rods(cq, axes.hole_start_mm, axes.hole_end_mm, receptor.diameter_hole_mm / 2.0)
+    solids = wall.fuse(*tubes).cut(*holes).Solids()
+    if len(solids) != 1:
+        raise CadKernelError(
+            f"OpenCASCADE cannot fuse receptors and wall: {len(solids)} solids instead of 1; the "
+            "printed meshes are made without it"
+        )
+    return solids[0]
+
+
+def _rods(cq: Any, start_mm: FloatArray, end_mm: FloatArray, radius_mm: float) -> list[Any]:
+    """Round rods between points (n, 3)."""
+    axis = end_mm - start_mm
+    length = np.linalg.norm(axis, axis=1)
+    return [
+        cq.Solid.makeCylinder(radius_mm, h, cq.Vector(*p), cq.Vector(*d))
+        for p, d, h in zip(start_mm.tolist(), axis.tolist(), length.tolist(), strict=True)
+    ]
+
+
+def cad_facts(shape: Any) -> CadFacts:
+    """Volume, area, validity (BRepCheck) and number of solids of a CadQuery shape.
+
+    The volume is integrated to ``VOLUME_REL``: OpenCASCADE's default is off by a few parts in ten
+    thousand on spline faces.
+    """
+    from OCP.BRepGProp import BRepGProp
+    from OCP.GProp import GProp_GProps
+
+    properties = GProp_GProps()
+    BRepGProp.VolumeProperties_s(shape.wrapped, properties, VOLUME_REL, False, False)
+    return CadFacts(
+        volume_mm3=float(properties.Mass()),
+        area_mm2=float(shape.Area()),
+        valid=bool(shape.isValid()),
+        solids=len(shape.Solids()),
+    )
+
+
+def write_step(solid: Any, path: Path, *, name: str = "shell") -> None:
+    """Write a STEP file (AP214, mm, no pcurves) without time stamp or session counters.
+
+    Raises
+    ------
+    OutputError
+        If OpenCASCADE cannot write the file.
+    """
+    from OCP.IFSelect import IFSelect_RetDone
+    from OCP.Interface import Interface_Static
+    from OCP.STEPControl import STEPControl_AsIs, STEPControl_Writer
+
+    writer = STEPControl_Writer()
+    Interface_Static.SetIVal_s("write.surfacecurve.mode", 0)
+    Interface_Static.SetCVal_s("write.step.product.name", name)
+    writer.Transfer(solid.wrapped, STEPControl_AsIs)
+    if writer.Write(str(path)) != IFSelect_RetDone:
+        raise OutputError(f"cannot write STEP file {path}; check that the folder is writable")
+    text = path.read_text(encoding="latin-1")
+    head, data = text.split("DATA;", 1)
+    head = re.sub(r"'\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d'", f"'{STEP_DATE}'", head)
+    data = re.sub(r"PRODUCT\('[^']*',\s*'[^']*'", f"PRODUCT('{name}','{name}'", data, count=1)
+    path.write_text(f"{head}DATA;{data}", encoding="latin-1")
+
+
+def read_step(path: Path) -> Any:
+    """Open a STEP file again, as a CadQuery shape."""
+    cq = cadquery()
+    return cq.importers.importStep(str(path)).val()
+
+
+def write_stl_by_cad(solid: Any, path: Path, *, tolerance_mm: float, angle_rad: float) -> None:
+    """STL by OpenCASCADE's own mesher: the peer that benchmarks compare with."""
+    solid.exportStl(str(path), tolerance_mm, angle_rad)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CadBody:
+    """A body of an assembly: its shape, colour (red, green, blue, 0 to 1), and place.
+
+    ``frame`` is an origin (3,) and a rotation (3, 3) whose columns are its axes; none for the
+    assembly's own frame. Bodies of one shape share it in the file.
+    """
+
+    name: str
+    shape: Any
+    colour: tuple[float, float, float]
+    frame: tuple[FloatArray, FloatArray] | None = None
+
+
+def write_assembly(bodies: Sequence[CadBody], path: Path, *, name: str) -> None:
+    """Write a STEP assembly (AP214, mm) with names and colours, without time stamp or counters.
+
+    Raises
+    ------
+    OutputError
+        If OpenCASCADE cannot write the file.
+    """
+    cq = cadquery()
+    whole = cq.Assembly(name=name)
+    for body in bodies:
+        place = None
+        if body.frame is not None:
+            origin, turn = body.frame
+            plane = cq.Plane(
+                origin=tuple(origin.tolist()),
+                xDir=tuple(turn[:, 0].tolist()),
+                normal=tuple(turn[:, 2].tolist()),
+            )
+            place = cq.Location(plane)
+        whole.add(body.shape, name=body.name, loc=place)
+    try:
+        whole.export(str(path), "STEP", write_pcurves=False)
+    except (ValueError, RuntimeError, OSError) as error:
+        raise OutputError(f"cannot write STEP file {path}: {error}") from None
+    if not path.is_file():
+        raise OutputError(f"cannot write STEP file {path}; check that the folder is writable")
+    text = path.read_text(encoding="latin-1")
+    head, data = text.split("DATA;", 1)
+    head = re.sub(r"'\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d'", f"'{STEP_DATE}'", head)
+    # OpenCASCADE numbers the places of bodies on from file to file.
+    count = itertools.count(1)
+    data = re.sub(
+        r"(NEXT_ASSEMBLY_USAGE_OCCURRENCE\()'\d+'",
+        lambda found: f"{found[1]}'{next(count)}'",
+        data,
+    )
+    colours = list({id(body.shape): body.colour for body in bodies}.values())
+    path.write_text(f"{head}DATA;{_coloured(data, colours)}", encoding="latin-1")
+
+
+def _coloured(data: str, colours: Sequence[tuple[float, float, float]]) -> str:
+    """Data section of a STEP file with a colour for each of its shapes, in their order.
+
+    OpenCASCADE's own colours come in another order each time.
+    """
+    numbers = [int(found) for found in re.findall(r"^#(\d+)\s*=", data, flags=re.MULTILINE)]
+    shapes = re.findall(
+        r"=\s*ADVANCED_BREP_SHAPE_REPRESENTATION\('[^']*',\s*\(([^)]*)\),\s*#(\d+)\)", data
+    )
+    if len(shapes) != len(colours):
+        raise NumericalError(
+            f"the STEP assembly holds {len(shapes)} shapes instead of {len(colours)}; please "
+            "report this design"
+        )
+    solid = set(re.findall(r"#(\d+)\s*=\s*(?:MANIFOLD_SOLID_BREP|BREP_WITH_VOIDS)", data))
+    lines, used = [], max(numbers)
+    for (items, context), (red, green, blue) in zip(shapes, colours, strict=True):
+        n = used
+        for item in (found for found in re.findall(r"#(\d+)", items) if found in solid):
+            lines += [
+                f"#{n + 1} = COLOUR_RGB('',{red:.4f},{green:.4f},{blue:.4f});",
+                f"#{n + 2} = FILL_AREA_STYLE_COLOUR('',#{n + 1});",
+                f"#{n + 3} = FILL_AREA_STYLE('',(#{n + 2}));",
+                f"#{n + 4} = SURFACE_STYLE_FILL_AREA(#{n + 3});",
+                f"#{n + 5} = SURFACE_SIDE_STYLE('',(#{n + 4}));",
+                f"#{n + 6} = SURFACE_STYLE_USAGE(.BOTH.,#{n + 5});",
+                f"#{n + 7} = PRESENTATION_STYLE_ASSIGNMENT((#{n + 6}));",
+                f"#{n + 8} = STYLED_ITEM('color',(#{n + 7}),#{item});",
+                f"#{n + 9} = {COLOUR_OF}('',(#{n + 8}),#{context});",
+            ]
+            n += 9
+        used = n
+    body, end = data.rsplit("ENDSEC;", 1)
+    return body + "\n".join(lines) + "\nENDSEC;" + end
+
+
+def read_assembly(path: Path) -> dict[str, CadBody]:
+    """Bodies of a STEP assembly by name, their shapes where they stand in the assembly."""
+    cq = cadquery()
+    bodies = {}
+    for shape, path_name, place, colour in cq.Assembly.importStep(str(path)):
+        name = path_name.rsplit("/", 1)[-1]
+        rgb = colour.toTuple()[:3] if colour is not None else (0.0, 0.0, 0.0)
+        bodies[name] = CadBody(name=name, shape=shape.moved(place), colour=rgb)
+    return bodies
+
+
+def revolved_cad(profile_mm: FloatArray) -> Any:
+    """Solid of revolution of a half section (k, 2) as (r, z) whose ends lie on the axis."""
+    cq = cadquery()
+    points = [cq.Vector(float(r), 0.0, float(z)) for r, z in profile_mm]
+    wire = cq.Wire.makePolygon(points, close=True)
+    return cq.Solid.revolve(wire, [], 360.0, cq.Vector(0, 0, 0), cq.Vector(0, 0, 1))

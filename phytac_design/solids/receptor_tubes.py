@@ -1,0 +1,137 @@
+"""Axes of the receptor tubes, their painted bands and their holes, from markers and surface."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import DesignError
+
+from phytac_design.design.spec import Design
+from phytac_design.layout import Markers
+
+OVERSHOOT_mm = 0.05
+"""How far a hole's cutter runs past the end face, so that the faces never coincide."""
+
+FOOT_STEPS = 1
+"""Steps to the foot of a point one tube radius away; the height's error is of fourth order."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReceptorAxes:
+    """Rods along the receptors' axes; arrays are (n, 3) mm over markers.
+
+    Attributes
+    ----------
+    root_mm : (n, 3) float
+        Where the tube begins, inside the wall.
+    tip_mm : (n, 3) float
+        Centre of the end face.
+    band_mm : (n, 3) float
+        Where the painted band begins; the root if the whole tube is painted.
+    hole_start_mm, hole_end_mm : (n, 3) float
+        Axis of the hole's cutter, from outside the outer face to beyond the end face.
+    painted : (n,) bool
+        Whether the whole tube is painted (the band is not shorter than the receptor).
+    """
+
+    root_mm: FloatArray
+    tip_mm: FloatArray
+    band_mm: FloatArray
+    hole_start_mm: FloatArray
+    hole_end_mm: FloatArray
+    painted: BoolArray
+
+
+def _outer_mm(design: Design, surface: Surface, markers: Markers) -> FloatArray:
+    """Where the receptors' axes meet the outer face, (n, 3) mm (its tangent plane if leaning)."""
+    if design.receptor.direction == "normal":
+        return surface.point(markers.uv)
+    cosine = -np.sum(markers.direction * markers.normal, axis=1)
+    back = (design.wall.thickness_mm / 2.0 / cosine)[:, None] * markers.direction
+    return np.asarray(markers.mid_mm - back)
+
+
+def rim_sag_mm(
+    surface: Surface, markers: Markers, centre_mm: FloatArray, radius_mm: float
+) -> tuple[FloatArray, ...]:
+    """Highest and lowest point of a disc's edge above the outer face, (n,) mm each.
+
+    A disc of ``radius_mm`` around ``centre_mm`` (n, 3), square to each receptor's axis: positive
+    where its edge stands out of the surface (convex, or leaning), negative where it dips under it.
+    """
+    along = surface.tangents(markers.uv)[:, 0]
+    along = along - np.sum(along * markers.direction, axis=1)[:, None] * markers.direction
+    first = along / np.linalg.norm(along, axis=1, keepdims=True)
+    second = np.cross(markers.direction, first)
+    angle = np.pi / 4.0 * np.arange(8)
+    ring = first[:, None] * np.cos(angle)[:, None] + second[:, None] * np.sin(angle)[:, None]
+    points = (centre_mm[:, None] + radius_mm * ring).reshape(-1, 3)
+    foot = _near_feet(surface, np.repeat(markers.uv, 8, axis=0), points)
+    height = np.einsum("ni,ni->n", points - surface.point(foot), surface.normal(foot))
+    height = height.reshape(-1, 8)
+    return height.max(axis=1), height.min(axis=1)
+
+
+def _near_feet(surface: Surface, uv: FloatArray, points_mm: FloatArray) -> FloatArray:
+    """Feet (n, 2) of points (n, 3) that lie near known chart places, by Gauss-Newton steps.
+
+    Cheaper than a chart that must look for its start; at a pole only that will do.
+    """
+    if any(surface.poles):
+        return surface.chart(points_mm)
+    foot = uv
+    for _ in range(FOOT_STEPS):
+        tangents = surface.tangents(foot)
+        (e, f), (_, g) = np.moveaxis(np.einsum("nai,nbi->nab", tangents, tangents), 0, -1)
+        a, b = np.moveaxis(np.einsum("nai,ni->na", tangents, points_mm - surface.point(foot)), 1, 0)
+        det = e * g - f * f
+        foot = foot + np.stack([g * a - f * b, e * b - f * a], axis=1) / det[:, None]
+    return foot
+
+
+def root_depth_mm(design: Design, surface: Surface, markers: Markers) -> FloatArray:
+    """Way along the axis from the outer face to where a flat root lies in the wall, (n,) mm.
+
+    Raises
+    ------
+    DesignError
+        If the wall curves away so much under a tube, or the tube leans so much, that no flat root
+        stays inside the wall.
+    """
+    thickness, radius = design.wall.thickness_mm, design.receptor.diameter_outer_mm / 2.0
+    outer = _outer_mm(design, surface, markers)
+    high, low = rim_sag_mm(surface, markers, outer, radius)
+    least, most = np.maximum(high, 0.0), thickness + np.minimum(low, 0.0)
+    bad = np.flatnonzero(most - least <= 0.05 * thickness)
+    if bad.size:
+        worst = int(bad[np.argmin((most - least)[bad])])
+        lean = "" if design.receptor.direction == "normal" else "the lean of the receptors, "
+        raise DesignError(
+            f"a receptor of {markers.place(worst)} does not fit the curved wall: under its "
+            f"{design.receptor.diameter_outer_mm:g} mm tube the surface falls by "
+            f"{high[worst]:.2f} mm in a wall of {thickness:g} mm; lower {lean}"
+            "receptor.diameter_outer_mm or raise wall.thickness_mm"
+        )
+    cosine = -np.sum(markers.direction * markers.normal, axis=1)
+    return np.asarray((least + most) / 2.0 / cosine)
+
+
+def receptor_axes(design: Design, surface: Surface, markers: Markers) -> ReceptorAxes:
+    """Axes of all tubes, bands and holes."""
+    receptor = design.receptor
+    depth = root_depth_mm(design, surface, markers)
+    outer = _outer_mm(design, surface, markers)
+    root = outer + depth[:, None] * markers.direction
+    painted = receptor.band_marker_mm >= markers.height_mm - 1e-9
+    band = markers.tip_mm - receptor.band_marker_mm * markers.direction
+    # Half a tube diameter outside, the whole disc of the cutter is clear of any sane surface.
+    outside = outer - receptor.diameter_outer_mm / 2.0 * markers.direction
+    return ReceptorAxes(
+        root_mm=root,
+        tip_mm=markers.tip_mm,
+        band_mm=np.where(painted[:, None], root, band),
+        hole_start_mm=outside,
+        hole_end_mm=markers.tip_mm + OVERSHOOT_mm * markers.direction,
+        painted=painted,
+    )

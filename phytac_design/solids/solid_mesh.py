@@ -1,0 +1,189 @@
+"""The printable shell as a mesh, by manifold3d (imported here only, at first use).
+
+Solids of the shell, all in one frame::
+
+    shell  = (wall ∪ tubes) − holes
+    resin  = (wall ∪ tubes without their painted bands) − holes
+    paint  = (bands − wall) − holes, one body for each colour
+
+so that resin and paints tile the shell: the volumes add up, and nothing overlaps.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
+
+from phytac_design.design.spec import Design
+from phytac_design.geometry.triangles import TriangleMesh, prisms, sides_for
+from phytac_design.layout import Markers
+from phytac_design.solids.receptor_tubes import ReceptorAxes, receptor_axes
+from phytac_design.solids.wall_mesh import wall_mesh
+
+BAND_MIN_mm = 1e-3
+"""A shorter painted band is no solid; its paint is left out."""
+SLIVER_mm = 1e-6
+"""Triangles thinner than this are merged: single precision (STL) cannot tell where they face."""
+TOLERANCE_mm = 0.01
+"""Default distance between the mesh and the true faces; a tenth of what a printer resolves."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Parts:
+    """Manifolds that every solid is made of, and the sizes for more."""
+
+    wall: Any
+    holes: Any
+    axes: ReceptorAxes
+    radius_mm: float
+    sides: int
+
+    def rods(self, start_mm: FloatArray, end_mm: FloatArray) -> Any:
+        """Rods of the tube's outer diameter."""
+        return to_manifold(prisms(start_mm, end_mm, self.radius_mm, self.sides))
+
+
+def to_manifold(mesh: TriangleMesh) -> Any:
+    """Return a ``manifold3d.Manifold`` of a closed mesh.
+
+    Raises
+    ------
+    NumericalError
+        If manifold3d does not accept the mesh as a solid.
+    """
+    import manifold3d
+
+    solid = manifold3d.Manifold(
+        manifold3d.Mesh64(
+            vert_properties=np.ascontiguousarray(mesh.vertices_mm, dtype=np.float64),
+            tri_verts=np.ascontiguousarray(mesh.triangles, dtype=np.uint64),
+        )
+    )
+    if solid.status() != manifold3d.Error.NoError:
+        raise NumericalError(
+            f"a mesh of {len(mesh.triangles)} triangles is not a closed solid "
+            f"({solid.status()}); check the design with `phytac check`"
+        )
+    return solid
+
+
+def to_triangles(solid: Any) -> TriangleMesh:
+    """Triangles of a ``manifold3d.Manifold``, double precision."""
+    mesh = solid.to_mesh64()
+    return TriangleMesh(
+        vertices_mm=np.array(mesh.vert_properties, dtype=np.float64)[:, :3],
+        triangles=np.array(mesh.tri_verts, dtype=np.int64),
+    )
+
+
+def _parts(design: Design, surface: Surface, markers: Markers, tolerance_mm: float) -> _Parts:
+    receptor = design.receptor
+    axes = receptor_axes(design, surface, markers)
+    radius, hole = receptor.diameter_outer_mm / 2.0, receptor.diameter_hole_mm / 2.0
+    return _Parts(
+        wall=to_manifold(wall_mesh(surface, design.wall, tolerance_mm=tolerance_mm)),
+        holes=to_manifold(
+            prisms(axes.hole_start_mm, axes.hole_end_mm, hole, sides_for(hole, tolerance_mm))
+        ),
+        axes=axes,
+        radius_mm=radius,
+        sides=sides_for(radius, tolerance_mm),
+    )
+
+
+def shell_manifold(
+    design: Design, surface: Surface, markers: Markers, *, tolerance_mm: float = TOLERANCE_mm
+) -> Any:
+    """Wall, rims, tubes and holes as one ``manifold3d.Manifold``, mm.
+
+    Receptors must not meet each other (``phytac_design.rules.check_design`` sees to it): all
+    tubes are handed over as one mesh of separate components, which is what makes this fast.
+
+    Parameters
+    ----------
+    tolerance_mm : float
+        Largest distance between the mesh and the true faces.
+    """
+    parts = _parts(design, surface, markers, tolerance_mm)
+    tubes = parts.rods(parts.axes.root_mm, parts.axes.tip_mm)
+    return ((parts.wall + tubes) - parts.holes).simplify(SLIVER_mm)
+
+
+def painted_manifolds(
+    design: Design, surface: Surface, markers: Markers, *, tolerance_mm: float = TOLERANCE_mm
+) -> dict[str, Any]:
+    """Bodies that tile the shell, by name: ``resin`` first, then each paint in use.
+
+    A paint body is the last ``band_marker_mm`` of each tube of that colour, full tube wall and
+    end face; a receptor not taller than the band is painted down to the wall. Without a band
+    (shorter than ``BAND_MIN_mm``) there is only resin.
+    """
+    if design.receptor.band_marker_mm < BAND_MIN_mm:
+        return {"resin": shell_manifold(design, surface, markers, tolerance_mm=tolerance_mm)}
+    parts = _parts(design, surface, markers, tolerance_mm)
+    axes = parts.axes
+    bare = ~axes.painted
+    body = parts.wall
+    if bare.any():
+        body = body + parts.rods(axes.root_mm[bare], axes.band_mm[bare])
+    bodies = {"resin": body - parts.holes}
+    names = design.layout.colours
+    for colour in dict.fromkeys(names):
+        own = np.array([name == colour for name in names])[markers.colour]
+        if own.any():
+            bands = parts.rods(axes.band_mm[own], axes.tip_mm[own])
+            bodies[colour] = (bands - parts.wall) - parts.holes
+    return bodies
+
+
+def united(solids: "list[Any]") -> Any:
+    """Union of ``manifold3d.Manifold`` solids, in one operation."""
+    import manifold3d
+
+    return manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
+
+
+def extruded_manifold(points_mm: FloatArray, low_mm: float, high_mm: float) -> Any:
+    """Prism over a simple polygon (n, 2), anticlockwise, from ``low_mm`` to ``high_mm`` along z.
+
+    Raises
+    ------
+    NumericalError
+        If nothing is left of it.
+    """
+    import manifold3d
+
+    section = manifold3d.CrossSection([np.asarray(points_mm, dtype=np.float64)])
+    solid = manifold3d.Manifold.extrude(section, high_mm - low_mm).translate((0.0, 0.0, low_mm))
+    if solid.is_empty():
+        raise NumericalError(
+            f"a prism of {len(points_mm)} corners from {low_mm:g} to {high_mm:g} mm is empty; "
+            "please report this design"
+        )
+    return solid
+
+
+def intersection(first: Any, second: Any) -> Any:
+    """What two ``manifold3d.Manifold`` solids share."""
+    return first ^ second
+
+
+def apart(solids: "list[TriangleMesh]") -> Any:
+    """One ``manifold3d.Manifold`` of closed meshes that do not touch each other."""
+    count = np.cumsum([0, *[len(mesh.vertices_mm) for mesh in solids]])
+    return to_manifold(
+        TriangleMesh(
+            vertices_mm=np.concatenate([mesh.vertices_mm for mesh in solids]),
+            triangles=np.concatenate(
+                [mesh.triangles + first for mesh, first in zip(solids, count[:-1], strict=True)]
+            ),
+        )
+    )
+
+
+def gap_mm(first: Any, second: Any, search_mm: float) -> float:
+    """Least distance between two ``manifold3d.Manifold`` solids, at most ``search_mm``."""
+    return float(first.min_gap(second, search_mm))

@@ -1,0 +1,175 @@
+"""A user's own face from a STEP file, as the grid of points that a ``patch`` takes.
+
+OpenCASCADE reads it in a process of its own: files that are damaged make it crash or hang.
+"""
+
+import multiprocessing
+import os
+import resource
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import InputError, PhytacError
+
+from phytac_design.solids.cad_kernel import cadquery
+
+COVERED = 1e-6
+"""Relative area by which a face may miss its parameter rectangle and still count as untrimmed."""
+
+SECONDS_MAX = 120.0
+MEMORY_MAX = 4 << 30
+"""Time and bytes that reading a file may take."""
+STATM = Path("/proc/self/statm")
+AGAIN = "export the one face again, as a STEP file of its own"
+
+
+def surface_from_step(
+    path: Path, *, rows: int = 9, columns: int = 9, face: int | None = None
+) -> FloatArray:
+    """Grid of points (rows, columns, 3) mm on one face of a STEP file, outward towards +z.
+
+    Rows run along the chart's u and columns along v, so that d/dv × d/du points away from the
+    camera, as :class:`shapes.Patch` wants it. Points lie at equal steps of the face's own
+    parameters.
+
+    Parameters
+    ----------
+    path : Path
+        STEP file, sensor frame, mm.
+    rows, columns : int
+        Points along each direction, at least two.
+    face : int, optional
+        Number of the face in the file; the one of largest area if left out.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, has no such face, or the face is trimmed, closed or folded.
+    """
+    if min(rows, columns) < 2:
+        raise InputError(f"a patch needs at least 2 x 2 points (got {rows} x {columns})")
+    # A fork has the libraries that are loaded here: others take seconds to start.
+    fork = multiprocessing.get_context("fork")
+    mine, its = fork.Pipe(duplex=False)
+    child = fork.Process(target=_tell, args=(its, path, rows, columns, face), daemon=True)
+    child.start()
+    its.close()
+    try:
+        answer = mine.recv() if mine.poll(SECONDS_MAX) else None
+    except EOFError:
+        child.join()
+        raise InputError(
+            f"cannot read STEP file {path}: OpenCASCADE crashed on it (exit code "
+            f"{child.exitcode}); {AGAIN}"
+        ) from None
+    finally:
+        mine.close()
+        child.kill()
+        child.join()
+    if answer is None:
+        raise InputError(f"cannot read STEP file {path}: no end within {SECONDS_MAX:g} s; {AGAIN}")
+    if isinstance(answer, PhytacError):
+        raise answer
+    return np.asarray(answer, dtype=np.float64)
+
+
+def _tell(pipe: Connection, path: Path, rows: int, columns: int, face: int | None) -> None:
+    """Send the grid, or the error that it ends in; OpenCASCADE's own complaints go nowhere."""
+    silent = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silent, 1)
+    os.dup2(silent, 2)
+    if STATM.is_file():
+        pages = int(STATM.read_text().split()[0])
+        limit = pages * resource.getpagesize() + MEMORY_MAX
+        resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
+    answer: FloatArray | PhytacError
+    try:
+        answer = read_surface(path, rows, columns, face)
+    except PhytacError as error:
+        answer = error
+    except Exception as error:  # noqa: BLE001 - the kernel's own errors have no common class
+        answer = InputError(
+            f"cannot read STEP file {path}: {str(error)[:200] or 'damaged'}; {AGAIN}"
+        )
+    pipe.send(answer)
+
+
+def read_surface(path: Path, rows: int, columns: int, face: int | None) -> FloatArray:
+    """Read the grid in this very process.
+
+    Raises
+    ------
+    InputError
+        See :func:`surface_from_step`; of files that are damaged OpenCASCADE raises anything else.
+    """
+    chosen = _face(path, face)
+    surface, (u0, u1, v0, v1) = _untrimmed(chosen, path)
+    points = np.array(
+        [
+            [_point(surface, u, v) for v in np.linspace(v0, v1, columns)]
+            for u in np.linspace(u0, u1, rows)
+        ]
+    )
+    if not np.isfinite(points).all():
+        raise InputError(f"the face of {path} has points that are not finite; {AGAIN}")
+    size = float(np.ptp(points.reshape(-1, 3), axis=0).max())
+    for axis in (0, 1):
+        ends = np.take(points, [0, -1], axis=axis)
+        across = np.linalg.norm(np.diff(points, axis=1 - axis), axis=2).sum(axis=1 - axis)
+        gap = np.linalg.norm(np.diff(ends, axis=axis), axis=2).max()
+        if gap <= 1e-6 * size or across.min() <= 1e-6 * size:
+            raise InputError(
+                f"the face of {path} closes on itself or ends in a point; a patch is open on four "
+                "sides: cut the face, or use a shape of its kind (cylinder, cone, hemisphere, grip)"
+            )
+    return _outward(points)
+
+
+def _face(path: Path, number: int | None) -> Any:
+    cq = cadquery()
+    try:
+        faces = cq.importers.importStep(str(path)).faces().vals()
+    except ValueError as error:
+        raise InputError(f"cannot read STEP file {path}: {error}; export it again") from None
+    if not faces:
+        raise InputError(f"{path} holds no face; export a surface or a solid, not curves")
+    if number is None:
+        return max(faces, key=lambda item: item.Area())
+    if not 0 <= number < len(faces):
+        raise InputError(f"{path} has faces 0 to {len(faces) - 1} (got {number})")
+    return faces[number]
+
+
+def _untrimmed(face: Any, path: Path) -> tuple[Any, tuple[float, float, float, float]]:
+    """Geometry of a face and the rectangle of its parameters, which it fills."""
+    from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeFace
+    from OCP.BRepTools import BRepTools
+
+    cq = cadquery()
+    bounds = BRepTools.UVBounds_s(face.wrapped)
+    geometry = face._geomAdaptor()  # noqa: SLF001 - CadQuery's only way to the surface
+    whole = cq.Face(BRepBuilderAPI_MakeFace(geometry, *bounds, 1e-6).Face()).Area()
+    share = face.Area() / whole
+    if abs(share - 1.0) > COVERED:
+        raise InputError(
+            f"the face of {path} is trimmed: it covers {share:.1%} of the rectangle of its "
+            "parameters, and a patch is a whole one; rebuild it in CAD as an untrimmed face with "
+            "four sides and no holes"
+        )
+    return geometry, bounds
+
+
+def _point(surface: Any, u: float, v: float) -> tuple[float, float, float]:
+    point = surface.Value(u, v)
+    return point.X(), point.Y(), point.Z()
+
+
+def _outward(points: FloatArray) -> FloatArray:
+    """Return the grid with its rows reversed if need be, so that it faces +z."""
+    along = np.diff(points, axis=0)[:, :-1]
+    around = np.diff(points, axis=1)[:-1]
+    facing = float(np.cross(around, along)[..., 2].sum())
+    return points if facing > 0.0 else points[::-1].copy()

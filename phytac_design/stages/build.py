@@ -1,0 +1,396 @@
+"""A build: which stages, in which order, from the cache where it can, into an exports folder."""
+
+import fcntl
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from phytac_shapes.bounded_reader import read_text
+from phytac_shapes.errors import DesignError, OutputError
+
+from phytac_design.design.accuracy import Accuracy, name_of, settings_of
+from phytac_design.design.design_file import design_hash, parse_design, to_toml
+from phytac_design.design.spec import Design
+from phytac_design.engine import cache
+from phytac_design.engine.cache_eviction import limit_bytes, prune
+from phytac_design.engine.stage import EXPORT, Context, Stage, array_hashes
+from phytac_design.rules.check import check_design
+from phytac_design.stages import STAGES
+
+MANIFEST = "manifest.json"
+OLD_MANIFEST = f".{MANIFEST}.old"
+"""Where it stands while files change: what is half-written never looks finished."""
+PROBE = ".writable"
+"""Written and taken away at once, to see whether a folder can be written."""
+PARTS = (
+    "numpy",
+    "scipy",
+    "manifold3d",
+    "cadquery",
+    "pyrender",
+    "torch",
+    "opencv-contrib-python-headless",
+)
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BuildResult:
+    """What a build did.
+
+    Attributes
+    ----------
+    out : Path
+        The exports folder.
+    ran, cached : tuple of str
+        Stages that ran, and those taken from the cache.
+    seconds : float
+        Wall time of this call.
+    timing_s : dict
+        Seconds each stage took when it ran.
+    """
+
+    out: Path
+    ran: tuple[str, ...]
+    cached: tuple[str, ...]
+    seconds: float
+    timing_s: dict[str, float]
+
+    def _repr_html_(self) -> str:
+        """Key figures, files and marker map, for notebooks."""
+        from phytac_design.studio.notebook import build_html
+
+        return build_html(self)
+
+
+def select_stages(only: Sequence[str] | None) -> list[Stage]:
+    """Stages in order: all, or the named ones with everything they need.
+
+    Raises
+    ------
+    DesignError
+        If a name is not a stage.
+    """
+    known = {stage.name: stage for stage in STAGES}
+    wanted = set(only or known)
+    for name in sorted(wanted - set(known)):
+        near = get_close_matches(name, known, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise DesignError(f"unknown stage {name!r}{hint} (stages: {', '.join(known)})")
+    for stage in reversed(STAGES):
+        if stage.name in wanted:
+            wanted |= set(stage.needs)
+    return [stage for stage in STAGES if stage.name in wanted]
+
+
+def build(
+    design: Design,
+    out: Path,
+    *,
+    accuracy: str | Accuracy = "standard",
+    only: Sequence[str] | None = None,
+    seed: int = 0,
+    force: bool = False,
+    progress: Progress = print,
+) -> BuildResult:
+    """Build a design into ``out``; the same inputs give the same files.
+
+    Raises
+    ------
+    DesignError
+        If the design cannot be built; nothing has been written then.
+    OutputError
+        If the folder is not writable, or holds another design and ``force`` is not set.
+    """
+    begin = time.perf_counter()
+    stages = select_stages(only)
+    check_design(design)
+    limit = limit_bytes()
+    _claim(out, design, force=force)
+    with ExitStack() as keep:
+        try:
+            context, ran, timing = run_stages(
+                design,
+                stages,
+                accuracy=accuracy,
+                seed=seed,
+                force=force,
+                progress=progress,
+                keep=keep,
+            )
+        except GateError:
+            if not any(out.iterdir()):
+                out.rmdir()
+            raise
+        try:
+            with _alone_in(out):
+                _export(out, design, stages, context)
+        except OSError as error:
+            raise OutputError(
+                f"cannot write {out}: {error.strerror or error}; make room, or choose another "
+                "--out, and run the same command again: what was computed is kept"
+            ) from None
+        if ran:
+            prune(limit_bytes=limit)
+    return BuildResult(
+        out=out,
+        ran=tuple(ran),
+        cached=tuple(stage.name for stage in stages if stage.name not in ran),
+        seconds=time.perf_counter() - begin,
+        timing_s=timing,
+    )
+
+
+class GateError(DesignError):
+    """A stage says that nothing should be made of its result."""
+
+
+def run_stages(
+    design: Design,
+    stages: Sequence[Stage],
+    *,
+    accuracy: str | Accuracy,
+    seed: int,
+    force: bool = False,
+    progress: Progress = print,
+    keep: ExitStack | None = None,
+) -> tuple[Context, list[str], dict[str, float]]:
+    """Bring stages, in order, into the cache; nothing is exported.
+
+    Results are held against eviction until this returns, or until ``keep`` is closed.
+
+    Returns
+    -------
+    context : Context
+        With the folder of each stage.
+    ran : list of str
+        Stages that were not in the cache.
+    timing_s : dict
+        Seconds that each took when it ran.
+
+    Raises
+    ------
+    GateError
+        If a stage objects to going on and ``force`` is not set.
+    DesignError
+        If the design cannot be built.
+    """
+    context = Context(design=design, accuracy=settings_of(accuracy), seed=seed, progress=progress)
+    keys: dict[str, str] = {}
+    ran: list[str] = []
+    timing: dict[str, float] = {}
+    with ExitStack() as own:
+        for number, stage in enumerate(stages, start=1):
+            needed = {name: context.folders[name] for name in stage.needs}
+            key = keys[stage.name] = cache.stage_key(stage.name, stage.inputs(context, keys))
+            turn = f"[{number}/{len(stages)}] {stage.name}"
+            folder = cache.lookup(stage.name, key)
+            while folder is None or not (keep or own).enter_context(cache.held(folder)):
+                work = Work(stage, replace(context, folders=needed, uses=stage.uses), turn)
+                folder = cache.publish(stage.name, key, work, waiting=work.waiting)
+                if work.done and stage.name not in ran:
+                    ran.append(stage.name)
+            context.folders[stage.name] = folder
+            timing[stage.name] = float(cache.record(folder)["seconds"])
+            reason = stage.gate(context) if stage.gate and not force else ""
+            if reason:
+                raise GateError(
+                    f"{reason}; or go on all the same with --force, which marks the report"
+                )
+    return context, ran, timing
+
+
+@dataclass
+class Work:
+    """A stage to run, as the cache calls it; ``done`` says whether this process ran it."""
+
+    stage: Stage
+    context: Context
+    turn: str
+    done: bool = False
+
+    def __call__(self, folder: Path) -> dict[str, Any]:
+        """Run into a folder; returns the record."""
+        self.context.progress(f"{self.turn} …")
+        start = time.perf_counter()
+        self.stage.run(self.context, folder)
+        seconds = time.perf_counter() - start
+        self.done = True
+        self.context.progress(f"{self.turn} {seconds:.1f} s")
+        return {
+            "stage": self.stage.name,
+            "seconds": round(seconds, 3),
+            "arrays": array_hashes(folder),
+        }
+
+    def waiting(self) -> None:
+        """Say that another process is at the same result."""
+        self.context.progress(f"{self.turn}: waiting for another build that is making it")
+
+
+def _claim(out: Path, design: Design, *, force: bool) -> None:
+    """Make the folder ours, before any long work: refuse another design's or an unwritable one."""
+    if (out / MANIFEST).is_file() or (out / OLD_MANIFEST).is_file():
+        other = _old_manifest(out).get("design")
+        name = other.get("name") if isinstance(other, dict) else None
+        if name != design.name and not force:
+            raise OutputError(
+                f"{out} holds the design {name!r}, not {design.name!r}; "
+                "choose another --out, or overwrite it with --force"
+            )
+    elif out.is_dir() and _foreign(out) and not (out / "design.toml").is_file() and not force:
+        raise OutputError(
+            f"{out} is not empty and not a build; choose another --out, or use --force"
+        )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe = out / PROBE
+        probe.write_text("")
+        # Another build may have just taken it away.
+        probe.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write {out}: {error.strerror}; choose another --out") from None
+
+
+def _foreign(out: Path) -> bool:
+    """Whether a folder holds anything but what another build looks with whether it can write."""
+    return any(path.name != PROBE for path in out.iterdir())
+
+
+@contextmanager
+def _alone_in(out: Path) -> Iterator[None]:
+    """Wait until no other build writes into the folder; sweep what a killed one left there."""
+    handle = os.open(out, os.O_RDONLY)
+    try:
+        # Some network disks have no locks; there the user sees to it.
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        try:
+            _sweep(out)
+            yield
+        except OSError:
+            _sweep(out)
+            raise
+    finally:
+        os.close(handle)
+
+
+def _sweep(out: Path) -> None:
+    for path in out.rglob(".*.part"):
+        path.unlink(missing_ok=True)
+
+
+def _old_manifest(out: Path) -> dict[str, Any]:
+    """Manifest of the build before, finished or not; empty if there is none that can be read."""
+    for name in (MANIFEST, OLD_MANIFEST):
+        try:
+            found = json.loads(read_text(out / name))
+        except (OSError, ValueError, RecursionError):
+            continue
+        if isinstance(found, dict):
+            return found
+    return {}
+
+
+def _export(
+    out: Path,
+    design: Design,
+    stages: Sequence[Stage],
+    context: Context,
+) -> None:
+    """Copy the stages' files, the resolved design and the manifest; drop stale files of ours."""
+    if (out / MANIFEST).is_file():
+        (out / MANIFEST).replace(out / OLD_MANIFEST)
+    (out / "design.toml").write_text(to_toml(design), encoding="utf-8")
+    files = [_entry(out, Path("design.toml"), "design", 0.0)]
+    for stage in stages:
+        source = context.folders[stage.name] / EXPORT
+        seconds = float(cache.record(context.folders[stage.name])["seconds"])
+        paths = [path.relative_to(source) for path in source.rglob("*") if path.is_file()]
+        for path in sorted(paths):
+            target = out / path
+            target.parent.mkdir(parents=True, exist_ok=True)
+            partial = target.with_name(f".{target.name}.part")
+            shutil.copyfile(source / path, partial)
+            partial.replace(target)
+        if stage.finish:
+            stage.finish(design, out)
+        files += [_entry(out, path, stage.name, seconds) for path in sorted(paths)]
+    kept = {item["path"] for item in files}
+    identity = {
+        "design": {"name": design.name, "hash": design_hash(design)},
+        "accuracy": name_of(context.accuracy),
+        "settings": context.accuracy.as_dict(),
+        "scene": context.scene.model_dump(mode="json") if context.scene else None,
+        "seed": context.seed,
+    }
+    others = _settle_old_files(out, kept, {stage.name for stage in stages}, identity)
+    manifest = identity | {
+        "format": "phytac-exports",
+        "schema_version": "1.0",
+        "versions": {"phytac-design": metadata.version("phytac-design")}
+        | {name: metadata.version(name) for name in PARTS},
+        "files": sorted(files + others, key=lambda item: str(item["path"])),
+    }
+    partial = out / f".{MANIFEST}.part"
+    partial.write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    partial.replace(out / MANIFEST)
+    (out / OLD_MANIFEST).unlink(missing_ok=True)
+
+
+def _settle_old_files(
+    out: Path, kept: set[str], stages: set[str], identity: dict[str, Any]
+) -> list[dict[str, Any]]:
+    """Remove what no longer belongs; return the entries of other stages' files that still do.
+
+    A file of an earlier build stays only if that build was of the same design, accuracy and seed
+    and this build did not run its stage: no two files in a folder may disagree.
+    """
+    old = _old_manifest(out)
+    try:
+        entries = [item for item in old["files"] if item["path"] not in kept]
+        named = all(isinstance(item[key], str) for item in entries for key in ("path", "stage"))
+    except (KeyError, TypeError):
+        return []
+    if not named:
+        return []
+    same = all(old.get(name) == value for name, value in identity.items())
+    staying = []
+    for item in entries:
+        path = out / item["path"]
+        if same and item["stage"] not in stages and path.is_file():
+            staying.append(item)
+        elif path.resolve().is_relative_to(out.resolve()):
+            if path.is_file() or path.is_symlink():
+                path.unlink(missing_ok=True)
+            if path.parent != out and path.parent.is_dir() and not any(path.parent.iterdir()):
+                path.parent.rmdir()
+    return staying
+
+
+def _entry(out: Path, relative: Path, stage: str, seconds: float) -> dict[str, Any]:
+    path = out / relative
+    return {
+        "path": relative.as_posix(),
+        "sha256": cache.file_hash(path),
+        "bytes": path.stat().st_size,
+        "stage": stage,
+        "seconds": seconds,
+    }
+
+
+def copy_of(design: Design, **tables: dict[str, Any]) -> Design:
+    """Design with some fields changed: ``copy_of(design, layout={"kind": "straight"})``."""
+    data = design.model_dump(mode="json")
+    for name, changes in tables.items():
+        data[name] = {**data[name], **changes}
+    return parse_design(data, f"variant of {design.name}")

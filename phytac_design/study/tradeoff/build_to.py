@@ -1,0 +1,176 @@
+"""Builds to a tolerance or in a time, and what became of the promise."""
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from phytac_shapes.errors import DesignError, OutputError
+
+from phytac_design.core.json_values import finite
+from phytac_design.design.spec import Design
+from phytac_design.rules.check import check_design
+from phytac_design.stages.build import BuildResult, build
+from phytac_design.study.tradeoff.budget import choose_budget, run_plan
+from phytac_design.study.tradeoff.choose import Choice, achieved, choose_tolerance
+from phytac_design.study.tradeoff.force import ForceError
+from phytac_design.study.tradeoff.knobs import Quantity
+
+Progress = Callable[[str], None]
+AUDIT = Path("report") / "trade.json"
+"""Where a build's folder says what was promised and what came."""
+
+
+def build_to(
+    design: Design,
+    out: Path,
+    *,
+    tolerance: float | None = None,
+    of: Quantity = "force",
+    budget_s: float | None = None,
+    audited: bool = True,
+    seed: int = 0,
+    force: bool = False,
+    progress: Progress = print,
+) -> tuple[BuildResult, Choice]:
+    """Build with the cheapest setting within a tolerance, or the finest within a time.
+
+    Writes ``report/trade.json``: predicted against achieved.
+
+    Parameters
+    ----------
+    design : Design
+        The sensor.
+    out : Path
+        As of :func:`phytac_design.stages.build.build`; likewise ``seed`` and ``force``.
+    tolerance : float, optional
+        Relative error, as a fraction.
+    of : str
+        What the tolerance is of: ``force``, ``visibility``, ``volume``.
+    budget_s : float, optional
+        Wall seconds of the build. One of the two must be given, not both.
+    audited : bool
+        Whether the error of a tolerance is held against the reference when all is built.
+
+    Raises
+    ------
+    DesignError
+        If the design cannot be built, or no setting will do.
+    """
+    if (tolerance is None) == (budget_s is None):
+        raise DesignError("give a tolerance or a budget, and not both")
+    check_design(design)
+    if budget_s is not None:
+        return _in_time(design, out, budget_s, seed=seed, force=force, progress=progress)
+    error = ForceError(design)
+    choice = choose_tolerance(design, tolerance or 0.0, of=of, error=error, progress=progress)
+    result = build(design, out, accuracy=choice.accuracy, seed=seed, force=force, progress=progress)
+    choice = replace(choice, achieved_s={name: result.timing_s[name] for name in result.ran})
+    if audited:
+        progress(f"audit: the {of} error against the reference")
+        choice = replace(choice, achieved_error=achieved(choice, error))
+    write_audit(out, choice, result.seconds)
+    return result, choice
+
+
+def _in_time(
+    design: Design, out: Path, budget_s: float, *, seed: int, force: bool, progress: Progress
+) -> tuple[BuildResult, Choice]:
+    plan, seconds = choose_budget(design, budget_s, seed=seed)
+    first = plan.setting
+    ran: dict[str, float] = {}
+    final = run_plan(plan, force=force, progress=progress, ran=ran)
+    result = build(design, out, accuracy=final, seed=seed, force=force, progress=progress)
+    wall = time.perf_counter() - plan.begin
+    result = replace(
+        result,
+        ran=tuple(name for name in result.timing_s if name in ran),
+        cached=tuple(name for name in result.timing_s if name not in ran),
+        seconds=wall,
+    )
+    choice = Choice(
+        accuracy=final,
+        quantity="time",
+        wanted=budget_s,
+        predicted_error=None,
+        predicted_s=seconds,
+        achieved_s=ran,
+    )
+    write_audit(out, choice, wall, first_plan=first.as_dict())
+    return result, choice
+
+
+def write_audit(out: Path, choice: Choice, wall_s: float, **more: Any) -> None:
+    """Write ``report/trade.json``.
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be written.
+    """
+    path = out / AUDIT
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(finite(choice.as_dict() | {"wall_s": wall_s} | more), indent=1)
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror}; choose another --out") from None
+
+
+def audit_lines(choice: Choice, wall_s: float) -> list[str]:
+    """Predicted against achieved, for people."""
+    lines = []
+    if choice.predicted_error is not None:
+        came = "not looked at" if choice.achieved_error is None else _percent(choice.achieved_error)
+        lines.append(
+            f"{choice.quantity} error: wanted {_percent(choice.wanted)}, predicted "
+            f"{_percent(choice.predicted_error)}, achieved {came}"
+        )
+    else:
+        lines.append(f"time: wanted at most {choice.wanted:.0f} s, took {wall_s:.0f} s")
+    ran = sum(choice.achieved_s.values())
+    lines.append(f"stages: predicted {choice.seconds:.1f} s, took {ran:.1f} s")
+    return lines
+
+
+def _percent(value: float) -> str:
+    return f"{100.0 * value:.3g} %"
+
+
+def read_tolerance(text: str) -> float:
+    """Tolerance as a fraction, of ``2%`` or ``0.02``.
+
+    Raises
+    ------
+    DesignError
+        If it is neither.
+    """
+    plain = text.strip()
+    try:
+        value = float(plain.removesuffix("%")) / (100.0 if plain.endswith("%") else 1.0)
+    except ValueError:
+        value = float("nan")
+    if not 0.0 < value <= 1.0:
+        raise DesignError(f"a tolerance is above 0 and at most 100 %: 2% or 0.02 (got {text!r})")
+    return value
+
+
+def read_seconds(text: str) -> float:
+    """Seconds of ``60s``, ``2min`` or ``60``.
+
+    Raises
+    ------
+    DesignError
+        If it is none of these.
+    """
+    plain = text.strip().removesuffix("s")
+    factor = 60.0 if plain.endswith("min") else 1.0
+    try:
+        value = factor * float(plain.removesuffix("min"))
+    except ValueError:
+        value = float("nan")
+    if not 0.0 < value < float("inf"):
+        raise DesignError(f"a budget is a time above zero: 60s or 2min (got {text!r})")
+    return value

@@ -1,0 +1,372 @@
+"""The paper's end-to-end baseline: a convolutional network from camera frame to contact forces.
+
+Five convolutions of 3 × 3 halve the picture each, rectified linear. At a marker's place in the
+image without load, the picture's difference to that image and all five layers are read off between
+their pixels; these 299 numbers and the place go through two hidden layers to the marker's force.
+That is 758 361 parameters, the paper's 758.4 K, whose layers are not published.
+
+It knows nothing of mechanics. It is told which switches are on, as the FEM-NN is: the network says
+how much force each of them carries. (With as many parameters and an output of its own for each
+marker, 598 samples taught nothing: held-out errors stayed those of guessing the mean.)
+"""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import InputError, NumericalError
+from torch import nn
+from torch.nn import functional
+
+from phytac_design.training.cnn_data import COLOURS
+
+CHANNELS = (16, 24, 64, 64, 128)
+"""Of the convolutions; they and the hidden layers were chosen for the paper's number."""
+HIDDEN = 656
+KERNEL = 3
+TOGETHER = 64
+"""Frames at once where nothing is learnt."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lessons:
+    """How the network is trained.
+
+    Attributes
+    ----------
+    epochs : int
+        Most rounds through the training frames.
+    patience : int
+        It ends after so many rounds without a lower validation loss; the best round is kept.
+    batch : int
+        Frames to a step.
+    rate, decay : float
+        Learning rate and weight decay of AdamW; the rate falls to a third after each
+        ``patience`` / 3 rounds without gain.
+    dropout : float
+        Share of numbers dropped before each hidden layer in training.
+    added : float
+        Share of training frames to which another one is added, and its forces to theirs: what
+        contacts do to a picture nearly adds up.
+    threads : int
+        Of the processor; with one the result does not depend on how many there are.
+    """
+
+    epochs: int = 150
+    patience: int = 24
+    batch: int = 16
+    rate: float = 1e-3
+    decay: float = 1e-2
+    dropout: float = 0.2
+    added: float = 0.5
+    threads: int = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class CnnTrained:
+    """A trained network, how long it took, and its errors per marker (root mean square).
+
+    Attributes
+    ----------
+    rest : (h, w, 3) float32
+        Frame without load, blue, green, red: the median of the training frames.
+    places : (n, 2) float
+        Of the markers in it, from -1 to 1 across and down.
+    scale_in, scale_out_N : float
+        A pixel's difference to it is divided by the one, outputs are multiplied by the other.
+    weights : dict of array
+        By the layer's name.
+    seconds : float
+        Of training.
+    rounds : int
+        Rounds through the training frames until the best.
+    rmse_train_N, rmse_validation_N : float
+        Of the markers it is asked for.
+    """
+
+    rest: FloatArray
+    places: FloatArray
+    scale_in: float
+    scale_out_N: float
+    weights: dict[str, FloatArray]
+    seconds: float
+    rounds: int
+    rmse_train_N: float
+    rmse_validation_N: float
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters."""
+        return sum(array.size for array in self.weights.values())
+
+    def forces(self, images: FloatArray, on: BoolArray) -> FloatArray:
+        """Inward force, (s, n) N and not negative, on markers whose switch is on; 0 on others.
+
+        Parameters
+        ----------
+        images : (s, h, w, 3) float32
+            Reduced frames of the size that was trained on, see :mod:`phytac_design.training.cnn_data`.
+        on : (s, n) bool
+            Switches.
+
+        Raises
+        ------
+        InputError
+            If they are of another size.
+        """
+        size = (len(images), len(self.places))
+        if images.shape[1:] != self.rest.shape or on.shape != size:
+            raise InputError(
+                f"the network reads frames (s, h, w, 3) of {self.rest.shape} and switches {size} "
+                f"(got {images.shape[1:]} and {on.shape}); reduce frames to that size"
+            )
+        model = network()
+        model.load_state_dict({k: torch.from_numpy(v) for k, v in self.weights.items()})
+        x = _differences(images, self.rest, self.scale_in)
+        places = torch.from_numpy(self.places.astype(np.float32))
+        found = _run(model, _Part(x, torch.zeros(size), torch.from_numpy(on), places))
+        out = np.zeros(size)
+        out[on] = np.maximum(found * self.scale_out_N, 0.0)
+        return out
+
+
+def network(dropout: float = 0.0) -> Any:
+    """Layers of the network, with random weights."""
+    layers: dict[str, Any] = {}
+    before = COLOURS
+    for k, channels in enumerate(CHANNELS):
+        layers[f"conv{k}"] = nn.Conv2d(before, channels, KERNEL, stride=2, padding=KERNEL // 2)
+        before = channels
+    layers["drop"] = nn.Dropout(dropout)
+    layers["first"] = nn.Linear(COLOURS + sum(CHANNELS) + 2, HIDDEN)
+    layers["second"] = nn.Linear(HIDDEN, HIDDEN)
+    layers["head"] = nn.Linear(HIDDEN, 1)
+    # A third less time on a processor than channel after channel.
+    return nn.ModuleDict(layers).to(memory_format=torch.channels_last)
+
+
+def outputs(model: Any, x: Any, places: Any, sample: Any, marker: Any) -> Any:
+    """Scaled force (k,) on some markers of some frames x (s, 3, h, w); places are (n, 2)."""
+    seen = [_read_off(x, places, sample, marker)]
+    for k in range(len(CHANNELS)):
+        x = functional.relu(model[f"conv{k}"](x))
+        seen.append(_read_off(x, places, sample, marker))
+    seen.append(places[marker])
+    out = model["drop"](torch.cat(seen, dim=1))
+    out = model["drop"](functional.relu(model["first"](out)))
+    return model["head"](functional.relu(model["second"](out)))[:, 0]
+
+
+def _read_off(layer: Any, places: Any, sample: Any, marker: Any) -> Any:
+    """Values (k, c) of a layer (s, c, h, w) at markers' places, between its pixels."""
+    at = places.expand(len(layer), -1, -1)[:, :, None]
+    values = functional.grid_sample(layer, at, padding_mode="border", align_corners=False)
+    return values[sample, :, marker, 0]
+
+
+def parameter_count() -> int:
+    """Number of parameters, 758 361."""
+    return sum(p.numel() for p in network().parameters())
+
+
+def train_cnn(
+    images: FloatArray,
+    on: BoolArray,
+    force_N: FloatArray,
+    *,
+    places: FloatArray,
+    training: IntArray,
+    validation: IntArray,
+    seed: int,
+    lessons: Lessons | None = None,
+) -> CnnTrained:
+    """Train the baseline; on one machine the same inputs give the same network.
+
+    The loss is the mean squared error of the force on receptors whose switches are on.
+
+    Parameters
+    ----------
+    images : (s, h, w, 3) float32
+        Reduced frames.
+    on : (s, n) bool
+        Switches that are on.
+    force_N : (s, n) float
+        True force on every receptor.
+    places : (n, 2) float
+        Of the markers in the frame without load, see :mod:`phytac_design.training.cnn_data`.
+    training, validation : (t,), (v,) int
+        Samples to learn from, and samples that say when to stop.
+    seed : int
+        Of the random weights, the order of frames, additions and dropout.
+    lessons : Lessons, optional
+        How.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit, or a part is empty, overlaps the other or carries no force.
+    NumericalError
+        If the loss is not a number.
+    """
+    _check(images, on, force_N, places)
+    _check_parts(np.where(on, force_N, 0.0), training, validation)
+    how = lessons or Lessons()
+    begin = time.perf_counter()
+    rest = np.median(images[training], axis=0)
+    scale_in = max(float((images[training] - rest).std()), 1e-9)
+    carried = force_N[training][on[training]]
+    scale_out = float(np.sqrt((carried**2).mean()))
+    whole = _Part(
+        _differences(images, rest, scale_in),
+        torch.from_numpy((force_N / scale_out).astype(np.float32)),
+        torch.from_numpy(on),
+        torch.from_numpy(places.astype(np.float32)),
+    )
+    with torch.random.fork_rng(devices=[]), _threads(how.threads):
+        torch.manual_seed(seed)
+        best = _fit(network(how.dropout), whole.take(training), whole.take(validation), how)
+    if not best.weights:
+        raise NumericalError(
+            f"train_cnn: the validation loss never was a number; lower the rate ({how.rate:g})"
+        )
+    return CnnTrained(
+        rest=rest,
+        places=places,
+        scale_in=scale_in,
+        scale_out_N=scale_out,
+        weights=best.weights,
+        seconds=time.perf_counter() - begin,
+        rounds=best.rounds,
+        rmse_train_N=scale_out * best.loss_train**0.5,
+        rmse_validation_N=scale_out * best.loss_validation**0.5,
+    )
+
+
+def _check(images: FloatArray, on: BoolArray, force_N: FloatArray, places: FloatArray) -> None:
+    if (
+        images.ndim != 4
+        or images.shape[3] != COLOURS
+        or len(images) != len(force_N)
+        or on.shape != force_N.shape
+        or places.shape != (on.shape[1], 2)
+    ):
+        raise InputError(
+            f"train_cnn: frames (s, h, w, {COLOURS}), switches and forces (s, n) and places (n, 2) "
+            f"are needed (got {images.shape}, {on.shape}, {force_N.shape} and {places.shape})"
+        )
+    if not np.isfinite(places).all():
+        raise InputError(
+            "train_cnn: the place of a marker in the frame without load is not known; give "
+            "predicted ones, or leave the marker out"
+        )
+
+
+def _check_parts(carried_N: FloatArray, training: IntArray, validation: IntArray) -> None:
+    if len(np.intersect1d(training, validation)):
+        raise InputError(
+            "train_cnn: a sample cannot both teach and say when to stop; share them out again"
+        )
+    for part in (training, validation):
+        if not carried_N[part].max(initial=0.0) > 0.0:
+            raise InputError(
+                f"train_cnn: no switch that is on carries a force in {len(part)} samples; give "
+                "contacts that turn on switches"
+            )
+
+
+class _Best(NamedTuple):
+    weights: dict[str, FloatArray]
+    rounds: int
+    loss_train: float
+    loss_validation: float
+
+
+class _Part(NamedTuple):
+    """Scaled frames, scaled forces, switches, and places of all markers."""
+
+    x: Any
+    y: Any
+    on: Any
+    places: Any
+
+    def take(self, rows: Any) -> "_Part":
+        """Some samples alone."""
+        return _Part(self.x[rows], self.y[rows], self.on[rows], self.places)
+
+    def outputs(self, model: Any) -> Any:
+        """Scaled forces (k,) that a network gives for the switches that are on."""
+        sample, marker = torch.nonzero(self.on, as_tuple=True)
+        return outputs(model, self.x, self.places, sample, marker)
+
+    def added(self, pool: "_Part", share: float) -> "_Part":
+        """To a share of the samples others of a pool are added."""
+        other = pool.take(torch.randint(len(pool.x), (len(self.x),)))
+        use = torch.rand(len(self.x)) < share
+        return _Part(
+            self.x + use[:, None, None, None] * other.x,
+            self.y + use[:, None] * other.y,
+            self.on | (use[:, None] & other.on),
+            self.places,
+        )
+
+
+def _fit(model: Any, training: _Part, validation: _Part, how: Lessons) -> _Best:
+    optimiser = torch.optim.AdamW(model.parameters(), lr=how.rate, weight_decay=how.decay)
+    schedule = torch.optim.lr_scheduler.ReduceLROnPlateau(
+        optimiser, factor=1.0 / 3.0, patience=max(how.patience // 3, 1)
+    )
+    best = _Best({}, 0, float("inf"), float("inf"))
+    for number in range(1, how.epochs + 1):
+        model.train()
+        for rows in torch.randperm(len(training.x)).split(how.batch):
+            part = training.take(rows).added(training, how.added)
+            if not part.on.any():
+                continue
+            optimiser.zero_grad()
+            ((part.outputs(model) - part.y[part.on]) ** 2).mean().backward()
+            optimiser.step()
+        found = _loss(model, validation)
+        schedule.step(found)
+        if found < best.loss_validation:
+            best = _Best(_numbers(model), number, _loss(model, training), found)
+        elif number - best.rounds >= how.patience:
+            break
+    return best
+
+
+def _numbers(model: Any) -> dict[str, FloatArray]:
+    return {name: value.numpy().copy() for name, value in model.state_dict().items()}
+
+
+def _loss(model: Any, part: _Part) -> float:
+    return float(((_run(model, part) - part.y[part.on].numpy()) ** 2).mean())
+
+
+def _run(model: Any, part: _Part) -> FloatArray:
+    """Outputs of the network as it is used, in the order of the switches that are on."""
+    model.eval()
+    rows = torch.arange(len(part.x)).split(TOGETHER)
+    with torch.no_grad():
+        found = [part.take(some).outputs(model).numpy() for some in rows]
+    return np.concatenate([np.zeros(0, dtype=np.float32), *found])
+
+
+def _differences(images: FloatArray, rest: FloatArray, scale: float) -> Any:
+    """Scaled differences to the frame without load, (s, 3, h, w)."""
+    out = (images - rest.astype(np.float32)).astype(np.float32) / np.float32(scale)
+    return torch.from_numpy(out).permute(0, 3, 1, 2)
+
+
+@contextmanager
+def _threads(count: int) -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -1,0 +1,139 @@
+"""Contacts in groups: by data set, by kind, by force, by place."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import InputError
+
+from phytac_design.datasets.samples import Samples
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context
+from phytac_design.stages.decoder import MIDDLE, along_mm, length_mm
+from phytac_design.training.evaluation.contacts import Decoded
+from phytac_design.training.training_data import DataSet
+
+FORCE_EDGES_N = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 25.0, np.inf)
+"""The paper tells 0.5 to 25 N from below 5 N; the ranges between are ours."""
+SMALL_N = 5.0
+HEIGHTS = 10
+SIDES = 8
+KINDS = ("single", "several", "grip")
+
+Groups = dict[str, dict[str, BoolArray]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Places:
+    """Where contacts are, c of them.
+
+    Attributes
+    ----------
+    along : (c,) float
+        Share of the way from the near to the far rim, along the surface.
+    around : (c,) float
+        Share of the way around, or across a sheet: of the chart's v.
+    """
+
+    along: FloatArray
+    around: FloatArray
+
+
+def places(design: Design, uv: FloatArray) -> Places:
+    """Places of chart positions ``uv`` (c, 2) on a design's surface."""
+    context = Context(design=design, accuracy=PRESETS["draft"], seed=0)
+    low, high = context.surface.domain[1]
+    return Places(
+        along=along_mm(context, uv) / length_mm(context),
+        around=(uv[:, 1] - low) / (high - low) % 1.0,
+    )
+
+
+def kinds(sets: Sequence[DataSet], samples: Samples, decoded: Decoded) -> IntArray:
+    """Index into ``KINDS`` of every contact, (c,): of a scenario of grips, or by its sample."""
+    grip = np.concatenate(
+        [np.full(item.samples.count, _is_grip(item), dtype=np.bool_) for item in sets]
+    )
+    alone = samples.contacts[decoded.sample] <= 1
+    return np.where(grip[decoded.sample], 2, np.where(alone, 0, 1))
+
+
+def _is_grip(item: DataSet) -> bool:
+    scenario = item.meta.notes.get("scenario")
+    return isinstance(scenario, dict) and scenario.get("kind") == "grips"
+
+
+def groups_of(
+    sets: Sequence[DataSet],
+    samples: Samples,
+    decoded: Decoded,
+    where: Places | None,
+) -> Groups:
+    """All groups, each a mask (c,) over the contacts that tripped a switch; empty ones left out.
+
+    Parameters
+    ----------
+    sets, samples : list of DataSet, Samples
+        The data sets, and they joined.
+    decoded : Decoded
+        Their contacts.
+    where : Places or None
+        Of the contacts; None where the design is not at hand.
+
+    Raises
+    ------
+    InputError
+        If no contact tripped a switch.
+    """
+    on, force = decoded.tripped, decoded.force_N
+    if not on.any():
+        raise InputError(
+            f"none of {len(on)} contacts tripped a switch: there is nothing to judge; press "
+            "harder, or on receptors"
+        )
+    kind = kinds(sets, samples, decoded)
+    first = np.cumsum([0] + [item.samples.count for item in sets])
+    names = _distinct([item.meta.what for item in sets])
+    own = [(decoded.sample >= a) & (decoded.sample < b) for a, b in pairwise(first)]
+    out: Groups = {
+        "all": {"all": on},
+        "contact": {name: kind == k for k, name in enumerate(KINDS)},
+        "small": {f"below {SMALL_N:g} N": force < SMALL_N, f"from {SMALL_N:g} N": force >= SMALL_N},
+        "force": {_range(a, b): (force >= a) & (force < b) for a, b in pairwise(FORCE_EDGES_N)},
+    }
+    if where is not None:
+        middle = (where.along >= MIDDLE[0]) & (where.along <= MIDDLE[1])
+        tenth = np.clip((where.along * HEIGHTS).astype(np.int64), 0, HEIGHTS - 1)
+        side = np.clip((where.around * SIDES).astype(np.int64), 0, SIDES - 1)
+        out["height"] = {
+            f"middle, {100 * MIDDLE[0]:g} to {100 * MIDDLE[1]:g} %": middle,
+            "towards the rims": ~middle,
+        }
+        out["along"] = {
+            f"{100 * k // HEIGHTS} to {100 * (k + 1) // HEIGHTS} %": tenth == k
+            for k in range(HEIGHTS)
+        }
+        out["around"] = {
+            f"{360 * k / SIDES:g} to {360 * (k + 1) / SIDES:g}°": side == k for k in range(SIDES)
+        }
+    if len(sets) > 1:
+        out["data"] = dict(zip(names, own, strict=True))
+    return {
+        section: {name: mask & on for name, mask in members.items() if (mask & on).any()}
+        for section, members in out.items()
+    }
+
+
+def _range(low_N: float, high_N: float) -> str:
+    return f"{low_N:g} to {high_N:g} N" if np.isfinite(high_N) else f"from {low_N:g} N"
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    """Names with a number where several are the same."""
+    return [
+        f"{name} ({names[: k + 1].count(name)})" if names.count(name) > 1 else name
+        for k, name in enumerate(names)
+    ]

@@ -1,0 +1,219 @@
+"""A decoder's cascade network as an ONNX file, for run times other than numpy."""
+
+import os
+import tempfile
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+from onnx.reference import ReferenceEvaluator
+from phytac_decoder.estimation.cascade_network import INPUTS, CascadeNetwork
+from phytac_decoder.io.bundle import Bundle, load_bundle
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import InputError, NumericalError, OutputError
+
+from phytac_design.training.training_data import bundle_hash
+
+OPSET, IR_VERSION = 17, 8
+"""Of 2022, which today's run times all read."""
+INPUT, OUTPUT, ROWS = "features_mm", "stiffness_N_per_mm", "key_nodes"
+TOLERANCE = 1e-6
+"""Largest difference to numpy's, over the largest stiffness."""
+TRIED = 256
+"""Rows that are compared."""
+REACH = 4.0
+"""Compared rows reach so many times the scales of the inputs: both sides of every kink."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exported:
+    """A network that was written.
+
+    Attributes
+    ----------
+    out : Path
+        The file.
+    estimator : str
+        Whose network it is.
+    difference : float
+        Largest difference to numpy's over the largest stiffness, on the rows that were compared.
+    opset : int
+        Version of ONNX's operators.
+    """
+
+    out: Path
+    estimator: str
+    difference: float
+    opset: int
+
+
+def export_onnx(bundle: Path, out: Path, *, estimator: str = "fem_nn") -> Exported:
+    """Write a decoder's network as ONNX, if what is written computes the same as numpy.
+
+    Parameters
+    ----------
+    bundle : Path
+        The decoder's folder.
+    out : Path
+        File to write; an older one is replaced.
+    estimator : str
+        Whose network: ``fem_nn`` or ``fem_nn_identity``.
+
+    Raises
+    ------
+    InputError
+        If the decoder cannot be read or has no such network.
+    NumericalError
+        If the file would not compute the same; none is left then.
+    OutputError
+        If the file cannot be written.
+    """
+    decoder = load_bundle(bundle)
+    network = decoder.model.networks.get(estimator)
+    if network is None:
+        known = ", ".join(sorted(decoder.model.networks)) or "none"
+        raise InputError(
+            f"the decoder in {bundle} has no network {estimator!r} (its networks: {known}); name "
+            "one of them, or train it with `phytac train`"
+        )
+    model = network_model(network, provenance(decoder, bundle_hash(bundle), estimator))
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name}-")
+        part = Path(name)
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(model.SerializeToString(deterministic=True))
+            difference = compared(part, network)
+            part.chmod(0o644)
+            part.replace(out)
+        except BaseException:
+            with suppress(OSError):
+                part.unlink()
+            raise
+    except OSError as error:
+        raise OutputError(
+            f"cannot write {out}: {error.strerror or error}; choose another file"
+        ) from None
+    return Exported(out=out, estimator=estimator, difference=difference, opset=OPSET)
+
+
+def provenance(decoder: Bundle, sha256: str, estimator: str) -> dict[str, str]:
+    """What a reader of the file should know, as text."""
+    return {
+        "what": f"stiffness that estimator {estimator} adds at a key node: force_N = (K·U)_i + "
+        f"{OUTPUT} · u_i",
+        "estimator": estimator,
+        "activation": decoder.model.networks[estimator].activation,
+        "design": decoder.design,
+        "design_hash": decoder.design_hash,
+        "bundle_sha256": sha256,
+        "input": f"{INPUT} ({ROWS}, {INPUTS}) float64, mm: apparent inward displacement u of the "
+        "node and of its eight neighbours, height z; scales included",
+        "output": f"{OUTPUT} ({ROWS},) float64, N/mm; scales included",
+        "opset": str(OPSET),
+    }
+
+
+def network_model(network: CascadeNetwork, notes: Mapping[str, str]) -> onnx.ModelProto:
+    """The network as an ONNX model: features (m, 10) mm to stiffness (m,) N/mm, any m.
+
+    The same operations as :meth:`phytac_decoder.estimation.cascade_network.CascadeNetwork.__call__`, in double precision.
+
+    Raises
+    ------
+    NumericalError
+        If it is not a sound model.
+    """
+    constants = {
+        **network.layers(),
+        "scale_in": network.scale_in,
+        "scale_out": np.asarray(network.scale_out),
+    }
+    nodes = [
+        helper.make_node("Div", [INPUT, "scale_in"], ["x"]),
+        *_layer("x", 1, "first", network),
+        helper.make_node("Concat", ["x", "first"], ["both"], axis=1),
+        *_layer("both", 2, "second", network),
+        helper.make_node("Concat", ["both", "second"], ["every"], axis=1),
+        helper.make_node("Gemm", ["every", "w3", "b3"], ["column"], transB=1),
+        helper.make_node("Mul", ["column", "scale_out"], ["scaled"]),
+        helper.make_node("Squeeze", ["scaled", "last"], [OUTPUT]),
+    ]
+    tensors = [
+        numpy_helper.from_array(np.asarray(array, dtype=np.float64), name)
+        for name, array in constants.items()
+    ]
+    tensors.append(numpy_helper.from_array(np.array([1], dtype=np.int64), "last"))
+    graph = helper.make_graph(
+        nodes,
+        "cascade",
+        [helper.make_tensor_value_info(INPUT, TensorProto.DOUBLE, [ROWS, INPUTS])],
+        [helper.make_tensor_value_info(OUTPUT, TensorProto.DOUBLE, [ROWS])],
+        tensors,
+    )
+    model = helper.make_model(
+        graph,
+        opset_imports=[helper.make_opsetid("", OPSET)],
+        ir_version=IR_VERSION,
+        producer_name="phytac-design",
+        doc_string=notes.get("what", ""),
+    )
+    helper.set_model_props(model, dict(notes))
+    try:
+        onnx.checker.check_model(model, full_check=True)
+    except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError) as error:
+        raise NumericalError(
+            f"the network is not a sound ONNX model: {error}; please report this"
+        ) from None
+    return model
+
+
+def _layer(source: str, number: int, result: str, network: CascadeNetwork) -> list[onnx.NodeProto]:
+    """A hidden layer: affine, then the network's activation."""
+    kind = "Relu" if network.activation == "rectified" else "Identity"
+    affine = f"{result}_affine"
+    return [
+        helper.make_node("Gemm", [source, f"w{number}", f"b{number}"], [affine], transB=1),
+        helper.make_node(kind, [affine], [result]),
+    ]
+
+
+def compared(path: Path, network: CascadeNetwork) -> float:
+    """Largest difference of a file to the network itself, over the largest stiffness.
+
+    Raises
+    ------
+    NumericalError
+        If it is more than ``TOLERANCE``.
+    """
+    rng = np.random.default_rng(0)
+    features = REACH * network.scale_in * rng.standard_normal((TRIED, INPUTS))
+    features[0] = 0.0
+    wanted = network(features)
+    worst = 0.0
+    for rows in (features, features[:1]):
+        found = run(path, rows)
+        if found.shape != (len(rows),):
+            raise NumericalError(
+                f"the ONNX file gives an array of shape {found.shape} for {len(rows)} key nodes; "
+                "it is not kept, please report this"
+            )
+        gap = np.abs(found - wanted[: len(rows)]).max() / max(np.abs(wanted).max(), 1e-300)
+        worst = max(worst, float(gap)) if np.isfinite(gap) else float("inf")
+    if not worst <= TOLERANCE:
+        raise NumericalError(
+            f"the ONNX file differs from the network by {worst:.2g} of the largest stiffness, more "
+            f"than {TOLERANCE:g}; it is not kept, please report this"
+        )
+    return worst
+
+
+def run(path: Path, features_mm: FloatArray) -> FloatArray:
+    """Stiffness (m,) N/mm of features (m, 10) mm by the file, with ONNX's own evaluator."""
+    (out,) = ReferenceEvaluator(str(path)).run(None, {INPUT: features_mm})
+    return np.asarray(out, dtype=np.float64)

@@ -1,0 +1,222 @@
+"""``phytac evaluate``: every estimator of a decoder against the truth of data sets."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from phytac_decoder.io.bundle import Bundle, load_bundle
+from phytac_shapes.errors import InputError, PhytacError
+
+from phytac_design.core.json_values import finite
+from phytac_design.datasets.samples import STATUSES, THEORIES, Samples
+from phytac_design.design.design_file import design_hash, load_design, shipped_designs
+from phytac_design.design.spec import Design
+from phytac_design.training.evaluation.contacts import Decoded, decode_contacts
+from phytac_design.training.evaluation.groups import KINDS, Groups, groups_of, kinds, places
+from phytac_design.training.evaluation.plots import draw
+from phytac_design.training.evaluation.scores import LEVEL, RESAMPLES, Bootstrap
+from phytac_design.training.evaluation.tables import contacts_csv, tables_md
+from phytac_design.training.join_datasets import join
+from phytac_design.training.result_folder import claimed, written
+from phytac_design.training.training_data import DataSet, bundle_hash, read_sets
+
+TABLE = "evaluation.json"
+FORMAT, SCHEMA = "phytac-evaluation", "1.0"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """What an evaluation found.
+
+    Attributes
+    ----------
+    out : Path
+        Its folder.
+    facts : dict
+        What ``evaluation.json`` says.
+    """
+
+    out: Path
+    facts: dict[str, Any]
+
+
+def evaluate(
+    bundle: Path,
+    data: Sequence[Path],
+    out: Path,
+    *,
+    design: str | None = None,
+    seed: int = 0,
+    force: bool = False,
+    progress: Callable[[str], None] = print,
+) -> Evaluation:
+    """Judge every estimator of a decoder and write figures, tables and pictures.
+
+    Parameters
+    ----------
+    bundle : Path
+        The decoder's folder.
+    data : list of Path
+        Data sets of the same design, with points.
+    out : Path
+        Folder for the result.
+    design : str, optional
+        Shipped design or file, for heights and sides; looked for if not given.
+    seed : int
+        Of the bootstrap.
+    force : bool
+        Overwrite what the folder holds.
+    progress : callable
+        Called with a short text about what is being done.
+
+    Raises
+    ------
+    InputError
+        If the decoder or the data cannot be used.
+    DesignError
+        If the design cannot be read.
+    OutputError
+        If ``out`` cannot be written or holds something else.
+    """
+    decoder = load_bundle(bundle)
+    sets = read_sets(data, design_hash=decoder.design_hash)
+    for item in sets:
+        if not item.has_points:
+            raise InputError(
+                f"{item.folder} holds no points, so nothing can be decoded; make it again with "
+                "--keep points"
+            )
+        if item.sha256 in decoder.notes.get("data_sha256", ()):
+            progress(
+                f"warning: {item.folder} is what this decoder was trained on: these are not "
+                "errors on samples that it has never seen"
+            )
+    known = find_design(decoder, bundle, design)
+    if known is None:
+        progress(
+            f"warning: no design file of {decoder.design} with this decoder's hash was found: "
+            "heights and sides are left out; add --design FILE"
+        )
+    samples = join([item.samples for item in sets])
+    check_markers(decoder, samples)
+    with claimed(out, TABLE, decoder.design, force=force):
+        decoded = decode_contacts(
+            decoder.model, samples, progress=lambda name: progress(f"evaluate: {name}")
+        )
+        where = None
+        if known is not None and samples.touches is not None:
+            where = places(known, samples.touches.uv[decoded.touch])
+        groups = groups_of(sets, samples, decoded, where)
+        progress("evaluate: intervals and pictures")
+        facts: dict[str, Any] = finite(
+            {
+                "format": FORMAT,
+                "schema_version": SCHEMA,
+                "design": decoder.design,
+                "design_hash": decoder.design_hash,
+                "bundle_sha256": bundle_hash(bundle),
+                "data": [item.facts() for item in sets],
+                "bootstrap": {
+                    "resamples": RESAMPLES,
+                    "level": LEVEL,
+                    "seed": seed,
+                    "over": "samples",
+                },
+                **counts(sets, samples, decoded),
+                "estimators": scores(decoded, groups, seed),
+            }
+        )
+        kind = kinds(sets, samples, decoded)
+        with written(out, TABLE) as folder:
+            text = json.dumps(facts, indent=1, sort_keys=True, ensure_ascii=False)
+            (folder / TABLE).write_text(text + "\n", encoding="utf-8")
+            rows = contacts_csv(samples, decoded, where, [KINDS[k] for k in kind])
+            (folder / "contacts.csv").write_text(rows, encoding="utf-8")
+            (folder / "tables.md").write_text(tables_md(facts), encoding="utf-8")
+            for name, picture in draw(facts, decoded).items():
+                (folder / name).write_bytes(picture)
+    return Evaluation(out=out, facts=facts)
+
+
+def find_design(decoder: Bundle, folder: Path, wanted: str | None) -> Design | None:
+    """Design of a decoder: the one wanted, the build's around it, or the shipped one, by its hash.
+
+    Raises
+    ------
+    InputError
+        If the wanted one is not the decoder's.
+    """
+    if wanted is not None:
+        design = load_design(wanted)
+        if design_hash(design) != decoder.design_hash:
+            raise InputError(
+                f"{wanted} is not the design that the decoder in {folder} was made from "
+                f"({decoder.design}, {decoder.design_hash[:12]}…); give that one, or leave "
+                "--design out"
+            )
+        return design
+    build = folder.resolve().parent / "design.toml"
+    names = [str(build)] if build.is_file() else []
+    names += [decoder.design] if decoder.design in shipped_designs() else []
+    for name in names:
+        try:
+            design = load_design(name)
+        except PhytacError:
+            continue
+        if design_hash(design) == decoder.design_hash:
+            return design
+    return None
+
+
+def check_markers(decoder: Bundle, samples: Samples) -> None:
+    """Refuse data of another number of markers than the decoder's."""
+    if samples.markers != len(decoder.colour):
+        raise InputError(
+            f"the data are of a sensor with {samples.markers} markers, the decoder of one with "
+            f"{len(decoder.colour)}; use data of the decoder's own design"
+        )
+
+
+def counts(sets: Sequence[DataSet], samples: Samples, decoded: Decoded) -> dict[str, Any]:
+    """How many samples and contacts there are, and what became of them."""
+    status = np.bincount(samples.status, minlength=len(STATUSES))
+    theory = np.bincount(samples.theory[decoded.judged], minlength=len(THEORIES))
+    unseen = decoded.force_N[~decoded.tripped]
+    return {
+        "samples": dict(zip(STATUSES, status.tolist(), strict=True))
+        | {"judged": len(decoded.judged)},
+        "theories": dict(zip(THEORIES, theory.tolist(), strict=True)),
+        "contacts": {
+            "judged": int(decoded.tripped.sum()),
+            "all_switches_missed": int((decoded.tripped & ~decoded.read).sum()),
+            "tripped_none": len(unseen),
+            "tripped_none_force_N_median": float(np.median(unseen)) if len(unseen) else None,
+            "tripped_none_force_N_largest": float(unseen.max()) if len(unseen) else None,
+        },
+        # What a real sensor's switches truly were is not known: read and true are the same there.
+        "switches": decoded.switches() if all(item.meta.simulated for item in sets) else None,
+    }
+
+
+def scores(decoded: Decoded, groups: Groups, seed: int) -> dict[str, Any]:
+    """Errors of every estimator in every group."""
+    bootstrap = Bootstrap(sample=decoded.sample, seed=seed)
+    return {
+        name: {
+            section: {
+                group: bootstrap.score(estimate, decoded.force_N, mask)
+                for group, mask in members.items()
+            }
+            for section, members in groups.items()
+        }
+        | {
+            "elsewhere_N": {
+                "mean": float(np.abs(decoded.elsewhere_N[name]).mean()),
+                "largest": float(np.abs(decoded.elsewhere_N[name]).max()),
+            }
+        }
+        for name, estimate in decoded.decoded_N.items()
+    }

@@ -1,0 +1,204 @@
+"""``phytac train``: the decoder of a design from data sets."""
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
+
+from phytac_design.core.json_values import finite
+from phytac_design.design.design_file import design_hash
+from phytac_design.design.spec import Design
+from phytac_design.layout.region_chart import design_regions
+from phytac_design.rules.check import check_design
+from phytac_design.stages.build import run_stages, select_stages
+from phytac_design.stages.decoder import DECODER, assemble, plain_model
+from phytac_design.training.evaluation.contacts import decode_contacts
+from phytac_design.training.evaluation.scores import summary
+from phytac_design.training.result_folder import claimed, written
+from phytac_design.training.trainers import TRAINERS, Lesson
+from phytac_design.training.training_data import (
+    DataSet,
+    Part,
+    bundle_hash,
+    check_inputs,
+    read_sets,
+    share_out,
+)
+
+TABLE = "training.json"
+FORMAT, SCHEMA = "phytac-training", "1.0"
+PARTS = ("training", "validation", "test")
+MECHANICS = [name for name in DECODER.needs if name != "twin"]
+"""Stages of a build that the decoder is made from, its simulated data apart."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trained:
+    """What a training made.
+
+    Attributes
+    ----------
+    out : Path
+        The decoder's folder.
+    bundle : Bundle
+        The decoder.
+    facts : dict
+        What ``training.json`` says.
+    """
+
+    out: Path
+    bundle: Bundle
+    facts: dict[str, Any]
+
+
+def train(
+    design: Design,
+    data: Sequence[Path],
+    out: Path,
+    *,
+    samples: int | None = None,
+    seed: int = 0,
+    start: Path | None = None,
+    accuracy: str = "standard",
+    force: bool = False,
+    progress: Callable[[str], None] = print,
+) -> Trained:
+    """Train the decoder of a design and write it; the same inputs give the same bundle.
+
+    Parameters
+    ----------
+    design : Design
+        The sensor.
+    data : list of Path
+        Data sets of that sensor.
+    out : Path
+        The decoder's own folder.
+    samples : int, optional
+        Learn from the first so many samples only.
+    seed : int
+        Of the split and of the networks' random starts.
+    start : Path, optional
+        Another sensor's decoder: its networks' weights are where training starts.
+    accuracy : str
+        Preset of the decoder's own mechanics.
+    force : bool
+        Overwrite what the folder holds.
+    progress : callable
+        Called with a short text about what is being done.
+
+    Raises
+    ------
+    DesignError
+        If the design cannot be built.
+    InputError
+        If the data or the decoder to start from cannot be used.
+    OutputError
+        If ``out`` cannot be written or holds something else.
+    """
+    check_design(design)
+    sets = read_sets(data, design_hash=design_hash(design))
+    first = load_bundle(start) if start is not None else None
+    with claimed(out, TABLE, design.name, force=force):
+        context = run_stages(
+            design,
+            select_stages(MECHANICS),
+            accuracy=accuracy,
+            seed=0,
+            force=True,
+            progress=progress,
+        )[0]
+        plain = replace(
+            assemble(context, plain_model(context), _notes(sets, seed, accuracy, start, first)),
+            design=design.name,
+            design_hash=design_hash(design),
+            regions=design_regions(design) if design.regions else (),
+        )
+        for item in sets:
+            check_inputs(item, plain.model, accuracy)
+        noise_px = design.camera.noise_centroid_px
+        parts = share_out(sets, plain.model, noise_px=noise_px, seed=seed, limit=samples)
+        bundle, taught = teach(plain, parts, seed, first, progress)
+        held_out = held_out_scores(bundle, parts[2])
+        notes = {
+            "training_samples": parts[0].count,
+            "test_relative_error": held_out
+            and {name: finite(score["relative_error"]) for name, score in held_out.items()},
+        }
+        bundle = replace(bundle, notes=bundle.notes | notes)
+        facts: dict[str, Any] = {
+            "format": FORMAT,
+            "schema_version": SCHEMA,
+            "design": design.name,
+            "design_hash": bundle.design_hash,
+            "accuracy": accuracy,
+            "seed": seed,
+            "start": bundle.notes.get("start"),
+            "data": [item.facts() for item in sets],
+            "samples": dict(zip(PARTS, [part.count for part in parts], strict=True)),
+            "key_nodes": dict(zip(PARTS, [len(part.rows.force_N) for part in parts], strict=True)),
+            "trainers": taught,
+            "test": held_out,
+        }
+        with written(out, TABLE) as folder:
+            save_bundle(bundle, folder)
+            text = json.dumps(finite(facts), indent=1, sort_keys=True, ensure_ascii=False)
+            (folder / TABLE).write_text(text + "\n", encoding="utf-8")
+    return Trained(out=out, bundle=bundle, facts=facts)
+
+
+def _notes(
+    sets: Sequence[DataSet], seed: int, accuracy: str, start: Path | None, first: Bundle | None
+) -> dict[str, Any]:
+    """Where a bundle comes from, as far as it is known before training."""
+    notes: dict[str, Any] = {
+        "data": "; ".join(item.meta.what for item in sets),
+        "data_sha256": [item.sha256 for item in sets],
+        "seed": seed,
+        "accuracy": accuracy,
+    }
+    if start is not None and first is not None:
+        notes["start"] = {"design": first.design, "sha256": bundle_hash(start)}
+    return notes
+
+
+def teach(
+    bundle: Bundle,
+    parts: tuple[Part, Part, Part],
+    seed: int,
+    start: Bundle | None,
+    progress: Callable[[str], None],
+) -> tuple[Bundle, dict[str, Any]]:
+    """Run all trainers in their order; the bundle with what they added, and their facts."""
+    facts = {}
+    for name, trainer in TRAINERS:
+        progress(f"train: {name}")
+        begin = time.perf_counter()
+        lesson = Lesson(
+            bundle=bundle,
+            training=parts[0],
+            validation=parts[1],
+            test=parts[2],
+            seed=seed,
+            start=start,
+        )
+        model, found = trainer(lesson)
+        bundle = replace(bundle, model=model)
+        facts[name] = found | {"seconds": round(time.perf_counter() - begin, 3)}
+        progress(f"train: {name} {facts[name]['seconds']:.1f} s")
+    return bundle, facts
+
+
+def held_out_scores(bundle: Bundle, test: Part) -> dict[str, Any] | None:
+    """Errors per contact on the test part, by estimator; None where no points were kept."""
+    if test.samples is None:
+        return None
+    contacts = decode_contacts(bundle.model, test.samples)
+    on = contacts.tripped
+    return {
+        name: summary(decoded[on], contacts.force_N[on])
+        for name, decoded in contacts.decoded_N.items()
+    }

@@ -1,0 +1,136 @@
+"""Cramér-Rao bounds against closed forms and against an estimator that attains them."""
+
+import numpy as np
+import pytest
+from phytac_shapes import Cylinder, Hemisphere, Plane, Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
+
+from phytac_design.simulation.bound import Bound, Prior, cell_prior, contact_signals
+
+PAD = Plane(width_mm=60.0, height_mm=60.0)
+GRID = np.stack(np.meshgrid(*2 * [np.linspace(-24.0, 24.0, 7)]), axis=-1).reshape(-1, 2)
+FREE = Prior(place_mm=1e6, radius_mm=1e6)
+TIGHT = Prior(place_mm=1e-6, radius_mm=1e-6)
+
+
+def dents(uv: FloatArray, radius: FloatArray) -> FloatArray:
+    """Pixel shifts of a made-up sheet: Gaussian dents, wider for wider patches."""
+    gap = uv[:, None] - GRID[None]
+    width = 6.0 + 0.5 * radius
+    depth = 3.0 * np.exp(-0.5 * (gap**2).sum(axis=2) / width[:, None] ** 2)
+    return np.stack([depth, 0.3 * depth], axis=2)
+
+
+def bound(
+    prior: Prior, *, noise: float = 0.05, force: float = 5.0, surface: Surface = PAD
+) -> Bound:
+    signals = contact_signals(
+        surface, dents, uv=np.array([[1.0, 2.0], [10.0, -7.0]]), radius_mm=np.array([5.0, 4.0])
+    )
+    return signals.bound(force, noise_px=noise, prior=prior)
+
+
+def test_known_position_is_one_over_the_signal() -> None:
+    c = dents(np.array([[1.0, 2.0], [10.0, -7.0]]), np.array([5.0, 4.0])).reshape(2, -1)
+    want = 0.05 / np.linalg.norm(c, axis=1)
+    found = bound(FREE)
+    assert np.allclose(found.force_known_N, want, rtol=1e-12)
+    # A prior that leaves nothing open gives the same.
+    assert np.allclose(bound(TIGHT).force_N, want, rtol=1e-6)
+
+
+def test_unknown_position_and_size_cost() -> None:
+    found = bound(FREE)
+    assert (found.force_N > 1.02 * found.force_known_N).all()
+    between = bound(Prior(place_mm=0.02, radius_mm=0.05))
+    assert (between.force_N < found.force_N).all()
+    assert (between.force_N > found.force_known_N).all()
+
+
+def test_scaling_laws() -> None:
+    one, double = bound(FREE), bound(FREE, noise=0.1)
+    assert np.allclose(double.force_N, 2.0 * one.force_N, rtol=1e-6)
+    strong = bound(FREE, force=50.0)
+    # Force is read as well at any force; position ten times better at ten times the force.
+    assert np.allclose(strong.force_N, one.force_N, rtol=1e-6)
+    assert np.allclose(strong.along_mm, one.along_mm / 10.0, rtol=1e-5)
+    assert np.allclose(strong.around_mm, one.around_mm / 10.0, rtol=1e-5)
+
+
+def test_the_best_estimator_attains_it() -> None:
+    rng = np.random.default_rng(3)
+    at, radius, force, noise = np.array([[1.0, 2.0]]), 5.0, 5.0, 0.01
+    prior = Prior(place_mm=1.0, radius_mm=1.0)
+    signals = contact_signals(PAD, dents, uv=at, radius_mm=radius)
+    found = signals.bound(force, noise_px=noise, prior=prior)
+    weight = np.array([0.0, 1.0, 1.0, 1.0])
+    errors = []
+    for _ in range(400):
+        true = np.array([force, *(at[0] + rng.normal(0, 1.0, 2)), radius + rng.normal(0, 1.0)])
+        signal = true[0] * dents(true[None, 1:3], true[3:]).ravel()
+        data = signal + rng.normal(0.0, noise, signal.shape)
+        theta = np.array([force, *at[0], radius])
+        start = theta.copy()
+        for _ in range(12):
+            h = 1e-4
+            base = theta[0] * dents(theta[None, 1:3], theta[3:]).ravel()
+            G = np.column_stack(
+                [
+                    (t[0] * dents(t[None, 1:3], t[3:]).ravel() - base) / h
+                    for t in (theta + h * np.eye(4)[k] for k in range(4))
+                ]
+            )
+            left = G.T @ G / noise**2 + np.diag(weight)
+            right = G.T @ (data - base) / noise**2 - weight * (theta - start)
+            theta = theta + np.linalg.solve(left, right)
+        errors.append(theta[0] - true[0])
+    assert np.std(errors) == pytest.approx(found.force_N[0], rel=0.12)
+
+
+def test_works_at_a_pole_on_a_seam_and_at_an_edge() -> None:
+    dome, tube = (
+        Hemisphere(diameter_outer_mm=40.0),
+        Cylinder(diameter_outer_mm=40.0, length_mm=50.0),
+    )
+    for surface, uv in (
+        (dome, [[dome.domain[0, 1], 0.0], [0.0, 1.0]]),
+        (tube, [[20.0, 0.0], [50.0, 2.0]]),
+    ):
+        markers = surface.point(
+            np.column_stack(
+                [
+                    np.linspace(*surface.domain[0].tolist(), 40),
+                    np.linspace(0.0, 30.0, 40) % 6.28,
+                ]
+            )
+        )
+
+        def near(
+            where: FloatArray,
+            radius: FloatArray,
+            s: Surface = surface,
+            m: FloatArray = markers,
+        ) -> FloatArray:
+            gap = s.point(where)[:, None] - m[None]
+            depth = np.exp(-0.5 * (gap**2).sum(axis=2) / (5.0 + radius[:, None]) ** 2)
+            return np.stack([depth, 0.5 * depth + 0.1 * gap[..., 0] * depth], axis=2)
+
+        signals = contact_signals(surface, near, uv=np.array(uv), radius_mm=4.0)
+        prior = cell_prior(surface.area_mm2(), 40, 4.0, 7.0)
+        found = signals.bound(5.0, noise_px=0.04, prior=prior)
+        for values in vars(found).values():
+            assert np.isfinite(values).all()
+            assert (values > 0.0).all()
+
+
+def test_cell_prior() -> None:
+    prior = cell_prior(400.0 * np.pi, 4, 4.0, 7.0)
+    assert prior.place_mm == pytest.approx(5.0)
+    assert prior.radius_mm == pytest.approx(3.0 / np.sqrt(12.0))
+
+
+@pytest.mark.parametrize("bad", [{"noise": 0.0}, {"noise": -1.0}, {"force": 0.0}])
+def test_nonsense_is_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(NumericalError, match="needs noise, prior and forces above zero"):
+        bound(FREE, **bad)

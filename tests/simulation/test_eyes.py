@@ -1,0 +1,368 @@
+"""Points against frames, and what a unit's eyes make of noise, scatter and blindness."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from phytac_decoder.camera.camera import Camera
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import InputError
+
+from phytac_design.design.spec import Design
+from phytac_design.layout import make_markers
+from phytac_design.layout.cameras import Readers, cameras_of, tolerance_mm
+from phytac_design.layout.thresholds import thresholds_N
+from phytac_design.optics.exposure import Exposure
+from phytac_design.optics.scene import SHELL, build_scene
+from phytac_design.optics.visibility import see
+from phytac_design.simulation.contacts import draw_contacts, switch_states
+from phytac_design.simulation.imaging.carried_wall import WallMotion
+from phytac_design.simulation.imaging.grid import CELL_px, grid_error
+from phytac_design.simulation.imaging.imaging_model import AtRest, Eyes, Seen
+from phytac_design.simulation.imaging.nominal import expected_views, paint_slope
+from phytac_design.simulation.instance_shell import truth_shell
+from phytac_design.simulation.pressed_series import Seen as Watched
+from phytac_design.simulation.response import motion_responses, rigid_slope, superpose
+from phytac_design.simulation.sensor_instance import Unit, WallField
+from tests.designs import changed, of_shape
+
+AGREE_px = 0.05
+"""RMS between points and frames without noise."""
+EXPOSURE = Exposure(noise_pixel=2.0)
+
+
+def design(ends: str = "near") -> Design:
+    return changed(
+        "cylinder60",
+        shape={"length_mm": 50.0},
+        layout={"rows": 5, "columns": 8, "height_near_mm": 1.5, "height_far_mm": 6.0},
+        camera={"width_px": 864, "height_px": 648, "focal_px": 323.0, "ends": ends},
+        light={"bar_radius_mm": 2.0},
+        wall={"thickness_mm": 0.5},
+    )
+
+
+def unit_of(design: Design) -> Unit:
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    threshold = thresholds_N(design, markers) * np.ones(markers.count)
+    return Unit(
+        number=0,
+        markers=markers,
+        wall=WallField(mean=1.0, waves=np.zeros((0, 4)), domain=surface.domain),
+        modulus=1.0,
+        on_N=threshold,
+        off_N=0.7 * threshold,
+        cameras=cameras_of(design, surface),
+        paint=np.ones((len(design.layout.colours) + 1, 3)),
+    )
+
+
+class Rig:
+    """A unit with its eyes, pressed a few times with 25 N."""
+
+    def __init__(self, design: Design, unit: Unit | None = None) -> None:
+        self.design, self.surface = design, design.surface()
+        self.unit = unit or unit_of(design)
+        markers = make_markers(design, self.surface)
+        drawn = draw_contacts(
+            design, self.surface, markers, samples=3, rng=np.random.default_rng(1), most=3
+        )
+        contacts = replace(drawn, force_N=np.full(len(drawn.force_N), 25.0))
+        mesh, model = truth_shell(design, self.surface, 2)
+        response = motion_responses(
+            model, mesh, self.surface, markers, uv=contacts.uv, radius_mm=contacts.radius_mm
+        )
+        self.motion = superpose(response, contacts)
+        self.bits = switch_states(design, self.surface, markers, contacts).bits
+        self.views = expected_views(design, self.surface, markers)
+        self.eyes = self.make(self.unit)
+        self.still = np.zeros((markers.count, 6))
+        self.off = np.zeros(markers.count, dtype=np.bool_)
+
+    def make(self, unit: Unit, **options: Any) -> Eyes:
+        return Eyes(self.design, self.surface, unit, exposure=EXPOSURE, views=self.views, **options)
+
+    def errors(self, eyes: Eyes | None = None) -> tuple[FloatArray, FloatArray]:
+        """Points less frames without noise, and those shifts, (samples, n, 2) px."""
+        eyes = eyes or self.eyes
+        zero = eyes.read(eyes.frame(self.still, self.off)).shift_px
+        frames, points = [], []
+        for motion, bits in zip(self.motion, self.bits, strict=True):
+            seen = eyes.read(eyes.frame(motion, bits))
+            np.testing.assert_array_equal(seen.bits, bits)
+            assert seen.found.all()
+            assert seen.status == ""
+            frames.append(seen.shift_px - zero)
+            points.append(eyes.points(motion, bits).shift_px)
+        return np.array(points) - np.array(frames), np.array(frames)
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return Rig(design())
+
+
+def rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def test_points_are_what_frames_show(rig: Rig) -> None:
+    error, shift = rig.errors()
+    moved = np.linalg.norm(shift, axis=2)
+    assert moved.max() > 1.0
+    assert rig.bits.sum() >= 3
+    assert rms(error) < AGREE_px
+    assert rms(error[moved > 0.1 * moved.max()]) < AGREE_px
+    # Without what a tip covers as its receptor turns, those that are on would not agree.
+    assert rms(error[rig.bits]) < 1.5 * AGREE_px
+
+
+def test_paint_is_where_frames_show_it(rig: Rig) -> None:
+    # Paint on a tube's far side would pull its centroid aside by pixels.
+    place = rig.eyes._paints[0].centroids(rig.still)
+    error = place - rig.eyes.at_rest.rest_px
+    assert rms(error) < 0.25
+    assert np.abs(error.mean(axis=0)).max() < 0.05
+
+
+def test_a_tip_covers_other_paint_as_its_receptor_turns(rig: Rig) -> None:
+    motion, bits = rig.still.copy(), rig.off.copy()
+    some = np.array([2, 11, 22, 31, 37])
+    bits[some] = True
+    motion[some, 3:] = 0.3 * rig.unit.markers.normal[np.roll(some, 2)]
+    frames = rig.eyes.read(rig.eyes.frame(motion, bits))
+    np.testing.assert_array_equal(frames.bits, bits)
+    error = rig.eyes.points(motion, bits).shift_px - frames.shift_px
+    without = rig.eyes._covered(motion, bits)
+    assert rms(error[some]) < 2.0 * AGREE_px
+    assert rms(without[some]) > 2.4 * AGREE_px
+
+
+def test_pixels_agree_too(rig: Rig) -> None:
+    eyes = rig.make(rig.unit, centroids="pixels", wall_follows=False, at_rest=rig.eyes.rest)
+    motion, bits = rig.motion[0], rig.bits[0]
+    paint, pixels = rig.eyes.exact(motion, bits), eyes.exact(motion, bits)
+    assert rms(paint - pixels) < 0.02  # nothing hides anything here
+    # A receptor brought before another one covers some of it, and only pixels know.
+    push, tips, eye = rig.still.copy(), rig.unit.markers.tip_mm, rig.unit.cameras[0].position_mm
+    push[20, :3] = eye + 0.8 * (tips[21] - eye) + [2.8, 2.8, 0.0] - tips[20]
+    hidden = np.abs(eyes.exact(push, rig.off) - rig.eyes.exact(push, rig.off))[21].max()
+    frames = eyes.read(eyes.frame(push, rig.off)).shift_px
+    assert hidden > 0.5
+    left = np.linalg.norm(eyes.exact(push, rig.off)[21] - frames[21])
+    assert left < 0.15 * np.linalg.norm(frames[21])
+
+
+def test_nothing_moves_at_rest(rig: Rig) -> None:
+    np.testing.assert_array_equal(rig.eyes.exact(rig.still, rig.off), 0.0)
+    np.testing.assert_array_equal(rig.eyes.points(rig.still, rig.off).shift_px, 0.0)
+    dim = rig.eyes.read(rig.eyes.frame(rig.still, rig.off, 0.8)).shift_px
+    assert rms(dim) < AGREE_px
+
+
+def test_moving_all_receptors_is_moving_the_camera(rig: Rig) -> None:
+    step = np.array([0.3, -0.2, 0.5])
+    motion = rig.still.copy()
+    motion[:, :3] = step
+    paint = rig.eyes._paints[0]
+    camera = paint.camera
+    there = paint.centroids(motion)
+    try:
+        paint.camera = replace(camera, position_mm=camera.position_mm - step)
+        here = paint.centroids(rig.still)
+    finally:
+        paint.camera = camera
+    # Light from the bar stays where it is: shading differs a little.
+    np.testing.assert_allclose(there, here, atol=0.02)
+
+
+def test_points_have_the_noise_of_frames(rig: Rig) -> None:
+    eyes, rest = rig.eyes, rig.eyes.at_rest
+    rng = np.random.default_rng(5)
+    points = np.stack([eyes.points(rig.still, rig.off, 1.0, rng).shift_px for _ in range(200)])
+    np.testing.assert_allclose(points.std(axis=0), rest.noise_px, rtol=0.35, atol=0.015)
+    frames = np.stack(
+        [eyes.read(eyes.frame(rig.still, rig.off, 1.0, rng)).shift_px for _ in range(8)]
+    )
+    assert rms(frames.std(axis=0, ddof=1)) == pytest.approx(rms(rest.noise_px), rel=0.2)
+    assert 0.002 < np.median(rest.noise_px) < 0.1
+    dark = np.stack([eyes.points(rig.still, rig.off, 0.25, rng).shift_px for _ in range(100)])
+    assert rms(dark) > 1.6 * rms(points)
+
+
+def test_same_generator_same_sample(rig: Rig) -> None:
+    motion, bits = rig.motion[0], rig.bits[0]
+    one, two = (
+        rig.eyes.points(motion, bits, 1.0, np.random.default_rng(4)).shift_px for _ in range(2)
+    )
+    np.testing.assert_array_equal(one, two)
+    again = rig.make(rig.unit)
+    a, b = (e.frame(motion, bits, 1.0, np.random.default_rng(4))[0] for e in (rig.eyes, again))
+    np.testing.assert_array_equal(a, b)
+    assert isinstance(again.rest, AtRest)
+    np.testing.assert_array_equal(again.rest.noise_px, rig.eyes.at_rest.noise_px)
+
+
+def turned(camera: Camera, degrees: float, step_mm: FloatArray) -> Camera:
+    """Camera turned about its own x, and moved."""
+    c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    return replace(
+        camera, rotation=turn @ camera.rotation, position_mm=camera.position_mm + step_mm
+    )
+
+
+def test_a_scattered_unit_is_read_against_its_own_rest_frame(rig: Rig) -> None:
+    rng = np.random.default_rng(2)
+    unit = rig.unit
+    markers = unit.markers
+    aside = rng.normal(0.0, 0.1, (markers.count, 3))
+    moved = replace(
+        markers,
+        foot_mm=markers.foot_mm + aside,
+        tip_mm=markers.tip_mm + aside,
+        mid_mm=markers.mid_mm + aside,
+    )
+    scattered = replace(
+        unit,
+        number=7,
+        markers=moved,
+        cameras=(turned(unit.cameras[0], 0.6, np.array([0.2, -0.1, 0.1])),),
+        paint=1.0 + rng.normal(0.0, 0.05, (3, 3)),
+    )
+    eyes = rig.make(scattered)
+    assert eyes.status == ""
+    away = np.linalg.norm(eyes.at_rest.rest_px - eyes.nominal.rest_px, axis=1)
+    assert away.max() > 4.0
+    error, _ = rig.errors(eyes)
+    assert rms(error) < AGREE_px
+
+
+def test_a_unit_that_cannot_be_read_says_so(rig: Rig) -> None:
+    blind = replace(rig.unit, cameras=(turned(rig.unit.cameras[0], 30.0, np.zeros(3)),))
+    eyes = rig.make(blind)
+    assert "markers; is this a frame of the sensor" in eyes.status
+    frames = eyes.frame(rig.still, rig.off)
+    for seen in (eyes.read(frames), eyes.points(rig.still, rig.off)):
+        assert seen.status == eyes.status
+        assert not seen.found.any()
+        assert np.isnan(seen.shift_px).all()
+    with pytest.raises(InputError, match="of the sensor"):
+        _ = eyes.at_rest
+
+
+def test_a_frame_that_cannot_be_read_says_so(rig: Rig) -> None:
+    dark = rig.eyes.read((np.zeros((648, 864, 3), dtype=np.uint8),))
+    assert "found 0 of 40 markers" in dark.status
+    small = rig.eyes.read((np.zeros((64, 86, 3), dtype=np.uint8),))
+    assert "image is 86x64 px" in small.status
+    assert not small.found.any()
+
+
+def test_two_cameras_read_each_their_own() -> None:
+    rig = Rig(design("both"))
+    number = rig.eyes.nominal.read_by
+    assert 8 < number.sum() < 32
+    assert len(rig.eyes.frame(rig.still, rig.off)) == 2
+    error, shift = rig.errors()
+    for camera in (0, 1):
+        assert rms(error[:, number == camera]) < AGREE_px
+        assert np.abs(shift[:, number == camera]).max() > 0.3
+
+
+def test_grid_error_belongs_to_a_place() -> None:
+    rng = np.random.default_rng(0)
+    place = rng.uniform(0.0, 500.0, (20_000, 2))
+    one = grid_error(place, 3)
+    np.testing.assert_allclose(one.std(axis=0), 1.0, rtol=0.02)
+    np.testing.assert_allclose(one.mean(axis=0), 0.0, atol=0.03)
+    assert abs(np.mean(one[:, 0] * one[:, 1])) < 0.03
+    np.testing.assert_array_equal(one, grid_error(place, 3))
+    same = np.floor(place / CELL_px) == np.floor((place + 1e-4) / CELL_px)
+    near = same.all(axis=1)
+    np.testing.assert_array_equal(grid_error(place + 1e-4, 3)[near], one[near])
+    for other in (grid_error(place + 1.0, 3), grid_error(place, 4), np.roll(one, 1, axis=0)):
+        assert abs(np.mean(other * one)) < 0.03
+
+
+def test_the_wall_goes_with_its_receptors(rig: Rig) -> None:
+    eye, markers = rig.eyes.eyes[0], rig.unit.markers
+    wall = WallMotion(rig.design, rig.surface, markers, eye.rest)
+    np.testing.assert_array_equal(wall.moved(eye.rest, rig.still).vertices, eye.rest.vertices)
+    motion = rig.still.copy()
+    motion[:, :3], motion[:, 3:] = [0.1, 0.2, -0.1], [0.01, -0.02, 0.03]
+    moved = wall.moved(eye.rest, motion).vertices - eye.rest.vertices
+    shell = np.unique(eye.rest.triangles[eye.rest.part == SHELL])
+    assert not np.any(np.delete(moved, shell, axis=0))
+    z = eye.rest.vertices[shell, 2]
+    edge = (z < 0.01) | (z > 49.99)
+    np.testing.assert_allclose(moved[shell][edge], 0.0, atol=0.05)
+    middle = shell[(z > 20.0) & (z < 30.0)]
+    # Every marker turns about itself: what follows several of them turns about their mean.
+    assert np.abs(moved[middle] - motion[0, :3]).max() < 0.35
+    one = rig.still.copy()
+    one[20, :3] = -markers.normal[20]
+    bump = wall.moved(eye.rest, one).vertices[shell] - eye.rest.vertices[shell]
+    near = np.linalg.norm(eye.rest.vertices[shell] - markers.mid_mm[20], axis=1)
+    assert np.linalg.norm(bump[near.argmin()]) > 0.6
+    assert not np.any(bump[near > 40.0])
+
+
+def test_seen_of_nothing() -> None:
+    seen = Seen.nothing(3, "dark")
+    assert (seen.status, seen.bits.sum(), seen.found.sum()) == ("dark", 0, 0)
+
+
+def test_paint_slopes_are_how_frames_show_a_receptor_that_turns() -> None:
+    """Seen from its end it shows more paint on one side; its centroid is no point of it."""
+    flat = of_shape(
+        "plane",
+        {"width_mm": 48.0, "height_mm": 36.0},
+        {"kind": "straight", "rows": 4, "columns": 6},
+    )
+    surface = flat.surface()
+    markers = make_markers(flat, surface)
+    (camera,) = cameras_of(flat, surface)
+    tolerance = tolerance_mm(camera, markers)
+    rest, on = (
+        build_scene(
+            flat,
+            surface,
+            markers,
+            tolerance_mm=tolerance,
+            switch_on=np.full(markers.count, state),
+        )
+        for state in (False, True)
+    )
+    seen = see(rest, on, camera, noise_std=0.0, rng=np.random.default_rng(0))
+    slope = paint_slope(flat, surface, markers, camera, rest=rest, seen=seen)
+    readers = Readers(cameras=(camera,), read_by=np.zeros(markers.count, dtype=np.int64))
+    arm = seen.paint_point_mm - markers.mid_mm
+    eyes = Eyes(flat, surface, unit_of(flat), exposure=EXPOSURE)
+    still, off = np.zeros((markers.count, 6)), np.zeros(markers.count, dtype=np.bool_)
+    zero = eyes.read(eyes.frame(still, off)).shift_px
+    # Tilts alone: motion moves a centroid as it moves any point.
+    motion = np.zeros((markers.count, 6))
+    motion[:, 3:5] = np.random.default_rng(2).normal(0.0, 0.05, (markers.count, 2))
+    shown = eyes.read(eyes.frame(motion, off)).shift_px - zero
+    error = {
+        name: rms(Watched(readers, markers.mid_mm, arm, own).shift(motion) - shown) / rms(shown)
+        for name, own in (("paint", slope), ("point", None))
+    }
+    assert error["point"] > 0.08
+    assert error["paint"] < 0.03
+
+
+def test_a_marker_that_nobody_sees_is_watched_at_its_tip() -> None:
+    this = design()
+    surface = this.surface()
+    markers = make_markers(this, surface)
+    (camera,) = cameras_of(this, surface)
+    rest = build_scene(this, surface, markers, tolerance_mm=tolerance_mm(camera, markers))
+    seen = see(rest, rest, camera, noise_std=0.0, rng=np.random.default_rng(0))
+    nowhere = replace(seen, paint_point_mm=np.full((markers.count, 3), np.nan))
+    slope = paint_slope(this, surface, markers, camera, rest=rest, seen=nowhere)
+    arm = markers.tip_mm - markers.mid_mm
+    np.testing.assert_array_equal(slope, rigid_slope(camera.jacobian(markers.tip_mm), arm))

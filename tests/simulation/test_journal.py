@@ -1,0 +1,108 @@
+"""The journal of a simulation: whole samples or none, one run at a time, one job."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from phytac_shapes.errors import OutputError
+
+from phytac_design.simulation.run.journal import WORK, Journal
+
+ARRAYS = {"shift_px": np.array([[0.5, np.nan], [1e-300, -0.0]]), "bits": np.array([True, False])}
+FACTS = {"status": 1, "reason": "unstable: …"}
+
+
+def test_a_sample_comes_back_as_it_was_put(tmp_path: Path) -> None:
+    journal = Journal(tmp_path)
+    with journal.opened("a"):
+        journal.put(1234, ARRAYS, FACTS)
+        assert journal.get(1233) is None
+        found = journal.get(1234)
+    assert found is not None
+    arrays, facts = found
+    assert facts == FACTS
+    assert set(arrays) == set(ARRAYS)
+    for name, array in ARRAYS.items():
+        np.testing.assert_array_equal(arrays[name], array)
+
+
+def test_a_sample_cut_short_or_changed_counts_as_not_done(tmp_path: Path) -> None:
+    journal = Journal(tmp_path)
+    with journal.opened("a"):
+        journal.put(0, ARRAYS, FACTS)
+        path = journal.path(0)
+        whole = path.read_bytes()
+        for at in range(0, len(whole), 37):
+            path.write_bytes(whole[:at])
+            assert journal.get(0) is None
+            path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+            assert journal.get(0) is None
+        path.write_bytes(whole)
+        assert journal.get(0) is not None
+
+
+def test_samples_are_kept_for_the_same_job_and_refused_for_another(tmp_path: Path) -> None:
+    journal = Journal(tmp_path)
+    with journal.opened("a"):
+        journal.put(0, ARRAYS, FACTS)
+    with journal.opened("a"):
+        assert journal.get(0) is not None
+    with pytest.raises(OutputError, match="other settings"), journal.opened("b"):
+        pass
+    with journal.opened("a"):
+        assert journal.get(0) is not None
+    with journal.opened("b", force=True):
+        assert journal.get(0) is None
+    with pytest.raises(OutputError, match="other settings"), journal.opened("a"):
+        pass
+
+
+def test_a_note_that_cannot_be_read_is_of_another_job(tmp_path: Path) -> None:
+    journal = Journal(tmp_path)
+    with journal.opened("a"):
+        pass
+    for text in ("", "[]", '{"kee": 1}', "{"):
+        (tmp_path / WORK / "job.json").write_text(text)
+        with pytest.raises(OutputError, match="other settings"), journal.opened("a"):
+            pass
+
+
+def test_two_runs_do_not_write_at_once_but_a_killed_one_holds_nothing(tmp_path: Path) -> None:
+    text = (
+        "import sys, time\nfrom pathlib import Path\n"
+        "from phytac_design.simulation.run.journal import Journal\n"
+        "with Journal(Path(sys.argv[1])).opened('a'):\n    print('open', flush=True)\n"
+        "    time.sleep(60)\n"
+    )
+    other = subprocess.Popen(
+        [sys.executable, "-c", text, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
+    assert other.stdout is not None
+    try:
+        assert other.stdout.readline() == "open\n"
+        journal = Journal(tmp_path)
+        with pytest.raises(OutputError, match="another run"), journal.opened("a"):
+            pass
+    finally:
+        other.kill()
+        other.wait()
+        other.stdout.close()
+    with journal.opened("a"):
+        journal.put(0, ARRAYS, FACTS)
+
+
+def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("")
+    with pytest.raises(OutputError, match="--out"), Journal(file).opened("a"):
+        pass
+
+
+def test_nothing_is_left_behind(tmp_path: Path) -> None:
+    journal = Journal(tmp_path)
+    with journal.opened("a"):
+        journal.put(0, ARRAYS, FACTS)
+        journal.drop()
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,217 @@
+"""What a camera that looks along the wall's normal cannot tell, and that the decoder says so."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from phytac_decoder.camera.camera import Camera
+from phytac_decoder.estimation.decode import Measured, confirmed
+from phytac_decoder.estimation.estimators import ForceModel
+from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
+from phytac_decoder.vision.switch_detection import TipModel
+from phytac_shapes.errors import NumericalError
+
+from phytac_design.simulation.condense import Condensed, condense
+from phytac_design.stages.decoder import limits_of
+from tests.decoder.test_forces import N, force_model, make_bundle
+
+CAMERA = Camera.on_axis(width_px=2000, height_px=2000, focal_px=900.0, stand_off_mm=30.0)
+
+
+def dome(ring: int = 6) -> Condensed:
+    """A marker on the axis, which the camera looks straight at, and a ring around it."""
+    angle = 2.0 * np.pi * np.arange(ring) / ring
+    lean = 0.6
+    around = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(ring)])
+    axis = np.array([0.0, 0.0, 1.0])
+    normal = np.vstack([axis, np.sin(lean) * around + np.cos(lean) * axis])
+    watched = 12.0 * normal
+    gap = np.linalg.norm(watched[:, None] - watched[None], axis=2)
+    # A dent that falls off around the load, and tips that lean towards it.
+    dent = 0.02 * np.exp(-((gap / 8.0) ** 2))
+    towards = watched[None] - watched[:, None]
+    motion = -dent[:, None] * normal[:, :, None] + 0.05 * dent[:, None] * np.moveaxis(towards, 2, 1)
+    return condense(CAMERA.jacobian(watched), normal=normal, motion=motion)
+
+
+def model_of(parts: Condensed) -> ForceModel:
+    count = len(parts.stiffness)
+    return ForceModel(
+        shift_to_mm=parts.shift_to_mm,
+        stiffness=parts.stiffness,
+        compliance_px=parts.compliance_px,
+        height_z_mm=np.zeros(count),
+        neighbours=np.full((count, 8), -1),
+        networks={},
+    )
+
+
+def test_a_marker_on_the_pole_leaves_the_others_their_stiffness() -> None:
+    parts = dome()
+    assert parts.sensitivity_px_mm[0] < 1e-9
+    assert (parts.sensitivity_px_mm[1:] > 5.0).all()
+    assert (parts.shift_to_mm[0] == 0.0).all()
+    assert (parts.stiffness[0] == 0.0).all()
+    assert (parts.stiffness[:, 0] == 0.0).all()
+    model = model_of(parts)
+    force = np.array([0.0, 3.0, 0.0, 0.0, 5.0, 0.0, 0.0])
+    shift = (model.compliance_px @ force).reshape(-1, 2)
+    assert np.allclose(model.forces("fem", shift, np.array([1, 4])), force)
+    # What u cannot show, the neighbours do: the inverse reads the pole itself.
+    force = np.array([7.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.0])
+    shift = (model.compliance_px @ force).reshape(-1, 2)
+    assert np.allclose(model.forces("koi_inverse", shift, np.array([0, 2])), force)
+    assert model.forces("fem", shift, np.array([0, 2]))[0] == 0.0
+    assert np.isinf(model.stiffness_noise_N_px[0])
+    assert np.isfinite(model.stiffness_noise_N_px[1:]).all()
+
+
+def test_a_lone_marker_on_the_axis_is_refused() -> None:
+    camera = Camera.on_axis(width_px=100, height_px=100, focal_px=50, stand_off_mm=10)
+    slope = camera.jacobian(np.array([[0.0, 0.0, 5.0]]))
+    normal = np.array([[0.0, 0.0, 1.0]])
+    motion = np.array([[[0.0], [0.0], [-0.01]]])
+    with pytest.raises(NumericalError, match="moves no marker's image: the camera looks along"):
+        condense(slope, normal=normal, motion=motion)
+    # And one that the lens does not see, by name.
+    with pytest.raises(NumericalError, match="marker 0: the shift of its image is not finite"):
+        condense(slope, normal=normal, motion=np.full((1, 3, 1), np.nan))
+
+
+def test_noise_of_the_stiffness_is_what_a_thousand_frames_give() -> None:
+    model = force_model()
+    rng = np.random.default_rng(1)
+    noise = 0.05
+    frames = rng.normal(0.0, noise, (4000, N, 2))
+    found = np.array([model.forces("fem", frame, np.arange(N)) for frame in frames])
+    # The spread of 4000 draws is known to 1 %; four times that.
+    assert np.allclose(found.std(axis=0), noise * model.stiffness_noise_N_px, rtol=0.045)
+    # Of one force that is on: far enough above zero for the inverse to be linear.
+    push = 9.0 * model.compliance_px[:, 4].reshape(N, 2)
+    inverse = [model.forces("koi_inverse", push + frame, np.array([4]))[4] for frame in frames]
+    assert np.std(inverse) == pytest.approx(noise * model.inverse_noise_N_px[4], rel=0.045)
+
+
+def weakened(bundle: Bundle, marker: int) -> Bundle:
+    """The same sensor, but one marker's image hardly moves when it is pressed."""
+    faint = bundle.model.shift_to_mm.copy()
+    faint[marker] *= 1e3
+    return replace(bundle, model=replace(bundle.model, shift_to_mm=faint))
+
+
+def sound() -> Bundle:
+    tips = TipModel(
+        on_px=40.0 * np.arange(2 * N, dtype=float).reshape(N, 2),
+        red_rest_px=np.full(N, 10.0),
+        red_on_px=np.full(N, 60.0),
+    )
+    return replace(make_bundle(), tips=tips, noise_centroid_px=0.02)
+
+
+def blind(bundle: Bundle, marker: int) -> Bundle:
+    red = bundle.tips.red_rest_px.copy()
+    red[marker] = 55.0
+    return replace(bundle, tips=replace(bundle.tips, red_rest_px=red))
+
+
+def test_a_sound_sensor_has_no_limits() -> None:
+    bundle = sound()
+    assert bundle.limits() == []
+    assert limits_of(bundle)["fem_unusable_count"] == 0
+
+
+def test_hidden_tips_are_told_from_tips_that_look_alike() -> None:
+    bundle = sound()
+    on, rest = bundle.tips.red_on_px.copy(), bundle.tips.red_rest_px.copy()
+    on[2] = 0.0
+    on[5] = rest[5] = 50.0
+    tips = replace(bundle.tips, red_on_px=on, red_rest_px=rest)
+    hidden, alike = replace(bundle, tips=tips).limits()
+    assert "1 of 12 switches cannot be seen even when on (2)" in hidden
+    assert "1 of 12 switches cannot be read well (5)" in alike
+
+
+def test_limits_name_markers_and_switches() -> None:
+    # Noise of one marker's u is in every force that its stiffness reaches.
+    bundle = blind(weakened(sound(), 3), 8)
+    noise = bundle.noise_centroid_px * bundle.model.stiffness_noise_N_px
+    useless = np.flatnonzero(noise > 5.0)
+    assert 3 in useless
+    assert np.flatnonzero(~bundle.stiffness_usable).tolist() == useless.tolist()
+    switches, markers = bundle.limits()
+    assert "1 of 12 switches cannot be read well (8)" in switches
+    assert f"cannot be used at {len(useless)} of 12 markers" in markers
+    facts = limits_of(bundle)
+    assert facts["switches_unreadable"] == [8]
+    assert facts["fem_unusable"] == useless.tolist()
+    assert facts["not_observable"] == []
+    json.dumps(facts)
+
+
+def test_limits_name_forces_that_nothing_can_read() -> None:
+    bundle = sound()
+    faint = bundle.model.compliance_px.copy()
+    faint[:, 7] *= 1e-3
+    weak = replace(bundle, model=replace(bundle.model, compliance_px=faint))
+    assert np.flatnonzero(~weak.force_readable).tolist() == [7]
+    (text,) = weak.limits()
+    assert "1 of 12 markers cannot be read by any estimator (7)" in text
+    assert limits_of(weak)["force_unreadable"] == [7]
+
+
+def test_limits_survive_the_bundle_and_old_bundles_have_defaults(tmp_path: Path) -> None:
+    bundle = replace(sound(), noise_centroid_px=0.3, force_max_N=7.0)
+    save_bundle(bundle, tmp_path)
+    back = load_bundle(tmp_path)
+    assert (back.noise_centroid_px, back.force_max_N) == (0.3, 7.0)
+    path = tmp_path / "bundle.json"
+    old = json.loads(path.read_text())
+    del old["noise_centroid_px"], old["force_max_N"]
+    path.write_text(json.dumps(old | {"schema_version": "1.1"}))
+    assert load_bundle(tmp_path).force_max_N == 25.0
+
+
+def test_a_doubtful_switch_is_on_only_where_markers_moved() -> None:
+    bundle = blind(blind(sound(), 5), 9)
+    assert np.flatnonzero(~bundle.tips.readable).tolist() == [5, 9]
+    seems_on = np.isin(np.arange(N), [2, 5, 9])
+    shift = pressed(bundle, {2: 4.0, 5: 3.0}, []).shift_px
+    assert np.flatnonzero(confirmed(bundle, seems_on, shift)).tolist() == [2, 5]
+    # A switch that can be read is believed, whatever moved.
+    still = np.zeros((N, 2))
+    assert np.flatnonzero(confirmed(bundle, seems_on, still)).tolist() == [2]
+
+
+def pressed(bundle: Bundle, forces: dict[int, float], koi: list[int]) -> Measured:
+    force = np.zeros(N)
+    force[list(forces)] = list(forces.values())
+    shift = (bundle.model.compliance_px @ force).reshape(N, 2)
+    return Measured(koi=np.array(koi, dtype=np.int64), shift_px=shift, found=np.ones(N, dtype=bool))
+
+
+def test_frames_warn_of_what_is_missing() -> None:
+    bundle = blind(sound(), 8)
+
+    def warned(measured: Measured, **more: str) -> list[str]:
+        forces = measured.forces_N(bundle, "koi_inverse")
+        texts = measured.warnings(bundle, forces, **more)
+        return [text for text in texts if "camera has moved" not in text]
+
+    assert warned(pressed(bundle, {}, [])) == []
+    assert warned(pressed(bundle, {4: 9.0}, [4])) == []
+    (text,) = warned(pressed(bundle, {4: 9.0, 8: 6.0}, [4]))
+    assert "1 markers (8) moved as if pressed" in text
+    # A light touch stays below what model error explains.
+    assert warned(pressed(bundle, {4: 9.0, 8: 0.2}, [4])) == []
+
+
+def test_frames_warn_of_estimators_that_cannot_be_used() -> None:
+    bundle = weakened(sound(), 3)
+    measured = pressed(bundle, {3: 9.0}, [3])
+    forces = measured.forces_N(bundle, "koi_inverse")
+    assert any("cannot be used on 1 switched" in text for text in measured.warnings(bundle, forces))
+    for estimator in ("koi_inverse", "auto"):
+        quiet = measured.warnings(bundle, forces, estimator=estimator)
+        assert not any("cannot be used" in text for text in quiet)

@@ -1,0 +1,320 @@
+"""Tables of the estimator ``auto`` against the simulated sensor's own, finer shell."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from phytac_decoder.mechanics.response_table import Places
+from phytac_shapes.arrays import BoolArray, FloatArray
+
+from phytac_design.design.spec import Design
+from phytac_design.layout import make_markers
+from phytac_design.layout.cameras import Readers, cameras_of
+from phytac_design.mechanics.meshing.mesh import marker_mesh
+from phytac_design.mechanics.shell.pressure import tangent_frame
+from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
+from phytac_design.simulation.contacts import Contacts
+from phytac_design.simulation.indenters import flat_touches
+from phytac_design.simulation.interaction_tables import Mixed, bend_of
+from phytac_design.simulation.pressed_series import Pressed, Seen
+from phytac_design.simulation.response import turned_points
+from phytac_design.simulation.response_tables import (
+    Tabulated,
+    between,
+    make_places,
+    place_spacing_mm,
+    rings,
+)
+from phytac_design.simulation.scenario.scatter import draw_unit
+from phytac_design.simulation.scenario.tables import UnitSection
+from phytac_design.simulation.solver import Solver
+from tests.designs import drawn, of_shape, small
+
+DESIGN = small()
+SURFACE = DESIGN.surface()
+MARKERS = make_markers(DESIGN, SURFACE)
+READERS = Readers(
+    cameras=cameras_of(DESIGN, SURFACE), read_by=np.zeros(MARKERS.count, dtype=np.int64)
+)
+ARM = MARKERS.tip_mm - MARKERS.mid_mm
+SEE = Seen(READERS, MARKERS.mid_mm, ARM)
+
+
+def made(refine: int, **how: Any) -> Tabulated:
+    """Tables by a mesh of its own."""
+    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=refine)
+    return make_places(
+        DESIGN,
+        SURFACE,
+        MARKERS,
+        mesh=mesh,
+        model=sensor_model(DESIGN, MARKERS, mesh, receptors=True),
+        see=SEE,
+        **how,
+    )
+
+
+@cache
+def tabulated(orders: int = 3, spacing_mm: float = 3.0, refine: int = 4) -> Tabulated:
+    return made(refine, spacing_mm=spacing_mm, orders=orders)
+
+
+def truth(place: int, places: Places, force_N: float) -> FloatArray:
+    """Shifts (2n,) px of a disc there, by the simulated sensor."""
+    return true_shifts(SURFACE.chart(places.point_mm[[place]]), places.radius_mm, force_N)
+
+
+@cache
+def solver() -> Solver:
+    unit = draw_unit(DESIGN, SURFACE, MARKERS, UnitSection(), 0)
+    return Solver(DESIGN, SURFACE, unit, refine=9, displacement="large")
+
+
+def true_shifts(uv: FloatArray, radius_mm: float, force_N: float) -> FloatArray:
+    """Shifts (2n,) px of discs at places (c, 2) at once, each of that force."""
+    count = len(uv)
+    touch = flat_touches(
+        Contacts(
+            sample=np.zeros(count, dtype=np.int64),
+            uv=uv,
+            radius_mm=np.full(count, radius_mm),
+            force_N=np.full(count, force_N),
+            samples=1,
+        )
+    )
+    motion = solver().solve(touch, np.full(count, force_N)).motion
+    assert motion is not None
+    watched = MARKERS.mid_mm + ARM
+    moved = READERS.project(watched + turned_points(motion, ARM))
+    return np.asarray(moved - READERS.project(watched)).ravel()
+
+
+def told(places: Places, place: int, force_N: float) -> FloatArray:
+    powers = force_N ** np.arange(1.0, places.orders + 1.0)
+    return np.asarray(powers @ places.shift_px[place])
+
+
+def off(one: FloatArray, two: FloatArray) -> float:
+    return float(np.linalg.norm(one - two) / np.linalg.norm(two))
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0])
+def test_powers_of_the_force_are_those_of_large_displacements(share: float) -> None:
+    places = tabulated().places
+    middle = SURFACE.point(np.array([SURFACE.domain.mean(axis=1)]))
+    place = int(places.nearest(middle)[0])
+    force = share * DESIGN.training.force_max_N
+    wanted = truth(place, places, force)
+    large = off(told(places, place, force), wanted)
+    linear = off(force * places.shift_px[place, 0], wanted)
+    assert large < 0.08
+    assert linear > 1.5 * large
+    # The third power has its say at the greatest force, though linear theory is far off there.
+    second = force * places.shift_px[place, 0] + force**2 * places.shift_px[place, 1]
+    assert share < 1.0 or off(second, wanted) > large
+
+
+def test_turned_copies_are_what_would_be_solved() -> None:
+    done = tabulated()
+    assert done.solves < 0.3 * len(done.places.point_mm)
+    assert done.unsure == 0
+    columns = MARKERS.lattice.columns if MARKERS.lattice else 1
+    ring = rings(SURFACE, 3.0, columns)
+    place = int(np.argmax(ring.turns == 3))
+    base = int(ring.base[place])
+    # The camera stands on the axis: what is turned in space is turned in the image.
+    angle = 3 * 2.0 * np.pi / columns
+    c, s = np.cos(angle), np.sin(angle)
+    own = done.places.shift_px[base, 0].reshape(-1, columns, 2) @ np.array([[c, s], [-s, c]])
+    wanted = np.roll(own, 3, axis=1).ravel()
+    assert off(done.places.shift_px[place, 0], wanted) < 1e-4
+
+
+def test_a_square_box_is_solved_on_one_side_in_four() -> None:
+    design = of_shape(
+        "cuboid",
+        {"width_mm": 40.0, "depth_mm": 40.0, "length_mm": 40.0, "edge_radius_mm": 8.0},
+        {"rows": 4, "columns": 12},
+    )
+    surface = design.surface()
+    markers = make_markers(design, surface)
+    readers = Readers(
+        cameras=cameras_of(design, surface), read_by=np.zeros(markers.count, dtype=np.int64)
+    )
+    mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=3)
+    model = sensor_model(design, markers, mesh, receptors=True)
+    see = Seen(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
+    done = make_places(
+        design,
+        surface,
+        markers,
+        mesh=mesh,
+        model=model,
+        see=see,
+        spacing_mm=7.0,
+        orders=4,
+    )
+    assert done.solves * 4 <= len(done.places.point_mm) + 4
+    assert done.bent < done.solves
+    ring = rings(surface, done.spacing_mm, 4)
+    shell = Pressed(design, surface, markers, mesh=mesh, model=model, orders=1)
+    for turns in (1, 3):
+        place = int(np.flatnonzero(ring.turns == turns)[7])
+        ((own,),) = shell.motions(ring.uv[[place]], done.places.radius_mm)
+        (wanted,) = see.powers([own], shell.forces)
+        assert off(done.places.shift_px[place, 0], wanted) < 1e-3
+
+
+def test_higher_powers_between_places_are_those_that_would_be_solved() -> None:
+    """They stand farther apart than the places, and are interpolated."""
+    done = tabulated()
+    assert 2 * done.bent < done.solves
+    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=4)
+    model = sensor_model(DESIGN, MARKERS, mesh, receptors=True)
+    shell = Pressed(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=3)
+    columns = MARKERS.lattice.columns if MARKERS.lattice else 1
+    ring = rings(SURFACE, 3.0, columns)
+    force = DESIGN.training.force_max_N
+    gaps = []
+    for place in np.arange(0, len(ring.uv), len(ring.uv) // 12).tolist():
+        (motions,) = shell.motions(ring.uv[[place]], done.places.radius_mm)
+        rows = Seen(READERS, MARKERS.mid_mm, ARM).powers(motions, shell.forces)
+        gaps.append(off(told(done.places, place, force), force ** np.arange(1.0, 4.0) @ rows))
+    assert max(gaps) < 0.05
+    assert float(np.median(gaps)) < 0.01
+
+
+@pytest.mark.parametrize(("far_mm", "way"), [(11.0, 0), (11.0, 1), (15.0, 0)])
+def test_pairs_of_contacts_tell_what_both_do_beyond_their_sum(far_mm: float, way: int) -> None:
+    """On the simulated sensor's shell, with large displacements; along the axis and around it."""
+    places = tabulated().places
+    assert places.pairs is not None
+    middle = SURFACE.domain.mean(axis=1)[None]
+    one, frame = SURFACE.point(middle)[0], tangent_frame(SURFACE, middle)
+    uv = SURFACE.chart(np.stack([one, one + far_mm * frame[way][0]]))
+    force, radius = 2.0, places.radius_mm
+    alone = [true_shifts(uv[[k]], radius, force) for k in (0, 1)]
+    wanted = (true_shifts(uv, radius, force) - alone[0] - alone[1]) / force**2
+    (told,) = places.pairs.between(SURFACE.point(uv))
+    # Places are 12 mm apart, and the simulated sensor's mesh is twice as fine.
+    assert off(told, wanted) < 0.4
+    assert told @ wanted > 0.97 * np.linalg.norm(told) * np.linalg.norm(wanted)
+
+
+def test_coordinates_of_pairs_are_those_of_their_own_images(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Along axes by the third derivative, and each solved for itself: two ways to one image."""
+    monkeypatch.setattr("phytac_design.simulation.interaction_tables.AXES", 12)
+    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=3)
+    model = sensor_model(DESIGN, MARKERS, mesh, receptors=True)
+    shell = Pressed(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=1)
+    uv, radius = rings(SURFACE, 9.0, 1).uv, 4.0
+    mixed = Mixed(shell, SEE, uv, radius)
+    made = mixed.pairs()
+    axes = made.axes_px.astype(float)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(len(axes)), atol=1e-5)
+    some = mixed.drawn()[::5]
+    images = mixed.images(some)
+    wanted = images @ axes.T
+    size = np.linalg.norm(wanted, axis=1, keepdims=True)
+    for i, k in (some.T, some.T[::-1]):
+        assert np.abs((made.grid.shift_px[i, k] - wanted) / size).max() < 1e-3
+    left = np.linalg.norm(images - wanted @ axes) / np.linalg.norm(images)
+    assert left < 0.4
+
+
+def test_shells_of_too_many_elements_have_no_tables_of_pairs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=2)
+    has_pairs = []
+    for most in (len(mesh.quads), len(mesh.quads) - 1):
+        monkeypatch.setattr("phytac_design.simulation.response_tables.ELEMENTS_MOST", most)
+        monkeypatch.setattr("phytac_design.simulation.interaction_tables.AXES", 2)
+        done = made(2, spacing_mm=8.0, orders=3)
+        has_pairs.append(done.places.pairs is not None)
+    assert has_pairs == [True, False]
+
+
+def test_images_bend_as_the_lens_and_the_arms_do() -> None:
+    rng = np.random.default_rng(4)
+    one, two = 1e-2 * rng.normal(size=(2, MARKERS.count, 6))
+    bend = bend_of(SEE, MARKERS.count)
+    told = np.einsum("nj,nijk,nk->ni", one, bend, two)
+    ends = [SEE.shift(a * one + b * two) for a, b in ((1, 1), (-1, -1), (1, -1), (-1, 1))]
+    np.testing.assert_allclose(told, (ends[0] + ends[1] - ends[2] - ends[3]) / 4.0, atol=2e-4)
+    assert np.abs(told).max() > 0.01
+
+
+def test_linear_theory_alone_is_the_first_power() -> None:
+    one, three = tabulated(orders=1).places, tabulated().places
+    assert one.orders == 1
+    np.testing.assert_allclose(one.shift_px[:, 0], three.shift_px[:, 0], rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "kind", ["cylinder", "cone", "cuboid", "grip", "hemisphere", "plane", "patch"]
+)
+def test_no_place_is_far_from_the_tables(kind: str) -> None:
+    design: Design = drawn(kind, 3)
+    surface = design.surface()
+    spacing = 0.08 * float(np.ptp(surface.bounds_mm(), axis=0).max())
+    ring = rings(surface, spacing, 1)
+    (u0, u1), (v0, v1) = surface.domain
+    rng = np.random.default_rng(0)
+    uv = np.column_stack([rng.uniform(u0, u1, 300), rng.uniform(v0, v1, 300)])
+    gap = np.linalg.norm(surface.point(uv)[:, None] - surface.point(ring.uv)[None], axis=2)
+    assert gap.min(axis=1).max() < spacing
+    assert len(np.unique(np.round(surface.point(ring.uv), 6), axis=0)) == len(ring.uv)
+
+
+def test_tables_that_would_fill_the_memory_are_coarser(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("phytac_design.simulation.response_tables.BYTES_MAX", 2e5)
+    done = made(3, spacing_mm=1.0, orders=1)
+    assert done.places.shift_px.nbytes < 4e5
+
+
+def test_a_small_part_has_places_enough_for_the_higher_powers() -> None:
+    middle = SURFACE.point(np.array([SURFACE.domain.mean(axis=1)]))[0]
+
+    def near(spacing_mm: float, uv: FloatArray) -> BoolArray:
+        del spacing_mm
+        return np.asarray(np.linalg.norm(SURFACE.point(uv) - middle, axis=1) < 5.0)
+
+    done = made(3, spacing_mm=3.0, orders=3, near=near)
+    assert done.places.orders == 3
+    assert done.bent == done.solves
+
+
+def test_places_stand_closer_on_flat_walls() -> None:
+    """Seen from its end a receptor shows the wall's slope, which changes sooner than its place."""
+    assert place_spacing_mm(SURFACE, 0.8, 5.0) == 4.0
+    design = of_shape(
+        "plane",
+        {"width_mm": 48.0, "height_mm": 36.0},
+        {"kind": "straight", "rows": 5, "columns": 7},
+    )
+    surface = design.surface()
+    assert place_spacing_mm(surface, 0.8, 5.0) == 2.0
+    markers = make_markers(design, surface)
+    readers = Readers(
+        cameras=cameras_of(design, surface), read_by=np.zeros(markers.count, dtype=np.int64)
+    )
+    see = Seen(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
+    mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=4)
+    model = sensor_model(design, markers, mesh, receptors=True)
+    at = surface.point(np.random.default_rng(1).uniform(*surface.domain.T, (20, 2)))
+    shell = Pressed(design, surface, markers, mesh=mesh, model=model, orders=1)
+    error = {}
+    for spacing in (4.0, 2.0):
+        places = make_places(
+            design, surface, markers, mesh=mesh, model=model, see=see, spacing_mm=spacing, orders=1
+        ).places
+        motions = shell.motions(surface.chart(at), places.radius_mm)
+        wanted = np.stack([see.powers(own, shell.forces)[0] for own in motions])
+        found = between(places, at)[:, 0]
+        error[spacing] = np.median([off(a, b) for a, b in zip(found, wanted, strict=True)])
+    assert error[4.0] > 0.02
+    assert error[2.0] < 0.01

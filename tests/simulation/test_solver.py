@@ -1,0 +1,279 @@
+"""The wall of one virtual sensor under the touches of a sample, whatever they are."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from phytac_shapes.errors import NumericalError
+
+from phytac_design.design.design_file import load_design
+from phytac_design.design.spec import Design
+from phytac_design.layout import make_markers
+from phytac_design.mechanics.meshing.locate import element_uv
+from phytac_design.mechanics.meshing.mesh import ShellMesh
+from phytac_design.mechanics.shell.pressure import Holes, touch_loads
+from phytac_design.mechanics.shell.receptor_stiffness import unknown_receptors
+from phytac_design.simulation import solver as solver_module
+from phytac_design.simulation.contacts import Contacts
+from phytac_design.simulation.indenters import Touches, flat_touches
+from phytac_design.simulation.instance_shell import (
+    local_mesh,
+    truth_mesh,
+    truth_shell,
+    unit_model,
+    unit_shell,
+)
+from phytac_design.simulation.receptor_kinematics import Feet
+from phytac_design.simulation.response import point_motions, turned_points
+from phytac_design.simulation.sample_plan import Region
+from phytac_design.simulation.scenario.file import UnitSection
+from phytac_design.simulation.scenario.region import touched_region
+from phytac_design.simulation.scenario.scatter import draw_unit, wall_factor
+from phytac_design.simulation.sensor_instance import Unit
+from phytac_design.simulation.solver import Motion, Solver
+from tests.designs import small
+
+DESIGN = small()
+SURFACE = DESIGN.surface()
+REFINE = 3
+MIDDLE = (30.0, np.pi)
+
+
+def unit_of(design: Design, number: int = 0, **changes: Any) -> Unit:
+    surface = design.surface()
+    section = UnitSection(number=number, **changes)
+    return draw_unit(design, surface, make_markers(design, surface), section, seed=5)
+
+
+def touching(*rows: tuple[float, float, float, float]) -> Touches:
+    """Touches (u, v, radius, force) of one sample."""
+    table = np.array(rows, dtype=float).reshape(-1, 4)
+    return flat_touches(
+        Contacts(
+            sample=np.zeros(len(table), dtype=np.int64),
+            uv=table[:, :2],
+            radius_mm=table[:, 2],
+            force_N=table[:, 3],
+            samples=1,
+        )
+    )
+
+
+def solved(solver: Solver, *rows: tuple[float, float, float, float]) -> Motion:
+    touches = touching(*rows)
+    return solver.solve(touches, touches.force_N)
+
+
+def got(motion: Motion) -> np.ndarray:
+    assert motion.motion is not None, motion.reason
+    return motion.motion
+
+
+@pytest.fixture(scope="module")
+def large() -> Solver:
+    return Solver(DESIGN, SURFACE, unit_of(DESIGN), refine=REFINE, displacement="large")
+
+
+@pytest.mark.parametrize("name", ["small", "hemisphere"])
+def test_unit_zero_is_the_design(name: str) -> None:
+    design = DESIGN if name == "small" else load_design(name)
+    surface = design.surface()
+    mesh, model = truth_shell(design, surface, 2)
+    mine = unit_shell(design, surface, unit_of(design), 2)
+    np.testing.assert_array_equal(mine.mesh.nodes_mm, mesh.nodes_mm)
+    np.testing.assert_array_equal(mine.mesh.quads, mesh.quads)
+    np.testing.assert_array_equal(mine.model.stiffness.data, model.stiffness.data)
+    assert mine.whole_because
+
+
+def test_a_print_has_its_own_wall_material_and_receptors() -> None:
+    unit = unit_of(DESIGN)
+    mesh = truth_mesh(DESIGN, SURFACE, REFINE)
+    plain = unit_model(DESIGN, SURFACE, unit, mesh)
+    soft = unit_model(DESIGN, SURFACE, replace(unit, modulus=0.8), mesh)
+    np.testing.assert_allclose(soft.stiffness.data, 0.8 * plain.stiffness.data, atol=1e-9)
+    thick = unit_model(DESIGN, SURFACE, replace(unit, wall=replace(unit.wall, mean=1.1)), mesh)
+    np.testing.assert_allclose(thick.thickness_mm, 1.1 * np.asarray(plain.thickness_mm))
+    # Uneven walls: each element has the thickness of its own place, also over the seam.
+    uneven = unit_of(DESIGN, 3, marker_mm=0.0, height_mm=0.0, thickness_wave_share=0.05).wall
+    wavy = unit_model(DESIGN, SURFACE, replace(unit, wall=uneven), mesh)
+    ratio = np.asarray(wavy.thickness_mm) / np.asarray(plain.thickness_mm)
+    centre = element_uv(mesh).mean(axis=1)
+    np.testing.assert_allclose(ratio, wall_factor(uneven, centre), atol=1e-9)
+    assert np.ptp(ratio) > 0.05
+    # Receptors stiffen the wall where they are printed, and are read there.
+    assert not unknown_receptors(DESIGN)
+    moved = replace(
+        unit_of(DESIGN, 3, marker_mm=1.0, height_mm=0.0), wall=unit.wall, modulus=unit.modulus
+    )
+    there = Solver(DESIGN, SURFACE, moved, refine=REFINE, displacement="linear")
+    assert np.abs(there.model.stiffness - plain.stiffness).max() > 0.01 * plain.stiffness.max()
+    touches = touching((*MIDDLE, 4.0, 5.0))
+    receptor = DESIGN.receptor
+    holes = Holes.of(SURFACE, moved.markers.uv, receptor.diameter_hole_mm / 2.0)
+    load = touch_loads(there.mesh, SURFACE, touches, holes=holes) @ touches.force_N
+    field = there.model.solve(load).motion.ravel()
+    feet = Feet(there.mesh, SURFACE, moved.markers.uv, receptor.diameter_outer_mm / 2.0)
+    at = feet.linear(field)
+    np.testing.assert_allclose(got(there.solve(touches, touches.force_N)), at, atol=1e-12)
+
+
+def test_rest_linear_large_and_auto(large: Solver) -> None:
+    for still in (solved(large), large.solve(touching((*MIDDLE, 4.0, 9.0)), np.zeros(1))):
+        assert (still.status, still.theory, still.error_estimate) == ("ok", "rest", 0.0)
+        assert got(still).shape == (large.count, 6)
+        assert not got(still).any()
+    whole: dict[str, Any] = {"refine": REFINE, "local": False}
+    unit = unit_of(DESIGN)
+    linear = Solver(DESIGN, SURFACE, unit, displacement="linear", **whole)
+    a, b = (*MIDDLE, 4.0, 20.0), (15.0, 0.3, 5.0, 9.0)
+    both = solved(linear, a, b)
+    assert both.theory == "linear"
+    assert np.isnan(both.error_estimate)
+    np.testing.assert_allclose(
+        got(both), got(solved(linear, a)) + got(solved(linear, b)), atol=1e-12
+    )
+    assert both.status == "ok"
+    deep = solved(linear, (*MIDDLE, 4.0, 200.0))
+    assert (deep.status, deep.theory) == ("flagged", "linear")
+    assert "more than its thickness of 0.8 mm" in deep.reason
+    np.testing.assert_allclose(got(deep), 10.0 * got(solved(linear, a)), rtol=1e-9)
+    strong = solved(large, a, b)
+    assert strong.theory == "large"
+    apart = np.linalg.norm(got(strong)[:, :3] - got(both)[:, :3], axis=1).max()
+    peak = np.linalg.norm(got(strong)[:, :3], axis=1).max()
+    assert 0.05 < apart / peak < 0.5
+    auto = Solver(DESIGN, SURFACE, unit, displacement="auto", tolerance=0.02, **whole)
+    light, heavy = solved(auto, (*MIDDLE, 4.0, 0.5)), solved(auto, a, b)
+    assert light.theory == "linear"
+    assert 0.0 < light.error_estimate <= 0.02
+    np.testing.assert_array_equal(got(light), got(solved(linear, (*MIDDLE, 4.0, 0.5))))
+    assert heavy.theory == "large"
+    np.testing.assert_array_equal(got(heavy), got(strong))
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [(*MIDDLE, 4.0, 0.05)],
+        [(*MIDDLE, 5.0, 60.0)],
+        [(0.0, 1.0, 4.0, 60.0), (60.0, 4.0, 4.0, 25.0)],  # on both rims
+        [(30.0, 0.0, 4.0, 20.0), (20.0, 2.0 * np.pi, 4.0, 10.0)],  # on the seam
+        [(u, v, 4.0, 10.0) for u in (8.0, 20.0, 40.0, 52.0) for v in (0.2, 1.5, 2.7, 4.0, 5.2)],
+        [(*MIDDLE, 40.0, 25.0)],  # wider than the sensor
+    ],
+    ids=["light", "60 N", "rims", "seam", "200 N all over", "wide"],
+)
+def test_extremes_are_solved(large: Solver, rows: list[tuple[float, float, float, float]]) -> None:
+    found = solved(large, *rows)
+    assert (found.status, found.reason, found.theory) == ("ok", "", "large")
+    assert found.error_estimate <= 1e-4
+    # Half a step of the force ahead and back brings the linear motion back, so nothing snapped.
+    half = large.solve(touching(*rows), 1e-3 * touching(*rows).force_N)
+    ratio = np.linalg.norm(got(found)) / (1e3 * np.linalg.norm(got(half)))
+    assert 0.8 < ratio < 2.0
+
+
+def test_what_cannot_be_solved_says_why(large: Solver, monkeypatch: pytest.MonkeyPatch) -> None:
+    for rows, reason in (
+        ([(*MIDDLE, 4.0, 5000.0)], "too strong for this wall"),
+        ([(*MIDDLE, 4.0, np.nan)], "not finite"),
+        ([(*MIDDLE, 4.0, 1e300)], "too strong for this wall"),
+        ([(61.0, 1.0, 4.0, 5.0)], "u"),
+        ([(*MIDDLE, -1.0, 5.0)], "radius"),
+    ):
+        found = solved(large, *rows)
+        assert (found.status, found.motion) == ("failed", None)
+        assert reason in found.reason
+        assert np.isnan(found.error_estimate)
+
+    def broken(*_: Any, **__: Any) -> None:
+        raise NumericalError("no such luck")
+
+    monkeypatch.setattr(solver_module, "touch_loads", broken)
+    assert solved(large, (*MIDDLE, 4.0, 5.0)).reason == "no such luck"
+
+
+def test_samples_do_not_know_each_other(large: Solver) -> None:
+    rows = [(*MIDDLE, 4.0, 25.0), (10.0, 1.0, 3.0, 12.0), (45.0, 5.0, 5.0, 3.0)]
+    first = [got(solved(large, row)) for row in rows]
+    again = [got(solved(large, row)) for row in rows[::-1]][::-1]
+    for a, b in zip(first, again, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+TOUCHED = {
+    "quarter": touching(*((u, v, 3.0, 12.0) for u in (3.0, 30.0, 57.0) for v in (2.5, 3.8))),
+    "over the seam": touching(*((u, v, 3.0, 12.0) for u in (12.0, 48.0) for v in (6.0, 0.5))),
+    "rim": touching((4.0, 3.0, 3.0, 12.0), (9.0, 3.6, 3.0, 20.0)),
+}
+
+
+@pytest.fixture(scope="module")
+def finest() -> Solver:
+    return Solver(DESIGN, SURFACE, unit_of(DESIGN), refine=11, displacement="linear")
+
+
+@pytest.mark.parametrize("where", TOUCHED)
+def test_only_the_touched_part_is_fine(where: str, finest: Solver) -> None:
+    touches, refine = TOUCHED[where], 5
+    region = touched_region(SURFACE, touches.uv, touches.radius_mm)
+    unit = unit_of(DESIGN)
+    both = [
+        Solver(DESIGN, SURFACE, unit, refine=refine, displacement="linear", region=part)
+        for part in (region, None)
+    ]
+    part, whole = both
+    assert part.whole_because == ""
+    assert part.whole_nodes == whole.nodes
+    assert part.nodes < 0.8 * whole.nodes
+    assert part.mesh.scaled_jacobian().min() > 0.99
+
+    def sides(mesh: ShellMesh) -> np.ndarray:
+        corner = mesh.nodes_mm[mesh.quads]
+        return np.asarray(np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).max(axis=1))
+
+    centre = part.mesh.nodes_mm[part.mesh.quads].mean(axis=1)
+    gap = np.linalg.norm(centre[:, None] - SURFACE.point(touches.uv), axis=2).min(axis=1)
+    fine = sides(whole.mesh).max()
+    assert sides(part.mesh)[gap < 6.0].max() < 1.02 * fine
+    assert 1.5 * fine < sides(part.mesh).max() < 2.6 * fine
+    a, b, truth = (got(one.solve(touches, touches.force_N))[:, :3] for one in (*both, finest))
+    peak = np.linalg.norm(truth, axis=1).max()
+    local, fine = (np.linalg.norm(found - truth, axis=1).max() / peak for found in (a, b))
+    assert local < 1.5 * fine + 0.005
+    assert fine < 0.1
+
+
+def test_where_a_local_mesh_is_none() -> None:
+    mesh = truth_mesh(DESIGN, SURFACE, REFINE)
+    all_over = Region(low=SURFACE.domain[:, 0], high=SURFACE.domain[:, 1], whole=np.ones(2, bool))
+    nearly = replace(all_over, low=np.array([2.0, 0.0]), whole=np.array([False, True]))
+    for region, why in ((all_over, "all of the wall"), (nearly, "nearly all")):
+        same, because = local_mesh(DESIGN, SURFACE, mesh, region)
+        assert same is mesh
+        assert why in because
+    dome = load_design("hemisphere")
+    surface = dome.surface()
+    small_part = replace(all_over, high=all_over.low + 0.1, whole=np.zeros(2, bool))
+    shell = unit_shell(dome, surface, unit_of(dome), 2, small_part)
+    assert "pole" in shell.whole_because
+    assert len(shell.mesh.nodes_mm) == shell.whole_nodes
+    sheet = load_design("patch")
+    face = sheet.surface()
+    spot = touched_region(face, face.domain.mean(axis=1)[None], np.array([4.0]))
+    shell = unit_shell(sheet, face, unit_of(sheet), 4, spot)
+    assert shell.whole_because == ""
+    assert len(shell.mesh.nodes_mm) < 0.8 * shell.whole_nodes
+
+
+def test_points_on_rigid_arms_turn_with_the_wall() -> None:
+    rng = np.random.default_rng(3)
+    arm, shift = rng.normal(size=(7, 3)), rng.normal(size=(7, 3))
+    turn = np.array([0.0, 0.0, np.pi / 2.0])
+    found = turned_points(np.column_stack([shift, np.tile(turn, (7, 1))]), arm)
+    quarter = np.column_stack([-arm[:, 1], arm[:, 0], arm[:, 2]])
+    np.testing.assert_allclose(found, shift + quarter - arm, atol=1e-14)
+    tiny = np.column_stack([1e-9 * shift, 1e-9 * rng.normal(size=(7, 3))])
+    np.testing.assert_allclose(turned_points(tiny, arm), point_motions(tiny, arm), atol=1e-16)

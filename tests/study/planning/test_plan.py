@@ -1,0 +1,168 @@
+"""Plans: what runs, why, at what cost; estimator, camera, theory and fixtures chosen."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from phytac_shapes.errors import DesignError
+from typer.testing import CliRunner
+
+from phytac_design.cli import plan_command
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.scene import Scene, load_scene
+from phytac_design.design.spec import Design
+from phytac_design.layout import make_markers
+from phytac_design.stages import STAGES
+from phytac_design.study.planning.cost import features, fit_units, predict, probe
+from phytac_design.study.planning.counts import repeats
+from phytac_design.study.planning.plan import Plan, plan_scene
+from phytac_design.study.planning.resolve import resolve
+from phytac_design.study.planning.units import MEMORY_MB, SECONDS
+from tests.designs import changed, small
+from tests.study.planning.scenes import scene
+
+
+def planned(design: Design, wanted: Scene, preset: str = "draft") -> Plan:
+    return plan_scene(design, wanted, accuracy=PRESETS[preset], speed=1.0)
+
+
+def actions(plan: Plan) -> dict[str, str]:
+    return {row.stage: row.action for row in plan.rows}
+
+
+def test_every_stage_has_its_line() -> None:
+    plan = planned(small(), load_scene("occlusion"))
+    assert [row.stage for row in plan.rows] == [stage.name for stage in STAGES]
+    found = actions(plan)
+    assert {name for name, action in found.items() if action == "run"} == {"views", "underload"}
+    for row in plan.rows:
+        assert row.why
+        assert row.loses or row.action == "run"
+        assert row.seconds > 0.0
+    assert plan.seconds < 0.5 * plan.whole_seconds
+    assert plan.error == {}
+
+
+def test_whole_and_limited_counts() -> None:
+    design = small()
+    plan = planned(design, scene())
+    assert plan.whole_counts.markers == plan.whole_counts.in_play == 112
+    assert plan.counts.repeats == 14
+    assert 10 < plan.counts.in_play < 40
+    assert plan.counts.places < 0.6 * plan.whole_counts.places
+    assert plan.counts.truth_nodes < 0.9 * plan.whole_counts.truth_nodes
+    assert plan.counts.contacts == 36
+    assert plan.whole_counts.contacts > 100
+
+
+@pytest.mark.parametrize(
+    ("rate", "estimator"), [(None, "auto"), (30.0, "auto"), (480.0, "koi_inverse")]
+)
+def test_frames_per_second_choose_the_estimator(rate: float | None, estimator: str) -> None:
+    camera = {"width_px": 640, "height_px": 480, "focal_px": 239.5}
+    resolved = resolve(
+        small(camera=camera), scene(frame_rate_Hz=rate, regions=[]), PRESETS["draft"]
+    )
+    assert resolved.scene.estimator == estimator
+    names = [stage.name for stage in resolved.stages]
+    assert ("places" in names) == (estimator == "auto")
+    assert "ms a frame" in resolved.why["estimator"]
+
+
+def test_theory_follows_the_pilot() -> None:
+    weak = resolve(
+        small(), scene(contacts={"force_max_N": 0.6}, error_allowed=0.05), PRESETS["standard"]
+    )
+    strong = resolve(
+        small(), scene(contacts={"force_max_N": 25.0}, error_allowed=0.02), PRESETS["draft"]
+    )
+    assert weak.accuracy.place_orders == 1
+    assert strong.accuracy.place_orders == 4
+    # Its first term grows with the force.
+    ratio = strong.linear_error / weak.linear_error
+    assert 20.0 < ratio < 70.0
+
+
+def test_only_the_named_camera_of_two() -> None:
+    both = small(camera={"ends": "both"}, layout={"heights": "line-of-sight"})
+    resolved = resolve(both, scene(camera="far"), PRESETS["draft"])
+    assert resolved.design.camera.ends == "far"
+    with pytest.raises(DesignError, match='set camera = "near"'):
+        resolve(small(), scene(camera="far"), PRESETS["draft"])
+
+
+def test_fixtures_that_hide_nothing_are_left_out() -> None:
+    def fixture(name: str, radius: float, z: float) -> dict[str, Any]:
+        return {
+            "kind": "cylinder",
+            "name": name,
+            "from_mm": [0.0, 0.0, z],
+            "to_mm": [0.0, 0.0, z + 1.0],
+            "radius_mm": radius,
+        }
+
+    # A pin on the axis stands before no receptor; a plate before the rim may.
+    design = small(fixtures=[fixture("pin", 0.5, 4.0), fixture("plate", 12.0, 4.0)])
+    wanted = Scene(name="seen", outputs=("visibility",))
+    resolved = resolve(design, wanted, PRESETS["draft"])
+    assert [item.name for item in resolved.design.fixtures] == ["plate"]
+    assert "pin" in resolved.why["fixtures"]
+    pictured = resolve(design, Scene(name="shown", outputs=("views",)), PRESETS["draft"])
+    assert len(pictured.design.fixtures) == 2
+
+
+def test_forces_that_leave_no_range_are_refused() -> None:
+    with pytest.raises(DesignError, match=r"leaves forces from 0\.5 to 0\.4 N"):
+        resolve(small(), scene(contacts={"force_max_N": 0.4}), PRESETS["draft"])
+    with pytest.raises(DesignError, match="leaves patches from 4 to 2 mm"):
+        resolve(small(), scene(contacts={"radius_max_mm": 2.0}), PRESETS["draft"])
+
+
+def test_sectors_are_found_by_the_markers() -> None:
+    for name, turns in (("cylinder60", 16), ("plane", 1), ("hemisphere", 1), ("cuboid", 1)):
+        design = changed(name)
+        surface = design.surface()
+        assert repeats(surface, make_markers(design, surface)) == turns
+
+
+def test_units_are_found_again() -> None:
+    rng = np.random.default_rng(0)
+    truth = {"one": 0.4, "loads": 2.0, "nodes": 0.0}
+    rows = []
+    for _ in range(12):
+        grown = {name: float(rng.uniform(0.5, 4.0)) for name in truth}
+        rows.append((grown, sum(truth[name] * grown[name] for name in truth)))
+    found = fit_units(rows)
+    assert found == pytest.approx(truth, abs=0.02)
+
+
+def test_units_cover_every_stage_and_grow() -> None:
+    assert set(SECONDS) == set(MEMORY_MB) == {stage.name for stage in STAGES}
+    names = [stage.name for stage in STAGES]
+    plan = planned(small(), scene())
+    few = predict(names, plan.counts, PRESETS["draft"], small(), scene())
+    many = predict(names, plan.whole_counts, PRESETS["fine"], small())
+    known = features(plan.counts, PRESETS["draft"], small())
+    for name in names:
+        assert set(SECONDS[name]) <= set(known[name])
+        assert few[name].seconds <= many[name].seconds
+        assert few[name].memory_MB > 0.0
+    twice = predict(names, plan.counts, PRESETS["draft"], small(), speed=2.0)
+    assert twice["views"].seconds > few["views"].seconds
+    assert 0.02 < probe() < 50.0
+
+
+def test_the_command_prints_the_plan_and_json() -> None:
+    app = typer.Typer()
+    app.command()(plan_command.plan)
+    run = CliRunner()
+    said = run.invoke(app, ["cylinder60", "fingertip", "--accuracy", "draft"])
+    assert said.exit_code == 0
+    assert "left out" in said.stdout
+    assert "predicted error of a force" in said.stdout
+    plain = run.invoke(app, ["cylinder60", "fabrication", "--json"])
+    report = json.loads(plain.stdout)
+    assert report["predicted"]["seconds"] >= 0.0
+    assert {row["stage"] for row in report["stages"]} == {stage.name for stage in STAGES}

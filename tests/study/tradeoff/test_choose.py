@@ -1,0 +1,218 @@
+"""Settings by tolerance and by budget: what is chosen, refused, predicted, and what came of it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from phytac_shapes.errors import DesignError
+
+from phytac_design.design.accuracy import PRESETS, RANGES, Accuracy
+from phytac_design.engine.stage import Stage
+from phytac_design.mechanics.meshing.mesh import marker_mesh
+from phytac_design.mechanics.shell.compliance import turns_of
+from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
+from phytac_design.stages import STAGES
+from phytac_design.study.tradeoff import budget as budget_module
+from phytac_design.study.tradeoff import choose as choose_module
+from phytac_design.study.tradeoff.budget import GROUPS, LADDER, choose_budget, run_plan
+from phytac_design.study.tradeoff.build_to import (
+    audit_lines,
+    read_seconds,
+    read_tolerance,
+    write_audit,
+)
+from phytac_design.study.tradeoff.choose import achieved, choose_tolerance
+from phytac_design.study.tradeoff.coefficients import COEFFICIENTS
+from phytac_design.study.tradeoff.cost import Work, fit, predict, terms
+from phytac_design.study.tradeoff.force import ForceError
+from tests.designs import DRAWN, drawn, small
+
+DRAFT = PRESETS["draft"]
+
+
+@pytest.fixture(scope="module")
+def error() -> ForceError:
+    return ForceError(drawn("hemisphere", 1), count=6)
+
+
+def test_tighter_tolerances_cost_more_and_hold(error: ForceError) -> None:
+    choices = [
+        choose_tolerance(error.design, tolerance, error=error) for tolerance in (0.2, 0.08, 0.04)
+    ]
+    cost = [choice.seconds for choice in choices]
+    assert cost == sorted(cost)
+    assert choices[0].accuracy != choices[2].accuracy
+    for choice in choices:
+        came = achieved(choice, error)
+        assert came is not None
+        assert choice.predicted_error is not None
+        assert came <= choice.predicted_error <= choice.wanted
+        others = replace(
+            choice.accuracy,
+            **{k: getattr(DRAFT, k) for k in ("refine", "place_orders", "place_share")},
+        )
+        assert others == DRAFT
+
+
+def test_what_nothing_reaches_is_refused_with_the_best(
+    error: ForceError, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(choose_module, "REFINES", (2, 3))
+    with pytest.raises(DesignError, match=r"no setting has a predicted force error within 1e-05 %"):
+        choose_tolerance(error.design, 1e-7, error=error)
+    for bad in (0.0, -0.1, 1.5, float("nan")):
+        with pytest.raises(DesignError, match="the tolerance must be above 0"):
+            choose_tolerance(error.design, bad, error=error)
+
+
+@pytest.mark.parametrize("of", ["volume", "visibility"])
+def test_other_quantities_hold_too(of: str) -> None:
+    error = ForceError(drawn("hemisphere", 1), count=2)
+    tolerance = {"volume": 2e-3, "visibility": 0.1}[of]
+    choice = choose_tolerance(error.design, tolerance, of=of, error=error)  # type: ignore[arg-type]
+    came = achieved(choice, error)
+    assert came is not None
+    assert came <= tolerance
+    assert choice.accuracy.refine == DRAFT.refine or of == "visibility"
+
+
+def test_coefficients_match_the_terms() -> None:
+    counts = terms(Work(drawn("plane", 1)), DRAFT)
+    assert set(counts) == set(COEFFICIENTS) == {stage.name for stage in STAGES}
+    for name, row in counts.items():
+        assert len(row) == len(COEFFICIENTS[name]), name
+        assert min(row) >= 0.0
+
+
+def test_cost_rises_with_every_knob() -> None:
+    work = Work(small())
+    for finer in (
+        replace(DRAFT, refine=6),
+        replace(DRAFT, place_orders=3),
+        replace(DRAFT, place_orders=3, place_share=0.4),
+        replace(DRAFT, frames=50),
+        replace(DRAFT, press_tolerance=0.05),
+        replace(DRAFT, truth_refine=9),
+        replace(DRAFT, print_tools=True),
+    ):
+        assert sum(predict(work, finer).values()) > sum(predict(work, DRAFT).values())
+    twice = predict(work, DRAFT, factor=2.0, cached=frozenset({"views"}))
+    assert twice["views"] == 0.0
+    assert twice["frames"] == pytest.approx(2.0 * predict(work, DRAFT)["frames"])
+
+
+def test_fit_finds_what_made_the_seconds() -> None:
+    rng = np.random.default_rng(0)
+    counts = np.column_stack([np.ones(30), rng.uniform(0.0, 5.0, (30, 2))])
+    seconds = counts @ np.array([1.0, 0.5, 2.0])
+    rows = [(row.tolist(), float(value)) for row, value in zip(counts, seconds, strict=True)]
+    assert np.allclose(fit({"x": rows})["x"], [1.0, 0.5, 2.0], rtol=1e-3)
+
+
+@pytest.mark.parametrize("kind", sorted(DRAWN))
+def test_tables_are_counted_as_the_build_solves_them(kind: str) -> None:
+    design = drawn(kind, 2)
+    work = Work(design)
+    wall = design.wall.thickness_mm
+    mesh = marker_mesh(work.surface, work.markers, thickness_mm=wall, refine=2)
+    model = sensor_model(design, work.markers, mesh, receptors=not unknown_receptors(design))
+    columns = work.markers.lattice.columns if work.markers.lattice else 1
+    sectors, _ = turns_of(model, mesh, columns)
+    assert work.sectors == sectors
+    assert work.columns in {1, sectors}
+    solved, placed = work.places(0.8)
+    assert solved < placed if sectors > 1 else solved == placed
+    assert work.nodes(2) == len(mesh.nodes_mm) / 1e3
+
+
+def test_groups_hold_every_stage_and_knob_once() -> None:
+    stages = [name for names, _ in GROUPS for name in names]
+    assert sorted(stages) == sorted(stage.name for stage in STAGES)
+    knobs = [knob for _, own in GROUPS for knob in own]
+    assert sorted(knobs) == sorted(DRAFT.as_dict())
+    settled: set[str] = set()
+    for names, own in GROUPS:
+        settled |= set(own)
+        for stage in STAGES:
+            if stage.name in names:
+                assert set(stage.knobs) <= settled, stage.name
+    for rung in LADDER:
+        for knob, (low, high) in RANGES.items():
+            assert low <= getattr(rung, knob) <= high
+
+
+def test_rungs_cost_more_and_more() -> None:
+    work = Work(small())
+    seconds = [sum(predict(work, rung).values()) for rung in LADDER]
+    assert seconds == sorted(seconds)
+    assert {*PRESETS.values()} <= {*LADDER}
+
+
+def test_budgets_are_planned_and_planned_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    design = small()
+    calls: list[Accuracy] = []
+    monkeypatch.setattr(budget_module, "machine_factor", lambda: 1.0)
+    monkeypatch.setattr(budget_module, "cached_stages", lambda *_: frozenset())
+    with pytest.raises(DesignError, match="the cheapest is predicted to take"):
+        choose_budget(design, 1.0)
+    with pytest.raises(DesignError, match="must be above 0 s"):
+        choose_budget(design, -5.0)
+    work = Work(design)
+    rich, first = choose_budget(design, 1e5)
+    assert rich.setting == LADDER[-1]
+    assert sum(first.values()) == pytest.approx(sum(predict(work, LADDER[-1]).values()))
+
+    # A machine four times as slow as the plan thinks: later groups come down the ladder.
+    clock = [0.0]
+    monkeypatch.setattr(budget_module.time, "perf_counter", lambda: clock[0])
+
+    def run(
+        _: object, stages: list[Stage], *, accuracy: Accuracy, **more: object
+    ) -> tuple[None, list[str], dict[str, float]]:
+        own = next(names for names, _ in GROUPS if set(names) & {s.name for s in stages})
+        seconds = {name: 4.0 * predict(work, accuracy)[name] for name in own}
+        clock[0] += sum(seconds.values())
+        calls.append(accuracy)
+        return None, list(seconds), seconds
+
+    monkeypatch.setattr(budget_module, "run_stages", run)
+    monkeypatch.setattr(budget_module, "select_stages", lambda names: [
+        stage for stage in STAGES if stage.name in names
+    ])  # fmt: skip
+    total = sum(predict(work, PRESETS["standard"]).values())
+    plan, _ = choose_budget(design, 1.1 * total)
+    final = run_plan(plan, force=True, progress=lambda _: None)
+    assert calls[0] == PRESETS["standard"]
+    assert final.frames < PRESETS["standard"].frames
+    assert 3.0 < plan.factor < 4.0
+    assert clock[0] <= 1.2 * max(1.1 * total, 4.0 * sum(predict(work, LADDER[0]).values()))
+
+
+def test_what_was_promised_and_what_came_is_written(tmp_path: Path, error: ForceError) -> None:
+    choice = choose_tolerance(error.design, 0.2, error=error)
+    choice = replace(choice, achieved_error=0.1, achieved_s={"views": 2.0})
+    write_audit(tmp_path, choice, 3.0)
+    data = json.loads((tmp_path / "report" / "trade.json").read_text())
+    assert data["wanted"] == 0.2
+    assert data["achieved_error"] == 0.1
+    assert data["achieved_total_s"] == 2.0
+    assert data["predicted_total_s"] == pytest.approx(choice.seconds)
+    assert data["accuracy"]["refine"] == choice.accuracy.refine
+    assert "wanted 20 %" in audit_lines(choice, 3.0)[0]
+
+
+def test_words_for_tolerances_and_times() -> None:
+    assert read_tolerance("2%") == pytest.approx(0.02)
+    assert read_tolerance(" 0.5 %") == pytest.approx(0.005)
+    assert read_tolerance("0.1") == pytest.approx(0.1)
+    assert read_seconds("60s") == 60.0
+    assert read_seconds("2min") == 120.0
+    assert read_seconds("45") == 45.0
+    for bad in ("", "x%", "0%", "200%", "nan"):
+        with pytest.raises(DesignError, match="a tolerance is above 0"):
+            read_tolerance(bad)
+    for bad in ("", "-3s", "soon", "inf"):
+        with pytest.raises(DesignError, match="a budget is a time"):
+            read_seconds(bad)

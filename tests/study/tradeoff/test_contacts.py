@@ -1,0 +1,46 @@
+"""Standard contacts: even, off the rims, always the same."""
+
+import numpy as np
+import pytest
+from phytac_shapes.errors import DesignError
+
+from phytac_design.study.tradeoff.contacts import even_places, rim_points, standard_contacts
+from tests.designs import drawn, small
+
+
+@pytest.mark.parametrize("kind", ["cylinder", "cone", "hemisphere", "plane", "grip"])
+def test_contacts_stand_off_every_rim(kind: str) -> None:
+    design = drawn(kind, 3)
+    surface = design.surface()
+    contacts = standard_contacts(design, surface, 12)
+    rim = rim_points(surface)
+    gap = np.linalg.norm(surface.point(contacts.uv)[:, None] - rim[None], axis=2)
+    assert gap.min() >= 2.0 * contacts.radius_mm - 1e-9
+    assert len(np.unique(contacts.uv, axis=0)) == len(contacts.uv) == 12
+    again = standard_contacts(design, design.surface(), 12)
+    assert np.array_equal(contacts.uv, again.uv)
+    assert np.array_equal(contacts.force_N, again.force_N)
+
+
+def test_forces_span_a_fifth_to_the_greatest() -> None:
+    design = small()
+    force = standard_contacts(design, design.surface()).force_N
+    most = design.training.force_max_N
+    assert 0.2 * most <= force.min() < 0.35 * most
+    assert 0.85 * most < force.max() <= most
+
+
+def test_places_are_even_over_the_area_of_a_dome() -> None:
+    surface = drawn("hemisphere", 1).surface()
+    numbers = np.random.default_rng(0).random((20000, 2))
+    z = surface.point(even_places(surface, numbers))[:, 2]
+    low, high = surface.bounds_mm()[:, 2]
+    # On a sphere the height is even (Archimedes), and so it is on a skirt.
+    share = np.histogram(z, bins=10, range=(low, high))[0] / len(z)
+    assert np.abs(share - 0.1).max() < 0.012
+
+
+def test_a_sensor_that_is_all_rim_is_refused() -> None:
+    design = small(training={"patch_radius_min_mm": 30.0, "patch_radius_max_mm": 31.0})
+    with pytest.raises(DesignError, match="no place on this sensor is"):
+        standard_contacts(design, design.surface())

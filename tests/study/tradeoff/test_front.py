@@ -1,0 +1,165 @@
+"""Fronts, knobs and the journal of measured points."""
+
+import json
+from pathlib import Path
+
+import pytest
+import typer
+from phytac_shapes.errors import DesignError, NumericalError
+from typer.testing import CliRunner
+
+from phytac_design.cli.tradeoff_command import tradeoff as tradeoff_command
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import to_toml
+from phytac_design.study.tradeoff import points as points_module
+from phytac_design.study.tradeoff.front import Measured, beaten_by, knee, pareto
+from phytac_design.study.tradeoff.knobs import KNOBS, QUANTITIES, knob_named
+from phytac_design.study.tradeoff.levels import (
+    CAD,
+    LOAD,
+    LOAD_REFINE,
+    MECHANICS,
+    SCORE,
+    accuracy_of,
+)
+from phytac_design.study.tradeoff.points import Point, Points
+from phytac_design.study.tradeoff.run import tradeoff
+from tests.designs import drawn
+
+
+def at(seconds: float, force: float, volume: float = 0.0) -> Measured:
+    errors = {"force": force, "volume": volume}
+    return Measured(settings={}, seconds=seconds, cpu_s=seconds, peak_MB=1.0, errors=errors)
+
+
+def test_front_holds_what_nothing_beats() -> None:
+    cloud = [at(3, 0.1), at(1, 0.5), at(2, 0.6), at(2, 0.2), at(4, 0.1), at(9, 0.01)]
+    assert [(p.seconds, p.errors["force"]) for p in pareto(cloud, "force")] == [
+        (1, 0.5),
+        (2, 0.2),
+        (3, 0.1),
+        (9, 0.01),
+    ]
+
+
+def test_beaten_only_by_what_is_worse_in_nothing() -> None:
+    cloud = [at(10, 0.1, 0.1), at(8, 0.1, 0.2), at(9, 0.05, 0.1)]
+    assert beaten_by(cloud[0], cloud) == pytest.approx(0.1)
+    assert beaten_by(cloud[1], cloud) == 0.0
+    assert beaten_by(cloud[2], cloud) == 0.0
+
+
+def test_knee_is_where_more_time_gains_little() -> None:
+    cloud = [at(1, 1.0), at(2, 0.1), at(20, 0.09), at(200, 0.08)]
+    assert knee(cloud, "force").seconds == 2
+
+
+def test_every_knob_of_a_build_is_read_by_a_stage() -> None:
+    settings = set(PRESETS["draft"].as_dict())
+    of_build = {knob.name for knob in KNOBS if knob.of_build}
+    assert of_build == settings - {"print_tools"}
+    for knob in KNOBS:
+        assert knob.quantity in QUANTITIES
+        assert bool(knob.stages) == knob.of_build
+        assert len(set(knob.values)) == len(knob.values) >= 2
+    with pytest.raises(DesignError, match="did you mean 'refine'"):
+        knob_named("refin")
+
+
+def test_presets_are_joint_settings() -> None:
+    joint = [
+        accuracy_of({**a, **b, **c, **d, "receptors": True})
+        for a in CAD
+        for b in MECHANICS
+        for c, least in zip(LOAD, LOAD_REFINE, strict=True)
+        for d in SCORE
+        if b["refine"] >= least
+    ]
+    for name, preset in PRESETS.items():
+        assert preset in joint, name
+
+
+def test_measured_points_survive_a_restart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    design, asked = drawn("hemisphere", 1), []
+
+    def answer(self: Points, point: Point, mode: str) -> dict[str, float]:
+        asked.append(mode)
+        return {"seconds": 1.0, "cpu_s": 1.0, "peak_MB": 1.0, "error": 0.5}
+
+    monkeypatch.setattr(Points, "_asked", answer)
+    point = Point(kind="force", name="force", settings={"each": [{"refine": 3}]})
+    first = Points(design, tmp_path).get(point)
+    assert Points(design, tmp_path).get(point) == first | {"point": point.as_dict()}
+    assert asked == ["measure"]
+    # Another setting, another design, or a torn file is measured again.
+    Points(design, tmp_path).get(Point(kind="force", name="force", settings={"each": []}))
+    Points(drawn("plane", 1), tmp_path).get(point)
+    assert len(asked) == 3
+    for path in (tmp_path / "points").glob("*.json"):
+        path.write_text(path.read_text()[:20])
+    Points(design, tmp_path).get(point)
+    assert len(asked) == 4
+
+
+def test_stages_are_measured_apart_from_what_they_need(tmp_path: Path) -> None:
+    points = Points(drawn("hemisphere", 1), tmp_path)
+    point = Point(kind="stages", name="mesh", settings={"refine": 2})
+    found = points.get(point)
+    assert found["stages"] == {"mesh": pytest.approx(found["seconds"])}
+    assert 50.0 < found["peak_MB"] < 4000.0
+    assert found["cpu_s"] > 0.0
+    with pytest.raises(NumericalError, match="could not be measured"):
+        points.get(Point(kind="use", name="none", settings={"none": 1}))
+
+
+def test_command_measures_what_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def answer(self: Points, point: Point, mode: str) -> dict[str, object]:
+        return {"seconds": 1.0, "cpu_s": 1.0, "peak_MB": 9.0, "error": 0.25}
+
+    monkeypatch.setattr(points_module.Points, "_asked", answer)
+    app = typer.Typer()
+    app.command()(tradeoff_command)
+    path = tmp_path / "dome.toml"
+    path.write_text(to_toml(drawn("hemisphere", 1)), encoding="utf-8")
+    asked = [str(path), "--only", "precision", "--out", str(tmp_path / "out"), "--json"]
+    done = CliRunner().invoke(app, asked)
+    assert done.exit_code == 0, done.output
+    data = json.loads(done.stdout)
+    assert set(data["knobs"]) == {"precision"}
+    assert data["joint"] == []
+    assert not (tmp_path / "out" / "front.png").exists()
+
+
+def test_tradeoff_writes_json_tables_and_pictures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def answer(self: Points, point: Point, mode: str) -> dict[str, object]:
+        if "each" in point.settings:
+            own = [sum(map(float, one.values())) for one in point.settings["each"]]
+            return {"errors": [1.0 / (1.0 + size) for size in own]}
+        size = float(sum(float(v) for v in point.settings.values() if not isinstance(v, str)))
+        facts = {
+            "shell": {"volume_mm3": 1000.0 + size},
+        }
+        return {
+            "seconds": 1.0 + size,
+            "cpu_s": 1.0,
+            "peak_MB": 9.0,
+            "error": 1.0 / (1.0 + size),
+            "facts": facts,
+            "room": [1.0, 0.5 + 0.001 * size],
+        }
+
+    monkeypatch.setattr(points_module.Points, "_asked", answer)
+    design = drawn("hemisphere", 1)
+    done = tradeoff(design, tmp_path, progress=lambda _: None)
+    assert set(done.presets) == set(PRESETS)
+    data = json.loads((tmp_path / "tradeoff.json").read_text())
+    pairs = sum(m["refine"] >= least for m in MECHANICS for least in LOAD_REFINE)
+    assert len(data["joint"]) == len(CAD) * pairs * len(SCORE)
+    assert [v["errors"]["force"] for v in data["knobs"]["refine"]["values"]] == sorted(
+        (1.0 / (1.0 + r) for r in (2, 3, 4, 5, 6, 8)), reverse=True
+    )
+    for picture in ("front.png", "knobs.png"):
+        assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
+    assert "preset standard" in (tmp_path / "tradeoff.txt").read_text()
