@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
 from phytac_shapes.arrays import FloatArray
 
 DPI = 400

@@ -14,9 +14,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from phytac_decoder.estimation.decode import measure_frame, read_image, rest_positions
-from phytac_decoder.io.bundle import Bundle, load_bundle
-from phytac_shapes.arrays import FloatArray, ImageArray
 
 from benchmarks import (
     decoder_accuracy,
@@ -32,6 +29,8 @@ from benchmarks import (
 )
 from benchmarks.harness import Table, run_parts
 from benchmarks.plain_eyes import plain_opencv
+from phytac_decoder.estimation.decode import measure_frame, read_image, rest_positions
+from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
@@ -44,6 +43,7 @@ from phytac_design.simulation.contacts import draw_contacts, switch_states
 from phytac_design.simulation.instance_shell import truth_shell
 from phytac_design.simulation.response import motion_responses, superpose
 from phytac_design.stages.build import build
+from phytac_shapes.arrays import FloatArray, ImageArray
 
 PAPER = {"fem": 0.18, "fem_nn": 0.023, "fem_nn_identity": 0.023}
 PAPER_LOW = {"fem": 0.49}

@@ -10,8 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from phytac_decoder.io.bundle import Bundle
-from phytac_shapes.arrays import FloatArray
 
 from benchmarks.decoder_data import Case, few_of, origin, units
 from benchmarks.decoder_judge import LEARNT, Verdict, by_design, mechanics, taught, verdict
@@ -38,9 +36,11 @@ from benchmarks.decoder_rows import (
     allowed,
 )
 from benchmarks.harness import Table
+from phytac_decoder.io.bundle import Bundle
 from phytac_design.engine.stage import Context
 from phytac_design.training.training_data import DataSet
 from phytac_design.workflows.simulate import eyes_of
+from phytac_shapes.arrays import FloatArray
 
 COUNTS = (25, 50, 100, 150, 300, 598)
 """Samples of the learning curve."""

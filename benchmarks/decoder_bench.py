@@ -5,10 +5,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_decoder.io.bundle import Bundle
-from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
-from phytac_shapes.errors import InputError
 
+from phytac_decoder.io.bundle import Bundle
 from phytac_design.design.accuracy import Preset
 from phytac_design.design.spec import Design
 from phytac_design.optics.exposure import expose
@@ -18,6 +16,8 @@ from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.scenario.file import Scenario
 from phytac_design.simulation.solver import Solver
 from phytac_design.workflows.simulate import eyes_of, response_of
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
+from phytac_shapes.errors import InputError
 
 REFINE = 7
 """Elements of the twin's mesh per marker pitch."""

@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
+
 from phytac_decoder.estimation.contact_estimates import Found
 from phytac_decoder.estimation.contact_fit import start
 from phytac_decoder.estimation.contact_shifts import UNKNOWNS, explain
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-
 from phytac_design.datasets.samples import Samples
 from phytac_design.engine.stage import Context
 from phytac_design.mechanics.meshing.mesh import marker_mesh
@@ -16,6 +15,7 @@ from phytac_design.simulation.bound import Prior, Signals, cell_prior, contact_s
 from phytac_design.simulation.response import motion_responses
 from phytac_design.stages.places import locator_of
 from phytac_design.training.locator_calibration import second_moments
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 QUIET_px = 0.05
 """Markers that contacts move by less tell the noise: what mechanics leave out is far below it."""

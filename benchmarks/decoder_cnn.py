@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from benchmarks.decoder_data import SEED, data_folder, data_set, job_of, origin, small_design
 from benchmarks.decoder_speed import SMALL, before_camera
@@ -22,6 +21,7 @@ from phytac_design.training.cnn import CnnTrained, Lessons, train_cnn
 from phytac_design.training.cnn_data import marker_forces, places_in_frame, read_frames
 from phytac_design.training.evaluation.scores import Bootstrap
 from phytac_design.training.levenberg_marquardt import split_samples
+from phytac_shapes.arrays import FloatArray, IntArray
 
 COUNTS, JUDGE = (598, 3909), 150
 """Samples to learn from, the fewer among the more, and held out from both."""

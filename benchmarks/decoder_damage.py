@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.vision.matching import nearest_same_colour_px
-from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
-
 from phytac_design.optics.paint import PAINTS, RESIN
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 
 HIDDEN_SHARE = 0.2
 BUMP_px = 3.0

@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from phytac_shapes.arrays import IntArray
-from phytac_shapes.errors import OutputError
 
 from benchmarks.twin_engine import changed
 from phytac_design.datasets.samples import FAILED, Meta, Samples
@@ -29,6 +27,8 @@ from phytac_design.simulation.scenario.file import scenario_hash
 from phytac_design.training.join_datasets import pick
 from phytac_design.training.training_data import DataSet
 from phytac_design.workflows.simulate import simulate
+from phytac_shapes.arrays import IntArray
+from phytac_shapes.errors import OutputError
 
 SEED = 1
 """Of all data sets: a unit is drawn from the seed and its number."""

@@ -13,21 +13,21 @@ from itertools import pairwise
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from phytac_decoder.estimation.decode import Measured, measure_frame
-from phytac_decoder.io.bundle import Bundle
-from phytac_decoder.vision.colour_calibration import calibrate_rest
-from phytac_decoder.vision.torn_frames import STREAK, Tears
-from phytac_decoder.vision.tracker import Follower
-from phytac_shapes.arrays import ImageArray
-from phytac_shapes.errors import InputError
 
 from benchmarks.decoder_bench import REFINE, SEEN, Bench, scenario_of
 from benchmarks.decoder_damage import FAULTS, Sample
 from benchmarks.decoder_lights import add_lights
 from benchmarks.harness import Table, arguments
+from phytac_decoder.estimation.decode import Measured, measure_frame
+from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.vision.colour_calibration import calibrate_rest
+from phytac_decoder.vision.torn_frames import STREAK, Tears
+from phytac_decoder.vision.tracker import Follower
 from phytac_design.design.design_file import load_design
 from phytac_design.stages.build import copy_of, run_stages, select_stages
 from phytac_design.stages.decoder import plain_model
+from phytac_shapes.arrays import ImageArray
+from phytac_shapes.errors import InputError
 
 DESIGN = "cylinder60"
 ESTIMATORS = ("koi_inverse", "auto")

@@ -7,12 +7,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+
+from benchmarks.decoder_bounds import MEAN_SIZE, Bounds, bounds, noise_of
 from phytac_decoder.estimation.contact_estimates import Found
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-
-from benchmarks.decoder_bounds import MEAN_SIZE, Bounds, bounds, noise_of
 from phytac_design.datasets.samples import FAILED, Samples
 from phytac_design.design.accuracy import Preset
 from phytac_design.design.spec import Design
@@ -25,6 +24,7 @@ from phytac_design.training.evaluation.scores import Bootstrap, intervals
 from phytac_design.training.trainers import TRAINERS, Lesson
 from phytac_design.training.training_data import DataSet, share_out
 from phytac_design.workflows.train_decoder import MECHANICS
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 LEARNT = ("fem_nn", "fem_nn_identity", "auto")
 NEAR_MM = 5.0

@@ -5,14 +5,14 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_decoder.estimation.decode import measure_frame, rest_positions
-from phytac_decoder.vision.colour_calibration import calibrate_rest
-from phytac_shapes.arrays import ImageArray
-from phytac_shapes.errors import InputError
 
 from benchmarks.decoder_bench import Bench, rms
 from benchmarks.harness import Table
+from phytac_decoder.estimation.decode import measure_frame, rest_positions
+from phytac_decoder.vision.colour_calibration import calibrate_rest
 from phytac_design.optics.paint import PAINTS, to_linear
+from phytac_shapes.arrays import ImageArray
+from phytac_shapes.errors import InputError
 
 BALANCE = {"neutral": (1.0, 1.0), "warm": (1.2, 0.8), "cold": (0.8, 1.2), "green": (0.8, 0.8),
            "magenta": (1.2, 1.2)}  # fmt: skip

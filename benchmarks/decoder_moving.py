@@ -11,19 +11,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_decoder.estimation.decode import Measured
-from phytac_decoder.estimation.frame_reading import Reading, read
-from phytac_decoder.io.bundle import Bundle
-from phytac_shapes.arrays import FloatArray
 
 from benchmarks.decoder_accuracy import bench
 from benchmarks.decoder_data import LINEAR, SEED, Case, data_set, units
 from benchmarks.decoder_judge import taught
 from benchmarks.harness import Table, arguments
+from phytac_decoder.estimation.decode import Measured
+from phytac_decoder.estimation.frame_reading import Reading, read
+from phytac_decoder.io.bundle import Bundle
 from phytac_design.datasets.samples import Samples
 from phytac_design.design.spec import Design
 from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.scenario.file import parse_scenario
+from phytac_shapes.arrays import FloatArray
 
 FPS = 480.0
 PERIOD_ms = 1e3 / FPS

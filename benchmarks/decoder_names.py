@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from phytac_decoder.vision.tracker import Follower
 
 from benchmarks.decoder_speed import (
     FORCE_N,
@@ -25,6 +24,7 @@ from benchmarks.decoder_speed import (
     told_apart,
 )
 from benchmarks.harness import Table, arguments
+from phytac_decoder.vision.tracker import Follower
 from phytac_design.design.design_file import load_design
 
 DESIGN = "cylinder60"

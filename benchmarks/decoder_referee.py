@@ -6,7 +6,6 @@ networks learnt from the twin's samples of the sensor as designed.
 """
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from benchmarks.decoder_data import nominal, set_of
 from benchmarks.decoder_judge import LEARNT, by_design, mechanics, taught, verdict
@@ -22,6 +21,7 @@ from phytac_design.mechanics.large import rotations as rot
 from phytac_design.simulation.contacts import Contacts, switch_states
 from phytac_design.stages.response import watch_of
 from phytac_design.training.training_data import DataSet
+from phytac_shapes.arrays import FloatArray
 
 SOURCE = "CalculiX NLGEOM, quadratic tetrahedra of the CAD (benchmarks/referee)"
 NOISE_FACTOR = float(np.sqrt(2.0))

@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray
 
 from benchmarks.decoder_judge import Claims, Verdict
 from benchmarks.harness import Table, holds
+from phytac_shapes.arrays import BoolArray
 
 BESIDE_MM = 15.0
 """A contact found so near to another one may be a part of it."""

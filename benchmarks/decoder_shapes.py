@@ -1,7 +1,6 @@
 """The decoder on all shapes, and over a thousand cycles; parts ``shapes`` and ``cycles``."""
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray
 
 from benchmarks.decoder_accuracy import PAPER_PERCENT, Bench, bench
 from benchmarks.decoder_data import cycles, of_shape, units
@@ -20,6 +19,7 @@ from benchmarks.decoder_rows import (
 )
 from benchmarks.harness import Table
 from phytac_design.design.design_file import shipped_designs
+from phytac_shapes.arrays import BoolArray
 
 LEFT_OUT = ("cylinder60-dense",)
 """Another layout of a shape that is there."""

@@ -12,16 +12,15 @@ from typing import Any
 
 import cv2
 import numpy as np
+
+from benchmarks.harness import Table, arguments
+from benchmarks.plain_eyes import plain_opencv
+from benchmarks.twin_camera import Case
 from phytac_decoder.estimation.decode import measure_frame
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.vision.matching import nearest_same_colour_px
 from phytac_decoder.vision.tracker import Follower
-from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
-
-from benchmarks.harness import Table, arguments
-from benchmarks.plain_eyes import plain_opencv
-from benchmarks.twin_camera import Case
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import CAMERA_PRESETS, Design
 from phytac_design.layout.cameras import Readers, cameras_of
@@ -32,6 +31,7 @@ from phytac_design.simulation.condense import condense
 from phytac_design.simulation.imaging.imaging_model import Eyes
 from phytac_design.simulation.response import rigid_slope
 from phytac_design.stages.build import copy_of
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 
 DESIGNS = ("cylinder60", "cylinder60-dense")
 SMALL, LARGE = "640x480", "2592x1944"

@@ -11,6 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from benchmarks.decoder_stream_clients import READERS, clients
+from benchmarks.harness import Table, arguments
 from phytac_decoder.estimation.decode import read_image, rest_positions
 from phytac_decoder.estimation.frame_reading import Reading
 from phytac_decoder.io.bundle import Bundle, load_bundle
@@ -18,12 +21,9 @@ from phytac_decoder.io.frame import Frame, Source
 from phytac_decoder.serving.force_server import Limits, Server
 from phytac_decoder.serving.sensor_loop import Decode, Stream, frame_decoder
 from phytac_decoder.serving.wire_protocol import Message, Messages
-from phytac_shapes.arrays import ImageArray
-
-from benchmarks.decoder_stream_clients import READERS, clients
-from benchmarks.harness import Table, arguments
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.stages.build import build
+from phytac_shapes.arrays import ImageArray
 
 DESIGN = "cylinder60"
 FPS = 480.0

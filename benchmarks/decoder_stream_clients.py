@@ -11,6 +11,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
+
 from phytac_decoder.serving.force_server import Server
 from phytac_decoder.serving.wire_protocol import Splitter
 from phytac_shapes.arrays import FloatArray

@@ -8,10 +8,10 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from phytac_decoder.estimation.locator import Locator
 
 from benchmarks.decoder_data import few_of, units
 from benchmarks.harness import Table
+from phytac_decoder.estimation.locator import Locator
 from phytac_design.datasets.samples import Samples
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import Context

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
 
 from benchmarks import (
     fabrication_bench,
@@ -27,7 +26,7 @@ from benchmarks.harness import Table, median_of, run_parts
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.design.spec import Design, WallSection
 from phytac_design.layout import Markers
-from phytac_design.rules import check_design
+from phytac_design.rules.check import check_design
 from phytac_design.solids.cad import cad_facts, read_step, shell_cad, write_step, write_stl_by_cad
 from phytac_design.solids.mesh_export import write_3mf, write_stl
 from phytac_design.solids.mesh_facts import expected_genus, manifold_facts, trimesh_facts
@@ -38,6 +37,7 @@ from phytac_design.solids.solid_mesh import (
     to_triangles,
 )
 from phytac_design.solids.wall_mesh import wall_mesh
+from phytac_shapes import Surface
 
 ANGLE_rad = 0.5
 """Angular tolerance of OpenCASCADE's mesher: loose, so that the chord alone decides."""

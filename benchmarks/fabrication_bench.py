@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
 
 from benchmarks.bench_measure import (
     fit_shift_mm,
@@ -31,6 +30,7 @@ from phytac_design.fabrication.documents.unroll import unroll
 from phytac_design.layout import Markers, make_markers
 from phytac_design.stages.build import build
 from phytac_design.stages.documents import read_stl
+from phytac_shapes import Surface
 
 FAULTS = (
     "Degenerate facets", "Edges fixed", "Facets removed", "Facets added", "Facets reversed",

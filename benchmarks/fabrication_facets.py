@@ -6,9 +6,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.cylinder import Cylinder
 
 from benchmarks.harness import Table
 from phytac_design.design.spec import Design
@@ -18,6 +15,9 @@ from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.layout import Markers
 from phytac_design.solids.mesh_export import write_stl
 from phytac_design.solids.solid_mesh import TOLERANCE_mm, shell_manifold, to_triangles
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.cylinder import Cylinder
 
 Case = tuple[Design, Surface, Markers]
 SPACING_mm = 0.35

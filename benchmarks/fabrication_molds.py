@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.errors import PhytacError
 
 from benchmarks.harness import Table, arguments
 from phytac_design.design.accuracy import PRESETS
@@ -38,6 +37,7 @@ from phytac_design.solids.solid_mesh import to_manifold
 from phytac_design.stages.build import copy_of
 from phytac_design.stages.mold import MOLD
 from phytac_design.stages.switch import switches_of
+from phytac_shapes.errors import PhytacError
 
 WAYS = ("rigid", "silicone-master")
 FAULTS = (

@@ -7,8 +7,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
 from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design, shipped_designs
@@ -20,10 +18,12 @@ from phytac_design.fabrication.printing.stl import read_stl
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import TriangleMesh, prisms
 from phytac_design.layout import Markers
-from phytac_design.rules import check_design
+from phytac_design.rules.check import check_design
 from phytac_design.solids.mesh_export import write_stl
 from phytac_design.solids.mesh_facts import trimesh_facts
 from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 Case = tuple[Design, Surface, Markers]
 BOX = (

@@ -10,7 +10,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from phytac_shapes.errors import DesignError
 
 from benchmarks.harness import Table, arguments
 from phytac_design.design.design_file import shipped_designs
@@ -25,6 +24,7 @@ from phytac_design.mechanics.switch.presets import rubber
 from phytac_design.mechanics.switch.report import curve_plot, range_over_modulus, range_plot
 from phytac_design.mechanics.switch.space import Space
 from phytac_design.mechanics.switch.svg import line_plot, write_svg
+from phytac_shapes.errors import DesignError
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 MESCALL = "Mescall 1966, clamped cap R 4.758 in, t 0.01576, a 0.9, ring load at 0.42 a"

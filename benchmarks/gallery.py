@@ -13,8 +13,6 @@ from typing import Any
 import cv2
 import matplotlib as mpl
 import numpy as np
-from phytac_shapes.arrays import FloatArray, ImageArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design, shipped_designs
@@ -23,6 +21,8 @@ from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.optics.density import density_map
 from phytac_design.report import figures, maps
 from phytac_design.stages.build import build, select_stages
+from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.errors import NumericalError
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from benchmarks import (
     mechanics_calibration,
@@ -35,6 +34,7 @@ from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.mesh_writers import write_inp
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model, rigid_modes
 from phytac_design.mechanics.verification import cases
+from phytac_shapes.arrays import FloatArray
 
 MARKER = 184  # row 11 of 23
 FINGERTIP_MM = 6.0

@@ -12,9 +12,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import PhytacError
 
 from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design
@@ -32,6 +29,9 @@ from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.sensitivity import motion_rate, stiffness_rates
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import PhytacError
 
 TRUTH = Parameters(modulus=2050.0, thickness=0.86, poisson=0.36)
 PEAK_MM = 0.06

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Cylinder
 
 from benchmarks.harness import Table, median_of
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
@@ -26,6 +25,7 @@ from phytac_design.mechanics.shell.assembly import assemble, make_pattern
 from phytac_design.mechanics.shell.element import element_stiffness
 from phytac_design.mechanics.shell.factor import SOLVERS, SUPERLU, Factor
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
+from phytac_shapes import Cylinder
 
 SIZES = ((36, 48), (62, 84), (114, 150), (200, 260), (370, 450))
 """Elements along and around: 10⁴ to 10⁶ DOF."""

@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from benchmarks.harness import Table, arguments
 from phytac_design.design.design_file import load_design
@@ -29,6 +28,7 @@ from phytac_design.mechanics.shell.discretisation import (
 from phytac_design.mechanics.verification import cases
 from phytac_design.mechanics.verification.case_parts import Case, edge_lines, probed
 from phytac_design.mechanics.verification.plate_case import plate_case
+from phytac_shapes.arrays import FloatArray
 
 BOTH, END = (True, True), (False, True)
 ROOF_EDGE = 0.25 / (25.0 * np.radians(40.0))

@@ -16,8 +16,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from benchmarks import mechanics_error
 from benchmarks.harness import Table, arguments, holds
@@ -29,6 +27,8 @@ from phytac_design.mechanics.verification.case_parts import Case
 from phytac_design.mechanics.verification.element_shapes import SHAPES, element_shape
 from phytac_design.mechanics.verification.ring_case import ring_case
 from phytac_design.mechanics.verification.single_row import arch_case
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 CLOSED = "closed solution with transverse shear"
 JITTERED = "; locks: see the share of membrane energy; falls with refinement"

@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design
@@ -29,6 +27,8 @@ from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_design.mechanics.verification import large_cases
 from phytac_design.mechanics.verification.solid_roof import solid_roof
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 FINGERTIP_MM = 6.0
 CCX = ((28, 32), (42, 48), (64, 74))

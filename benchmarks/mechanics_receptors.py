@@ -17,9 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import MissingPartError
 
 from benchmarks.harness import Table, median_of
 from phytac_design.design.design_file import load_design, parse_design
@@ -36,6 +33,9 @@ from phytac_design.mechanics.solid.cell import Cell, cell_stiffness, ratio
 from phytac_design.mechanics.solid.load import solid_patch_load, tip_means
 from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes, coarsened, solid_mesh
 from phytac_design.mechanics.solid.solid_writers import run_ccx, write_solid_inp
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import MissingPartError
 
 SIZES = SolidSizes(wall_mm=1.6, foot_mm=0.9, tube_mm=1.4, contact_mm=1.2)
 """Mesh of the whole small sensor: about 80 000 nodes."""

@@ -4,12 +4,12 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from benchmarks.harness import Table
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification import cases
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 Face = Callable[[FloatArray, FloatArray], FloatArray]
 TURNS = 3

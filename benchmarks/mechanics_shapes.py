@@ -11,11 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from phytac_shapes import Cone, Cuboid, Hemisphere, Patch, Plane, Surface
-from phytac_shapes.arrays import BoolArray, FloatArray
-from phytac_shapes.path import Line
-from phytac_shapes.path import Path as Profile
-from phytac_shapes.revolved import PathRevolved
 
 from benchmarks.harness import Table, arguments
 from phytac_design.mechanics.large.follower import pressure_forces
@@ -30,6 +25,11 @@ from phytac_design.mechanics.shell.loads import (
     patch_loads,
 )
 from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_shapes import Cone, Cuboid, Hemisphere, Patch, Plane, Surface
+from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.path import Line
+from phytac_shapes.path import Path as Profile
+from phytac_shapes.revolved import PathRevolved
 
 FINGERTIP_MM = 6.0
 MODULUS_MPa, POISSON, WALL_MM = 2200.0, 0.38, 0.8

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from benchmarks import mechanics_cost
 from benchmarks.ccx_linear import Run, run_linear
@@ -32,6 +31,7 @@ from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_pa
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import clamped_model
+from phytac_shapes.arrays import FloatArray
 
 RADIUS_MM = 6.0
 CENTRE = np.array([60.0, np.pi])

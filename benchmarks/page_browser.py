@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from axe_playwright_python.sync_playwright import Axe
-from phytac_shapes.errors import MissingPartError
 from playwright.sync_api import Browser, Page, sync_playwright
+
+from phytac_shapes.errors import MissingPartError
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")

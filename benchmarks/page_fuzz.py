@@ -23,11 +23,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from phytac_shapes.errors import PhytacError
-
 from benchmarks.harness import Table, argument_parser
 from benchmarks.page_fuzz_readers import READERS, Files, Reader
 from benchmarks.page_fuzz_step import outcomes
+from phytac_shapes.errors import PhytacError
 
 INPUTS, QUICK = 1_000_000, 2_800
 SECONDS_MAX = 2.0

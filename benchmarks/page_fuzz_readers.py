@@ -185,7 +185,6 @@ def _changed_zip(rng: random.Random, data: bytes) -> bytes:
 
 def _bundle() -> Reader:
     from phytac_decoder.io.bundle import load_bundle, save_bundle
-
     from phytac_design.study.stability.rooms.readers import bundle
 
     seed = _folder_of(lambda at: save_bundle(bundle(), at))
@@ -315,7 +314,6 @@ def _body() -> Reader:
 
 def _lens() -> Reader:
     from phytac_decoder.camera.lens import Pinhole
-
     from phytac_design.design.camera_files import FileFormat, read_lens, write_lens
 
     lens = Pinhole(width_px=640, height_px=480, fx_px=240, fy_px=240, cx_px=319, cy_px=239)
@@ -332,6 +330,7 @@ def _lens() -> Reader:
 
 def _regions() -> Reader:
     import numpy as np
+
     from phytac_decoder.estimation.force_regions import load_regions
 
     place = np.random.default_rng(0).normal(size=(20, 3))

@@ -6,10 +6,9 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from phytac_shapes.errors import PhytacError
-
 from benchmarks.page_fuzz_change import changed
 from phytac_design.solids.step_surface import surface_from_step
+from phytac_shapes.errors import PhytacError
 
 HOSTILE = (
     b"",

@@ -2,9 +2,10 @@
 
 import cv2
 import numpy as np
+from scipy.optimize import linear_sum_assignment
+
 from phytac_decoder.io.bundle import Bundle
 from phytac_shapes.arrays import ImageArray
-from scipy.optimize import linear_sum_assignment
 
 
 def plain_opencv(bundle: Bundle, frame: ImageArray) -> None:

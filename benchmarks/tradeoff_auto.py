@@ -1,7 +1,6 @@
 """The estimator ``auto`` itself on the standard contacts, noise-free, with a build's own tables."""
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.design_file import load_design
@@ -11,6 +10,7 @@ from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.places import locator_of
 from phytac_design.stages.response import watch_of
 from phytac_design.study.tradeoff.force import REFERENCE, ForceError, extrapolation, rms
+from phytac_shapes.arrays import FloatArray
 
 
 def auto_errors(name: str, setting: Accuracy) -> tuple[float, float, int]:

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.errors import DesignError, PhytacError
 
 from benchmarks.harness import Table
 from benchmarks.tradeoff_designs import random_designs
 from benchmarks.tradeoff_journal import once
 from phytac_design.design.spec import Design
 from phytac_design.study.tradeoff.build_to import build_to
+from phytac_shapes.errors import DesignError, PhytacError
 
 BUDGETS_s = (30.0, 45.0, 60.0, 90.0, 120.0)
 DESIGNS, SEED = 24, 5

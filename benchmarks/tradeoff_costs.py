@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.errors import PhytacError
 
 from benchmarks.harness import Table
 from benchmarks.tradeoff_budget import empty_cache
@@ -19,6 +18,7 @@ from phytac_design.stages import STAGES
 from phytac_design.stages.build import run_stages
 from phytac_design.study.tradeoff import coefficients
 from phytac_design.study.tradeoff.cost import Work, fit, probe_s, terms
+from phytac_shapes.errors import PhytacError
 
 DESIGNS, SEED = 16, 11
 HELD_OUT = 4

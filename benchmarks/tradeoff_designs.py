@@ -4,11 +4,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from phytac_shapes.errors import PhytacError
 
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.spec import Design
 from phytac_design.rules.check import check_design
+from phytac_shapes.errors import PhytacError
 
 FAMILIES = ("cylinder60", "cone", "cuboid", "grip", "hemisphere", "plane", "patch")
 """Shipped designs that the random ones grow from."""

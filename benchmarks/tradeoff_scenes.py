@@ -16,11 +16,11 @@ from pprint import pformat
 from typing import Any
 
 import numpy as np
-from phytac_decoder.estimation.decode import Measured
-from phytac_decoder.io.bundle import Bundle, load_bundle
 
 from benchmarks.decoder_data import data_folder
 from benchmarks.harness import Table, argument_parser
+from phytac_decoder.estimation.decode import Measured
+from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design
 from phytac_design.design.scene import load_scene

@@ -5,7 +5,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from phytac_shapes.errors import DesignError, PhytacError
 
 from benchmarks.harness import Table
 from benchmarks.tradeoff_designs import random_designs
@@ -16,6 +15,7 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.study.tradeoff.choose import choose_tolerance
 from phytac_design.study.tradeoff.force import ForceError, rms
+from phytac_shapes.errors import DesignError, PhytacError
 
 TOLERANCES = (0.10, 0.05, 0.02, 0.01, 0.005)
 DESIGNS, SEED = 40, 40

@@ -17,7 +17,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from scipy.sparse import csc_matrix
 
 from benchmarks import twin_decoders, twin_engine, twin_eyes, twin_theory
@@ -36,6 +35,7 @@ from phytac_design.simulation.indenters import flat_touches
 from phytac_design.simulation.instance_shell import truth_shell
 from phytac_design.simulation.receptor_kinematics import Feet
 from phytac_design.simulation.response import point_motions, turned_points
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 SOURCE = "CalculiX NLGEOM, quadratic tetrahedra of the CAD (benchmarks/referee)"
 QUICK = 4

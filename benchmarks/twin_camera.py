@@ -8,12 +8,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from phytac_decoder.estimation.decode import locate_markers
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, ImageArray
-from phytac_shapes.errors import InputError
 
 from benchmarks.harness import Table
+from phytac_decoder.estimation.decode import locate_markers
 from phytac_design.core.threads import THREADS, one_thread_each
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
@@ -33,6 +30,9 @@ from phytac_design.simulation.response import motion_responses, superpose
 from phytac_design.simulation.scenario.tables import SolveSection
 from phytac_design.simulation.sensor_instance import Unit, WallField
 from phytac_design.stages.build import copy_of
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.errors import InputError
 
 FORCE_N = 25.0
 EDGE_LEVELS, EDGE_PX = 8.0, 1

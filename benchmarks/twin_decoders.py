@@ -8,11 +8,10 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from phytac_decoder.io.bundle import Bundle, load_bundle
-from phytac_shapes.arrays import BoolArray, FloatArray
 
 from benchmarks.harness import Table
 from benchmarks.twin_engine import SEED, changed
+from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_design.datasets.samples import FAILED, Samples
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.design.accuracy import Preset
@@ -21,6 +20,7 @@ from phytac_design.simulation.force_errors import contact_forces
 from phytac_design.simulation.run.job import Job
 from phytac_design.stages.build import build
 from phytac_design.workflows.simulate import simulate
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 DESIGN = "cylinder60"
 NAMES = ("fem", "fem_nn", "koi_inverse")

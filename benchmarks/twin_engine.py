@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from phytac_shapes.errors import InputError, PhytacError
 
 from benchmarks.harness import Table
 from phytac_design.datasets.samples import STATUSES
@@ -23,6 +22,7 @@ from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.run.journal import WORK
 from phytac_design.simulation.scenario.file import Scenario, load_scenario, parse_scenario
 from phytac_design.workflows.simulate import Result, simulate
+from phytac_shapes.errors import InputError, PhytacError
 
 KILLS = 10
 SPARE = 0.15

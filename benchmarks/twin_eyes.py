@@ -6,7 +6,6 @@
 from functools import partial
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from benchmarks.harness import Table, arguments
 from benchmarks.twin_camera import (
@@ -24,6 +23,7 @@ from benchmarks.twin_camera import (
 )
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.stages.build import copy_of
+from phytac_shapes.arrays import FloatArray
 
 DRAWS = 16
 """Draws of noise that are averaged, to leave that which hangs on the place on the pixels."""

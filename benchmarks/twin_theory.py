@@ -13,8 +13,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
 from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design
@@ -30,6 +28,8 @@ from phytac_design.simulation.scenario.region import touched_region
 from phytac_design.simulation.scenario.scatter import draw_unit
 from phytac_design.simulation.sensor_instance import Unit
 from phytac_design.simulation.solver import Displacement, Solver
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 SAMPLES, FINEST, REFINES = 24, 13, (5, 7, 9)
 NEWTON = {5: 12, 7: 6, 9: 6}

@@ -11,7 +11,6 @@ import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 from numpy.typing import NDArray
-from phytac_decoder.camera.camera import Camera
 
 from benchmarks import (
     visibility_extremes,
@@ -21,6 +20,7 @@ from benchmarks import (
 )
 from benchmarks.harness import Table, run_parts
 from benchmarks.visibility_lenses import busy
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers

@@ -7,18 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes.arrays import FloatArray
 
 from benchmarks.harness import Table
 from benchmarks.mechanics_cost import exponent
 from benchmarks.visibility_lenses import CAMERAS, make, scene_at
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import TOLERANCE_PX
 from phytac_design.optics.raster import pixels_alone, rasterise
 from phytac_design.optics.sampled_visibility import sampled_fraction
 from phytac_design.optics.scene import Scene, paint_owner
+from phytac_shapes.arrays import FloatArray
 
 IMAGE = Path(__file__).parents[1] / "docs" / "images" / "visibility_growth.png"
 LATTICES = {368: (23, 16), 1000: (40, 25), 3000: (75, 40), 10_000: (125, 80)}

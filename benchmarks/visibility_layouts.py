@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from phytac_shapes.errors import DesignError
 
 from benchmarks.harness import Table
 from phytac_design.design.accuracy import PRESETS
@@ -20,9 +19,10 @@ from phytac_design.optics.loaded_visibility import UnderLoad, press_all, sight_o
 from phytac_design.optics.raster import pixels_alone, rasterise
 from phytac_design.optics.scene import build_scene, paint_owner
 from phytac_design.optics.visibility import Visibility, check_visibility
-from phytac_design.rules import check_design
+from phytac_design.rules.check import check_design
 from phytac_design.stages.build import copy_of
 from phytac_design.stages.loaded_views import Pressing, see_pressed
+from phytac_shapes.errors import DesignError
 
 STUDY = "design study of this sensor"
 PLACES, PLACES_DENSE, PLACES_SCAN = 8, 40, 24

@@ -14,11 +14,10 @@ import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 from numpy.typing import NDArray
-from phytac_decoder.camera.camera import Camera
-from phytac_decoder.camera.lens import Lens
-from phytac_shapes.arrays import FloatArray
 
 from benchmarks.harness import Table, arguments
+from phytac_decoder.camera.camera import Camera
+from phytac_decoder.camera.lens import Lens
 from phytac_design.design.design_file import load_design, parse_design, shipped_designs
 from phytac_design.design.spec import CameraSection, Design
 from phytac_design.layout import make_markers
@@ -29,6 +28,7 @@ from phytac_design.optics.rays import pixel_rays, ray_grid
 from phytac_design.optics.sampled_visibility import RAYS, sampled_fraction
 from phytac_design.optics.scene import Scene, build_scene, paint_owner
 from phytac_design.stages.build import copy_of
+from phytac_shapes.arrays import FloatArray
 
 CHUNK = 500_000
 EMBREE = "Embree 4 (embreex), one float32 ray per pixel centre"

@@ -1,10 +1,10 @@
 """Presses on a linear sensor: its own response to drawn forces, so that truth is known exactly."""
 
 import numpy as np
-from phytac_decoder.estimation.estimators import ForceModel
-from phytac_shapes.arrays import BoolArray, FloatArray
 
+from phytac_decoder.estimation.estimators import ForceModel
 from phytac_design.datasets.samples import Meta, Samples, TouchRows, truth_rows
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 
 def meta_of(design: str, design_hash: str, **changes: object) -> Meta:

@@ -1,6 +1,7 @@
 """What frames might have told, made up."""
 
 import numpy as np
+
 from phytac_decoder.estimation.contact_estimates import Found, Located
 from phytac_shapes.arrays import FloatArray
 

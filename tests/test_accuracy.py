@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.accuracy import PRESETS, name_of, settings_of, with_settings
+from phytac_shapes.errors import DesignError
 
 
 @pytest.mark.parametrize("name", PRESETS)

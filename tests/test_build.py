@@ -8,9 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.decode import measure_frame, read_image, rest_positions
 from phytac_decoder.estimation.estimators import ESTIMATORS
 from phytac_decoder.io.bundle import load_bundle
+from phytac_design.design.accuracy import PRESETS
+from phytac_design.design.design_file import load_design, parse_design, to_toml
+from phytac_design.engine import cache
+from phytac_design.layout import make_markers
+from phytac_design.stages import STAGES
+from phytac_design.stages.build import BuildResult, build
 from phytac_shapes.errors import (
     CadKernelError,
     DesignError,
@@ -19,13 +26,6 @@ from phytac_shapes.errors import (
     OutputError,
     PhytacError,
 )
-
-from phytac_design.design.accuracy import PRESETS
-from phytac_design.design.design_file import load_design, parse_design, to_toml
-from phytac_design.engine import cache
-from phytac_design.layout import make_markers
-from phytac_design.stages import STAGES
-from phytac_design.stages.build import BuildResult, build
 from tests.designs import changed, small
 
 CONTRACT = {

@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.mechanics.switch import fit
 from phytac_design.stages.build import build
+from phytac_shapes.errors import DesignError
 from tests.designs import small
 
 

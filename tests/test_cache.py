@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from phytac_shapes.errors import DesignError, OutputError
 from typer.testing import CliRunner
 
 from phytac_design.cli.app import app
 from phytac_design.cli.cache_command import duration_s, size_bytes
 from phytac_design.engine import cache, cache_eviction
+from phytac_shapes.errors import DesignError, OutputError
 
 KEY = "a1b2c3d4e5f6" * 5
 

@@ -2,11 +2,11 @@
 
 from dataclasses import fields
 
-import phytac_shapes
 import pytest
-from phytac_shapes.errors import DesignError
 
+import phytac_shapes
 from phytac_design.design.catalogue import shape_facts, shape_list, shape_page
+from phytac_shapes.errors import DesignError
 
 
 def test_every_family_has_its_line() -> None:

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
-from phytac_shapes.errors import DesignError
 from typer.testing import CliRunner
 
 from phytac_design.cli.app import app
+from phytac_shapes.errors import DesignError
 
 
 @pytest.mark.parametrize(

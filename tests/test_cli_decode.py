@@ -17,16 +17,16 @@ import cv2
 import numpy as np
 import pytest
 import typer
+from typer.testing import CliRunner
+
 from phytac_decoder.estimation.force_regions import Region
 from phytac_decoder.io import live_camera
 from phytac_decoder.io.bundle import save_bundle
 from phytac_decoder.serving.sensor_loop import Progress
-from phytac_shapes.arrays import ImageArray
-from phytac_shapes.errors import InputError, MissingPartError, OutputError, PhytacError
-from typer.testing import CliRunner
-
 from phytac_design.cli import decode_command
 from phytac_design.cli.decode_command import Teller, decode
+from phytac_shapes.arrays import ImageArray
+from phytac_shapes.errors import InputError, MissingPartError, OutputError, PhytacError
 from tests.decoder.toy_sensor import toy_bundle, toy_frame
 
 PRESSES: list[Mapping[int, float]] = [{}, {14: 3.0}, {14: 3.0, 15: 1.5, 29: 2.0}, {7: 2.0}]

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_decoder.io.bundle import load_bundle
-from phytac_shapes.errors import InputError
 
+from phytac_decoder.io.bundle import load_bundle
 from phytac_design.layout import make_markers
 from phytac_design.layout.region_chart import bundle_regions
 from phytac_design.stages.build import BuildResult
+from phytac_shapes.errors import InputError
 from tests.decoder.toy_sensor import toy_recording
 from tests.designs import small
 from tests.test_cli import PHYTAC, phytac

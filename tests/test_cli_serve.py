@@ -14,8 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from phytac_decoder.serving.wire_protocol import Splitter
 
+from phytac_decoder.serving.wire_protocol import Splitter
 from tests.decoder.toy_sensor import toy_recording
 from tests.test_cli import PHYTAC, phytac
 

@@ -8,8 +8,6 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from phytac_shapes.arrays import BoolArray, FloatArray
-from phytac_shapes.errors import InputError, NumericalError
 
 from phytac_design.datasets.samples import FAILED
 from phytac_design.training.cnn import CnnTrained, Lessons, parameter_count, train_cnn
@@ -20,6 +18,8 @@ from phytac_design.training.cnn_data import (
     read_frames,
     reduced,
 )
+from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import InputError, NumericalError
 from tests.decoder.drawn_samples import drawn
 
 WIDTH, HEIGHT = 32, 24

@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+
 from phytac_decoder.estimation.decode import measure_frame, rest_positions
 from phytac_decoder.estimation.estimators import ESTIMATORS
 from phytac_decoder.io.bundle import load_bundle
-from phytac_shapes import REGISTRY
-
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, graphics_libraries
 from phytac_design.mechanics.meshing.mesh import marker_mesh
-from phytac_design.rules import check_design
+from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
 from phytac_design.simulation.contacts import Contacts, switch_states
 from phytac_design.simulation.instance_shell import truth_shell
@@ -25,6 +24,7 @@ from phytac_design.simulation.response import motion_responses, superpose
 from phytac_design.stages.build import build
 from phytac_design.stages.frames import Pressed, shoot
 from phytac_design.stages.response import cell_radius_mm
+from phytac_shapes import REGISTRY
 from tests.designs import DRAWN, drawn
 
 FORCE_N = 15.0

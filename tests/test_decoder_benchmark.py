@@ -5,8 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_decoder.estimation.contact_estimates import Found
-from phytac_shapes.errors import OutputError
 
 from benchmarks import decoder_data
 from benchmarks.decoder_accuracy import Bench, bench
@@ -26,11 +24,13 @@ from benchmarks.decoder_rows import (
 )
 from benchmarks.decoder_shapes import add_rows_cycles
 from benchmarks.harness import Table
+from phytac_decoder.estimation.contact_estimates import Found
 from phytac_design.datasets.samples import FAILED, Samples
 from phytac_design.datasets.samples_writer import write_samples
 from phytac_design.simulation.bound import cell_prior
 from phytac_design.simulation.run.collect import meta_of
 from phytac_design.simulation.run.job import Job
+from phytac_shapes.errors import OutputError
 from tests.designs import small
 from tests.made_up import at, found_of
 

@@ -4,7 +4,6 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from phytac_shapes.errors import DesignError, OutputError
 
 from phytac_design.design.design_file import (
     assumptions,
@@ -16,6 +15,7 @@ from phytac_design.design.design_file import (
     write_new_design,
 )
 from phytac_design.design.spec import Design
+from phytac_shapes.errors import DesignError, OutputError
 from tests.designs import small
 
 MINIMAL = {"name": "a", "shape": {"kind": "cylinder", "diameter_outer_mm": 60, "length_mm": 120}}

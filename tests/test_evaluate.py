@@ -10,11 +10,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from phytac_decoder.estimation.estimators import ForceModel
-from phytac_decoder.io.bundle import Bundle, save_bundle
-from phytac_shapes.errors import DesignError, InputError, NumericalError, OutputError
 from typer.testing import CliRunner
 
+from phytac_decoder.estimation.estimators import ForceModel
+from phytac_decoder.io.bundle import Bundle, save_bundle
 from phytac_design.cli.app import app
 from phytac_design.datasets.samples import Meta, Samples
 from phytac_design.datasets.samples_writer import file_hash, write_samples
@@ -25,6 +24,7 @@ from phytac_design.training.evaluation.plots import decoded_against_true
 from phytac_design.training.join_datasets import join
 from phytac_design.training.training_data import DataSet
 from phytac_design.workflows.evaluate_decoder import TABLE, evaluate
+from phytac_shapes.errors import DesignError, InputError, NumericalError, OutputError
 from tests.decoder.toy_sensor import toy_bundle
 from tests.designs import small
 from tests.drawn_presses import meta_of, presses

@@ -7,19 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_decoder.io.bundle import load_bundle
-from phytac_shapes import Cone
-from phytac_shapes.errors import DesignError, NumericalError
 
+from phytac_decoder.io.bundle import load_bundle
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.scene import build_scene, paint_owner
-from phytac_design.rules import check_design
+from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
 from phytac_design.stages.build import build
 from phytac_design.stages.decoder import limits_of
+from phytac_shapes import Cone
+from phytac_shapes.errors import DesignError, NumericalError
 from tests.designs import of_shape
 from tests.fabrication.cases import scaled
 

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import SHAPE_MODELS
 from phytac_design.layout import NEIGHBOUR_STEPS, make_lattice, make_markers
 from phytac_design.layout.scattered import sector_neighbours
+from phytac_shapes.errors import DesignError
 from tests.designs import changed, small
 
 

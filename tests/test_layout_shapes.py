@@ -5,15 +5,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes import REGISTRY, Surface
-from phytac_shapes.errors import DesignError
 from scipy.spatial import cKDTree
 
 from phytac_design.design.design_file import load_design, parse_design, shipped_designs
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.arc import by_area
-from phytac_design.rules import check_design
+from phytac_design.rules.check import check_design
+from phytac_shapes import REGISTRY, Surface
+from phytac_shapes.errors import DesignError
 
 SHAPES: dict[str, dict[str, Any]] = {
     "cylinder": {"diameter_outer_mm": 60.0, "length_mm": 120.0},

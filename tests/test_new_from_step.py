@@ -6,11 +6,11 @@ from pathlib import Path
 import cadquery as cq
 import numpy as np
 import pytest
-from phytac_shapes.errors import InputError
 
 from phytac_design.design.design_file import load_design, write_new_design
 from phytac_design.rules.design_review import checkup
 from phytac_design.workflows.design_from_step import patch_changes
+from phytac_shapes.errors import InputError
 from tests.test_cli import phytac
 
 

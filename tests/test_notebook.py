@@ -8,14 +8,20 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
-import phytac_shapes
 import pytest
-from phytac_shapes.notebook_html import MARGIN, map_svg
 
+import phytac_shapes
+from phytac_design.core.notebook_html import MARGIN, map_svg
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.layout import make_markers
+from phytac_design.report.notebook import (
+    build_html,
+    chart_mm,
+    design_html,
+    markers_html,
+    surface_html,
+)
 from phytac_design.stages.build import BuildResult
-from phytac_design.studio.notebook import chart_mm
 from tests.designs import changed, drawn, small
 
 ROOT = Path(__file__).parents[1]
@@ -56,7 +62,7 @@ class Page(HTMLParser):
 def test_designs_show_every_marker_in_its_paint(name: str) -> None:
     design = load_design(name)
     markers = make_markers(design, design.surface())
-    page = Page(design._repr_html_())
+    page = Page(design_html(design))
     discs = page.all("circle")
     assert len(discs) == markers.count
     paints = {item["fill"] for item in discs}
@@ -73,21 +79,21 @@ def test_designs_show_every_marker_in_its_paint(name: str) -> None:
 
 
 def test_a_design_shows_its_figures() -> None:
-    text = Page(load_design("cylinder60")._repr_html_()).text
+    text = Page(design_html(load_design("cylinder60"))).text
     for figure in ("226.2 cm²", "368 markers in 23 rows", "0.5 to 11.5 mm", "1.63 /cm²", "0.5 N"):
         assert figure in text
 
 
 def test_a_design_without_a_layout_says_why() -> None:
     design = changed("plane", layout={"kind": "spiral"})
-    page = Page(design._repr_html_())
+    page = Page(design_html(design))
     assert "a spiral needs a surface that closes around" in page.text
     assert page.all("svg") == []
 
 
 def test_text_of_the_reader_is_escaped() -> None:
     design = small(name="a-b", description="<b>&")
-    assert "<b>&" not in design._repr_html_()
+    assert "<b>&" not in design_html(design)
     marker = map_svg([np.eye(2)], "<i>", points=np.eye(2), names=["<script>", "a & b"])
     assert "<script>" not in marker
     assert 'aria-label="&lt;i&gt;"' in marker
@@ -96,7 +102,7 @@ def test_text_of_the_reader_is_escaped() -> None:
 @pytest.mark.parametrize("kind", sorted(phytac_shapes.REGISTRY))
 def test_surfaces_show_their_facts_and_chart(kind: str) -> None:
     surface = drawn(kind, 3).surface()
-    page = Page(surface._repr_html_())
+    page = Page(surface_html(surface))
     assert "area_outer_mm2" in page.text
     lines = page.all("polyline")
     assert len(lines) == 4 + 2 * 7
@@ -119,11 +125,11 @@ def test_markers_alone_are_drawn_to_scale() -> None:
     # are chords, which the fit takes for lengths.
     assert np.allclose(flat[:, 1], markers.uv[:, 0], rtol=0.01)
     assert np.allclose(flat[:, 0], 29.6 * markers.uv[:, 1], rtol=0.02)
-    assert len(Page(markers._repr_html_()).all("circle")) == 368
+    assert len(Page(markers_html(markers)).all("circle")) == 368
 
 
 def test_builds_show_their_files(built: BuildResult) -> None:
-    page = Page(built._repr_html_())
+    page = Page(build_html(built))
     assert "report/report.html, shell/shell.stl" in page.text
     assert "112 markers" in str([item["aria-label"] for item in page.all("svg")])
     assert "hidden, fused0, 0" in page.text
@@ -132,13 +138,17 @@ def test_builds_show_their_files(built: BuildResult) -> None:
 def test_nothing_heavy_is_imported_for_it() -> None:
     code = (
         "import sys\nfrom phytac_design.design.design_file import load_design\n"
-        "load_design('cylinder40')._repr_html_()\n"
+        "from phytac_design.report.notebook import design_html\n"
+        "design_html(load_design('cylinder40'))\n"
         "heavy = {'matplotlib', 'cadquery', 'torch', 'pyrender', 'IPython'}\n"
         "print(sorted(heavy & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-    code = "import sys, shapes, phytac_design.design.spec\nprint('phytac_design.studio.notebook' in sys.modules)"
+    code = (
+        "import sys, phytac_shapes, phytac_design.design.spec\n"
+        "print('phytac_design.report.notebook' in sys.modules)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 

@@ -10,16 +10,16 @@ import numpy as np
 import onnx
 import pytest
 from onnx.reference import ReferenceEvaluator
-from phytac_decoder.estimation.cascade_network import CascadeNetwork, parameter_count
-from phytac_decoder.io.bundle import load_bundle, save_bundle
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import InputError, NumericalError, OutputError
 from typer.testing import CliRunner
 
+from phytac_decoder.estimation.cascade_network import CascadeNetwork, parameter_count
+from phytac_decoder.io.bundle import load_bundle, save_bundle
 from phytac_design.cli.app import app
 from phytac_design.training import onnx_export
 from phytac_design.training.onnx_export import export_onnx
 from phytac_design.training.training_data import bundle_hash
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import InputError, NumericalError, OutputError
 from tests.decoder.toy_sensor import toy_bundle
 
 NAMES = {"fem_nn": "rectified", "fem_nn_identity": "identity"}

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.force_regions import Region
 from phytac_decoder.estimation.frame_reading import Reading
 from phytac_decoder.serving.csv_recording import COLUMNS, Recorder, RegionRecorder
 from phytac_decoder.serving.wire_protocol import Messages
-from phytac_shapes.errors import InputError, OutputError
-
 from phytac_design.core.parquet_recording import to_parquet
+from phytac_shapes.errors import InputError, OutputError
 from tests.decoder.toy_sensor import toy_bundle
 from tests.test_cli import phytac
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from benchmarks import twin
 from benchmarks.referee import check
@@ -23,6 +22,7 @@ from benchmarks.referee.contacts import (
 from benchmarks.referee.read import LEAST, STEPS, Solved, data_file, read_solved, write_solved
 from benchmarks.referee.solve import Sensor, input_key, sensor, sizes_for
 from phytac_design.simulation.instance_shell import truth_shell
+from phytac_shapes.errors import DesignError
 
 SIDE_N = 0.02
 """Resultant beside the normal, of the force: of holes and rims that a disc meets off its middle."""

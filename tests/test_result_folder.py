@@ -5,9 +5,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-from phytac_shapes.errors import OutputError
 
 from phytac_design.training.result_folder import written
+from phytac_shapes.errors import OutputError
 
 
 @pytest.mark.parametrize("fails_at", [1, 2, 3])

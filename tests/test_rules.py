@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from phytac_shapes.errors import DesignError
 
 from phytac_design.layout import make_markers
 from phytac_design.layout.receptor_distances import (
@@ -15,7 +14,8 @@ from phytac_design.layout.receptor_distances import (
     segment_distance_mm,
     smallest_receptor_gap_mm,
 )
-from phytac_design.rules import check_design
+from phytac_design.rules.check import check_design
+from phytac_shapes.errors import DesignError
 from tests.fabrication.cases import built, design, shipped
 
 Sections = dict[str, dict[str, Any]]

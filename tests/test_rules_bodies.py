@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.overlaps import distance_mm, tube_overlaps_mm, within
@@ -15,6 +13,8 @@ from phytac_design.layout import make_markers
 from phytac_design.optics.fixture_bodies import fixture_mesh
 from phytac_design.rules.bodies import wall_overlap_mm
 from phytac_design.rules.check import check_design
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 from tests.designs import of_shape
 from tests.optics.cases import make_design
 

@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.design_file import parse_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.receptor_distances import smallest_receptor_gap_mm
-from phytac_design.rules import check_design
+from phytac_design.rules.check import check_design
 from phytac_design.rules.receptor_spacing import edge_distance_mm
 from phytac_design.solids.receptor_tubes import receptor_axes
+from phytac_shapes.errors import DesignError
 from tests.test_layout_shapes import SHAPES, designed
 
 BOX: dict[str, Any] = {"width_mm": 50.0, "depth_mm": 50.0, "length_mm": 90.0, "edge_radius_mm": 4.0}

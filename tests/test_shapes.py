@@ -3,10 +3,11 @@
 from collections.abc import Callable
 
 import numpy as np
-import phytac_shapes
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+
+import phytac_shapes
 from phytac_shapes.errors import DesignError
 
 seeds = st.integers(0, 2**32 - 1)

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.layout import clearance_mm, make_markers, sight_heights_mm, with_heights
 from phytac_design.layout.cameras import camera_of, tolerance_mm
@@ -14,6 +13,7 @@ from phytac_design.layout.line_of_sight import clearance_under_load_mm, pressed_
 from phytac_design.optics.loaded_visibility import sight
 from phytac_design.optics.scene import build_scene
 from phytac_design.optics.visibility import check_visibility
+from phytac_shapes.errors import DesignError
 from tests.designs import changed
 
 DENSE: dict[str, Any] = {

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.layout import Markers, clearance_mm, make_markers, sight_heights_mm, with_heights
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.layout.line_of_sight import clearance_under_load_mm, nearest_eye
 from phytac_design.optics.visibility import best_of, check_visibility
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 from tests.designs import changed
 from tests.test_sight import BASE, DENSE, dents
 

@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_decoder.estimation.decode import read_image
-from phytac_shapes.errors import DesignError, OutputError
 from typer.testing import CliRunner
 
+from phytac_decoder.estimation.decode import read_image
 from phytac_design.cli.app import app
 from phytac_design.datasets.samples import STATUSES, Samples
 from phytac_design.datasets.samples_reader import read_samples
@@ -28,6 +27,7 @@ from phytac_design.simulation.run.journal import WORK, Journal
 from phytac_design.simulation.scenario.file import Scenario, load_scenario, parse_scenario
 from phytac_design.stages.build import copy_of
 from phytac_design.workflows.simulate import Result, eyes_of, simulate
+from phytac_shapes.errors import DesignError, OutputError
 from tests.designs import small
 
 SMALL = small(

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from phytac_decoder.io.bundle import load_bundle
 from pydantic import BaseModel
 
+from phytac_decoder.io.bundle import load_bundle
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import design_hash, load_design
 from phytac_design.design.field_groups import COLOURS, FEET, HEIGHTS, fields_of, values_of

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_decoder.estimation.cascade_network import ACTIVATIONS, CascadeNetwork, parameter_count
-from phytac_decoder.io.bundle import load_bundle, save_bundle
-from phytac_shapes.errors import DesignError, InputError, OutputError
 from typer.testing import CliRunner
 
+from phytac_decoder.estimation.cascade_network import ACTIVATIONS, CascadeNetwork, parameter_count
+from phytac_decoder.io.bundle import load_bundle, save_bundle
 from phytac_design.cli.app import app
 from phytac_design.datasets.samples import Samples, inputs_alone, key_nodes
 from phytac_design.datasets.samples_writer import write_samples
@@ -24,6 +23,7 @@ from phytac_design.training.join_datasets import join, pick
 from phytac_design.training.levenberg_marquardt import KeyNodeData, _Cascade, train_network
 from phytac_design.training.training_data import SHARES, DataSet, read_sets, share_out
 from phytac_design.workflows.train_decoder import MECHANICS, TABLE, train
+from phytac_shapes.errors import DesignError, InputError, OutputError
 from tests.decoder.drawn_samples import assert_same, drawn
 from tests.designs import small
 from tests.drawn_presses import meta_of, presses

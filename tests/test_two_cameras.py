@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_decoder.estimation.decode import Frames, measure_frame, read_image, rest_positions
-from phytac_decoder.io.bundle import Bundle, load_bundle
-from phytac_shapes.errors import InputError
 from typer.testing import CliRunner
 
+from phytac_decoder.estimation.decode import Frames, measure_frame, read_image, rest_positions
+from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_design.cli.app import app
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
 from phytac_design.stages.build import build
 from phytac_design.stages.frames import Pressed, press, shoot
+from phytac_shapes.errors import InputError
 from tests.designs import of_shape
 
 SHAPE = {"diameter_outer_mm": 34.0, "length_mm": 44.0}

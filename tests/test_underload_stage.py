@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.accuracy import PRESETS, Accuracy
 from phytac_design.design.spec import Design
@@ -22,6 +21,7 @@ from phytac_design.stages.loaded_views import (
     run_underload,
     see_pressed,
 )
+from phytac_shapes.arrays import FloatArray
 from tests.designs import small
 
 

@@ -72,7 +72,7 @@ import phytac_design, shapes, decoder
 assert all(room.__file__.startswith(sys.argv[1]) for room in (phytac_design, shapes, decoder))
 from phytac_design.rules.design_review import checkup
 from phytac_design.design.design_file import load_design, shipped_designs
-from phytac_design.rules import check_design
+from phytac_design.rules.check import check_design
 from phytac_design.design.scene import load_scene
 from phytac_design.study.search.file import load_study
 from phytac_design.simulation.scenario.file import load_scenario

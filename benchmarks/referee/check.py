@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from benchmarks.referee.contacts import DATA, Contact
 from benchmarks.referee.read import Solved
@@ -23,6 +22,7 @@ from phytac_design.mechanics.shell import receptor_stiffness as rc
 from phytac_design.mechanics.solid.cell import Cell, cell_stiffness, ratio
 from phytac_design.mechanics.solid.part import AS_TABLES, PartSizes
 from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes
+from phytac_shapes.arrays import FloatArray
 
 FILE = DATA / "checks.json"
 DESIGN, MARKER = "cylinder60", 184

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from benchmarks.referee.contacts import DATA, Contact
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 SCHEMA = 1
 LEAST = 1e-3

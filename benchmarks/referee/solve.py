@@ -20,9 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError, PhytacError
 
 import phytac_design.mechanics.solid as solid_package
 from benchmarks.referee.contacts import COUNTS, Contact, load_contacts
@@ -40,6 +37,9 @@ from phytac_design.mechanics.solid.solid_writers import (
     write_solid_inp,
 )
 from phytac_design.mechanics.solid.tips import tips_motion, tips_turn
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError, PhytacError
 
 RULES = 1
 """Raise it when a change of this script makes solved contacts void."""

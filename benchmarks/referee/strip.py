@@ -5,11 +5,11 @@ stiffer than any shell within a few thicknesses. This says by how much, apart fr
 """
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import splu
 
 from benchmarks.harness import Table
+from phytac_shapes.arrays import FloatArray, IntArray
 
 E_MPA, NU = 2200.0, 0.38
 THICKNESS_MM, LENGTH_MM = 0.8, 8.0

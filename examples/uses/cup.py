@@ -17,15 +17,15 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib import pyplot as plt
-from phytac_decoder.serving.wire_protocol import Message
-from phytac_shapes.arrays import FloatArray
 from recorded import Handle, hand, handle, messages_of, moving, read, words
 
+from phytac_decoder.serving.wire_protocol import Message
 from phytac_design.mechanics.shell.footprints import touch_shares
 from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.scenario.history import switch_through
 from phytac_design.simulation.solver import Solver
 from phytac_design.workflows.simulate import eyes_of
+from phytac_shapes.arrays import FloatArray
 
 FPS = 60.0
 G_N_KG, FRICTION = 9.81, 0.35

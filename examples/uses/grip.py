@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib import pyplot as plt
-from phytac_shapes.arrays import FloatArray
 from recorded import decode, hand, handle, moving, press, quick_of, record, region_forces, words
+
+from phytac_shapes.arrays import FloatArray
 
 SHARES = np.array([1.6, 1.0, 1.0, 0.8, 0.6])
 """Thumb to little finger, of a grip's force."""

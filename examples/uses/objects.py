@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib import pyplot as plt
-from phytac_shapes.arrays import FloatArray
 from recorded import decode, hand, handle, moving, press, quick_of, record, words
+
+from phytac_shapes.arrays import FloatArray
 
 FPS = 30.0
 SHARES = np.array([1.6, 1.0, 1.0, 0.8, 0.6]) / 5.0

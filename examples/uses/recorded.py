@@ -12,6 +12,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+
 from phytac_decoder.estimation.decode import Measured
 from phytac_decoder.estimation.force_regions import Region, load_regions
 from phytac_decoder.estimation.frame_reading import Reading
@@ -19,8 +20,6 @@ from phytac_decoder.estimation.frame_reading import read as read_measured
 from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_decoder.serving.csv_recording import Recorder, RegionRecorder
 from phytac_decoder.serving.wire_protocol import Message, Messages
-from phytac_shapes.arrays import BoolArray, FloatArray
-
 from phytac_design.datasets.samples import FAILED, Samples
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.design.design_file import load_design
@@ -31,6 +30,7 @@ from phytac_design.simulation.scenario.file import Scenario, load_scenario, pars
 from phytac_design.simulation.scenario.hands import hand_of
 from phytac_design.stages.build import build
 from phytac_design.workflows.simulate import simulate
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 mpl.use("Agg")
 HERE = Path(__file__).parent

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib import pyplot as plt
-from phytac_shapes.arrays import FloatArray
 from recorded import decode, hand, handle, moving, press, quick_of, record, region_forces, words
+
+from phytac_shapes.arrays import FloatArray
 
 FPS = 480.0
 SECONDS = 0.2

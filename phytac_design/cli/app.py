@@ -12,8 +12,6 @@ import typer
 # times slower on two.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from phytac_shapes.errors import DesignError, PhytacError
-
 from phytac_design.cli import (
     advise_command,
     build_command,
@@ -35,6 +33,7 @@ from phytac_design.cli import (
     train_command,
 )
 from phytac_design.cli.options import DesignArgument, JsonOption, SeedOption, say
+from phytac_shapes.errors import DesignError, PhytacError
 
 app = typer.Typer(
     add_completion=False,

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from phytac_shapes.errors import DesignError
 
 from phytac_design.cli.options import JsonOption, Preset, SeedOption, say
+from phytac_shapes.errors import DesignError
 
 
 def build(

@@ -5,9 +5,9 @@ import re
 from typing import Annotated
 
 import typer
-from phytac_shapes.errors import DesignError
 
 from phytac_design.cli.options import JsonOption, say
+from phytac_shapes.errors import DesignError
 
 UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 

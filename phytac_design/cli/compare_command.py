@@ -21,10 +21,9 @@ def compare(
     as_json: JsonOption = False,
 ) -> None:
     """Put builds side by side: key figures, what differs in their designs, maps and shells."""
-    from phytac_shapes.errors import InputError, OutputError
-
     from phytac_design.report.builds import read_builds
     from phytac_design.report.compare import compare_page, comparison
+    from phytac_shapes.errors import InputError, OutputError
 
     if len(folders) < FEWEST:
         raise InputError(

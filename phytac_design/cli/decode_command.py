@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from phytac_shapes.errors import InputError, OutputError
 
 from phytac_design.cli.options import JsonOption, say
 from phytac_design.cli.serve_command import (
@@ -26,6 +25,7 @@ from phytac_design.cli.serve_command import (
     open_recorders,
     rest_images,
 )
+from phytac_shapes.errors import InputError, OutputError
 
 if TYPE_CHECKING:
     from phytac_decoder.estimation.force_regions import Region

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from phytac_shapes.errors import InputError
 
 from phytac_design.cli.options import JsonOption
+from phytac_shapes.errors import InputError
 
 
 def export_onnx(

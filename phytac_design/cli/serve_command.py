@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from phytac_shapes.arrays import ImageArray
-from phytac_shapes.errors import InputError, OutputError
 
 from phytac_design.cli.console_reporter import Reports
 from phytac_design.cli.options import say
+from phytac_shapes.arrays import ImageArray
+from phytac_shapes.errors import InputError, OutputError
 
 if TYPE_CHECKING:
     from phytac_decoder.estimation.force_regions import Region

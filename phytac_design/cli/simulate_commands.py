@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from phytac_shapes.errors import DesignError
 
 from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, say
+from phytac_shapes.errors import DesignError
 
 REASONS = 5
 """Reasons that are told at the end."""

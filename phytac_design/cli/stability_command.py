@@ -28,10 +28,9 @@ def stability(
     as_json: JsonOption = False,
 ) -> None:
     """Try every room at its extremes: each case right, refused in words, or wrong."""
-    from phytac_shapes.errors import OutputError
-
     from phytac_design.study.stability.run import choose, run
     from phytac_design.study.stability.table import page
+    from phytac_shapes.errors import OutputError
 
     chosen = choose(room=room, shape=shape, count=cases, seed=seed)
     report = run(chosen, workers=workers, seed=seed, out=out, progress=say)

@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from phytac_shapes.errors import MissingPartError
 
 from phytac_design.cli.options import say
+from phytac_shapes.errors import MissingPartError
 
 
 def studio(

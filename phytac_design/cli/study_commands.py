@@ -85,12 +85,11 @@ def _run(
     *,
     as_json: bool,
 ) -> None:
-    from phytac_shapes.errors import DesignError
-
     from phytac_design.study.search.drive import run_study
     from phytac_design.study.search.file import load_study
     from phytac_design.study.search.report import read_results, summary, write_page
     from phytac_design.study.search.space import make_space
+    from phytac_shapes.errors import DesignError
 
     study, folder = load_study(name)
     given = {"candidates": candidates, "seconds": seconds}

@@ -76,8 +76,6 @@ def build_within(
     """
     from typing import get_args
 
-    from phytac_shapes.errors import DesignError
-
     from phytac_design.study.tradeoff.build_to import (
         AUDIT,
         audit_lines,
@@ -86,6 +84,7 @@ def build_within(
         read_tolerance,
     )
     from phytac_design.study.tradeoff.knobs import Quantity
+    from phytac_shapes.errors import DesignError
 
     known = {name: name for name in get_args(Quantity) if name != "score"}
     if tolerance_of not in known:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+
 from phytac_decoder.estimation.cascade_network import network_features
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes.errors import InputError
 
 from phytac_design.datasets.samples import FAILED, INDENTERS, STATUSES, THEORIES
+from phytac_shapes.errors import InputError
 
 MISSING = -(2**15)
 """Stored for a shift of a marker that was not found."""

@@ -14,8 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes.bounded_reader import read_bytes, read_text
-from phytac_shapes.errors import InputError, cause_of
 
 from phytac_design.datasets.samples import (
     INDENTERS,
@@ -50,6 +48,8 @@ from phytac_design.datasets.samples_writer import (
     file_hash,
     table_hash,
 )
+from phytac_shapes.bounded_reader import read_bytes, read_text
+from phytac_shapes.errors import InputError, cause_of
 
 TABLE_BYTES_MAX = 2**28
 BYTES_MAX = 2**34

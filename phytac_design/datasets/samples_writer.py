@@ -16,8 +16,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import InputError, OutputError
 
 from phytac_design.datasets.samples import INDENTERS, STATUSES, THEORIES, Meta, Samples
 from phytac_design.datasets.samples_check import (
@@ -29,6 +27,8 @@ from phytac_design.datasets.samples_check import (
     names_of,
     shape_of,
 )
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import InputError, OutputError
 
 FORMAT, SCHEMA = "phytac-dataset", (1, 0)
 TABLE, FILE, FRAMES = "dataset.json", "samples.npz", "frames"

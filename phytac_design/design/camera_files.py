@@ -10,6 +10,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 import yaml
+
 from phytac_decoder.camera.lens import LENSES, Lens
 from phytac_shapes.bounded_reader import read_text
 from phytac_shapes.errors import DesignError, InputError, OutputError, cause_of

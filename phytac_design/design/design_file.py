@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import tomlkit
-from phytac_shapes.bounded_reader import joined, read_text, toml_table
-from phytac_shapes.errors import DesignError, OutputError
 from pydantic import BaseModel, ValidationError
 from tomlkit.items import AoT, Table
 
 from phytac_design.design.fixture_table import BoxFixture, CylinderFixture, MeshFixture
 from phytac_design.design.regions_table import RegionSection
 from phytac_design.design.spec import SHAPE_MODELS, Design
+from phytac_shapes.bounded_reader import joined, read_text, toml_table
+from phytac_shapes.errors import DesignError, OutputError
 
 SHOWN = 120
 """Characters of a refused value that its message shows."""

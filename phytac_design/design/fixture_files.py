@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.bounded_reader import read_bytes
 from phytac_shapes.errors import DesignError

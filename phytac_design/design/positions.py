@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from phytac_shapes.bounded_reader import read_text
 from phytac_shapes.errors import DesignError
 

@@ -7,11 +7,11 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 
-from phytac_shapes.bounded_reader import joined, read_text, toml_table
-from phytac_shapes.errors import DesignError
 from pydantic import Field, ValidationError, model_validator
 
 from phytac_design.design.base_table import Section
+from phytac_shapes.bounded_reader import joined, read_text, toml_table
+from phytac_shapes.errors import DesignError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

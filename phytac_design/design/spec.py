@@ -3,12 +3,10 @@
 from dataclasses import MISSING, fields
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
 
-import phytac_shapes
-from phytac_decoder.camera.lens import LENSES, Lens
-from phytac_shapes import Surface
-from phytac_shapes.errors import DesignError
 from pydantic import Field, ValidationInfo, create_model, model_validator
 
+import phytac_shapes
+from phytac_decoder.camera.lens import LENSES, Lens
 from phytac_design.design.base_table import Section, assumed
 from phytac_design.design.documents_table import BenchSection, KitSection
 from phytac_design.design.fixture_table import FIXTURES_MAX, AnyFixture
@@ -17,6 +15,8 @@ from phytac_design.design.layout_table import LayoutSection, ReceptorSection
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.design.regions_table import TABLES_MAX, RegionSection
 from phytac_design.design.switch_table import MoldSection, SwitchSection
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError
 
 PIXELS_MAX = 64_000_000
 """Largest image that is rendered and segmented (about 3 GB of working memory)."""
@@ -288,26 +288,9 @@ class Design(Section):
     fixtures: tuple[AnyFixture, ...] = Field((), max_length=FIXTURES_MAX)
     """Bodies that the camera sees and that can hide markers: `cylinder`, `box` or `mesh` (STL)."""
 
-    @model_validator(mode="after")
-    def _regions_hold_markers(self) -> Self:
-        if self.regions:
-            from phytac_design.layout.region_chart import design_regions
-
-            try:
-                design_regions(self)
-            except DesignError as error:
-                raise ValueError(str(error)) from None
-        return self
-
     def surface(self) -> Surface:
         """Build the sensing surface."""
         return self.shape.surface()
-
-    def _repr_html_(self) -> str:
-        """Key figures and marker map, for notebooks."""
-        from phytac_design.studio.notebook import design_html
-
-        return design_html(self)
 
 
 __all__ = ["Design", "DesignError", "Section"]

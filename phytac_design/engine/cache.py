@@ -40,9 +40,8 @@ def cache_root() -> Path:
 def code_hash() -> str:
     """Hash of the project's own source: a changed program makes new results."""
     import phytac_decoder
-    import phytac_shapes
-
     import phytac_design
+    import phytac_shapes
 
     digest = sha256()
     for package in (phytac_shapes, phytac_decoder, phytac_design):

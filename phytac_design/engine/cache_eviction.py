@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 
-from phytac_shapes.errors import DesignError
-
 from phytac_design.engine.cache import (
     LOCK,
     RECORD,
@@ -21,6 +19,7 @@ from phytac_design.engine.cache import (
     record,
     same_file,
 )
+from phytac_shapes.errors import DesignError
 
 LIMIT_GB = 10.0
 """Size that a build leaves the cache at most, unless ``$PHYTAC_CACHE_GB`` says another."""

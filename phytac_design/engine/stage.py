@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
 
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.field_groups import values_of
@@ -18,6 +17,7 @@ from phytac_design.design.scene import CURRENT, Scene
 from phytac_design.design.spec import Design
 from phytac_design.engine.cache import record as cache_record
 from phytac_design.layout import Markers, make_markers
+from phytac_shapes import Surface
 
 EXPORT = "export"
 """Files below this folder of a result are the user's; the rest is for later stages."""

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.triangles import TriangleMesh, sides_for, widening
 from phytac_design.layout import Markers
 from phytac_design.mechanics.switch.bowl import Bowl, walls
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
 
 LENGTH_STEP_mm = 0.1
 """Stems are made in steps of this, well below what printers and glue repeat."""

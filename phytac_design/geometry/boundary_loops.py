@@ -14,6 +14,7 @@ plane::
 from dataclasses import dataclass
 
 import numpy as np
+
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError

@@ -1,13 +1,13 @@
 """The fixed parts around the receptors: inner face of the shell, rims, light bar."""
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.boundary_loops import Loop, chart_loops
 from phytac_design.geometry.strips import Mesh, cylinder_mesh, empty_mesh, grid_mesh, joined
 from phytac_design.geometry.wall_sampling import untwisted
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 DIVISIONS_MAX = 4096
 BAR_RAYS = 12

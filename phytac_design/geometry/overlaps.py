@@ -1,9 +1,9 @@
 """Exact overlaps of tubes, points and triangles; arrays run over things first."""
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from phytac_design.geometry.strips import Mesh
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 PAIRS_MAX = 2_000_000
 """Pairs that are worked on at once."""

@@ -7,11 +7,11 @@ intersection*, 1997); edges count as hit, so that no ray slips between two trian
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
 from scipy.spatial import ConvexHull
 
 from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.geometry.triangles import TriangleMesh
+from phytac_shapes.arrays import FloatArray, IntArray
 
 LEAF = 6
 """Most triangles of a box that is not halved again."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from phytac_shapes.arrays import FloatArray
 
 MOST_ALONG = 0.9

@@ -1,11 +1,11 @@
 """Where a wall is sampled: as few chart stations as keep its facets within a tolerance."""
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray
 
 from phytac_design.design.spec import WallSection
 from phytac_design.geometry.boundary_loops import check_topology, conormals
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 STATIONS_MIN = 24
 """Least stations of a closed direction."""

@@ -1,6 +1,7 @@
 """Lengths and areas along a chart, and their inverses."""
 
 import numpy as np
+
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 

@@ -6,12 +6,12 @@ press of the sensor says what they are at a force.
 """
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.spec import Design
 from phytac_design.layout.markers import Markers
 from phytac_design.layout.worst_places import press_places
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 DENTS = 40
 """Dents at most, spread over the surface."""

@@ -1,12 +1,12 @@
 """How tall receptors are, and where they point."""
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout.arc import along_u
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
 LEAN_MAX = np.cos(np.radians(60.0))
 """Cosine of the most that a receptor may lean from the wall's normal."""

@@ -1,13 +1,13 @@
 """Rows and columns: spirals and straight grids through the surface's own metric."""
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout.arc import along_u
 from phytac_design.layout.markers import NEIGHBOUR_STEPS, Lattice
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 
 def row_shares(rows: int, exponent: float) -> FloatArray:

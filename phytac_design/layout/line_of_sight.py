@@ -27,11 +27,11 @@ one. (By less than ``LOAD_TOL_mm``; the heights are then near to the least, not 
 from dataclasses import replace
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout.markers import Markers
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 DIRECTIONS = 64
 """Directions in the picture along which outlines are kept apart; few make gaps too small."""

@@ -3,9 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout.dents import dent_motions
@@ -19,6 +16,9 @@ from phytac_design.layout.scattered import (
     sector_neighbours,
     spread_colours,
 )
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 
 def make_markers(

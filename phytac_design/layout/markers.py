@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray, IntArray
 
 NEIGHBOUR_STEPS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
@@ -85,12 +86,6 @@ class Markers:
     def in_rows(self) -> bool:
         """Whether rows and columns say where a marker is."""
         return self.lattice is not None or len(np.unique(self.row)) < self.count
-
-    def _repr_html_(self) -> str:
-        """Key figures and map, for notebooks."""
-        from phytac_design.studio.notebook import markers_html
-
-        return markers_html(self)
 
     def name(self, marker: int) -> str:
         """Name of a marker in messages: ``(row 3, column 4)`` or its number."""

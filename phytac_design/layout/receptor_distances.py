@@ -1,11 +1,11 @@
 """How near receptors come to each other: distances of segments, searched by trees."""
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
 from scipy.spatial import cKDTree
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
+from phytac_shapes.arrays import FloatArray, IntArray
 
 
 def smallest_receptor_gap_mm(

@@ -3,14 +3,14 @@
 from pathlib import Path
 
 import numpy as np
+
 from phytac_decoder.estimation.force_regions import Chart, Region, load_regions, regions_of
 from phytac_decoder.io.bundle import Bundle
-from phytac_shapes import Surface
-from phytac_shapes.errors import DesignError, InputError
-
 from phytac_design.design.design_file import design_hash, load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError, InputError
 
 
 def chart_of(surface: Surface, markers: Markers) -> Chart:
@@ -41,7 +41,9 @@ def design_regions(design: Design) -> tuple[Region, ...]:
     DesignError
         If one holds no marker, or is no region of this surface.
     """
-    # Heights do not matter, and some are dear to find.
+    if not design.regions:
+        return ()
+    # Heights do not matter here, and line-of-sight heights are slow to find.
     plain = design.layout.model_copy(update={"heights": "linear"})
     surface = design.surface()
     markers = make_markers(design.model_copy(update={"layout": plain}), surface)

@@ -1,14 +1,14 @@
 """Layouts without rows: by the golden angle, or where the user says; colours and neighbours."""
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 from scipy.spatial import cKDTree
 
 from phytac_design.design.spec import Design
 from phytac_design.layout.arc import by_area
 from phytac_design.layout.markers import NEIGHBOUR_STEPS
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 GOLDEN = (3.0 - np.sqrt(5.0)) / 2.0
 """The golden angle as a share of a full turn (137.5°)."""

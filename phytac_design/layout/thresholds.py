@@ -1,11 +1,11 @@
 """The threshold of each marker's switch: the design's, or that of the region it lies in."""
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout.markers import Markers
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
 
 def thresholds_N(design: Design, markers: Markers) -> FloatArray:

@@ -1,10 +1,10 @@
 """Where to press a sensor to find its worst case."""
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.layout.markers import Markers
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 SAME_mm = 1e-6
 """Places this near to each other are one."""

@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+
 from phytac_shapes.arrays import FloatArray
 
 NEAR_MM = 1e-3

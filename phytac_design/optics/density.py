@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
 from scipy.spatial import cKDTree
 
 from phytac_design.layout import Markers
 from phytac_design.layout.arc import area_elements
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
 
 ALIGNED = 0.05
 """Sine of the angle (about 3 degrees) within which a surface counts as parallel."""

@@ -11,13 +11,13 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Lens
-from phytac_shapes.arrays import FloatArray
-
 from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.optics.rays import pixel_rays
 from phytac_design.optics.zbuffer import View
+from phytac_shapes.arrays import FloatArray
 
 BULGE_PX = 1.5
 RIM_PX = 16.0

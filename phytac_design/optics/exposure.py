@@ -11,10 +11,8 @@ from functools import cache
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, ImageArray
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
@@ -27,6 +25,8 @@ from phytac_design.optics.frame import (
 from phytac_design.optics.paint import to_linear, to_srgb
 from phytac_design.optics.scene import Scene
 from phytac_design.optics.sharpness import sharpness
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, ImageArray
 
 WAVELENGTH_um = 0.55
 """Green light, the middle of what colour cameras see."""

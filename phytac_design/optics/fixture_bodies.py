@@ -1,10 +1,10 @@
 """Bodies of a design's fixtures as triangles."""
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.fixture_table import AnyFixture, BoxFixture, CylinderFixture
 from phytac_design.geometry.strips import Mesh, cylinder_mesh
+from phytac_shapes.arrays import FloatArray
 
 FACES = np.array(
     [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]

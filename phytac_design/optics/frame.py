@@ -8,10 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Perspective, Pinhole
-from phytac_shapes.arrays import FloatArray, ImageArray
-
 from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.optics.light import triangle_light
 from phytac_design.optics.paint import BACKGROUND, to_linear, to_srgb
@@ -19,6 +18,7 @@ from phytac_design.optics.raster import project_scene
 from phytac_design.optics.rays import ray_grid
 from phytac_design.optics.scene import Scene
 from phytac_design.optics.zbuffer import View, fill
+from phytac_shapes.arrays import FloatArray, ImageArray
 
 BAND_ROWS = 128
 VIEWS_LEAST = 6

@@ -2,9 +2,9 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.core.kernels import in_bands, kernel
+from phytac_shapes.arrays import FloatArray, IntArray
 
 
 def marker_gaps(

@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes.arrays import FloatArray, IntArray
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.optics.raster import (
     all_pieces,
@@ -22,6 +21,7 @@ from phytac_design.optics.raster import (
 )
 from phytac_design.optics.scene import FIRST_MARKER, SHELL, Scene
 from phytac_design.optics.zbuffer import View, fill
+from phytac_shapes.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,13 +3,13 @@
 from typing import Any
 
 import numpy as np
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes import Surface
-from phytac_shapes.arrays import IntArray
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.optics.sharpness import DIRECTIONS, sharpness
+from phytac_shapes import Surface
+from phytac_shapes.arrays import IntArray
 
 BANDS = 8
 """Groups by number, of markers that are not in rows."""

@@ -14,12 +14,12 @@ sine of the angle to it, so that from z_0 to z_1 a point at distance r from it, 
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes.arrays import FloatArray
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.optics.paint import BAR, FIXTURE, PAINTS, RESIN, to_linear
 from phytac_design.optics.scene import BAR as BAR_CODE
 from phytac_design.optics.scene import FIRST_FIXTURE, FIRST_MARKER, Scene, paint_owner, red_owner
+from phytac_shapes.arrays import FloatArray
 
 EVEN, FROM_CAMERA, FROM_AXIS = 0.4, 0.35, 0.25
 """Shares of the light: from everywhere, from the camera's side, from the bar."""

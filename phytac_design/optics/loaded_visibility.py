@@ -17,13 +17,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.optics.gaps import outline_gaps
 from phytac_design.optics.incremental_renderer import Glance, Watch
 from phytac_design.optics.scene import Scene
 from phytac_design.optics.visibility import FRACTION_MIN, PIXELS_MIN
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 FUSED_PX = 2.0
 """Markers of one colour this near (one free pixel or none) count as fused under load."""

@@ -1,13 +1,13 @@
 """What hides a marker: the part that most of its missing pixels show."""
 
 import numpy as np
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes.arrays import IntArray
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.optics.raster import Buffers, marker_windows, pieces_by_marker, project_scene
 from phytac_design.optics.scene import BAR, FIRST_FIXTURE, FIRST_MARKER, NONE, RESIN, SHELL, Scene
 from phytac_design.optics.zbuffer import fill
+from phytac_shapes.arrays import IntArray
 
 SELF = -1
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray
 
 PAINTS: dict[str, tuple[int, int, int]] = {

@@ -11,14 +11,14 @@ import os
 from typing import Any
 
 import numpy as np
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Pinhole
-from phytac_shapes.arrays import ImageArray
-from phytac_shapes.errors import MissingPartError
-
 from phytac_design.optics.light import triangle_light
 from phytac_design.optics.paint import BACKGROUND
 from phytac_design.optics.scene import Scene
+from phytac_shapes.arrays import ImageArray
+from phytac_shapes.errors import MissingPartError
 
 GL_FIX = (
     "install the system libraries (Debian, Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri) "

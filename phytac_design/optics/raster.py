@@ -4,15 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Lens, Pinhole
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-
 from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.optics.clip import clip_near
 from phytac_design.optics.distorted_triangles import bent_view
 from phytac_design.optics.scene import FIRST_MARKER, Scene
 from phytac_design.optics.zbuffer import View, fill
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)

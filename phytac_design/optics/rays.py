@@ -11,10 +11,10 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_decoder.camera.lens import Lens
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
+from phytac_decoder.camera.lens import Lens
 from phytac_design.core.kernels import in_bands, kernel
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 STEPS = (32, 16, 8, 4)
 """Sides of the cells, coarse to fine, px."""

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Pinhole
-from phytac_shapes.arrays import FloatArray, IntArray
-
 from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.optics.raster import marker_windows, pieces_by_marker, project_scene
 from phytac_design.optics.rays import ray_grid
 from phytac_design.optics.scene import FIRST_MARKER, Scene
 from phytac_design.optics.zbuffer import Grid, View, corner, fill, meets, outline, reach
+from phytac_shapes.arrays import FloatArray, IntArray
 
 TILES_PX = (8, 64)
 """Least and largest side of a tile; about a marker wide."""

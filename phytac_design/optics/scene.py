@@ -15,14 +15,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh, shell_mesh
 from phytac_design.geometry.strips import Mesh, joined
 from phytac_design.layout import Markers
 from phytac_design.optics.fixture_bodies import fixture_mesh
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 NONE, SHELL, BAR, RESIN = 0, 1, 2, 3
 """Part codes: nothing, shell and rims, light bar, unpainted receptor (side, hole, hole's end)."""

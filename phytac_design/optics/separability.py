@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from phytac_decoder.vision.segmentation import COSINE_MIN, ColourModel
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
+from phytac_decoder.vision.segmentation import COSINE_MIN, ColourModel
 from phytac_design.design.spec import Design
 from phytac_design.optics.light import EVEN, FROM_AXIS, FROM_CAMERA
 from phytac_design.optics.paint import paints_of, to_linear, to_srgb
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
 XYZ_OF_RGB = np.array(
     [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]

@@ -9,14 +9,14 @@ camera's centre for wide ones.
 from dataclasses import dataclass
 
 import numpy as np
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Perspective
+from phytac_design.design.spec import CameraSection
+from phytac_design.layout import Markers
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
-
-from phytac_design.design.spec import CameraSection
-from phytac_design.layout import Markers
 
 DIRECTIONS = ("axial", "circumferential", "radial")
 """Along the sensor, around it, along the normal."""

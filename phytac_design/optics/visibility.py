@@ -5,12 +5,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.vision.segmentation import ColourModel, segment
 from phytac_decoder.vision.switch_detection import RED_RATIO
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
-
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import camera_of, refuse_swallowed, tolerance_mm
@@ -30,6 +28,8 @@ from phytac_design.optics.scene import (
     paint_owner,
     red_owner,
 )
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
 FRACTION_MIN = 0.5
 PIXELS_MIN = 12

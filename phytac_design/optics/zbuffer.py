@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.core.kernels import kernel
+from phytac_shapes.arrays import FloatArray
 
 EDGE_PX = 1e-9
 """Pixels this close outside an edge belong to the triangle: shared edges leave no holes."""

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from phytac_design.report import page, verdict
 from phytac_shapes.bounded_reader import read_bytes, toml_table
 from phytac_shapes.errors import InputError
-
-from phytac_design.report import page, verdict
 
 PICTURES = (("camera.jpg", "The camera's view at rest"), ("pressed_close_5.jpg", "Pressed"))
 """Images of each build that are shown side by side."""

@@ -6,10 +6,9 @@ from functools import cached_property
 from typing import Any
 
 from phytac_decoder.estimation.decode import read_image
-from phytac_shapes.arrays import BoolArray, FloatArray
-
 from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.report import figures, maps, page
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 MARKS = ("", "_far")
 """What the stages add to the names of the pictures of the first and of the second camera."""

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 from scipy.spatial import cKDTree
 
 from phytac_design.engine.stage import Context
@@ -12,6 +11,7 @@ from phytac_design.optics.density import density_map
 from phytac_design.report import page
 from phytac_design.report.viewer.data import Colouring, base_colourings, viewer_data
 from phytac_design.report.viewer.still import still_picture
+from phytac_shapes.arrays import FloatArray
 
 GAP_PX = 60.0
 """Gaps are shown up to this."""

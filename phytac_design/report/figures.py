@@ -7,9 +7,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 
 from phytac_design.report.maps import FlatMap
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 
 INK = {
     "blue": "#1c48d6",

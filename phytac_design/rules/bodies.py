@@ -3,10 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh
 from phytac_design.geometry.overlaps import distance_mm, tube_overlaps_mm, within
@@ -14,6 +12,8 @@ from phytac_design.geometry.strips import Mesh
 from phytac_design.layout import Markers
 from phytac_design.optics.fixture_bodies import fixture_mesh
 from phytac_design.rules.refusal import refuse
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 ROUND = 1e-3
 """Tolerance of a rod's polygon, as a share of a tube's radius."""

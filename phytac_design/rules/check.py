@@ -1,27 +1,37 @@
 """Every refusal of a design in one place, before anything is written or computed."""
 
-from phytac_shapes import Surface
-
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.assembly import check_hardware
-from phytac_design.layout import Markers
+from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import cameras_of, refuse_swallowed
+from phytac_design.layout.region_chart import design_regions
 from phytac_design.mechanics.switch.receptor import rubber_of
 from phytac_design.optics.separability import check_paints
 from phytac_design.optics.sharpness import sharpness
-from phytac_design.rules import check_cameras
-from phytac_design.rules import check_design as check_rules
+from phytac_design.rules.bodies import check_cameras, check_fixtures
+from phytac_design.rules.clearance import check_heights, check_reach, check_wall
+from phytac_design.rules.receptor_spacing import check_ends, check_footprints, check_receptor_gaps
+from phytac_design.rules.sizes import check_sizes, check_training
+from phytac_design.solids.receptor_tubes import root_depth_mm
+from phytac_shapes import Surface
 
 
 def check_design(design: Design) -> tuple[Surface, Markers]:
-    """Surface and markers of a design that can be printed and seen at all.
+    """Check everything that makes a design impossible to print or to see.
+
+    Returns
+    -------
+    surface : Surface
+        The sensing surface.
+    markers : Markers
+        The markers on it.
 
     Raises
     ------
     DesignError
-        With what is wrong, what was got, and what would mend it.
+        At the first rule that the design breaks: what is wrong, what was got, and the fix.
     """
-    surface, markers = check_rules(design)
+    surface, markers = _check_geometry(design)
     check_paints(design)
     cameras = cameras_of(design, surface)
     check_cameras(design, surface, markers, cameras)
@@ -30,4 +40,22 @@ def check_design(design: Design) -> tuple[Surface, Markers]:
     refuse_swallowed(design, surface, markers)
     rubber_of(design)
     check_hardware(design, surface)
+    return surface, markers
+
+
+def _check_geometry(design: Design) -> tuple[Surface, Markers]:
+    """Check everything that needs no camera."""
+    check_sizes(design)
+    surface = design.surface()
+    check_wall(design, surface)
+    markers = make_markers(design, surface)
+    design_regions(design)
+    check_heights(design, surface, markers)
+    check_reach(design, surface, markers)
+    check_ends(design, surface, markers)
+    check_receptor_gaps(design, surface, markers)
+    check_footprints(design, surface, markers)
+    root_depth_mm(design, surface, markers)
+    check_training(design, surface, markers)
+    check_fixtures(design, surface, markers)
     return surface, markers

@@ -1,15 +1,15 @@
 """Rules on the room inside: wall, receptor heights, light bar."""
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_span_mm
 from phytac_design.layout import Markers, make_markers, profile_heights_mm, with_heights
 from phytac_design.layout.receptor_distances import segment_distance_mm, smallest_receptor_gap_mm
 from phytac_design.rules.refusal import SLACK_mm, refuse
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
 ROUND = {"cylinder": "radius", "cuboid": "edge_radius_mm"}
 """What limits the wall of a shape, in its own words."""

@@ -5,10 +5,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, IntArray
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import edge_mm
 from phytac_design.layout import Markers
@@ -26,6 +24,8 @@ from phytac_design.optics.visibility import (
     visibility_advice,
 )
 from phytac_design.rules.check import check_design
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, IntArray
 
 WIDE_DEG = 60.0
 """A camera that sees its rim this far off the axis sees the wall aslant, row behind row."""

@@ -1,8 +1,6 @@
 """Rules on where receptors stand: off the open edges, apart from each other."""
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 from scipy.spatial import cKDTree
 
 from phytac_design.design.spec import Design
@@ -10,6 +8,8 @@ from phytac_design.layout import Markers
 from phytac_design.layout.receptor_distances import nearest_pair, smallest_receptor_gap_mm
 from phytac_design.rules.clearance import lower_heights
 from phytac_design.rules.refusal import SLACK_mm, fewer, refuse
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 EDGE_POINTS = 1025
 """Points of an edge among which the one nearest to a marker is looked for, before refining."""

@@ -2,9 +2,8 @@
 
 from typing import NoReturn
 
-from phytac_shapes.errors import DesignError
-
 from phytac_design.design.spec import Design
+from phytac_shapes.errors import DesignError
 
 SLACK_mm = 1e-9
 """Lengths that meet a rule exactly pass in spite of rounding."""

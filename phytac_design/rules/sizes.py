@@ -1,12 +1,12 @@
 """Rules on sizes against each other and against the printer: no geometry but the sensor's size."""
 
 import numpy as np
-from phytac_shapes import Surface
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.rules.refusal import SLACK_mm, refuse
+from phytac_shapes import Surface
 
 MARKERS_MAX = 50_000
 """Most markers that a design may ask for; far beyond what any camera tells apart."""

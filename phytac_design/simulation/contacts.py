@@ -5,15 +5,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.arc import by_area
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.shell.pressure_sharing import footprint_force_share
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 Placement = Literal["receptor", "anywhere"]
 Inside = Callable[[FloatArray], BoolArray]

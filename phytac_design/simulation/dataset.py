@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
 from phytac_decoder.estimation.cascade_network import network_features
 from phytac_decoder.estimation.estimators import ForceModel
-from phytac_shapes.arrays import FloatArray
-
 from phytac_design.simulation.contacts import Contacts, Switching
 from phytac_design.training.levenberg_marquardt import KeyNodeData
+from phytac_shapes.arrays import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)

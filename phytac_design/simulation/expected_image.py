@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
+
 from phytac_decoder.vision.matching import match_markers
 from phytac_decoder.vision.segmentation import Blobs, ColourModel, segment
 from phytac_decoder.vision.switch_detection import TipModel
-from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
-
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.optics.paint import paints_of
+from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)

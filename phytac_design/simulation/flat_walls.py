@@ -18,15 +18,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from phytac_decoder.mechanics.membrane_stretching import Walls
-from phytac_decoder.mechanics.response_table import EVEN, Places
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from scipy.sparse import csc_matrix, hstack
 from scipy.sparse.linalg import splu
 
+from phytac_decoder.mechanics.membrane_stretching import Walls
+from phytac_decoder.mechanics.response_table import EVEN, Places
 from phytac_design.mechanics.large.corotational import Corotational
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.pressed_series import Pressed, Seen
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 STEP = 1e-4
 """Stretch of the differences that stand for B."""

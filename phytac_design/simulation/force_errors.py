@@ -5,9 +5,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray
 
 from phytac_design.simulation.contacts import Contacts, Switching
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)

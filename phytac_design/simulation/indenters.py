@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.simulation.contacts import Contacts
+from phytac_shapes.arrays import FloatArray, IntArray
 
 INDENTERS = ("flat", "sphere", "cylinder")
 """Pressure of each: even over a disc; Hertz's over a disc; Hertz's across a strip, even along."""

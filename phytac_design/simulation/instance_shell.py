@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
@@ -20,6 +18,8 @@ from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_design.simulation.sample_plan import Region
 from phytac_design.simulation.scenario.scatter import wall_factor
 from phytac_design.simulation.sensor_instance import Unit
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 MARGIN = 1.0
 """How far beyond the touched part the mesh stays fine, in √(R t), the length in which bending

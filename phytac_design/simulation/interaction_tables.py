@@ -19,13 +19,13 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+
 from phytac_decoder.mechanics.interaction_table import Pairs
 from phytac_decoder.mechanics.response_table import Places
-from phytac_shapes.arrays import FloatArray, IntArray
-
 from phytac_design.mechanics.large.cubic_stiffness import DOFS, third_derivatives
 from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.simulation.pressed_series import Pressed, Seen
+from phytac_shapes.arrays import FloatArray, IntArray
 
 SHARE = 2.2
 """Distance of places over the disc's radius."""

@@ -5,9 +5,6 @@ Koiter's expansion to third order, or large displacements where the expansion do
 """
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
@@ -20,6 +17,9 @@ from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.indenters import flat_touches
 from phytac_design.simulation.receptor_kinematics import Feet
 from phytac_design.simulation.response import point_motions, rigid_slope, turned_points
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 SERIES_MAX = 0.9
 """Largest the second and third term may be together over the first, at the greatest force."""

@@ -15,14 +15,14 @@ then by g × n more. The tube takes the mean over a ring in its foot: no point o
 from functools import cached_property
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
 from scipy.sparse import csr_matrix, identity, kron
 
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.simulation.response import motion_probe
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
 
 RING = 0.5
 """Radius of the ring over a tube's outer radius: the mean of a linear slope over the foot lies

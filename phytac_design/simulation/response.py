@@ -8,8 +8,6 @@ by one.
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
 from scipy.sparse import csr_matrix
 
 from phytac_design.layout import Markers
@@ -21,6 +19,8 @@ from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.condense import Condensed, condense
 from phytac_design.simulation.contacts import Contacts
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
 
 CHUNK = 96
 """Right-hand sides solved together: bounds the memory."""

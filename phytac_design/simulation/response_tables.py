@@ -9,14 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
+
 from phytac_decoder.io.bundle_locator import LEAST_PLACES
 from phytac_decoder.mechanics.interaction_table import Pairs
 from phytac_decoder.mechanics.response_table import AROUND, FACTORIALS, TERMS, Places
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.errors import DesignError
-from scipy.spatial import cKDTree
-
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.mechanics.meshing.mesh import ShellMesh
@@ -26,6 +23,9 @@ from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.flat_walls import with_walls
 from phytac_design.simulation.interaction_tables import ELEMENTS_MOST, Mixed, pair_spacing_mm
 from phytac_design.simulation.pressed_series import Pressed, Seen
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 BATCH = 32
 """Loads solved together."""

@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass
 
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-
 from phytac_design.simulation.contacts import Switching
 from phytac_design.simulation.indenters import Touches
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,15 +5,15 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.layout import Markers
 from phytac_design.layout.worst_places import SAME_mm, press_places
 from phytac_design.simulation.sample_plan import Region
 from phytac_design.simulation.scenario.placing import Window
 from phytac_design.simulation.scenario.region import touched_region, window_places
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import DesignError
 
 if TYPE_CHECKING:
     from phytac_design.design.scene import RegionSection

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 from phytac_decoder.camera.camera import Camera
-from phytac_shapes.arrays import FloatArray
-
 from phytac_design.layout import Markers
+from phytac_shapes.arrays import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,9 +4,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import PhytacError
 
 from phytac_design.design.spec import Design
 from phytac_design.mechanics.large.modified import Modified
@@ -16,6 +13,9 @@ from phytac_design.simulation.instance_shell import unit_shell
 from phytac_design.simulation.receptor_kinematics import Feet
 from phytac_design.simulation.sample_plan import Region
 from phytac_design.simulation.sensor_instance import Unit
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import PhytacError
 
 Displacement = Literal["linear", "large", "auto"]
 Theory = Literal["rest", "linear", "large"]

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import CadKernelError, NumericalError, OutputError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.solids.cad_kernel import cadquery
 from phytac_design.solids.cad_wall import WALLS, wall_cad
 from phytac_design.solids.receptor_tubes import receptor_axes
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import CadKernelError, NumericalError, OutputError
 
 __all__ = [
     "WALLS",

@@ -4,15 +4,15 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.design.spec import WallSection
 from phytac_design.geometry.boundary_loops import chart_loops, conormals
 from phytac_design.solids.cad_kernel import cadquery
 from phytac_design.solids.cad_spline import cells_for, flat_face, spline_face
 from phytac_design.solids.wall_mesh import wall_mesh
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import NumericalError
 
 SEWING_mm = 1e-5
 """Gap that sewing closes: faces share their edges exactly, up to rounding."""

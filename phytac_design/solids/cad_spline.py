@@ -9,9 +9,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
-from scipy.interpolate import BSpline, make_interp_spline
 
 FIT_mm = 1e-3
 """Largest distance between a spline and what it stands for, half-way between its samples."""

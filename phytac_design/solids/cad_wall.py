@@ -9,17 +9,17 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Cone, Cuboid, Cylinder, Grip, Hemisphere, Patch, Plane, Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError, NumericalError
-from phytac_shapes.path import Arc
-from phytac_shapes.revolved import PathRevolved, Revolved
 
 from phytac_design.design.spec import WallSection
 from phytac_design.geometry.boundary_loops import conormals
 from phytac_design.solids.cad_kernel import cadquery
 from phytac_design.solids.cad_sheet import sheet_wall
 from phytac_design.solids.cad_spline import cells_for, spline_edge
+from phytac_shapes import Cone, Cuboid, Cylinder, Grip, Hemisphere, Patch, Plane, Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError, NumericalError
+from phytac_shapes.path import Arc
+from phytac_shapes.revolved import PathRevolved, Revolved
 
 AXIS_TOL_mm = 1e-9
 Builder = Callable[[Surface, WallSection], Any]

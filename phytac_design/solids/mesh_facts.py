@@ -4,12 +4,12 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import Markers
 from phytac_design.solids.solid_mesh import to_triangles
+from phytac_shapes import Surface
+from phytac_shapes.errors import NumericalError
 
 
 @dataclass(frozen=True, kw_only=True)

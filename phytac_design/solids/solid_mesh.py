@@ -13,15 +13,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.triangles import TriangleMesh, prisms, sides_for
 from phytac_design.layout import Markers
 from phytac_design.solids.receptor_tubes import ReceptorAxes, receptor_axes
 from phytac_design.solids.wall_mesh import wall_mesh
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 BAND_MIN_mm = 1e-3
 """A shorter painted band is no solid; its paint is left out."""

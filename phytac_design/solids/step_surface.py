@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import InputError, PhytacError
 
 from phytac_design.solids.cad_kernel import cadquery
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import InputError, PhytacError
 
 COVERED = 1e-6
 """Relative area by which a face may miss its parameter rectangle and still count as untrimmed."""

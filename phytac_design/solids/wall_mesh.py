@@ -16,14 +16,14 @@ At a pole the faces close in a fan.
 from itertools import pairwise
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import WallSection
 from phytac_design.geometry.boundary_loops import Loop, chart_loops
 from phytac_design.geometry.triangles import TriangleMesh, grid_triangles, strip_triangles
 from phytac_design.geometry.wall_sampling import chart_stations
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 
 def wall_mesh(surface: Surface, wall: WallSection, *, tolerance_mm: float) -> TriangleMesh:

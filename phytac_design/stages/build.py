@@ -13,9 +13,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from phytac_shapes.bounded_reader import read_text
-from phytac_shapes.errors import DesignError, OutputError
-
 from phytac_design.design.accuracy import Accuracy, name_of, settings_of
 from phytac_design.design.design_file import design_hash, parse_design, to_toml
 from phytac_design.design.spec import Design
@@ -24,6 +21,8 @@ from phytac_design.engine.cache_eviction import limit_bytes, prune
 from phytac_design.engine.stage import EXPORT, Context, Stage, array_hashes
 from phytac_design.rules.check import check_design
 from phytac_design.stages import STAGES
+from phytac_shapes.bounded_reader import read_text
+from phytac_shapes.errors import DesignError, OutputError
 
 MANIFEST = "manifest.json"
 OLD_MANIFEST = f".{MANIFEST}.old"
@@ -64,12 +63,6 @@ class BuildResult:
     cached: tuple[str, ...]
     seconds: float
     timing_s: dict[str, float]
-
-    def _repr_html_(self) -> str:
-        """Key figures, files and marker map, for notebooks."""
-        from phytac_design.studio.notebook import build_html
-
-        return build_html(self)
 
 
 def select_stages(only: Sequence[str] | None) -> list[Stage]:

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
 from phytac_decoder.estimation.cascade_network import Activation
 from phytac_decoder.estimation.estimators import ForceModel
-from phytac_shapes.arrays import BoolArray, FloatArray
-
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import EXPORT, Context, Stage, write_arrays, write_facts
 from phytac_design.layout.thresholds import thresholds_N
@@ -17,6 +16,7 @@ from phytac_design.simulation.dataset import Dataset, decode_points, key_node_da
 from phytac_design.simulation.scene_scope import scope_of
 from phytac_design.stages.places import locator_of
 from phytac_design.stages.response import TOUCH, readers_of
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from phytac_decoder.estimation.locator import Locator
@@ -92,7 +92,6 @@ def assemble(context: Context, model: ForceModel, notes: dict[str, Any]) -> "Bun
         Where it comes from, plain JSON.
     """
     from phytac_decoder.io.bundle import Bundle, Shown
-
     from phytac_design.simulation.expected_image import colour_model
 
     design, views = context.design, context.arrays("views")
@@ -281,7 +280,6 @@ def _rmse(network: Any, rows: Any) -> float:
 def finish(design: Design, out: Path) -> None:
     """Mark the exported bundle with the design it is of, and its named regions."""
     from phytac_decoder.io.bundle_stamp import stamp_bundle
-
     from phytac_design.design.design_file import design_hash
     from phytac_design.layout.region_chart import design_regions
 
@@ -289,7 +287,7 @@ def finish(design: Design, out: Path) -> None:
         out / "decoder",
         design=design.name,
         design_hash=design_hash(design),
-        regions=design_regions(design) if design.regions else (),
+        regions=design_regions(design),
     )
 
 

@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, ImageArray
-from phytac_shapes.errors import InputError
 
 from phytac_design.design.scene import ALL_AT_ONCE
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
@@ -16,6 +14,8 @@ from phytac_design.simulation.scene_scope import scope_of
 from phytac_design.stages.decoder import along_mm, middle_mm
 from phytac_design.stages.response import MECHANICS, truth_of
 from phytac_design.stages.views import MARKS, write_image
+from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.errors import InputError
 
 if TYPE_CHECKING:
     from phytac_design.mechanics.meshing.mesh import ShellMesh

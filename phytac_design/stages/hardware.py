@@ -3,11 +3,10 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from phytac_shapes.errors import CadKernelError, DesignError, MissingPartError, NumericalError
-
 from phytac_design.design.hardware_table import HardwareSection
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
 from phytac_design.stages.switch import refusal, switches_of
+from phytac_shapes.errors import CadKernelError, DesignError, MissingPartError, NumericalError
 
 if TYPE_CHECKING:
     from phytac_design.fabrication.hardware.parts import Kit

@@ -18,7 +18,6 @@ NOISE_FACTOR = 1.4
 def run_places(context: Context, folder: Path) -> None:
     """Tabulate linear and large-displacement shifts over the surface."""
     from phytac_decoder.io.bundle_locator import places_arrays
-
     from phytac_design.mechanics.meshing.mesh import marker_mesh
     from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
     from phytac_design.simulation.response_tables import make_places, place_spacing_mm
@@ -68,7 +67,6 @@ def locator_of(context: Context) -> "Locator":
     from phytac_decoder.estimation.contact_fit import Noise, Prior
     from phytac_decoder.estimation.locator import Locator
     from phytac_decoder.io.bundle_locator import places_from
-
     from phytac_design.simulation.bound import cell_prior
 
     design, surface, markers = context.design, context.surface, context.markers

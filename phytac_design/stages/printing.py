@@ -4,9 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from phytac_shapes.errors import DesignError
-
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
+from phytac_shapes.errors import DesignError
 
 OTHERS = ("mold", "hardware", "kit")
 """Stages whose parts lists name more printed files."""

@@ -4,13 +4,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.scene import ALL_AT_ONCE
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.simulation.scene_scope import scope_of
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
 if TYPE_CHECKING:
     from phytac_design.layout.cameras import Readers

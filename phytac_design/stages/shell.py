@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-from phytac_shapes.errors import CadKernelError, MissingPartError, NumericalError
-
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
+from phytac_shapes.errors import CadKernelError, MissingPartError, NumericalError
 
 VOLUME_TOL = 1e-3
 """Largest relative difference of the two kernels' volumes that a build accepts."""

@@ -5,14 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_decoder.vision.switch_detection import RED_LEAST_PX, RED_RATIO
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
+from phytac_decoder.vision.switch_detection import RED_LEAST_PX, RED_RATIO
 from phytac_design.core.json_values import finite
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
 from phytac_design.fabrication.switch_set import SwitchSet, make_switches, revolved_volume_mm3
 from phytac_design.layout.thresholds import thresholds_N
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
 RED = {"views": ("tip_red_rest_px", "tip_red_on_px")}
 READS = ("tubes", "cameras", "wall", "receptor", "switch", "mold", "print_rules")

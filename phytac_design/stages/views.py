@@ -6,17 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from phytac_shapes.arrays import FloatArray, ImageArray
-from phytac_shapes.errors import DesignError, MissingPartError
 
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage, export_path, write_arrays, write_facts
 from phytac_design.layout import make_markers
 from phytac_design.simulation.scene_scope import scope_of
+from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.errors import DesignError, MissingPartError
 
 if TYPE_CHECKING:
     from phytac_decoder.camera.camera import Camera
-
     from phytac_design.optics.scene import Scene
     from phytac_design.optics.visibility import Visibility
     from phytac_design.simulation.expected_image import Expected

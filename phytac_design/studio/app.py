@@ -8,7 +8,6 @@ from contextlib import asynccontextmanager
 from importlib import resources
 from typing import Any
 
-from phytac_shapes.errors import DesignError, InputError, OutputError, PhytacError
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
@@ -28,6 +27,7 @@ from phytac_design.studio.form import field_paths, form
 from phytac_design.studio.guard import RefusedError
 from phytac_design.studio.studies import studies, study_table, trial_design
 from phytac_design.studio.turns import StaleError, Turns
+from phytac_shapes.errors import DesignError, InputError, OutputError, PhytacError
 
 STATIC = {
     "html": "text/html",

@@ -3,10 +3,10 @@
 import json
 from typing import Annotated, Any, Literal, TypeVar
 
-from phytac_shapes.errors import InputError
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from phytac_design.studio.draft import SIDE_LEAST_PX, SIDE_PX
+from phytac_shapes.errors import InputError
 
 Name = Annotated[str, Field(max_length=1000)]
 Tab = Annotated[str, Field(pattern=r"^[A-Za-z0-9-]{1,64}$")]

@@ -12,10 +12,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from phytac_shapes.errors import InputError, OutputError
-
 from phytac_design.design.design_file import to_toml
 from phytac_design.design.spec import Design
+from phytac_shapes.errors import InputError, OutputError
 
 LINES_MAX = 2000
 LINE_BYTES = 64_000

@@ -13,10 +13,8 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes.arrays import FloatArray, ImageArray
-from phytac_shapes.errors import DesignError, PhytacError
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.core.json_values import finite
 from phytac_design.design.design_file import parse_design
 from phytac_design.design.spec import Design
@@ -36,6 +34,8 @@ from phytac_design.study.search.file import Study, Variable
 from phytac_design.study.search.measures import MEASURES
 from phytac_design.study.search.rungs import outlined_gap_px, rules
 from phytac_design.study.search.surrogate import predict
+from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.errors import DesignError, PhytacError
 
 MARKERS_MAX = 5000
 """Markers beyond which a draft is not one any more."""

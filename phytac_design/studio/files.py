@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import tomlkit
-from phytac_shapes.bounded_reader import read_text, toml_table
-from phytac_shapes.errors import InputError, OutputError, PhytacError
 
 from phytac_design.design.design_file import design_hash, parse_design, shipped_designs, to_toml
 from phytac_design.design.spec import Design
+from phytac_shapes.bounded_reader import read_text, toml_table
+from phytac_shapes.errors import InputError, OutputError, PhytacError
 
 FILES_MAX = 500
 DEPTH_MAX = 4

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import uvicorn
-from phytac_shapes.errors import OutputError
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.studio.app import Studio
 from phytac_design.studio.files import Workplace
 from phytac_design.studio.guard import PATIENCE_S, App, Guard
+from phytac_shapes.errors import OutputError
 
 LOOPBACK = "127.0.0.1"
 CLIENTS_MAX = 200

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.errors import InputError, PhytacError
 
 from phytac_design.core.json_values import finite
 from phytac_design.report.names import NAMES
@@ -14,6 +13,7 @@ from phytac_design.study.search.measures import MEASURES
 from phytac_design.study.search.rebuild import rebuild
 from phytac_design.study.search.report import Results, read_results
 from phytac_design.study.search.store import RESULTS, STUDY, read_study
+from phytac_shapes.errors import InputError, PhytacError
 
 ROWS_MAX = 2000
 """Candidates that the page gets: the front, then those that met everything, then the others."""

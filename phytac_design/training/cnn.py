@@ -18,12 +18,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.errors import InputError, NumericalError
 from torch import nn
 from torch.nn import functional
 
 from phytac_design.training.cnn_data import COLOURS
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import InputError, NumericalError
 
 CHANNELS = (16, 24, 64, 64, 128)
 """Of the convolutions; they and the hidden layers were chosen for the paper's number."""

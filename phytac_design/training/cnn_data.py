@@ -4,11 +4,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
-from phytac_shapes.errors import InputError
 
 from phytac_design.datasets.samples import FAILED, Samples
 from phytac_design.datasets.samples_writer import FRAMES
+from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
+from phytac_shapes.errors import InputError
 
 FRAME_PX = (160, 120)
 """Width and height of the reduced frame."""

@@ -5,10 +5,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, IntArray
-from phytac_shapes.errors import InputError
 
 from phytac_design.datasets.samples import KeyNodeRows, Samples, TouchRows, TruthRows
+from phytac_shapes.arrays import BoolArray, IntArray
+from phytac_shapes.errors import InputError
 
 PER_SAMPLE = ("time_s", "sequence", "light", "status", "theory", "total_N", "contacts")
 POINTS = ("bits", "bits_read", "shift_px")

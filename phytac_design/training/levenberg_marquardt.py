@@ -4,6 +4,7 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
+
 from phytac_decoder.estimation.cascade_network import (
     HIDDEN,
     INPUTS,

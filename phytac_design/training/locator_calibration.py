@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
+
 from phytac_decoder.estimation.contact_estimates import Found, Located
 from phytac_decoder.estimation.contact_fit import Noise, Prior
 from phytac_decoder.estimation.force_correction import Correction, learn_correction
@@ -19,10 +20,9 @@ from phytac_decoder.estimation.marker_gain import (
     with_gain,
 )
 from phytac_decoder.mechanics.stiffness_field import Uneven
+from phytac_design.datasets.samples import FAILED, Samples, TouchRows
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError
-
-from phytac_design.datasets.samples import FAILED, Samples, TouchRows
 
 SCALE_SAMPLES = 100
 """Samples that stiffness and noise are found with; more change them by less than their spread."""

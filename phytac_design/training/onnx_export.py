@@ -11,12 +11,12 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 from onnx.reference import ReferenceEvaluator
+
 from phytac_decoder.estimation.cascade_network import INPUTS, CascadeNetwork
 from phytac_decoder.io.bundle import Bundle, load_bundle
+from phytac_design.training.training_data import bundle_hash
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError, NumericalError, OutputError
-
-from phytac_design.training.training_data import bundle_hash
 
 OPSET, IR_VERSION = 17, 8
 """Of 2022, which today's run times all read."""

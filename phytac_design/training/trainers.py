@@ -6,15 +6,15 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+
 from phytac_decoder.estimation.cascade_network import Activation, CascadeNetwork
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle
-from phytac_shapes.errors import InputError
-
 from phytac_design.datasets.samples import THEORIES
 from phytac_design.training.levenberg_marquardt import KeyNodeData, train_network
 from phytac_design.training.locator_calibration import calibrated
 from phytac_design.training.training_data import Part
+from phytac_shapes.errors import InputError
 
 LINEAR = (THEORIES.index("rest"), THEORIES.index("linear"))
 

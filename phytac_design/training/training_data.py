@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_decoder.estimation.estimators import ForceModel
-from phytac_shapes.arrays import IntArray
-from phytac_shapes.errors import InputError
 
+from phytac_decoder.estimation.estimators import ForceModel
 from phytac_design.datasets.samples import FAILED, KeyNodeRows, Meta, Samples, key_nodes, split
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.datasets.samples_writer import TABLE, file_hash
 from phytac_design.training.join_datasets import join, pick
 from phytac_design.training.levenberg_marquardt import KeyNodeData
+from phytac_shapes.arrays import IntArray
+from phytac_shapes.errors import InputError
 
 SHARES = (0.85, 0.05, 0.10)
 """Training, validation and test (paper)."""

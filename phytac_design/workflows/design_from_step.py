@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from phytac_design.solids.step_surface import surface_from_step
 from phytac_shapes import Patch
 from phytac_shapes.bounded_reader import check_file
 from phytac_shapes.errors import InputError
-
-from phytac_design.solids.step_surface import surface_from_step
 
 PITCH_MM = 6.0
 """Distance between receptors that a new design starts with."""

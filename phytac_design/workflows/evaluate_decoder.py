@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_decoder.io.bundle import Bundle, load_bundle
-from phytac_shapes.errors import InputError, PhytacError
 
+from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_design.core.json_values import finite
 from phytac_design.datasets.samples import STATUSES, THEORIES, Samples
 from phytac_design.design.design_file import design_hash, load_design, shipped_designs
@@ -22,6 +21,7 @@ from phytac_design.training.evaluation.tables import contacts_csv, tables_md
 from phytac_design.training.join_datasets import join
 from phytac_design.training.result_folder import claimed, written
 from phytac_design.training.training_data import DataSet, bundle_hash, read_sets
+from phytac_shapes.errors import InputError, PhytacError
 
 TABLE = "evaluation.json"
 FORMAT, SCHEMA = "phytac-evaluation", "1.0"

@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from phytac_decoder.camera.lens import Lens
 from phytac_decoder.estimation.decode import Measured
 from phytac_decoder.io.bundle import Bundle, load_bundle
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import InputError, OutputError
-
 from phytac_design.datasets.samples import Meta, Samples, inputs_alone, key_nodes
 from phytac_design.datasets.samples_writer import FRAMES, file_hash, write_samples
 from phytac_design.design.camera_files import read_lens
@@ -25,6 +23,8 @@ from phytac_design.simulation.rig_import.frames import Folder, Source, match, op
 from phytac_design.simulation.rig_import.log import Problems, RigLog, read_rig_log
 from phytac_design.simulation.rig_import.seen import Rig, measure, rest_of, samples_of
 from phytac_design.stages.views import MARKS, png_bytes
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import InputError, OutputError
 
 LENS_WARN_PX = 1.0
 LENS_SHARE_MAX = 0.02

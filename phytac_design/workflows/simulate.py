@@ -15,12 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from phytac_decoder.estimation.decode import FOUND_WELL
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.sensor_limits import named
-from phytac_shapes.arrays import FloatArray, ImageArray
-from phytac_shapes.errors import DesignError, InputError, OutputError
-
 from phytac_design.datasets.samples import STATUSES, THEORIES, Samples, inputs_alone, key_nodes
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.datasets.samples_writer import FILE, FRAMES, TABLE, file_hash, write_samples
@@ -36,6 +34,8 @@ from phytac_design.simulation.solver import Solver
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder import plain_model
 from phytac_design.stages.views import MARKS, png_bytes
+from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.errors import DesignError, InputError, OutputError
 
 SEEN = 7
 """Stream of random numbers of what is seen of a sample."""

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
-
 from phytac_design.core.json_values import finite
 from phytac_design.design.design_file import design_hash
 from phytac_design.design.spec import Design
@@ -115,7 +114,7 @@ def train(
             assemble(context, plain_model(context), _notes(sets, seed, accuracy, start, first)),
             design=design.name,
             design_hash=design_hash(design),
-            regions=design_regions(design) if design.regions else (),
+            regions=design_regions(design),
         )
         for item in sets:
             check_inputs(item, plain.model, accuracy)

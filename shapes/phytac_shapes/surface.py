@@ -104,12 +104,6 @@ class Surface(ABC):
     def facts(self) -> Mapping[str, float]:
         """Closed-form facts (areas, lengths) used by reports and tests, units in the names."""
 
-    def _repr_html_(self) -> str:
-        """Facts and the unrolled chart, for notebooks."""
-        from phytac_shapes.notebook_html import surface_html
-
-        return surface_html(self)
-
     def metric(self, uv: FloatArray) -> FloatArray:
         """First fundamental form, (n, 2, 2), mm² per squared chart unit."""
         tangents = self.tangents(uv)

@@ -3,9 +3,9 @@
 from collections.abc import Callable
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.datasets.samples import Samples, TouchRows, truth_rows
+from phytac_shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import MARKERS, shifts
 
 STIFFNESS = 1.15

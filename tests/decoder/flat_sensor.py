@@ -8,6 +8,7 @@ slope, and by a share of the force more: a sheet that softens.
 from collections.abc import Sequence
 
 import numpy as np
+
 from phytac_decoder.estimation.contact_fit import Noise, Prior
 from phytac_decoder.estimation.locator import Locator
 from phytac_decoder.mechanics.response_table import Places

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.contact_fit import Noise
 from phytac_decoder.estimation.locator import SILENT_MISFIT, Locator
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_shapes.arrays import FloatArray
-
 from tests.decoder.flat_sensor import MARKERS, flat_locator, nearest, shifts, together
 
 COUNT = len(MARKERS)

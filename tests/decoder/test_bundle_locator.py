@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from safetensors.numpy import load_file, save_file
+
 from phytac_decoder.estimation.contact_fit import Noise, Prior
 from phytac_decoder.estimation.force_correction import Correction
 from phytac_decoder.estimation.locator import Locator
@@ -16,8 +18,6 @@ from phytac_decoder.mechanics.interaction_table import Pairs
 from phytac_decoder.mechanics.membrane_stretching import Walls
 from phytac_decoder.mechanics.response_table import Places
 from phytac_shapes.errors import InputError
-from safetensors.numpy import load_file, save_file
-
 from tests.decoder.toy_sensor import toy_bundle
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from phytac_decoder.io.bundle import load_bundle
-from phytac_shapes.errors import InputError
 
+from phytac_decoder.io.bundle import load_bundle
 from phytac_design.stages.build import BuildResult
+from phytac_shapes.errors import InputError
 
 
 @pytest.mark.parametrize(

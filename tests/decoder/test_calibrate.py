@@ -4,21 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.force_correction import (
     Correction,
     calibrated_spread,
     learn_correction,
 )
 from phytac_decoder.estimation.marker_gain import Shown, gains, left_out, noise_of
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import InputError
-
 from phytac_design.training.locator_calibration import (
     calibrated,
     match,
     second_moments,
     weighted_median,
 )
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import InputError
 from tests.decoder.flat_samples import NOISE_PX, PLACE_MM, STIFFNESS, pressed
 from tests.decoder.flat_sensor import MARKERS, flat_locator
 

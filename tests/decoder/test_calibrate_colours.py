@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.decode import measure_frame, rest_positions
 from phytac_decoder.io.bundle import Bundle, Shown
 from phytac_decoder.vision.colour_calibration import calibrate_rest, calibrated_colours, fit_colours
@@ -11,7 +12,6 @@ from phytac_decoder.vision.segmentation import ColourModel
 from phytac_decoder.vision.tracker import Follower
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError
-
 from tests.decoder.test_follow import BGR, COLOUR, COUNT, MODEL, REST, TIP_OFF, dent, draw
 from tests.decoder.test_follow import make_bundle as drawn_bundle
 

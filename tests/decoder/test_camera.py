@@ -1,6 +1,7 @@
 """The pinhole camera: inverse pairs and derivatives."""
 
 import numpy as np
+
 from phytac_decoder.camera.camera import Camera
 
 CAMERA = Camera.on_axis(width_px=2592, height_px=1944, focal_px=970, stand_off_mm=30)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+
 from phytac_decoder.vision.colour_calibration import LIT, fit_colours
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError
-
 from tests.decoder.test_follow import MODEL
 
 MARKERS, SAMPLES = 20, 400

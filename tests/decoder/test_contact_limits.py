@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.contact_grouping import REACH_SPACINGS, Contact, Skin
 from phytac_decoder.estimation.contact_tracker import HOLD_S, ContactTracker
-
 from tests.decoder.test_contacts import FPS, PLANE, ids_of, press, spiral, tracker
 
 SPACING_MM = 5.0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from phytac_decoder.estimation.contact_grouping import Contact, ContactFinder, Skin, contact_groups
 from phytac_decoder.estimation.contact_tracker import (
     FAR,

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+
 from phytac_decoder.vision.matching import match_markers, nearest_same_colour_px
 from phytac_decoder.vision.segmentation import ColourModel, check_image, segment
 from phytac_decoder.vision.switch_detection import TipModel, read_switches

@@ -7,6 +7,7 @@ from unittest import mock
 import cv2
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.decode import Measured, measure_frame
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.fault_detection import Explained
@@ -15,7 +16,6 @@ from phytac_decoder.vision.matching import carried, match_markers
 from phytac_decoder.vision.segmentation import Blobs
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
-
 from tests.decoder import flat_sensor
 from tests.decoder.test_follow import BGR, COLOUR, COUNT, OFF, PITCH, REST, TIP_OFF, disc, draw
 from tests.decoder.test_follow import make_bundle as drawn_bundle

@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.decode import measure_frame
 from phytac_decoder.estimation.estimators import ForceModel

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from phytac_decoder.vision import window_batches
 from phytac_decoder.vision.colour_codes import COUNT, Picture
 from phytac_decoder.vision.window_batches import Block, Cuts, Space

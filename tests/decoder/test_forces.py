@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from safetensors.numpy import load_file, save_file
+from scipy.optimize import nnls
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.cascade_network import (
     CascadeNetwork,
@@ -19,11 +22,8 @@ from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
 from phytac_decoder.vision.segmentation import ColourModel
 from phytac_decoder.vision.switch_detection import TipModel
-from phytac_shapes.errors import InputError
-from safetensors.numpy import load_file, save_file
-from scipy.optimize import nnls
-
 from phytac_design.training.levenberg_marquardt import KeyNodeData, split_samples, train_network
+from phytac_shapes.errors import InputError
 
 N = 12
 

@@ -5,11 +5,11 @@ from unittest import mock
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation import contact_fit
 from phytac_decoder.estimation.contact_estimates import Found
 from phytac_decoder.estimation.locator import LOOK, WORSE
 from phytac_shapes.arrays import FloatArray, IntArray
-
 from tests.decoder.flat_sensor import flat_locator, nearest, together
 
 LOCATOR = flat_locator()

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.force_correction import Correction, learn_correction
 from phytac_decoder.estimation.marker_gain import left_out
-from phytac_shapes.arrays import IntArray
-
 from phytac_design.training.locator_calibration import _blocks
+from phytac_shapes.arrays import IntArray
 from tests.decoder.flat_samples import pressed
 from tests.decoder.test_calibrate import drawn_shown
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from phytac_decoder.estimation.estimators import ForceModel
 from scipy.optimize import nnls
+
+from phytac_decoder.estimation.estimators import ForceModel
 
 COUNT = 40
 

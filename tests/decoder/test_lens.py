@@ -5,6 +5,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+
 from phytac_decoder.camera.camera import Camera, fit_distance_mm
 from phytac_decoder.camera.lens import (
     LENSES,

@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+
 from phytac_decoder.io import live_camera
 from phytac_decoder.io.frame_sources import open_source
 

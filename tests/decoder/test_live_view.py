@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.force_regions import Region
 from phytac_decoder.estimation.frame_reading import Reading
 from phytac_decoder.serving.live_view import CURVE_MAX, VIEWERS_MAX, LiveView, unrolled
 from phytac_decoder.serving.live_view_page import PAGE
 from phytac_decoder.serving.wire_protocol import Message, Messages
 from phytac_shapes.errors import OutputError
-
 from tests.decoder.toy_sensor import toy_bundle
 
 PATIENCE_S = 10.0

@@ -5,15 +5,15 @@ from unittest import mock
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation import locator
 from phytac_decoder.estimation.contact_estimates import Located
 from phytac_decoder.estimation.contact_fit import ASTRAY, OFF_SPACINGS, Seen, _doubted
 from phytac_decoder.estimation.force_correction import Correction
 from phytac_decoder.estimation.locator import PRINT_SHARE, SILENT_MISFIT, SILENT_SURE
 from phytac_decoder.mechanics.response_table import Places
-from phytac_shapes.arrays import FloatArray
-
 from phytac_design.simulation.scenario.tables import UnitSection
+from phytac_shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import (
     DISC,
     MARKERS,

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.contact_estimates import Found
 from phytac_decoder.estimation.contact_fit import Fit, Prior, Seen, nothing, start
 from phytac_decoder.estimation.contact_shifts import State, explained, point_of
@@ -14,7 +15,6 @@ from phytac_decoder.estimation.marker_gain import with_gain
 from phytac_decoder.mechanics.interaction_table import MOST, Pairs
 from phytac_decoder.mechanics.response_table import Places
 from phytac_shapes.arrays import FloatArray
-
 from tests.decoder.flat_sensor import (
     MARKERS,
     flat_locator,

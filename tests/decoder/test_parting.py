@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.contact_estimates import Located
 from phytac_decoder.estimation.contact_fit import Noise
 from phytac_shapes.arrays import FloatArray
-
 from tests.decoder.flat_sensor import flat_locator, nearest, together
 
 LOCATOR = flat_locator()

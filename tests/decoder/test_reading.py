@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation import frame_reading as reading_module
 from phytac_decoder.estimation.contact_estimates import Found, Located
 from phytac_decoder.estimation.decode import Measured, measure_frame, read_image
@@ -16,7 +17,6 @@ from phytac_decoder.estimation.frame_reading import Reading, read
 from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_decoder.serving.csv_recording import Recorder
 from phytac_decoder.serving.wire_protocol import Messages, json_bytes
-
 from phytac_design.layout.marker_layout import make_markers
 from phytac_design.stages.build import BuildResult
 from tests.decoder.toy_sensor import toy_bundle

@@ -10,6 +10,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.force_regions import (
     NAME_MAX,
     REGIONS_MAX,
@@ -19,12 +20,12 @@ from phytac_decoder.estimation.force_regions import (
     load_regions,
 )
 from phytac_decoder.io.bundle import SCHEMA, load_bundle, save_bundle
-from phytac_shapes.errors import DesignError, InputError
-
 from phytac_design.cli.serve_command import named_regions
 from phytac_design.design.design_file import design_hash, parse_design, to_toml
 from phytac_design.layout import make_markers
 from phytac_design.layout.region_chart import chart_of_design, design_regions
+from phytac_design.rules.check import check_design
+from phytac_shapes.errors import DesignError, InputError
 from tests.decoder.toy_sensor import toy_bundle
 from tests.designs import changed, small
 
@@ -259,4 +260,4 @@ def test_regions_of_a_design_that_cannot_be_are_refused(
     table: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(DesignError, match=message):
-        small(regions=[table])
+        check_design(small(regions=[table]))

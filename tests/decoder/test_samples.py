@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from phytac_shapes.errors import InputError
 
 from phytac_design.datasets import samples as model
 from phytac_design.datasets import samples_writer
@@ -19,6 +18,7 @@ from phytac_design.datasets.samples_check import ARRAYS, COUNTS
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.datasets.samples_writer import SHIFT_STEP_PX, file_hash, write_samples
 from phytac_design.simulation import indenters
+from phytac_shapes.errors import InputError
 from tests.decoder.drawn_samples import META, assert_same, drawn
 
 PAGE = (Path(__file__).parents[2] / "docs" / "datasets.md").read_text(encoding="utf-8")

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import InputError, OutputError
 
 from phytac_design.datasets.samples import Samples
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.datasets.samples_writer import table_hash, write_samples
+from phytac_shapes.errors import InputError, OutputError
 from tests.decoder.drawn_samples import META, assert_same, drawn
 
 

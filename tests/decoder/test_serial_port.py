@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+
 from phytac_decoder.io.serial_port import SerialPort
 from phytac_decoder.serving import force_server
 from phytac_decoder.serving.force_server import Server

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
 from phytac_decoder.io.serial_port import SerialPort
 from phytac_decoder.serving.force_server import Limits, Server
 from phytac_decoder.serving.wire_protocol import Message, Splitter

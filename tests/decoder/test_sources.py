@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.decode import read_image
 from phytac_decoder.io import live_camera
 from phytac_decoder.io.frame import Frame, Source

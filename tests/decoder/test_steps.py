@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+
 from phytac_decoder.io.frame import Frame
 from phytac_decoder.io.frame_sources import first_frames, open_source
 from phytac_shapes.arrays import ImageArray

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.frame_reading import Reading
 from phytac_decoder.io.frame import Frame, Source
 from phytac_decoder.io.frame_sources import open_source
@@ -17,7 +18,6 @@ from phytac_decoder.serving.wire_protocol import Message, Messages
 from phytac_decoder.vision.tracker import Follower
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
-
 from tests.decoder.test_eyes import lattice
 from tests.decoder.test_two_eyes import pair
 from tests.decoder.toy_sensor import toy_bundle, toy_frame, toy_recording

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.frame_reading import Reading
 from phytac_decoder.io.frame import Frame
 from phytac_decoder.vision.torn_frames import STREAK, BAND_px, Tears, watched

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
+
 from phytac_decoder.estimation.contact_fit import start
 from phytac_decoder.estimation.contact_shifts import State, explained
 from phytac_decoder.mechanics.membrane_stretching import Walls, lost_share, powers_of
 from phytac_decoder.mechanics.response_table import Places
 from phytac_shapes.arrays import FloatArray
-from scipy.optimize import brentq
-
 from tests.decoder.flat_sensor import (
     RADIUS_MM,
     SOFTENING,

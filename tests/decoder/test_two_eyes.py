@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from safetensors.numpy import load_file, save_file
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.decode import measure_frame
 from phytac_decoder.io.bundle import SCHEMA, Bundle, Shown, load_bundle, save_bundle
@@ -16,8 +18,6 @@ from phytac_decoder.vision.segmentation import segment
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError
-from safetensors.numpy import load_file, save_file
-
 from tests.decoder.test_eyes import MODEL, discs, lattice
 from tests.decoder.test_forces import N, make_bundle
 

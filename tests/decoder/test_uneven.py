@@ -3,15 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
-import phytac_decoder.mechanics.stiffness_field
 import pytest
+
+import phytac_decoder.mechanics.stiffness_field
 from phytac_decoder.estimation.marker_gain import LeftOut, Pressed, Shown, shown
 from phytac_decoder.mechanics.response_table import Places
 from phytac_decoder.mechanics.stiffness_field import Uneven
-from phytac_shapes.arrays import BoolArray, FloatArray
-
 from phytac_design.datasets.samples import Samples
 from phytac_design.training.locator_calibration import calibrated, match
+from phytac_shapes.arrays import BoolArray, FloatArray
 from tests.decoder.flat_samples import NOISE_PX, STIFFNESS, pressed
 from tests.decoder.flat_sensor import MARKERS, flat_locator
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from phytac_decoder.estimation.force_regions import Region
 from phytac_decoder.estimation.frame_reading import Reading
 from phytac_decoder.io.imu import Imu
@@ -27,7 +28,6 @@ from phytac_decoder.serving.wire_protocol import (
 )
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError, OutputError
-
 from tests.decoder.toy_sensor import toy_bundle
 
 COUNT = 30

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.io.bundle import Bundle, save_bundle
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_shapes.arrays import FloatArray, ImageArray
-
 from tests.decoder.test_eyes import GREY, MODEL, PAINTS, lattice
 from tests.decoder.test_forces import make_bundle
 

@@ -6,14 +6,14 @@ from importlib import resources
 from importlib.util import find_spec
 from typing import Any
 
-from phytac_shapes import REGISTRY
-from phytac_shapes.errors import PhytacError
 from typer.main import get_command
 
 from phytac_design.cli.app import app
 from phytac_design.design.accuracy import with_settings
 from phytac_design.design.design_file import shipped_designs
 from phytac_design.stages import STAGES
+from phytac_shapes import REGISTRY
+from phytac_shapes.errors import PhytacError
 from tests.docs.pages import ROOT
 
 PLACEHOLDER = re.compile(r"^[A-Z][A-Z.…]*$")

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from phytac_design.design.design_file import load_design
 from phytac_design.design.print_rules_table import PROCESSES
-from phytac_design.rules import check_design
+from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
 from phytac_design.study.search.file import load_study
 from phytac_design.study.search.space import make_space

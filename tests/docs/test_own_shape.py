@@ -8,10 +8,10 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import numpy as np
-import phytac_shapes
 import pytest
-from phytac_shapes.errors import DesignError
 
+import phytac_shapes
+from phytac_shapes.errors import DesignError
 from tests.docs.pages import ROOT, commands, listing
 
 GUIDE = ROOT / "docs" / "guides" / "own-shape.md"

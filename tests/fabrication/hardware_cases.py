@@ -5,8 +5,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from phytac_shapes import Surface
-
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
@@ -18,6 +16,7 @@ from phytac_design.fabrication.switch_set import SwitchSet, make_switches
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.stages.build import copy_of
+from phytac_shapes import Surface
 
 SHIPPED = ("cylinder60", "cylinder40", "cone", "cuboid", "hemisphere", "grip", "plane", "patch")
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray
 
 from benchmarks.bench_measure import (
     fit_shift_mm,
@@ -26,6 +25,7 @@ from phytac_design.fabrication.documents.paint_map import (
 )
 from phytac_design.fabrication.documents.pdf import pdf_bytes
 from phytac_design.fabrication.documents.unroll import unroll
+from phytac_shapes.arrays import FloatArray
 from tests.fabrication.bench_cases import switches
 from tests.fabrication.cases import FAMILIES, built, family_design, shipped
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import EXPORT
@@ -21,6 +20,7 @@ from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import make_markers
 from phytac_design.stages.build import copy_of
 from phytac_design.stages.documents import read_stl
+from phytac_shapes.errors import DesignError
 from tests.fabrication.bench_cases import ran, switches
 from tests.fabrication.cases import design, shipped
 

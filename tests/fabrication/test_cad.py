@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError, InputError, NumericalError, OutputError
 
 from phytac_design.design.spec import WallSection
 from phytac_design.layout import make_markers
@@ -22,6 +21,7 @@ from phytac_design.solids.cad_spline import cells_for, spline_edge
 from phytac_design.solids.solid_mesh import shell_manifold
 from phytac_design.solids.step_surface import surface_from_step
 from phytac_design.solids.wall_mesh import wall_mesh
+from phytac_shapes.errors import DesignError, InputError, NumericalError, OutputError
 from tests.fabrication.cases import FAMILIES, Barrel, built, design, family_design
 from tests.fabrication.walls import rims_mm3, steiner_mm3
 

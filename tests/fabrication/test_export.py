@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from phytac_design.geometry.triangles import TriangleMesh
-from phytac_design.rules import check_design
+from phytac_design.rules.check import check_design
 from phytac_design.solids.mesh_export import (
     STL_HEADER,
     stl_bytes,

@@ -3,7 +3,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.fabrication.hardware.assembly import check_hardware, make_hardware
 from phytac_design.fabrication.hardware.bodies import SHELL, SWITCHES, hardware_solids
@@ -24,6 +23,7 @@ from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.solids.mesh_facts import manifold_facts, trimesh_facts
 from phytac_design.solids.solid_mesh import to_triangles
+from phytac_shapes.errors import DesignError
 from tests.fabrication.hardware_cases import SHIPPED, case, changed, solids, switches
 
 every_shape = pytest.mark.parametrize("name", SHIPPED)

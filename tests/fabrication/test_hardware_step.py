@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import OutputError
 
 from phytac_design.design.spec import WallSection
 from phytac_design.engine.stage import graphics_libraries
@@ -29,6 +28,7 @@ from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodi
 from phytac_design.layout import make_markers
 from phytac_design.solids.cad import cad_facts, read_assembly, read_step, write_assembly
 from phytac_design.stages.hardware import HARDWARE
+from phytac_shapes.errors import OutputError
 from tests.fabrication.cases import design
 from tests.fabrication.hardware_cases import case, changed, context, solids, switches
 

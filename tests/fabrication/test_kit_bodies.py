@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray
 from pydantic import ValidationError
 
 from phytac_design.design.documents_table import KitSection
@@ -27,6 +26,7 @@ from phytac_design.solids.mesh_facts import manifold_facts, trimesh_facts
 from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
 from phytac_design.solids.wall_mesh import wall_mesh
 from phytac_design.stages.build import copy_of
+from phytac_shapes.arrays import FloatArray
 from tests.fabrication.cases import FAMILIES, built, family_design, shipped
 
 TOL_mm = 0.03

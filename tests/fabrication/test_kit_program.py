@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import InputError
 from scipy.spatial.transform import Rotation
 
 from benchmarks.bench_measure import Move, in_sensor, read_gcode, tool_axis, tool_x
@@ -35,6 +34,7 @@ from phytac_design.mechanics.calibration.measurements import Measurements, read_
 from phytac_design.mechanics.calibration.probe_response import ProbeResponse
 from phytac_design.mechanics.shell.receptor_stiffness import receptor_stiffness
 from phytac_design.stages.build import copy_of
+from phytac_shapes.errors import InputError
 from tests.designs import small
 from tests.fabrication.cases import built, shipped
 from tests.test_cli import phytac

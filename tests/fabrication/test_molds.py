@@ -6,8 +6,6 @@ from pathlib import Path
 import manifold3d
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.fabrication.molds.audit import (
     Audit,
@@ -30,6 +28,8 @@ from phytac_design.fabrication.switch_set import SwitchSet, revolve, revolved_vo
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.solids.mesh_export import write_stl
 from phytac_design.solids.solid_mesh import to_manifold
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 from tests.fabrication.molds import WAYS, molds, switch_set
 from tests.fabrication.test_export import assert_admesh_finds_nothing, needs_admesh
 

@@ -8,8 +8,6 @@ from typing import Any
 import manifold3d
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 from pydantic import ValidationError
 
 from phytac_design.design.accuracy import PRESETS
@@ -24,6 +22,8 @@ from phytac_design.fabrication.switch_set import reach_mm
 from phytac_design.solids.solid_mesh import to_manifold, to_triangles
 from phytac_design.stages.build import copy_of
 from phytac_design.stages.mold import MOLD
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 from tests.fabrication.cases import design
 from tests.fabrication.molds import BOWL, WAYS, molds, switch_set
 

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import OutputError
 
 from phytac_design.design.print_rules_table import PROCESSES, PrintSection
 from phytac_design.fabrication.printing.check import check_body, check_shell
@@ -18,6 +17,7 @@ from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import TriangleMesh, prisms
 from phytac_design.solids.mesh_export import write_stl
 from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
+from phytac_shapes.errors import OutputError
 from tests.fabrication.cases import built, design, shipped
 
 RULES = PrintSection()

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.print_rules_table import PrintSection
@@ -24,6 +23,7 @@ from phytac_design.solids.mesh_facts import trimesh_facts
 from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
 from phytac_design.stages.printing import OTHERS, run
 from phytac_design.stages.shell import run_shell
+from phytac_shapes.errors import DesignError
 from tests.fabrication.cases import built, design, family_design, shipped
 
 

@@ -2,12 +2,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from phytac_shapes.errors import DesignError, NumericalError
 
 from phytac_design.design.spec import Design, WallSection
 from phytac_design.geometry.triangles import TriangleMesh, prisms, sides_for
 from phytac_design.layout import make_markers
-from phytac_design.rules import check_design
+from phytac_design.rules.check import check_design
 from phytac_design.solids.mesh_facts import (
     expected_genus,
     manifold_facts,
@@ -22,6 +21,7 @@ from phytac_design.solids.solid_mesh import (
     to_triangles,
 )
 from phytac_design.solids.wall_mesh import wall_mesh
+from phytac_shapes.errors import DesignError, NumericalError
 from tests.fabrication.cases import Barrel, built, design, scaled, shipped
 
 NO_RIM = {"rim_length_mm": 0.0}

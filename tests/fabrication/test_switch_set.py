@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
@@ -19,6 +18,7 @@ from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.solids.solid_mesh import to_manifold
 from phytac_design.stages.build import copy_of
+from phytac_shapes.errors import DesignError
 
 BOWL = {"diameter_mm": 4.6, "depth_mm": 1.77, "thickness_mm": 0.22, "stem_diameter_mm": 1.44}
 BOWL |= {"pad_diameter_mm": 1.44, "pad_height_mm": 0.02, "fillet_mm": 0.24}

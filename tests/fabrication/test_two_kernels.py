@@ -5,13 +5,13 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.engine.stage import Context
 from phytac_design.layout import make_markers
 from phytac_design.solids import cad
 from phytac_design.solids.solid_mesh import shell_manifold
 from phytac_design.stages.shell import VOLUME_TOL, FINE_mm, run_step
+from phytac_shapes.errors import NumericalError
 from tests.designs import drawn
 
 DESIGN = drawn("hemisphere", 1)

@@ -1,9 +1,8 @@
 import numpy as np
-import phytac_shapes
 import pytest
 from hypothesis import example, given, settings
-from phytac_shapes.errors import DesignError
 
+import phytac_shapes
 from phytac_design.design.spec import WallSection
 from phytac_design.layout import make_markers
 from phytac_design.solids.mesh_facts import (
@@ -19,6 +18,7 @@ from phytac_design.solids.solid_mesh import (
     to_triangles,
 )
 from phytac_design.solids.wall_mesh import wall_mesh
+from phytac_shapes.errors import DesignError
 from tests.fabrication.cases import FAMILIES, Barrel, family_design
 from tests.fabrication.walls import rims_mm3, steiner_mm3
 from tests.test_shapes import draw, every_shape, safe_depth, seeds

@@ -1,10 +1,10 @@
 """Volumes of walls and rims by quadrature of the surface itself, apart from any mesh."""
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.spec import WallSection
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 GAUSS = (30, 6)
 """Cells of an edge and points in each."""

@@ -8,19 +8,19 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from phytac_decoder.estimation.force_regions import load_regions
-from phytac_decoder.io.bundle import load_bundle, save_bundle
-from phytac_decoder.serving.wire_protocol import Splitter
-from phytac_shapes.errors import InputError
 
 from benchmarks.page_fuzz import Place, Tally, fault_of, input_of, little_memory, run, tried
 from benchmarks.page_fuzz_change import json_text, toml_text
 from benchmarks.page_fuzz_readers import READERS, Reader, shipped
+from phytac_decoder.estimation.force_regions import load_regions
+from phytac_decoder.io.bundle import load_bundle, save_bundle
+from phytac_decoder.serving.wire_protocol import Splitter
 from phytac_design.design.design_file import load_design
 from phytac_design.design.scene import load_scene
 from phytac_design.simulation.scenario.file import load_scenario
 from phytac_design.study.search.file import load_study
 from phytac_design.study.stability.rooms.readers import bundle
+from phytac_shapes.errors import InputError
 
 TABLES = {
     "designs": load_design,

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from phytac_shapes.errors import InputError, MissingPartError
 
 from phytac_design.solids import step_surface
 from phytac_design.workflows.design_from_step import patch_changes
+from phytac_shapes.errors import InputError, MissingPartError
 
 HEAD = b"ISO-10303-21;\nHEADER;\nENDSEC;\nDATA;\n"
 

@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_decoder.estimation.force_regions import load_regions
-from phytac_decoder.io.bundle import load_bundle, save_bundle
-from phytac_shapes.bounded_reader import LETTERS_MAX, joined, read_bytes, read_text, toml_table
-from phytac_shapes.errors import InputError, PhytacError
 
 from benchmarks.page_fuzz import fault_of, little_memory, little_time
+from phytac_decoder.estimation.force_regions import load_regions
+from phytac_decoder.io.bundle import load_bundle, save_bundle
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.design.camera_files import read_lens
 from phytac_design.design.design_file import load_design
@@ -30,6 +28,8 @@ from phytac_design.studio.files import Workplace
 from phytac_design.study.search.file import load_study
 from phytac_design.study.stability.rooms.readers import bundle
 from phytac_design.workflows.design_from_step import patch_changes
+from phytac_shapes.bounded_reader import LETTERS_MAX, joined, read_bytes, read_text, toml_table
+from phytac_shapes.errors import InputError, PhytacError
 from tests.designs import small
 
 READ: dict[str, Callable[[Path], Any]] = {

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from importlib.resources import files
 
 import pytest
-from phytac_shapes import Surface
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
+from phytac_shapes import Surface
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,7 @@
 """One surface of each kind, and places on it."""
 
 import numpy as np
+
 from phytac_shapes import Cone, Cuboid, Cylinder, Grip, Hemisphere, Patch, Plane, Surface
 from phytac_shapes.arrays import FloatArray
 

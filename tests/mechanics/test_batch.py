@@ -4,7 +4,6 @@ import os
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.large import batch
 from phytac_design.mechanics.large.batch import Sample, solve_batch, solve_sample
@@ -12,6 +11,7 @@ from phytac_design.mechanics.large.newton import Loading
 from phytac_design.mechanics.large.path import solve_large
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification import large_cases
+from phytac_shapes.errors import NumericalError
 
 FACTORS = (0.1, -0.3, 1.05 * 0.7408, np.nan, 0.5, 1e-9)
 

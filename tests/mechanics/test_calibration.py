@@ -7,9 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes import Cylinder
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import InputError, NumericalError, PhytacError
 
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.calibration.calibration import calibrate
@@ -25,6 +22,9 @@ from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.receptor_stiffness import ReceptorStiffness
 from phytac_design.mechanics.shell.solve import clamped_model
+from phytac_shapes import Cylinder
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import InputError, NumericalError, PhytacError
 from tests.designs import small
 
 TRUTH = Parameters(modulus=2050.0, thickness=0.86, poisson=0.36)

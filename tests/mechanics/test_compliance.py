@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.meshing.mesh import chart_mesh, marker_mesh
 from phytac_design.mechanics.shell.compliance import (
@@ -19,6 +18,7 @@ from phytac_design.mechanics.shell.compliance import (
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.mechanics.shell.solve import clamped_model
+from phytac_shapes.errors import NumericalError
 from tests.mechanics.conftest import Prototype
 
 

@@ -4,8 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.shell.discretisation import (
     DiscretisationError,
@@ -16,6 +14,8 @@ from phytac_design.mechanics.shell.discretisation import (
 from phytac_design.mechanics.shell.free_edge import free_edge_force, free_edges
 from phytac_design.mechanics.verification import cases
 from phytac_design.mechanics.verification.case_parts import Case, Sides, edge_lines, probed
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 from tests.mechanics.conftest import Prototype
 
 

@@ -4,14 +4,14 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from phytac_shapes.arrays import BoolArray, FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.shell import element
 from phytac_design.mechanics.shell.assembly import assemble, make_pattern
 from phytac_design.mechanics.shell.element import element_stiffness
 from phytac_design.mechanics.shell.solve import rigid_modes
 from phytac_design.mechanics.verification import cases
+from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import NumericalError
 
 Field = Callable[[FloatArray, FloatArray], FloatArray]
 EXACT = 1e-10

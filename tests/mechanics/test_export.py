@@ -9,10 +9,10 @@ from typing import Any
 import meshio
 import numpy as np
 import pytest
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.mesh_writers import write_inp, write_msh, write_vtu
+from phytac_shapes.errors import NumericalError
 from tests.mechanics.conftest import Prototype
 
 FORCE_N = 10.0

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.shell.element import element_stiffness
 from phytac_design.mechanics.shell.solve import rigid_modes
@@ -11,6 +10,7 @@ from phytac_design.mechanics.verification.case_parts import Case
 from phytac_design.mechanics.verification.element_shapes import SHAPES, element_shape
 from phytac_design.mechanics.verification.ring_case import ring_case, ring_deflection
 from phytac_design.mechanics.verification.single_row import arch_case
+from phytac_shapes.errors import NumericalError
 
 NEAR = 0.005
 """What 48 elements over eight decay lengths leave of discretisation error."""

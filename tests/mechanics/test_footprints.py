@@ -4,9 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from phytac_shapes import Plane, Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 from scipy.integrate import dblquad
 
 from phytac_design.mechanics.shell import footprints
@@ -27,6 +24,9 @@ from phytac_design.mechanics.shell.pressure import (
 )
 from phytac_design.mechanics.shell.pressure_sharing import footprint_force_share, on_shell_share
 from phytac_design.simulation.indenters import Touches
+from phytac_shapes import Plane, Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 from tests.mechanics.families import FAMILIES, golden
 from tests.mechanics.touches import make_touches
 

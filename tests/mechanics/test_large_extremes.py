@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.corotational import Configuration, Corotational
@@ -11,6 +10,7 @@ from phytac_design.mechanics.large.path import solve_large
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification import large_cases
 from phytac_design.mechanics.verification.cases import at, hold, no_support, patch
+from phytac_shapes.errors import NumericalError
 
 KIND = {"modulus_MPa": 2200.0, "poisson": 0.38}
 SHAPES = {

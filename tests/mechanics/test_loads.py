@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.cylinder import Cylinder
-from phytac_shapes.discs import disc_overlap_share
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.pressure_sharing import footprint_force_share, on_shell_share
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.cylinder import Cylinder
+from phytac_shapes.discs import disc_overlap_share
+from phytac_shapes.errors import NumericalError
 from tests.mechanics.conftest import Prototype
 
 SURFACE = Cylinder(diameter_outer_mm=60.0, length_mm=120.0)

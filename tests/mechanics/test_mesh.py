@@ -4,15 +4,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.cylinder import Cylinder
-from phytac_shapes.errors import DesignError, NumericalError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.meshing.locate import _inverse_bilinear, locate
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh, marker_mesh
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.cylinder import Cylinder
+from phytac_shapes.errors import DesignError, NumericalError
 
 SHAPE = {"kind": "cylinder", "diameter_outer_mm": 60.0, "length_mm": 120.0}
 

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from phytac_shapes import Cuboid, Hemisphere, Surface
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
@@ -20,6 +18,8 @@ from phytac_design.mechanics.shell.assembly import assemble, make_pattern
 from phytac_design.mechanics.shell.compliance import column_turn
 from phytac_design.mechanics.shell.element import element_stiffness
 from phytac_design.mechanics.shell.solve import ShellModel, rigid_modes
+from phytac_shapes import Cuboid, Hemisphere, Surface
+from phytac_shapes.errors import DesignError
 from tests.mechanics.families import DOMES, FAMILIES, WALL_MM, golden
 
 every_family = pytest.mark.parametrize("name", FAMILIES)

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from phytac_shapes import Surface
-from phytac_shapes.errors import NumericalError
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from phytac_design.mechanics.large import modified, reference_configuration
@@ -20,6 +18,8 @@ from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_design.mechanics.verification import large_cases
+from phytac_shapes import Surface
+from phytac_shapes.errors import NumericalError
 from tests.designs import small
 
 SURFACE = small().surface()

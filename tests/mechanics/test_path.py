@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.large import newton, path
 from phytac_design.mechanics.large.newton import Control, Equilibrium, Loading, System
 from phytac_design.mechanics.large.path import solve_large, trace_arc, trace_displacement
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification import large_cases
+from phytac_shapes.errors import NumericalError
 
 LENGTH = 10.0
 TABLE = 0.01

@@ -7,9 +7,6 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
-from phytac_shapes import Cuboid, Plane, Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.meshing.locate import locate
 from phytac_design.mechanics.meshing.mesh import ShellMesh, node_mesh, plain_mesh
@@ -17,6 +14,9 @@ from phytac_design.mechanics.shell.loads import curved_points, patch_loads
 from phytac_design.mechanics.shell.mesh_writers import write_inp, write_msh, write_vtu
 from phytac_design.mechanics.shell.pressure_sharing import on_shell_share
 from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_shapes import Cuboid, Plane, Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 from tests.mechanics.families import DOMES, FAMILIES, WALL_MM, golden
 
 MESHES = {

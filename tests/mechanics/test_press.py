@@ -8,7 +8,6 @@ from typing import Any
 import meshio
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError, NumericalError, OutputError
 
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import camera_of
@@ -17,6 +16,7 @@ from phytac_design.mechanics.pressing import press as module
 from phytac_design.mechanics.pressing.place import Place, middle_marker, place_of
 from phytac_design.mechanics.pressing.press import Press, bending_strain, press, write_press
 from phytac_design.mechanics.pressing.press_report import press_dict, press_text, press_warnings
+from phytac_shapes.errors import DesignError, NumericalError, OutputError
 from tests.designs import small
 
 DESIGN = small()

@@ -2,10 +2,6 @@
 
 import numpy as np
 import pytest
-from phytac_shapes import Plane, Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.cylinder import Cylinder
-from phytac_shapes.errors import DesignError, NumericalError
 from scipy.special import j1
 
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh, plain_mesh
@@ -24,6 +20,10 @@ from phytac_design.mechanics.shell.pressure import (
 from phytac_design.mechanics.shell.pressure_sharing import near_pairs, on_shell_share
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.indenters import INDENTERS
+from phytac_shapes import Plane, Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.cylinder import Cylinder
+from phytac_shapes.errors import DesignError, NumericalError
 from tests.mechanics.families import FAMILIES, WALL_MM
 from tests.mechanics.touches import make_touches
 

@@ -5,8 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_shapes import Surface
-from phytac_shapes.errors import DesignError, NumericalError
 
 from phytac_design.mechanics.large.graded import contact_mesh
 from phytac_design.mechanics.large.newton import Loading
@@ -20,6 +18,8 @@ from phytac_design.mechanics.large.quadratic import (
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import clamped_model
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError, NumericalError
 from tests.mechanics.conftest import Prototype
 
 CENTRE = np.array([60.0, np.pi])

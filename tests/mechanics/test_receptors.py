@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import Context, write_arrays
@@ -34,6 +32,8 @@ from phytac_design.mechanics.solid.cell import Cell, cell_stiffness, plain, rati
 from phytac_design.simulation.instance_shell import truth_shell
 from phytac_design.simulation.response import rigid_slope
 from phytac_design.stages.response import RESPONSE, TWIN, run_response
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 from tests.designs import changed, small
 from tests.mechanics.conftest import Prototype
 

@@ -4,8 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes import Cylinder
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh, marker_mesh
@@ -20,6 +18,8 @@ from phytac_design.mechanics.shell.sensitivity import (
     stiffness_rates,
 )
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
+from phytac_shapes import Cylinder
+from phytac_shapes.arrays import FloatArray
 from tests.designs import small
 
 BASE: dict[str, Any] = {"modulus_MPa": 2200.0, "poisson": 0.38, "thickness_mm": 0.8}

@@ -8,9 +8,6 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError, MissingPartError, NumericalError
 
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import graphics_libraries
@@ -32,6 +29,9 @@ from phytac_design.mechanics.solid.solid_mesh_tets import (
     solid_mesh,
 )
 from phytac_design.mechanics.solid.tets import Tetrahedra, jacobian_ratio, shape_tet
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError, MissingPartError, NumericalError
 from tests.designs import changed
 
 SIZES = SolidSizes(wall_mm=1.5, foot_mm=1.1, tube_mm=1.5, contact_mm=1.1)

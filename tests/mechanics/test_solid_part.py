@@ -6,9 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError, NumericalError
 from scipy.spatial.transform import Rotation
 
 from phytac_design.design.spec import Design
@@ -21,6 +18,9 @@ from phytac_design.mechanics.solid.part import PartMesh, PartSizes, part_mesh, s
 from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes
 from phytac_design.mechanics.solid.tets import jacobian_ratio
 from phytac_design.mechanics.solid.tips import tips_motion, tips_turn
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError, NumericalError
 from tests.designs import changed
 from tests.mechanics.test_solid import volume
 

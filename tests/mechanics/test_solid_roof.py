@@ -4,12 +4,12 @@ import shutil
 from pathlib import Path
 
 import pytest
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.large.newton import Loading
 from phytac_design.mechanics.large.path import trace_displacement
 from phytac_design.mechanics.verification.large_cases import hinged_roof
 from phytac_design.mechanics.verification.solid_roof import solid_roof
+from phytac_shapes.errors import NumericalError
 
 SAGS_MM = (6.0, 11.293, 19.5)
 NO_CCX = pytest.mark.skipif(

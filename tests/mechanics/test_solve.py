@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.cylinder import Cylinder
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.factor import Factor
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_design.mechanics.verification import cases
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.cylinder import Cylinder
+from phytac_shapes.errors import NumericalError
 
 TUBE = chart_mesh(
     Cylinder(diameter_outer_mm=20.0, length_mm=30.0), thickness_mm=0.5, n_along=6, n_around=16

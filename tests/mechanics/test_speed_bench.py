@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_shapes import Cylinder
 
 from benchmarks import mechanics_cost, mechanics_rounding, mechanics_speed
 from benchmarks.ccx_linear import run_linear
 from benchmarks.harness import Table
 from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_patch
 from phytac_design.mechanics.meshing.mesh import chart_mesh
+from phytac_shapes import Cylinder
 
 needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not on PATH")
 

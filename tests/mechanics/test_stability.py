@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import NumericalError
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
@@ -14,6 +13,7 @@ from phytac_design.mechanics.large.path import solve_large, trace_arc, trace_dis
 from phytac_design.mechanics.large.stability import negative_pivots, stray
 from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
 from phytac_design.mechanics.verification import large_cases
+from phytac_shapes.errors import NumericalError
 
 LIMIT = 0.7408
 """Limit load of the thick roof at 8 elements a side (its own arc-length path)."""

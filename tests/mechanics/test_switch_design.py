@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from phytac_shapes.errors import DesignError, InputError, OutputError
 from typer.testing import CliRunner
 
 from phytac_design.cli.switch_command import switch
@@ -27,6 +26,7 @@ from phytac_design.mechanics.switch.receptor import space_of
 from phytac_design.mechanics.switch.report import curve_plot, range_over_modulus, range_plot
 from phytac_design.mechanics.switch.space import Space, Tolerance
 from phytac_design.mechanics.switch.tolerance import threshold_spread
+from phytac_shapes.errors import DesignError, InputError, OutputError
 from tests.designs import small
 
 TPU = rubber("tpu-8400n")

@@ -4,7 +4,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.large.compiled import Elastic
@@ -16,6 +15,7 @@ from phytac_design.mechanics.large.rotations import exponential
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_shapes.arrays import FloatArray, IntArray
 from tests.designs import drawn
 
 

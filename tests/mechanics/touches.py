@@ -1,9 +1,9 @@
 """Touches of one kind, made from few numbers."""
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.simulation.indenters import Touches
+from phytac_shapes.arrays import FloatArray
 
 
 def make_touches(

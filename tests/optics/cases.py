@@ -3,12 +3,11 @@
 from collections.abc import Mapping
 from typing import Any
 
-from phytac_shapes.arrays import BoolArray
-
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.optics.scene import Scene, build_scene
+from phytac_shapes.arrays import BoolArray
 
 FULL = {"width_px": 2592, "height_px": 1944, "focal_px": 970.0}
 """The paper's large camera."""

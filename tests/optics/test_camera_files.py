@@ -6,13 +6,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+
 from phytac_decoder.camera.lens import BrownConrady, KannalaBrandt, Lens, Omnidirectional, Pinhole
 from phytac_decoder.io.bundle_camera import camera_from, lens_table
-from phytac_shapes.errors import DesignError, InputError
-
 from phytac_design.design.camera_files import read_lens, write_lens
 from phytac_design.design.design_file import parse_design
 from phytac_design.design.spec import CameraSection
+from phytac_shapes.errors import DesignError, InputError
 from tests.optics.cases import make_design
 
 SIZE: dict[str, Any] = {

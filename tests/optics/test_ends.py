@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.decode import measure_frame, read_image, rest_positions
 from phytac_decoder.io.bundle import load_bundle
-from phytac_shapes.errors import DesignError
-
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
@@ -24,6 +23,7 @@ from phytac_design.rules.design_review import checkup
 from phytac_design.stages.build import build
 from phytac_design.stages.resolution import RESOLUTION
 from phytac_design.stages.views import VIEWS
+from phytac_shapes.errors import DesignError
 from tests.optics.cases import Bench, make_design
 
 SIZE = {"width_px": 648, "height_px": 486, "focal_px": 242.5}

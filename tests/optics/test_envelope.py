@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh, bar_span_mm, boundary_mm, edge_mm, shell_mesh
 from phytac_design.geometry.strips import Mesh, grid_mesh
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 from tests.fabrication.cases import FAMILIES, family_design
 from tests.fabrication.walls import out_of
 

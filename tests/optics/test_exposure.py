@@ -5,10 +5,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import KannalaBrandt
-from phytac_shapes.arrays import FloatArray
-
 from phytac_design.optics.exposure import (
     CLEAN,
     Exposure,
@@ -23,6 +22,7 @@ from phytac_design.optics.light import FALL_OFF_MOST, Strip, albedo, triangle_li
 from phytac_design.optics.paint import to_linear, to_srgb
 from phytac_design.optics.scene import FIRST_MARKER, Scene, paint_owner, red_owner
 from phytac_design.optics.sharpness import sharpness
+from phytac_shapes.arrays import FloatArray
 from tests.optics.cases import Bench
 
 CAMERA = Camera.on_axis(width_px=160, height_px=120, focal_px=100.0, stand_off_mm=0.0)

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import LENSES, Lens
-from phytac_shapes.arrays import FloatArray
-
 from phytac_design.layout.cameras import LEAST_SHARE, fit_stand_off_mm
+from phytac_shapes.arrays import FloatArray
 
 RADIUS_MM, FILL, HALF_PX = 29.2, 0.975, 324.0
 TURN = np.linspace(0.0, 2.0 * np.pi, 65)

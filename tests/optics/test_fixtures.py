@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.design_file import load_design, parse_design, to_toml
 from phytac_design.design.field_groups import fields_of
@@ -24,6 +22,8 @@ from phytac_design.optics.raster import rasterise
 from phytac_design.optics.scene import FIRST_FIXTURE, paint_owner
 from phytac_design.rules.design_review import checkup
 from phytac_design.stages import STAGES
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 from tests.optics.cases import Bench, make_design
 from tests.optics.lenses import LENSES
 

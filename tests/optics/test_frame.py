@@ -3,10 +3,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from phytac_decoder.camera.lens import KannalaBrandt
-from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
-from phytac_shapes.errors import MissingPartError
 
+from phytac_decoder.camera.lens import KannalaBrandt
 from phytac_design.optics import frame as frame_module
 from phytac_design.optics import picture
 from phytac_design.optics.frame import (
@@ -23,6 +21,8 @@ from phytac_design.optics.picture import render_picture
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.scene import BAR as BAR_CODE
 from phytac_design.optics.scene import paint_owner
+from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
+from phytac_shapes.errors import MissingPartError
 from tests.optics.cases import Bench
 
 GL_CENTROID_PX = 0.35  # GL averages after the gamma, which shifts edges between light and dark

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.core.json_values import finite
 from phytac_design.design.accuracy import PRESETS
@@ -15,6 +14,7 @@ from phytac_design.optics.lens_facts import BANDS, lens_facts, row_groups
 from phytac_design.report.sections import lens_section
 from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
+from phytac_shapes.errors import DesignError
 from tests.optics.cases import Bench, make_design
 
 FEW = {"rows": 3, "columns": 8, "height_near_mm": 0.5, "height_far_mm": 6.0}

@@ -5,11 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+
 from phytac_decoder.camera.camera import Camera, pinhole
 from phytac_decoder.camera.lens import BrownConrady, KannalaBrandt
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import MissingPartError
-
 from phytac_design.optics.distorted_triangles import bent_view
 from phytac_design.optics.frame import render_frame
 from phytac_design.optics.picture import render_picture
@@ -17,6 +15,8 @@ from phytac_design.optics.raster import all_pieces, pixels_alone, points_seen, r
 from phytac_design.optics.rays import RAY_ERROR, pixel_rays, ray_grid
 from phytac_design.optics.scene import SHELL, Scene
 from phytac_design.optics.zbuffer import fill
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import MissingPartError
 from tests.optics.cases import Bench, make_design
 from tests.optics.lenses import LENSES
 

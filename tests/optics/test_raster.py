@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Pinhole
-from phytac_shapes.arrays import FloatArray
-
 from phytac_design.optics.clip import NEAR_MM, clip_near
 from phytac_design.optics.raster import pixels_alone, rasterise
 from phytac_design.optics.scene import FIRST_MARKER, SHELL, Scene
+from phytac_shapes.arrays import FloatArray
 from tests.optics.cases import Bench
 
 AGREEMENT_MIN = 0.9999  # the rest are rays that Embree's float32 puts on the other side of an edge

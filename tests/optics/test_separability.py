@@ -3,9 +3,8 @@
 import cv2
 import numpy as np
 import pytest
-from phytac_decoder.vision.segmentation import ColourModel
-from phytac_shapes.errors import DesignError
 
+from phytac_decoder.vision.segmentation import ColourModel
 from phytac_design.optics.paint import PAINTS, paints_of, to_linear, to_srgb
 from phytac_design.optics.separability import (
     SHADE,
@@ -15,6 +14,7 @@ from phytac_design.optics.separability import (
     separability_svg,
 )
 from phytac_design.rules.check import check_design
+from phytac_shapes.errors import DesignError
 from tests.designs import changed
 
 

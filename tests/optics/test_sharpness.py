@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.optics.sharpness import Sharpness, sharpness
+from phytac_shapes.errors import DesignError
 from tests.optics.cases import FULL, Bench, make_design
 
 

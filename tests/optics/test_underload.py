@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.vision.segmentation import ColourModel, segment
-
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import camera_of, tolerance_mm

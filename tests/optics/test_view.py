@@ -3,14 +3,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import KannalaBrandt
+from phytac_design.layout import make_markers
+from phytac_design.layout.cameras import camera_of, cameras_of, refuse_swallowed, tolerance_mm
 from phytac_shapes import Cylinder
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
-
-from phytac_design.layout import make_markers
-from phytac_design.layout.cameras import camera_of, cameras_of, refuse_swallowed, tolerance_mm
 from tests.optics.cases import FULL, make_design
 
 

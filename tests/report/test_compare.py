@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 import typer
-from phytac_shapes.errors import InputError, OutputError
 from typer.testing import CliRunner
 
 from phytac_design.cli.compare_command import compare
@@ -22,6 +21,7 @@ from phytac_design.report.compare import (
     same_scales,
 )
 from phytac_design.stages.build import BuildResult
+from phytac_shapes.errors import InputError, OutputError
 from tests.report.conftest import Tab
 
 

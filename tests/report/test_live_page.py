@@ -1,11 +1,11 @@
 """The live view in a browser: what a stream says is on the page."""
 
 import numpy as np
+from playwright.sync_api import Browser
+
 from phytac_decoder.estimation.frame_reading import Reading
 from phytac_decoder.serving.live_view import LiveView
 from phytac_decoder.serving.wire_protocol import Messages
-from playwright.sync_api import Browser
-
 from tests.decoder.test_reading import located, reading
 from tests.decoder.toy_sensor import toy_bundle
 from tests.report.conftest import WAIT_MS, Tab

@@ -10,8 +10,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from phytac_decoder.camera.lens import BrownConrady
 
+from phytac_decoder.camera.lens import BrownConrady
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import Context, write_arrays, write_facts
 from phytac_design.layout.cameras import cameras_of, tolerance_mm

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+
+from phytac_design.simulation.bound import Bound, Prior, cell_prior, contact_signals
 from phytac_shapes import Cylinder, Hemisphere, Plane, Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
-
-from phytac_design.simulation.bound import Bound, Prior, cell_prior, contact_signals
 
 PAD = Plane(width_mm=60.0, height_mm=60.0)
 GRID = np.stack(np.meshgrid(*2 * [np.linspace(-24.0, 24.0, 7)]), axis=-1).reshape(-1, 2)

@@ -8,9 +8,9 @@ import time
 from pathlib import Path
 
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.simulation.run.worker_pool import Crew
+from phytac_shapes.errors import DesignError
 
 
 def start(base: int) -> int:

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_decoder.estimation.estimators import ForceModel
-from phytac_shapes.arrays import FloatArray
 
+from phytac_decoder.estimation.estimators import ForceModel
 from phytac_design.datasets.samples import (
     Meta,
     Samples,
@@ -21,6 +20,7 @@ from phytac_design.design.design_file import load_design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.simulation.contacts import Contacts, draw_contacts, switch_states
 from phytac_design.simulation.dataset import Dataset, key_node_data
+from phytac_shapes.arrays import FloatArray
 
 NOISE_PX = 0.04
 META = Meta(simulated=True, what="A test.", design="c", design_hash="0", route="points", seed=0)

@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray
 
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.design.spec import Design
@@ -28,6 +26,8 @@ from phytac_design.simulation.scenario.file import (
 from phytac_design.simulation.scenario.history import Relaxation, felt_force, held_depth
 from phytac_design.simulation.scenario.scatter import draw_unit
 from phytac_design.simulation.sensor_instance import Unit
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 Sensor = tuple[Design, Surface, Unit]
 WALL = {"relax_share": [0.1, 0.05], "relax_s": [0.7, 20.0]}

@@ -4,13 +4,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.layout import make_markers
 from phytac_design.simulation.indenters import INDENTERS
 from phytac_design.simulation.scenario.draw import make_plan
 from phytac_design.simulation.scenario.file import UnitSection
 from phytac_design.simulation.scenario.scatter import draw_unit
+from phytac_shapes.errors import DesignError
 from tests.designs import changed
 from tests.simulation.test_draw import AT, plan, scenario, sensor
 

@@ -4,12 +4,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.simulation.scenario.bodies import reach_mm
 from phytac_design.simulation.scenario.file import load_scenario
 from phytac_design.simulation.scenario.hands import capped
 from phytac_design.simulation.scenario.history import felt_force
+from phytac_shapes.errors import DesignError
 from tests.simulation.test_draw import AT, SERIES, WALL, plan, scenario, sensor
 
 PLACE = AT | {"marker": 80}

@@ -5,10 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import InputError
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import Readers, cameras_of, tolerance_mm
@@ -25,6 +23,8 @@ from phytac_design.simulation.instance_shell import truth_shell
 from phytac_design.simulation.pressed_series import Seen as Watched
 from phytac_design.simulation.response import motion_responses, rigid_slope, superpose
 from phytac_design.simulation.sensor_instance import Unit, WallField
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import InputError
 from tests.designs import changed, of_shape
 
 AGREE_px = 0.05

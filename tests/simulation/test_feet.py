@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from phytac_shapes import Plane, Surface
-from phytac_shapes.arrays import FloatArray
 from scipy.spatial.transform import Rotation
 
 from phytac_design.mechanics.meshing.grid import product_grid
 from phytac_design.mechanics.meshing.mesh import ShellMesh, _shell, plain_mesh
 from phytac_design.simulation.receptor_kinematics import Feet
+from phytac_shapes import Plane, Surface
+from phytac_shapes.arrays import FloatArray
 from tests.mechanics.families import FAMILIES, WALL_MM
 
 SHEET = Plane(width_mm=60.0, height_mm=60.0)

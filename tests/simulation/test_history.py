@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.simulation.scenario.history import (
     Creep,
@@ -15,6 +13,8 @@ from phytac_design.simulation.scenario.history import (
     light_at,
     switch_through,
 )
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 G, TAU = 0.3, 2.0
 SOLID = Relaxation(share=np.array([G]), time_s=np.array([TAU]))

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import OutputError
 
 from phytac_design.simulation.run.journal import WORK, Journal
+from phytac_shapes.errors import OutputError
 
 ARRAYS = {"shift_px": np.array([[0.5, np.nan], [1e-300, -0.0]]), "bits": np.array([True, False])}
 FACTS = {"status": 1, "reason": "unstable: …"}

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.decode import Measured, confirmed
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
 from phytac_decoder.vision.switch_detection import TipModel
-from phytac_shapes.errors import NumericalError
-
 from phytac_design.simulation.condense import Condensed, condense
 from phytac_design.stages.decoder import limits_of
+from phytac_shapes.errors import NumericalError
 from tests.decoder.test_forces import N, force_model, make_bundle
 
 CAMERA = Camera.on_axis(width_px=2000, height_px=2000, focal_px=900.0, stand_off_mm=30.0)

@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_decoder.mechanics.response_table import Places
-from phytac_shapes.arrays import BoolArray, FloatArray
 
+from phytac_decoder.mechanics.response_table import Places
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import Readers, cameras_of
@@ -29,6 +28,7 @@ from phytac_design.simulation.response_tables import (
 from phytac_design.simulation.scenario.scatter import draw_unit
 from phytac_design.simulation.scenario.tables import UnitSection
 from phytac_design.simulation.solver import Solver
+from phytac_shapes.arrays import BoolArray, FloatArray
 from tests.designs import drawn, of_shape, small
 
 DESIGN = small()

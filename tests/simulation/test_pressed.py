@@ -4,8 +4,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import Readers, cameras_of
@@ -18,6 +16,8 @@ from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.indenters import flat_touches
 from phytac_design.simulation.pressed_series import SOLVED_AT, Pressed, Seen
 from phytac_design.simulation.response import turned_points
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 from tests.designs import changed, drawn
 
 DESIGN = drawn("plane", 3)

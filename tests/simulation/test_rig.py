@@ -9,11 +9,10 @@ import cv2
 import numpy as np
 import pytest
 import typer
-from phytac_decoder.estimation.cascade_network import CascadeNetwork, parameter_count
-from phytac_decoder.io.bundle import Bundle, load_bundle
-from phytac_shapes.errors import InputError, OutputError, PhytacError
 from typer.testing import CliRunner
 
+from phytac_decoder.estimation.cascade_network import CascadeNetwork, parameter_count
+from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_design.cli.import_command import import_
 from phytac_design.datasets.samples import REAL, Samples
 from phytac_design.datasets.samples_reader import read_samples
@@ -28,6 +27,7 @@ from phytac_design.training import levenberg_marquardt
 from phytac_design.training.levenberg_marquardt import Trained
 from phytac_design.training.training_data import DataSet, check_inputs
 from phytac_design.workflows.import_rig import Imported, Settings, import_rig, lens_difference_px
+from phytac_shapes.errors import InputError, OutputError, PhytacError
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "rig"
 DESIGN = load_design(str(EXAMPLE / "rig.toml"))

@@ -4,8 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray, ImageArray
-from phytac_shapes.errors import InputError
 
 from phytac_design.design.design_file import load_design
 from phytac_design.fabrication.calibration_rig.log import Log, log_text
@@ -14,6 +12,8 @@ from phytac_design.simulation.indenters import INDENTERS, Touches
 from phytac_design.simulation.rig_import.contacts import contacts_of, sequences_of
 from phytac_design.simulation.rig_import.frames import Folder, Source, match, open_source
 from phytac_design.simulation.rig_import.log import Problems, RigLog, read_rig_log
+from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.errors import InputError
 from tests.designs import drawn
 
 DESIGN = load_design(str(Path(__file__).parents[2] / "examples" / "rig" / "rig.toml"))

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
@@ -21,6 +20,7 @@ from phytac_design.simulation.scenario.scatter import (
     wall_factor,
 )
 from phytac_design.simulation.sensor_instance import Unit
+from phytac_shapes.arrays import FloatArray
 from tests.designs import changed
 from tests.test_layout_shapes import designed
 

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from phytac_shapes.errors import DesignError
 from pydantic import BaseModel
 
 from phytac_design.simulation.scenario.docs import TABLES, renewed
@@ -17,6 +16,7 @@ from phytac_design.simulation.scenario.file import (
     scenario_hash,
     shipped_scenarios,
 )
+from phytac_shapes.errors import DesignError
 
 PAGE = Path(__file__).parents[2] / "docs" / "scenarios.md"
 NAMES = ["cycles", "extremes", "grips", "platform", "rims", "smoke"]

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
@@ -32,6 +31,7 @@ from phytac_design.simulation.scenario.region import touched_region
 from phytac_design.simulation.scenario.scatter import draw_unit, wall_factor
 from phytac_design.simulation.sensor_instance import Unit
 from phytac_design.simulation.solver import Motion, Solver
+from phytac_shapes.errors import NumericalError
 from tests.designs import small
 
 DESIGN = small()

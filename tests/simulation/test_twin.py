@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.estimators import ForceModel
-
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.compliance import marker_compliance, probe_motion

@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.contact_fit import Prior, start
 from phytac_decoder.estimation.contact_shifts import explained
 from phytac_decoder.mechanics.response_table import Places
-from phytac_shapes.arrays import FloatArray
-
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import Readers, cameras_of
 from phytac_design.mechanics.meshing.mesh import marker_mesh
@@ -18,6 +17,7 @@ from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.simulation.flat_walls import Wall, flat_walls
 from phytac_design.simulation.pressed_series import Pressed, Seen
 from phytac_design.simulation.response_tables import Tabulated, make_places
+from phytac_shapes.arrays import FloatArray
 from tests.designs import of_shape
 
 STRAIGHT = {"kind": "straight", "rows": 5, "columns": 7}

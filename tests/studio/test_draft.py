@@ -10,7 +10,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.design_file import parse_design
 from phytac_design.layout.cameras import camera_of
@@ -19,6 +18,7 @@ from phytac_design.studio.draft import Asked, draft, id_image, small_camera
 from phytac_design.studio.errors import error_body
 from phytac_design.studio.form import WHEN, field_paths, form
 from phytac_design.studio.turns import StaleError, Turn, Turns
+from phytac_shapes.errors import DesignError
 from tests.studio.place import Client
 
 Json = dict[str, Any]

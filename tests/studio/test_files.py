@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from phytac_shapes.errors import DesignError, InputError, OutputError
 
 from benchmarks.page_fuzz import little_time
 from phytac_design.design.design_file import load_design, parse_design, shipped_designs
 from phytac_design.studio.files import AskError, Workplace, edited
+from phytac_shapes.errors import DesignError, InputError, OutputError
 from tests.studio.place import DESIGN, Client
 
 Json = dict[str, Any]

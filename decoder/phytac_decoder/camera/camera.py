@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_decoder.camera.lens import Lens, Pinhole
+from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import DesignError
 
 BISECTIONS = 100
 

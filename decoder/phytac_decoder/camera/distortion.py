@@ -6,6 +6,7 @@ and y' alike (OpenCV, calib3d).
 """
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray
 
 NEWTON_STEPS = 12

@@ -12,10 +12,10 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_decoder.camera.distortion import bend, bend_slope, unbend
+from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import DesignError
 
 FIELD_STEPS = 4096
 FIELD_TURNS = 16

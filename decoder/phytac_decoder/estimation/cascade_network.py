@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray, IntArray
 
 Activation = Literal["rectified", "identity"]

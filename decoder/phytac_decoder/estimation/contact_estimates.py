@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_decoder.estimation.contact_fit import Fit
+from phytac_shapes.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from phytac_decoder.estimation.contact_shifts import UNKNOWNS, State, explained
 from phytac_decoder.mechanics.interaction_table import Images
 from phytac_decoder.mechanics.response_table import Places
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDS = 8
 STILL = 2e-3

@@ -10,6 +10,7 @@ from functools import cached_property
 from math import exp, sqrt
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray, IntArray
 
 NEAREST = 12

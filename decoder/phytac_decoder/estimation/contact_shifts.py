@@ -5,11 +5,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_decoder.mechanics.interaction_table import Images, with_mixed
 from phytac_decoder.mechanics.membrane_stretching import lost_share, powers_of
 from phytac_decoder.mechanics.response_table import Places
+from phytac_shapes.arrays import FloatArray, IntArray
 
 UNKNOWNS = 6
 """Of a contact: force (N), centre along and around (mm), second moments xx, xy, yy (mm²)."""

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field, replace
 from math import dist
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_decoder.estimation.contact_grouping import Contact, Place
+from phytac_shapes.arrays import FloatArray
 
 GATE_SPACINGS = 2.5
 """A contact is looked for within so many marker spacings of where it is expected, and its size."""

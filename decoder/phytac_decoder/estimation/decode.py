@@ -5,8 +5,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
-from phytac_shapes.errors import InputError
 
 from phytac_decoder.estimation.contact_estimates import Found
 from phytac_decoder.estimation.fault_detection import Explained
@@ -16,6 +14,8 @@ from phytac_decoder.io.recorded_frames import whole_image
 from phytac_decoder.vision.matching import Matched, carried, match_markers
 from phytac_decoder.vision.segmentation import check_image, segment
 from phytac_decoder.vision.switch_detection import read_switches
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
+from phytac_shapes.errors import InputError
 
 FOUND_MIN = 0.5
 """A frame that shows fewer than this fraction of the markers is refused."""

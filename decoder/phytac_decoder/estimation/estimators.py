@@ -4,13 +4,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import InputError
 
 from phytac_decoder.estimation.cascade_network import CascadeNetwork, network_features
 from phytac_decoder.estimation.contact_estimates import Found
 from phytac_decoder.estimation.locator import Locator
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import InputError
 
 ESTIMATORS = ("fem", "fem_nn", "fem_nn_identity", "koi_inverse", "auto")
 """Names, in the order of every table."""

@@ -7,12 +7,12 @@ tables of ``auto`` as well, which know large displacement, where the decoder has
 """
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from phytac_decoder.estimation.contact_estimates import Found
 from phytac_decoder.estimation.contact_grouping import contact_groups
 from phytac_decoder.estimation.locator import SILENT_MISFIT
 from phytac_decoder.io.bundle import Bundle
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 RIDGE = 1e-3
 """Weight of a neighbour's own force against the motion it explains: neighbours are much alike."""

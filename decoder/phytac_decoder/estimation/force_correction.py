@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray, IntArray
 
 AMPLITUDE, AMPLITUDE_MAX = 0.05, 0.5

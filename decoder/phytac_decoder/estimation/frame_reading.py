@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_decoder.estimation.contact_estimates import Found, Located
 from phytac_decoder.estimation.decode import Measured
 from phytac_decoder.io.bundle import Bundle
+from phytac_shapes.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)

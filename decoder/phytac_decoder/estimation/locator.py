@@ -14,8 +14,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.discs import disc_overlap_share
 
 from phytac_decoder.estimation.contact_estimates import Found, Located, Stand
 from phytac_decoder.estimation.contact_fit import (
@@ -35,6 +33,8 @@ from phytac_decoder.estimation.contact_shifts import UNKNOWNS, State, point_of
 from phytac_decoder.estimation.force_correction import Correction
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
 from phytac_decoder.mechanics.response_table import Places
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.discs import disc_overlap_share
 
 SILENT_MAX = 4
 """Contacts without a switch that are looked for at most."""

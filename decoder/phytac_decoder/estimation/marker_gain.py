@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from phytac_decoder.estimation.contact_fit import start
 from phytac_decoder.estimation.contact_shifts import explained, point_of
 from phytac_decoder.estimation.locator import Locator
 from phytac_decoder.mechanics.response_table import Places
 from phytac_design.datasets.samples import FAILED, Samples
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 GAIN_SD = 0.02
 """Presumed standard deviation of G's entries."""

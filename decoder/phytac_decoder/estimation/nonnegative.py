@@ -1,6 +1,7 @@
 """Least squares with unknowns that cannot be negative."""
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray
 
 

@@ -3,9 +3,9 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, IntArray
 
 from phytac_decoder.vision.switch_detection import RED_LEAST_PX
+from phytac_shapes.arrays import BoolArray, IntArray
 
 if TYPE_CHECKING:
     from phytac_decoder.io.bundle import Bundle

@@ -12,9 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.bounded_reader import check_file, read_text
-from phytac_shapes.errors import InputError, cause_of
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
@@ -39,6 +36,9 @@ from phytac_decoder.io.bundle_check import (
 from phytac_decoder.io.bundle_locator import locator_arrays, locator_from, locator_table
 from phytac_decoder.vision.segmentation import ColourModel
 from phytac_decoder.vision.switch_detection import TipModel
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.bounded_reader import check_file, read_text
+from phytac_shapes.errors import InputError, cause_of
 
 SCHEMA = (1, 11)
 FORMAT = "phytac-decoder-bundle"

@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.errors import DesignError, InputError
 
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import LENSES, Lens
+from phytac_shapes.errors import DesignError, InputError
 
 
 def camera_table(camera: Camera) -> dict[str, Any]:

@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import InputError
 
 from phytac_decoder.estimation.cascade_network import parameter_count
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import InputError
 
 INTEGERS = ("colour", "neighbours", "read_by")
 PARTIAL = ("tip_on_px", "shown_rest_px", "shown_tip_on_px")

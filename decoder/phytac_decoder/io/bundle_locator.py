@@ -5,8 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import InputError
 
 from phytac_decoder.estimation.contact_fit import Noise, Prior
 from phytac_decoder.estimation.force_correction import LENGTH, Correction
@@ -15,6 +13,8 @@ from phytac_decoder.io.bundle_check import above_zero, numbers
 from phytac_decoder.mechanics.interaction_table import Pairs
 from phytac_decoder.mechanics.membrane_stretching import Walls
 from phytac_decoder.mechanics.response_table import Places
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import InputError
 
 PREFIX, PAIR, WALL, RATIO = "places.", "pair_", "wall_", "noise_ratio"
 LEAST_PLACES = 4

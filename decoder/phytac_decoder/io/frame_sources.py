@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes.arrays import ImageArray
-from phytac_shapes.errors import InputError
 
 from phytac_decoder.io.frame import Frame, Source
 from phytac_decoder.io.live_camera import Live
 from phytac_decoder.io.recorded_frames import SUFFIXES, Folder, Track, Video
 from phytac_decoder.io.synchronised_recordings import InStep
+from phytac_shapes.arrays import ImageArray
+from phytac_shapes.errors import InputError
 
 CAMERAS_MAX = 2
 

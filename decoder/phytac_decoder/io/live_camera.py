@@ -7,9 +7,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from phytac_shapes.errors import InputError
 
 from phytac_decoder.io.frame import Frame, Source
+from phytac_shapes.errors import InputError
 
 SILENT_S = 5.0
 """A camera that gives no frame for this long has gone."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
 

@@ -16,9 +16,9 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes.arrays import FloatArray
 
 from phytac_decoder.mechanics.response_table import Places
+from phytac_shapes.arrays import FloatArray
 
 MOST = 0.3
 """Largest mixed term over what each of the two does alone: contacts that all but cover each other

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
+
 from phytac_shapes.arrays import FloatArray, IntArray
 
 SURE = 1.1

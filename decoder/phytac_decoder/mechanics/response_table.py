@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:

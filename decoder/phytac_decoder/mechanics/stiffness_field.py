@@ -16,11 +16,11 @@ from copy import copy
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_decoder.estimation.contact_fit import Noise
 from phytac_decoder.estimation.marker_gain import LeftOut, Pressed, Shown
 from phytac_decoder.mechanics.response_table import Places
+from phytac_shapes.arrays import FloatArray, IntArray
 
 SHARE = 0.03
 """ρ: share of the motion that D is presumed to be: less than the 7 % by which a wall's stiffness

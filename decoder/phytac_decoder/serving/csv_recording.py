@@ -8,9 +8,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from phytac_shapes.errors import OutputError
-
 from phytac_decoder.serving.wire_protocol import Message
+from phytac_shapes.errors import OutputError
 
 COLUMNS = (
     "sequence",

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
-from phytac_shapes.errors import OutputError, PhytacError
-
 from phytac_decoder.io.serial_port import SerialPort
 from phytac_decoder.serving.client_queue import Outlet
 from phytac_decoder.serving.wire_protocol import (
@@ -23,6 +21,7 @@ from phytac_decoder.serving.wire_protocol import (
     json_bytes,
     with_dropped,
 )
+from phytac_shapes.errors import OutputError, PhytacError
 
 PORT = 5757
 LOOPBACK = "127.0.0.1"

@@ -16,11 +16,11 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import OutputError
 
 from phytac_decoder.serving.live_view_page import PAGE
 from phytac_decoder.serving.wire_protocol import Message, end_message, json_bytes
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import OutputError
 
 PORT = 8057
 LOOPBACK = "127.0.0.1"

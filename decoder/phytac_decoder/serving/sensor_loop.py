@@ -6,8 +6,6 @@ from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
-from phytac_shapes.arrays import FloatArray, ImageArray
-from phytac_shapes.errors import InputError, OutputError, PhytacError
 
 from phytac_decoder.estimation.decode import measure_frame
 from phytac_decoder.estimation.frame_reading import Reading, read
@@ -17,6 +15,8 @@ from phytac_decoder.io.imu import Imu
 from phytac_decoder.serving.csv_recording import Recorder, RegionRecorder
 from phytac_decoder.serving.wire_protocol import Message, Messages
 from phytac_decoder.vision.tracker import Follower
+from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.errors import InputError, OutputError, PhytacError
 
 Decode = Callable[[Frame], Reading]
 """A frame to forces, in order; raises a PhytacError for one that it cannot read."""

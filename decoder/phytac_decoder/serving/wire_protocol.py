@@ -11,8 +11,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import InputError, cause_of
 
 from phytac_decoder.estimation.contact_estimates import Located
 from phytac_decoder.estimation.contact_grouping import Contact, ContactFinder
@@ -21,6 +19,8 @@ from phytac_decoder.estimation.force_regions import Region, RegionForces
 from phytac_decoder.estimation.frame_reading import Reading, nearest_marker, pushes
 from phytac_decoder.estimation.sensor_limits import named
 from phytac_decoder.io.bundle import Bundle
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import InputError, cause_of
 
 FORMAT = "phytac-stream"
 VERSION = "1.2"

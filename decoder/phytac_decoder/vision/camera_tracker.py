@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
-from phytac_shapes.errors import InputError
 
 from phytac_decoder.estimation.decode import FOUND_MIN, locate_in
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.vision.segmentation import check_image
 from phytac_decoder.vision.tracker_setup import learn
 from phytac_decoder.vision.windows import Moments
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
+from phytac_shapes.errors import InputError
 
 PAINT_LEAST = 0.3
 """A marker that shows less than this share of its paint at rest is lost."""

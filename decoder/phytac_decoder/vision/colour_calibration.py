@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
-from phytac_shapes.errors import InputError
 
 from phytac_decoder.estimation.decode import Frames, frames_of, locate_in
 from phytac_decoder.io.bundle import Bundle, Shown
 from phytac_decoder.vision.segmentation import COSINE_MIN, ColourModel, check_image
+from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
+from phytac_shapes.errors import InputError
 
 ACROSS = 21
 """Samples across the window of each marker."""

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes.arrays import ImageArray
 
 from phytac_decoder.vision.segmentation import COSINE_MIN, ColourModel
+from phytac_shapes.arrays import ImageArray
 
 Floats32 = NDArray[np.float32]
 Codes16 = NDArray[np.uint16]

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from phytac_decoder.vision.segmentation import Blobs
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDS = 3
 """Passes of assignment; each moves the medoids with their neighbourhood's motion."""

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from phytac_decoder.vision.segmentation import Blobs
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 RED_LEAST_PX = 4.0
 """Least red that counts as a tip."""

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 
 from phytac_decoder.estimation.frame_reading import Reading
 from phytac_decoder.io.frame import Frame
 from phytac_decoder.serving.sensor_loop import Decode
+from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 
 ROWS, BAND_px = 32, 640
 """Rows of a picture that are looked at, evenly spaced, and how much of each."""

@@ -8,12 +8,12 @@ marker's and its neighbours' velocity.
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray
-from phytac_shapes.errors import InputError
 
 from phytac_decoder.estimation.decode import Frames, Measured, confirmed, frames_of
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.vision.camera_tracker import CameraFollower, SeenBy
+from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import InputError
 
 MARGIN_px, MARGIN_SHARE = 0.4, 1e-3
 """Margin of the windows: so much, and this share of the image's width; 1 px at 640 px."""

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
 from phytac_decoder.estimation.decode import locate_in
 from phytac_decoder.io.bundle import Bundle, Shown
@@ -12,6 +11,7 @@ from phytac_decoder.vision.matching import nearest_same_colour_px
 from phytac_decoder.vision.segmentation import Blobs, segment
 from phytac_decoder.vision.switch_detection import RED_LEAST_PX
 from phytac_decoder.vision.windows import Moments, Windows, window_order
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
 RIVALS_MAX = 8
 """Most spots of one paint that a spot's window is cut against."""

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from phytac_decoder.vision.colour_codes import Converter, Floats32, Picture
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 LAY_MOST = 1 << 20
 """Most borders times pixels that are laid in one go: 4 MB of numbers."""

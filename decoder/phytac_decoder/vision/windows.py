@@ -10,10 +10,10 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from phytac_decoder.vision.colour_codes import Floats32, Picture
 from phytac_decoder.vision.window_batches import Block, Cuts, Space
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 SLACK_px = (0.4, 1.0)
 """A window is laid anew once its spot has moved this far: the less, the nearer rivals are."""

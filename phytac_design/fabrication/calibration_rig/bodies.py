@@ -3,9 +3,6 @@
 from dataclasses import dataclass
 from typing import Any
 
-from phytac_shapes import Surface
-from phytac_shapes.errors import DesignError
-
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.calibration_rig.grippers import jaw, palm
 from phytac_design.fabrication.calibration_rig.jigs import collar, has_rims, hole_plates, is_tube
@@ -17,6 +14,8 @@ from phytac_design.fabrication.calibration_rig.solids import (
     flat_indenter,
 )
 from phytac_design.layout import Markers
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError
 
 
 @dataclass(frozen=True, kw_only=True)

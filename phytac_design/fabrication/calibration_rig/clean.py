@@ -1,9 +1,9 @@
 """Triangles fit for a file in single precision: no corner twice, no needle without a direction."""
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.geometry.triangles import TriangleMesh
+from phytac_shapes.arrays import FloatArray, IntArray
 
 NEEDLE_mm = 2e-5
 """Triangles lower than this turn about when their corners are rounded."""

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.calibration_rig.regions import (
@@ -28,6 +26,8 @@ from phytac_design.fabrication.calibration_rig.solids import (
     tool_height_mm,
 )
 from phytac_design.layout import Markers
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 PALM_SHARE = 2.0
 """Radius of the palm over that of the largest patch."""

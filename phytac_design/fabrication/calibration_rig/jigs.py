@@ -3,8 +3,6 @@
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.design.spec import Design, WallSection
 from phytac_design.fabrication.calibration_rig.lifted import Lifted
@@ -15,6 +13,8 @@ from phytac_design.geometry.triangles import TriangleMesh, strip_triangles
 from phytac_design.layout import Markers
 from phytac_design.solids.solid_mesh import to_manifold
 from phytac_design.solids.wall_mesh import wall_mesh
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
 
 COLLAR_mm = 8.0
 """Width of the collar around the rim."""

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+from phytac_design.fabrication.calibration_rig.program import Program
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.bounded_reader import read_text
 from phytac_shapes.errors import InputError
-
-from phytac_design.fabrication.calibration_rig.program import Program
 
 COLUMNS = ("contact_marker", "patch_radius_mm", "force_N", "displacement_mm")
 NUMBER_MAX = 2.0**53

@@ -16,13 +16,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.calibration_rig.regions import Regions, frames_at
 from phytac_design.layout import Markers
 from phytac_design.mechanics.calibration.calibration import LINEAR_SHARE
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
 
 Run = Literal["shell", "decoder"]
 SHELL_SHARE = 0.9

@@ -7,12 +7,12 @@ outward normal.
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.calibration_rig.symmetry import Symmetry, find_symmetry
 from phytac_design.layout import Markers
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 FIT_mm = 0.045
 """A face may stray this far from the surface of the regions it serves."""

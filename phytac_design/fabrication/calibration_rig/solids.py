@@ -7,8 +7,6 @@ outer face, the face of the tool at the bottom.
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.documents_table import KitSection
 from phytac_design.fabrication.calibration_rig.regions import disc_places, heights_mm
@@ -21,6 +19,8 @@ from phytac_design.geometry.triangles import (
     strip_triangles,
 )
 from phytac_design.solids.solid_mesh import to_manifold
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 FACE_RINGS, FACE_SECTORS = 12, 72
 OVER_mm = 1.0

@@ -8,10 +8,10 @@ itself. On a spiral of two colours that leaves two neighbouring columns, as in t
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.layout import Markers
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
 
 SAME_mm = 1e-6
 """Markers closer than this are one."""

@@ -9,6 +9,7 @@ from html import escape
 from typing import Literal, TypeAlias
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray
 
 Anchor = Literal["start", "middle", "end"]

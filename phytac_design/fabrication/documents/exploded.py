@@ -5,10 +5,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from phytac_decoder.camera.camera import Camera, pinhole
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, ImageArray
 
+from phytac_decoder.camera.camera import Camera, pinhole
 from phytac_design.fabrication.hardware.bodies import switch_frames
 from phytac_design.fabrication.switch_set import SwitchSet, revolve
 from phytac_design.geometry.triangles import TriangleMesh
@@ -16,6 +14,8 @@ from phytac_design.layout import Markers
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.scene import Scene
 from phytac_design.solids.mesh_export import DISPLAY_COLOURS
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, ImageArray
 
 SIZE_px = (1100, 800)
 FINER = 2

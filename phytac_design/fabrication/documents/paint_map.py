@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.documents.drawing import Disc, Item, Layer, Line, Page, Text
@@ -14,6 +12,8 @@ from phytac_design.fabrication.documents.unroll import Unrolled, unroll
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
 from phytac_design.solids.mesh_export import DISPLAY_COLOURS
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 SHEETS = {"A4": (210.0, 297.0), "letter": (215.9, 279.4)}
 """Width and height of upright paper, mm."""

@@ -4,11 +4,11 @@ import csv
 import io
 
 import numpy as np
-from phytac_shapes import Surface
 
 from phytac_design.fabrication.documents.paint_map import PaintMap
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
+from phytac_shapes import Surface
 
 COLUMNS = (
     "marker",

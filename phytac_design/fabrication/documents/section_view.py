@@ -1,13 +1,13 @@
 """Section through one receptor with its switch in place, drawn larger than life."""
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.documents.drawing import Item, Layer, Line, Page, Text, svg_text
 from phytac_design.fabrication.documents.paint_map import INKS
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
+from phytac_shapes.arrays import FloatArray
 
 SCALE = 8.0
 AROUND_mm = 4.5

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 

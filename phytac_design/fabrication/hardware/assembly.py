@@ -1,8 +1,5 @@
 """All hardware of a design: which parts its shape and its cameras ask for."""
 
-from phytac_shapes import Surface
-from phytac_shapes.errors import DesignError
-
 from phytac_design.design.hardware_table import HardwareSection
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.ends import End, make_end
@@ -11,6 +8,8 @@ from phytac_design.fabrication.hardware.sheet_parts import base_and_frame
 from phytac_design.fabrication.hardware.tube_parts import connector, mount
 from phytac_design.geometry.envelope import bar_span_mm
 from phytac_design.layout.cameras import cameras_of
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError
 
 
 def make_hardware(design: Design, surface: Surface) -> Kit:

@@ -10,7 +10,6 @@ The wires leave between foot and connector, around a corner that no light passes
 """
 
 import numpy as np
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.camera_unit import SKIN_mm, around_mm
@@ -25,6 +24,7 @@ from phytac_design.fabrication.hardware.solids import (
     Rect,
     Union,
 )
+from phytac_shapes.errors import DesignError
 
 WITHIN_mm = 0.05
 """The bar stays this far within the cylinder that the camera's scene holds."""

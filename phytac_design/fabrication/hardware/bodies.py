@@ -3,8 +3,6 @@
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
@@ -16,6 +14,8 @@ from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import Markers
 from phytac_design.solids.receptor_tubes import rim_sag_mm
 from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
 
 FINE = 0.1
 """Meshes of hardware are this much finer than the gaps between parts."""

@@ -3,8 +3,6 @@
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.fabrication.hardware.solids import (
     Circle,
@@ -20,6 +18,8 @@ from phytac_design.fabrication.hardware.solids import (
 )
 from phytac_design.solids.cad_kernel import cadquery
 from phytac_design.solids.cad_wall import wall_cad
+from phytac_shapes import Surface
+from phytac_shapes.errors import NumericalError
 
 
 class CadKernel:

@@ -3,8 +3,6 @@
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.fabrication.hardware.solids import (
     Circle,
@@ -21,6 +19,8 @@ from phytac_design.fabrication.hardware.solids import (
 from phytac_design.geometry.triangles import prisms, sides_for, widening
 from phytac_design.solids.solid_mesh import SLIVER_mm, extruded_manifold, to_manifold, united
 from phytac_design.solids.wall_mesh import wall_mesh
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 
 class MeshKernel:

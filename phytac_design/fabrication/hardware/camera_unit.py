@@ -11,7 +11,6 @@ Made in the frame of an end, along z; the camera looks towards +z::
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.extras import imu_seat
@@ -28,6 +27,7 @@ from phytac_design.fabrication.hardware.solids import (
     Union,
     tube,
 )
+from phytac_shapes.errors import DesignError
 
 SKIN_mm = 0.8
 """Material that a blind hole leaves, so that no light passes."""

@@ -6,10 +6,8 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.parts import Kit
 from phytac_design.fabrication.hardware.screws import SCREWS, Joint
@@ -20,6 +18,8 @@ from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import Markers
 from phytac_design.optics.scene import FIRST_MARKER, build_scene
 from phytac_design.solids.solid_mesh import to_triangles
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 NONE_mm3 = 1e-6
 """A smaller common volume is rounding."""

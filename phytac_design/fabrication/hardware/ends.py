@@ -7,13 +7,13 @@ the near end it is the sensor's own; for the far one it is turned about x.
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.solids import Circle, Outline, Rect, polygon
 from phytac_design.geometry.boundary_loops import conormals
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
 STATIONS = 256
 FLAT_mm = 1e-6

@@ -1,7 +1,6 @@
 """Parts on demand: a tray for an inertial sensor on the cover, a socket for a shaft."""
 
 import numpy as np
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.parts import Kit, Part
@@ -16,6 +15,7 @@ from phytac_design.fabrication.hardware.solids import (
     Union,
     triples,
 )
+from phytac_shapes.errors import DesignError
 
 TRAY_mm = 1.5
 """Floor and wall of the tray."""

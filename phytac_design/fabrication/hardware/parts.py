@@ -3,10 +3,10 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.fabrication.hardware.screws import Joint
 from phytac_design.fabrication.hardware.solids import Far, Node, Point3, Union
+from phytac_shapes.arrays import FloatArray
 
 COLOURS: dict[str, tuple[float, float, float]] = {
     "resin": (0.84, 0.82, 0.77),

@@ -5,9 +5,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from phytac_decoder.camera.camera import Camera
-from phytac_shapes import Surface
-from phytac_shapes.errors import DesignError
-
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.bodies import SHELL, SWITCHES
 from phytac_design.fabrication.hardware.checks import (
@@ -24,6 +21,8 @@ from phytac_design.fabrication.hardware.parts import Kit, Part, screw_name
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
 from phytac_design.solids.wall_mesh import wall_mesh
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError
 
 COARSE_mm = 0.05
 """Accuracy of the wall that light is looked for through."""

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.errors import DesignError
 
 from phytac_design.fabrication.hardware.solids import Node, Point3, Rod
+from phytac_shapes.errors import DesignError
 
 ENGAGED = 1.5
 """Least thread in a tapped plastic part, in nominal diameters."""

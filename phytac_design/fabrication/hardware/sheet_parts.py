@@ -13,8 +13,6 @@ Both follow the curved rim: what is cut out of them is the design's own wall, a 
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design, WallSection
 from phytac_design.fabrication.hardware.camera_unit import camera_unit, ring_radii_mm
@@ -37,6 +35,8 @@ from phytac_design.fabrication.hardware.solids import (
 from phytac_design.fabrication.hardware.tube_parts import refuse_large
 from phytac_design.geometry.boundary_loops import Loop, chart_loops
 from phytac_design.geometry.wall_sampling import chart_stations
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError
 
 LEAN_MAX = 0.36
 """Steepest rim, as the tangent of its lean, that base and frame are made for (20°)."""

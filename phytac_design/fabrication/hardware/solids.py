@@ -3,9 +3,9 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.spec import WallSection
+from phytac_shapes.arrays import FloatArray
 
 Point2 = tuple[float, float]
 Point3 = tuple[float, float, float]

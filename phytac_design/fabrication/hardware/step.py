@@ -2,14 +2,13 @@
 
 from typing import Any
 
-from phytac_shapes import Surface
-
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.bodies import SHELL, SWITCH_mm, switch_frames
 from phytac_design.fabrication.hardware.parts import COLOURS, Kit
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
 from phytac_design.solids.cad import CadBody, revolved_cad, shell_cad, wall_cad
+from phytac_shapes import Surface
 
 WALL = "shell_without_receptors"
 

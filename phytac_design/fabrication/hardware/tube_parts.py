@@ -10,8 +10,6 @@ A socket holds a rim on both sides, so that no light passes; set screws press on
 """
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.bar import bar, foot_mm, foot_plate_mm
@@ -35,6 +33,8 @@ from phytac_design.fabrication.hardware.solids import (
     span_mm,
     triples,
 )
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError
 
 VIEW_mm = 0.3
 """Least distance between a spigot and the camera's lines of sight."""

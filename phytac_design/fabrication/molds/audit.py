@@ -5,8 +5,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.fabrication.molds.closed import (
     Fit,
@@ -23,6 +21,8 @@ from phytac_design.fabrication.molds.plates import dome_away_mm, dome_edge_mm
 from phytac_design.fabrication.molds.release import Bottom, Release, check_release
 from phytac_design.fabrication.switch_set import SwitchSet, revolved_volume_mm3
 from phytac_design.solids.solid_mesh import to_manifold
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 SHARED_mm3 = 1e-6
 """Largest volume that two plates may share: rounding."""

@@ -4,14 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.design.switch_table import MoldSection
 from phytac_design.fabrication.molds.grid import Kind
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.geometry.triangles import sides_for, widening
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
 PROFILE_mm = 0.01
 """Cavities keep this tolerance along their section, however coarse their rings are."""

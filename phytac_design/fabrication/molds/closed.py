@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.fabrication.molds.cavity import Sizes
 from phytac_design.fabrication.molds.grid import Kind, Plan
 from phytac_design.fabrication.switch_set import revolved_volume_mm3
 from phytac_design.geometry.triangles import TriangleMesh, prisms
 from phytac_design.solids.solid_mesh import apart, gap_mm, intersection, to_manifold, to_triangles
+from phytac_shapes.arrays import FloatArray
 
 COLUMN_SIDES = 48
 PRESSED_mm = 1e-5

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.fabrication.molds.cavity import KEY_SIDES, Sizes
 from phytac_design.fabrication.molds.grid import Plan, Run
 from phytac_design.fabrication.molds.sheet import Sheet
 from phytac_design.fabrication.molds.text import label
+from phytac_shapes.arrays import FloatArray, IntArray
 
 LABEL_mm = 0.4
 """Least height of labels: they must show in the rubber."""

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.design.switch_table import MoldSection
@@ -20,6 +19,7 @@ from phytac_design.fabrication.molds.plates import (
 from phytac_design.fabrication.molds.trays import core_tray, dome_tray, tray_edge_mm
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.geometry.triangles import TriangleMesh
+from phytac_shapes.errors import DesignError
 
 Maker = Callable[[Plan, Sizes], TriangleMesh]
 MAKERS: dict[str, dict[str, Maker]] = {

@@ -16,14 +16,14 @@ In the frame of use z points to the domes, as in a switch.
 """
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.fabrication.molds.cavity import KEY_SIDES, Cavity, EDGE_mm, Sizes
 from phytac_design.fabrication.molds.faces import Field, core_face, dome_face
 from phytac_design.fabrication.molds.grid import Plan, Run
 from phytac_design.fabrication.molds.sheet import Sheet
 from phytac_design.geometry.triangles import TriangleMesh
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 
 def draft_of(sizes: Sizes) -> float:

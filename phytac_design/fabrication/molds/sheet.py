@@ -5,9 +5,9 @@ is built here releases, and closes without a boolean operation.
 """
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.geometry.triangles import TriangleMesh, widening
+from phytac_shapes.arrays import FloatArray, IntArray
 
 
 class Sheet:

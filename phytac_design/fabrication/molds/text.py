@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.solids.solid_mesh import to_manifold, to_triangles, united
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 GLYPHS = {
     "0": ("00 20 24 04 00",),

@@ -15,7 +15,6 @@ The trays have the same two faces as the plates of the rigid mold, seen from the
 """
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.fabrication.molds.cavity import Sizes
 from phytac_design.fabrication.molds.faces import Field, core_face, dome_face
@@ -23,6 +22,7 @@ from phytac_design.fabrication.molds.grid import Plan
 from phytac_design.fabrication.molds.plates import dome_away_mm, draft_of
 from phytac_design.fabrication.molds.sheet import Sheet
 from phytac_design.geometry.triangles import TriangleMesh
+from phytac_shapes.arrays import FloatArray, IntArray
 
 FREEBOARD_mm = 1.5
 """Height of the frame over the level of the silicone."""

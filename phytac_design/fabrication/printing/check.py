@@ -4,8 +4,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray
 
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.design.spec import Design
@@ -24,6 +22,8 @@ from phytac_design.fabrication.printing.voids import cups, sealed, undrained
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import Markers
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 SPACING_mm = 0.7
 """Default distance between the points at which thickness is measured."""

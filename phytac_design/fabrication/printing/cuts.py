@@ -4,12 +4,12 @@ from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
 MORE = 6
 """Pieces beyond the least number that are tried along an axis."""

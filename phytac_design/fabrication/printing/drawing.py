@@ -5,13 +5,13 @@ from html import escape
 
 import cv2
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.fabrication.printing.check import PrintReport
 from phytac_design.fabrication.printing.overhang import overhanging
 from phytac_design.fabrication.printing.voids import upright
 from phytac_design.geometry.ray_tree import RayTree
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 
 SIDE_px = 420
 """Side of each view."""

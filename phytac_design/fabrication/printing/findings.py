@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray
 
 RULES = ("wall", "free wall", "post", "hole", "gap", "overhang", "sealed", "drain", "cup", "bed")

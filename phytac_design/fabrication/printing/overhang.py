@@ -4,8 +4,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import NumericalError
 from scipy.spatial import ConvexHull
 
 from phytac_design.design.print_rules_table import PrintSection
@@ -13,6 +11,8 @@ from phytac_design.fabrication.printing.samples import patches
 from phytac_design.fabrication.printing.voids import cups, upright
 from phytac_design.geometry.ray_tree import RayTree, START_mm
 from phytac_design.geometry.triangles import TriangleMesh
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import NumericalError
 
 DIRECTIONS = 150
 """Build directions of the coarse search, besides those along the axes."""

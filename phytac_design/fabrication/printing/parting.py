@@ -5,9 +5,6 @@ from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import DesignError, NumericalError
 
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.design.spec import Design, WallSection
@@ -17,6 +14,9 @@ from phytac_design.layout import Markers
 from phytac_design.layout.receptor_distances import segment_distance_mm
 from phytac_design.solids.solid_mesh import TOLERANCE_mm, to_manifold, to_triangles
 from phytac_design.solids.wall_mesh import wall_mesh
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError, NumericalError
 
 PEG_mm = 1.2
 """Thinnest peg: one that does not break off by hand."""

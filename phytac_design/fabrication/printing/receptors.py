@@ -1,9 +1,6 @@
 """Receptors against the print rules, from the design's own numbers."""
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 from scipy.spatial import cKDTree
 
 from phytac_design.design.spec import Design
@@ -11,6 +8,9 @@ from phytac_design.fabrication.printing.findings import Violation, place
 from phytac_design.layout import Markers
 from phytac_design.layout.receptor_distances import segment_distance_mm
 from phytac_design.solids.receptor_tubes import receptor_axes
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 SLACK_mm = 1e-6
 NEAR = 1.04

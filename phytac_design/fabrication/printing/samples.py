@@ -3,13 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import TriangleMesh
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 STEPS = np.array([0.7548776662466927, 0.5698402909980532])
 """Steps of the evenest known sequence in the plane (Roberts' R2, of the plastic number)."""

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-from phytac_shapes.errors import OutputError
 
 from phytac_design.geometry.triangles import TriangleMesh
+from phytac_shapes.errors import OutputError
 
 RECORD = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 HEAD = 84

@@ -8,13 +8,13 @@ is as narrow another way too is a post, air that is so is a hole; else it is a w
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.fabrication.printing.findings import Violation, place
 from phytac_design.fabrication.printing.samples import Samples, frame, regions
 from phytac_design.fabrication.printing.walls import free_walls
 from phytac_design.geometry.ray_tree import RayTree, START_mm
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 FACING = 0.85
 """Least cosine between a ray and the face across, for that face to be the other side."""

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from scipy import ndimage
 
 from phytac_design.core.kernels import kernel
@@ -17,6 +16,7 @@ from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.fabrication.printing.findings import Violation, place
 from phytac_design.fabrication.printing.samples import bodies
 from phytac_design.geometry.triangles import TriangleMesh
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 CELLS_MAX = 1_500_000
 CELLS_CUP = 300_000

@@ -1,10 +1,10 @@
 """Whether a thin wall is held: walks along it to where it ends."""
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray
 
 from phytac_design.fabrication.printing.samples import frame
 from phytac_design.geometry.ray_tree import RayTree
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 STEP = 0.5
 """Steps of a walk over the wall's thickness: it follows bends of that radius."""

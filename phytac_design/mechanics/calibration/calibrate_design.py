@@ -5,8 +5,6 @@ from functools import partial
 from pathlib import Path
 from typing import cast
 
-from phytac_shapes.errors import OutputError
-
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import parse_design, to_toml
 from phytac_design.design.spec import Design
@@ -16,6 +14,7 @@ from phytac_design.mechanics.calibration.calibration_result import Calibration, 
 from phytac_design.mechanics.calibration.measurements import read_measurements
 from phytac_design.mechanics.calibration.probe_response import ProbeResponse
 from phytac_design.mechanics.shell.receptor_stiffness import receptor_stiffness, unknown_receptors
+from phytac_shapes.errors import OutputError
 
 
 def calibrate_design(

@@ -16,8 +16,6 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import InputError, NumericalError
 
 from phytac_design.mechanics.calibration.calibration_noise import Noise, estimate_noise, whiten
 from phytac_design.mechanics.calibration.calibration_result import (
@@ -28,6 +26,8 @@ from phytac_design.mechanics.calibration.calibration_result import (
     Parameters,
 )
 from phytac_design.mechanics.calibration.probe_response import Response, ResponseModel
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import InputError, NumericalError
 
 LIMIT = 0.10
 """Widest half-interval of modulus and thickness, as a fraction, that is returned."""

@@ -12,6 +12,7 @@ markers seen under one press would look like a thousand measurements of the modu
 from dataclasses import dataclass
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray, IntArray
 
 START = (0.05, 1e-2, 0.01)

@@ -6,12 +6,12 @@ from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
+
+from phytac_design.layout import Markers
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.bounded_reader import read_text
 from phytac_shapes.errors import InputError
-
-from phytac_design.layout import Markers
 
 PLACES = {"marker": ("marker",), "chart": ("u", "v"), "point": ("x_mm", "y_mm", "z_mm")}
 """The three ways to state a position, each a set of columns behind ``contact_`` or ``probe_``."""

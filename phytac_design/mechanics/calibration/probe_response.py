@@ -14,8 +14,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.mechanics.calibration.measurements import Measurements
 from phytac_design.mechanics.meshing.locate import locate
@@ -24,6 +22,8 @@ from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.receptor_stiffness import ReceptorStiffness
 from phytac_design.mechanics.shell.sensitivity import motion_rate, stiffness_rates
 from phytac_design.mechanics.shell.solve import clamped_model
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
 
 RATIO = 1.5
 """Element counts of the fine mesh over those of the coarse one."""

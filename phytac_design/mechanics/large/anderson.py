@@ -1,6 +1,7 @@
 """Anderson's acceleration of x ← x + K₀⁻¹ r(x), in the norm of K₀."""
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray
 
 MEMORY = 12

@@ -13,14 +13,14 @@ from multiprocessing import get_context
 from typing import Any, Literal
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.core.threads import one_thread_each
 from phytac_design.mechanics.large.estimate import solve_auto
 from phytac_design.mechanics.large.newton import Loading
 from phytac_design.mechanics.large.path import solve_large
 from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 _model: ShellModel | None = None
 """The model of this worker process, built once."""

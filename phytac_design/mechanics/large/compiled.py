@@ -5,13 +5,13 @@ hundredth here, because an element stays in the processor's cache.
 """
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.core.kernels import kernel
 from phytac_design.mechanics.large.corotational import FIT_STEPS, FIT_TOL, Configuration
 from phytac_design.mechanics.large.rotations import SMALL
 from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import NumericalError
 
 FITTED = -1
 """What ``_internal`` gives where every element has its frame."""

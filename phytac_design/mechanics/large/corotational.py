@@ -18,12 +18,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.shell.assembly import assemble, make_pattern
 from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import NumericalError
 
 FIT_STEPS = 12
 """Newton steps of the best fit; three are common."""

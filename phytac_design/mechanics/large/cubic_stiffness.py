@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.compiled import Elastic
 from phytac_design.mechanics.large.corotational import Configuration
 from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_shapes.arrays import FloatArray
 
 STEP_RAD = 1e-3
 """Turn of the differences; motion is that times the element's size."""

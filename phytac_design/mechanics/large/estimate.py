@@ -14,13 +14,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.large.corotational import Corotational
 from phytac_design.mechanics.large.newton import Loading, dense_vector
 from phytac_design.mechanics.large.path import solve_large
 from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 PROBE_RAD = 0.01
 """Largest rotation (or translation over the shell's size) in the differences."""

@@ -5,11 +5,11 @@ snaps to; what does not converge is left to the caller.
 """
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.large.modified import Modified
 from phytac_design.mechanics.large.newton import NotConvergedError
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 ROUGH, ROUGH_MOST = 1e-3, 5e-3
 """Residual that the iteration ends at (in the norm of K₀, over the linear motion), and what is

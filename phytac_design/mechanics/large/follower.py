@@ -1,10 +1,10 @@
 """Pressure that follows the deformed face."""
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.mechanics.large.rotations import cross, spin
 from phytac_design.mechanics.shell.element import GAUSS, shape
+from phytac_shapes.arrays import FloatArray, IntArray
 
 
 def pressure_forces(nodes_mm: FloatArray, quads: IntArray) -> FloatArray:

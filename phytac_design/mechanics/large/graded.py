@@ -1,11 +1,11 @@
 """Structured meshes that are fine under one contact and coarse elsewhere."""
 
 import numpy as np
+
+from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
-
-from phytac_design.mechanics.meshing.mesh import ShellMesh
 
 SAMPLES = 4001
 """Points at which the wanted element size is integrated."""

@@ -14,6 +14,7 @@ within a few hundredths of it.
 from collections.abc import Callable
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray
 
 NEW = 1e-8

@@ -19,8 +19,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.large.anderson import Anderson
 from phytac_design.mechanics.large.batch import Sample, solve_sample
@@ -30,6 +28,8 @@ from phytac_design.mechanics.large.newton import NotConvergedError, dense_vector
 from phytac_design.mechanics.large.reference_configuration import Resting
 from phytac_design.mechanics.large.stability import STRAY, stray
 from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 CONVERGED = 1e-4
 """Error of the motion, over its peak, that the iteration ends at."""

@@ -16,13 +16,13 @@ from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.large.corotational import Configuration, Corotational, Local
 from phytac_design.mechanics.large.follower import pressure_forces, pressure_stiffness
 from phytac_design.mechanics.large.stability import negative_pivots
 from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 RESIDUAL_TOL = 1e-6
 """Largest norm of the unbalanced forces over that of the nodal forces (both scaled)."""

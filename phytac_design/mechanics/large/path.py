@@ -10,8 +10,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.large.newton import (
     Control,
@@ -24,6 +22,8 @@ from phytac_design.mechanics.large.newton import (
 )
 from phytac_design.mechanics.large.stability import STRAY, stray
 from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 CUTBACKS = 10
 """How often an increment may be halved before the path is given up."""

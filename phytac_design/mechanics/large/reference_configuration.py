@@ -3,12 +3,12 @@
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.compiled import Elastic
 from phytac_design.mechanics.large.corotational import Configuration
 from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 SINGLE = 1e-3
 """Error, in the norm of K₀, up to which a factor in single precision is used."""

@@ -6,6 +6,7 @@ subtraction, so that rotations of 1e-12 rad keep their digits. Sources: Felippa 
 """
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray
 
 SMALL = 0.1

@@ -11,9 +11,9 @@ count itself as long as no pivot is small against the unsymmetric part; oscillat
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.mechanics.shell.solve import SUPERLU
+from phytac_shapes.arrays import FloatArray
 
 STRAY = 0.5
 """Largest departure of an increment's motion from the tangents at its ends, over the motion, that

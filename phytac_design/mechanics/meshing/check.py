@@ -1,6 +1,7 @@
 """Whether quads make a shell: one or two elements at every edge, all facing the same way."""
 
 import numpy as np
+
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 

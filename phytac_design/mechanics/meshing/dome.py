@@ -14,9 +14,6 @@ r"""Quadrilaterals on a dome: a square core around the pole, rings of nodes from
 """
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.mechanics.meshing.grid import (
     EDGE_FRACTION,
@@ -25,6 +22,9 @@ from phytac_design.mechanics.meshing.grid import (
     limited,
     place,
 )
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 SAMPLES = 2049
 ROUND = 0.45

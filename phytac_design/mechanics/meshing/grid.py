@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 

@@ -10,12 +10,12 @@ r"""Structured grids of a tube, aligned with a lattice of markers.
 """
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.layout import Lattice
 from phytac_design.mechanics.meshing.grid import Grid
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 MATCH_TOL = 1e-6
 """Rows closer than this, as a share of the domain, are one line."""

@@ -1,10 +1,10 @@
 """Lines of a product mesh that stay fine in one part of the chart and thin out elsewhere."""
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.mechanics.meshing.grid import CROSS_LINES, SAMPLES, limited, place
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 COARSEST = 2.5
 """Element size far from the part, over that of the fine mesh there. On a tube pressed in its middle

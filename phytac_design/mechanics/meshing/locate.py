@@ -5,12 +5,12 @@ are places like any other.
 """
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.element import R, S
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import NumericalError
 
 CANDIDATES = 8
 """Elements tried first for each position, nearest centre first; four times as many each round."""

@@ -8,9 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.layout import Lattice, Markers
 from phytac_design.mechanics.meshing.dome import dome_grid
@@ -23,6 +20,9 @@ from phytac_design.mechanics.meshing.grid import (
 )
 from phytac_design.mechanics.meshing.lattice import MATCH_TOL, lattice_grid, shifted_grid
 from phytac_design.mechanics.meshing.snap import scaled_jacobian, snap
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 LEAST_JACOBIAN = 0.35
 """Scaled Jacobian that a mesh moved onto markers must keep in every element."""

@@ -3,10 +3,10 @@
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from phytac_design.mechanics.meshing.grid import EDGE_NAMES, Grid
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 CANDIDATES = 12
 """Nodes that a marker may take, nearest first."""

@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
 
 @dataclass(frozen=True, kw_only=True)

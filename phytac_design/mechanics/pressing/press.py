@@ -7,9 +7,6 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError, NumericalError, OutputError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
@@ -26,6 +23,9 @@ from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.mesh_writers import write_vtu
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError, NumericalError, OutputError
 
 Theory = Literal["auto", "linear", "large"]
 NEAR = 9

@@ -18,9 +18,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.layout import Markers
 from phytac_design.mechanics.meshing.locate import locate
@@ -29,6 +26,9 @@ from phytac_design.mechanics.shell.compliance import point_motion
 from phytac_design.mechanics.shell.free_edge import free_edge_force
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import NumericalError
 
 RATE = 2.0
 """Order of the motion's error in the element size."""

@@ -23,6 +23,7 @@ left out, which makes K = E·(t·K_m + t³·K_b + t·K_s) exact for the element.
 from dataclasses import dataclass
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 

@@ -6,6 +6,7 @@ from typing import Any
 from weakref import finalize
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 

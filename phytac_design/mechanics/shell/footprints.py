@@ -8,9 +8,6 @@ s = (1 - cos θ)/2 makes smooth: a few Gauss points give ten digits.
 from typing import TYPE_CHECKING
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.discs import disc_overlap_share
 
 from phytac_design.mechanics.shell.loads import dot
 from phytac_design.mechanics.shell.pressure import (
@@ -22,6 +19,9 @@ from phytac_design.mechanics.shell.pressure import (
     refuse_touches,
 )
 from phytac_design.mechanics.shell.pressure_sharing import TINY, near_pairs, on_shell_share
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.discs import disc_overlap_share
 
 if TYPE_CHECKING:  # the twin's contacts are made with this room
     from phytac_design.simulation.indenters import Touches

@@ -17,10 +17,10 @@ from which the missing share and the twist inside follow. Derived here; first or
 """
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from phytac_design.mechanics.shell.element import shape
 from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 
 def free_edges(quads: IntArray, fixed: BoolArray) -> tuple[IntArray, IntArray]:

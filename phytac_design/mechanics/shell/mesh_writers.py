@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.meshing.mesh import ShellMesh
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import NumericalError
 
 PER_LINE = 12
 """Labels per line of a set (Abaqus allows 16)."""

@@ -15,14 +15,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.mechanics.meshing.locate import outside
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.loads import EvenDiscs, Patches, dot, spread_loads
 from phytac_design.mechanics.shell.pressure_sharing import TINY
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 if TYPE_CHECKING:  # the twin's contacts are made with this room
     from phytac_design.simulation.indenters import Touches

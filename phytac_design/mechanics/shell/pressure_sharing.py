@@ -7,6 +7,7 @@ fingertip on the ø60 cylinder).
 """
 
 import numpy as np
+
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.discs import disc_overlap_share, segment

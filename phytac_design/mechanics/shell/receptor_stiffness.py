@@ -17,14 +17,14 @@ E' = E r_m t / t' the element has E' t' = r_m E t and E' t'³ = r_b E t³.
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.element import R, S
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 MIXING_MEMBRANE, MIXING_BENDING = 0.7, 0.5
 """s of the mixture. In the membrane theory has (1 + ν)/2 for equal and (3 - ν)/4 for unequal

@@ -18,11 +18,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.mechanics.shell.assembly import assemble, make_pattern
 from phytac_design.mechanics.shell.element import ElementStiffness, element_stiffness
 from phytac_design.mechanics.shell.solve import ShellModel, Solution
+from phytac_shapes.arrays import FloatArray
 
 STENCIL = (4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0)
 """Weights of f(+kh) - f(-kh), k = 1 … 4, in the central difference of eighth order."""

@@ -5,14 +5,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.meshing.check import check_directors, check_quads
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.assembly import assemble, make_pattern
 from phytac_design.mechanics.shell.element import DRILLING, element_stiffness
 from phytac_design.mechanics.shell.factor import SUPERLU, Factor
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import NumericalError
 
 __all__ = ["SUPERLU", "ShellModel", "Solution", "clamped_model", "rigid_modes"]
 ERROR_TOL = 5e-3

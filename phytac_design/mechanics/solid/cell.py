@@ -20,10 +20,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.mechanics.solid.solid_writers import inp_material, inp_mesh, run_ccx, write_lines
 from phytac_design.mechanics.solid.tets import Tetrahedra, tetrahedra
+from phytac_shapes.arrays import FloatArray, IntArray
 
 CASES = ("ex", "ey", "kx", "ky", "gxy", "kxy")
 """Unit membrane strains and curvatures (1/mm) of the six solves."""

@@ -3,11 +3,11 @@
 from typing import Any
 
 import numpy as np
+
+from phytac_design.mechanics.solid.solid_mesh_tets import SolidMesh
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
-
-from phytac_design.mechanics.solid.solid_mesh_tets import SolidMesh
 
 CELLS = 6
 """Each boundary triangle is cut into this many cells squared."""

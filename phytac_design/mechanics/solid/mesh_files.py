@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.errors import DesignError, OutputError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
@@ -23,6 +21,8 @@ from phytac_design.mechanics.solid.solid_writers import (
     write_solid_msh,
     write_solid_vtu,
 )
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError, OutputError
 
 FORMATS = ("inp", "msh", "vtu")
 

@@ -17,9 +17,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
@@ -31,6 +28,9 @@ from phytac_design.mechanics.solid.solid_mesh_tets import (
     with_sets,
 )
 from phytac_design.mechanics.solid.tets import tetrahedra
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 GROWTH = 0.7
 """Growth of sizes per length away from the feet of tubes."""

@@ -16,13 +16,13 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import DesignError, NumericalError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.mechanics.solid.tets import Tetrahedra, tetrahedra
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError, NumericalError
 
 ON_FACE = 1e-5
 """Largest distance of a node to a face it belongs to, as a fraction of the wall's thickness."""

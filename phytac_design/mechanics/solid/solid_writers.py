@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import MissingPartError, NumericalError
 
 from phytac_design.mechanics.solid.solid_mesh_tets import SolidMesh
 from phytac_design.mechanics.solid.tets import Tetrahedra
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import MissingPartError, NumericalError
 
 PER_LINE = 10
 """Labels per line of a set (Abaqus allows 16, lines of 80 characters fewer)."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import MissingPartError, NumericalError
 

@@ -1,12 +1,12 @@
 """Motion of the receptors' end faces on a solid: of true tubes, and of smeared ones by the wall."""
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.layout import Markers
 from phytac_design.mechanics.solid.load import tip_means
 from phytac_design.mechanics.solid.part import PartMesh
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import NumericalError
 
 FIT_SIZES = 1.6
 """The wall's motion under a left-out receptor is fitted within this many far sizes."""

@@ -9,12 +9,12 @@ no load.
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.mechanics.switch.materials import Material
 from phytac_design.mechanics.switch.mesh import AxiMesh, block, join
 from phytac_design.mechanics.switch.model import AxiModel
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 STUB = 0.5
 """Length of stem that is meshed, in its diameters: below, stresses have died out."""

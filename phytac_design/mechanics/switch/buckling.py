@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.mechanics.large.stability import negative_pivots
 from phytac_design.mechanics.shell.factor import SUPERLU
 from phytac_design.mechanics.switch import element
 from phytac_design.mechanics.switch.model import HELD, AxiModel, Pattern
 from phytac_design.mechanics.switch.path import Point
+from phytac_shapes.arrays import FloatArray, IntArray
 
 MODES = (1, 2, 3, 4, 5, 6)
 

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from phytac_design.mechanics.switch import mesh as meshes
 from phytac_design.mechanics.switch import path
@@ -17,6 +16,7 @@ from phytac_design.mechanics.switch.materials import (
 )
 from phytac_design.mechanics.switch.mesh import AxiMesh
 from phytac_design.mechanics.switch.model import AxiModel
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 CAP = {"radius": 4.758, "base": 0.9, "thickness": 0.01576, "ring": 0.42}
 """Clamped cap of Mescall (1966), inches; ring load at this share of the base radius."""

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.switch import path
 from phytac_design.mechanics.switch.bowl import Bowl, BowlModel, bowl_model
 from phytac_design.mechanics.switch.materials import Material
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import NumericalError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from phytac_shapes.errors import DesignError, NumericalError
 
 from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.mechanics.switch.buckling import first_buckling
@@ -20,6 +19,7 @@ from phytac_design.mechanics.switch.fit import (
 from phytac_design.mechanics.switch.presets import Rubber
 from phytac_design.mechanics.switch.space import Space, Tolerance
 from phytac_design.mechanics.switch.tolerance import Spread, limit_load, threshold_spread
+from phytac_shapes.errors import DesignError, NumericalError
 
 THRESHOLD_TOL = 2e-3
 """Largest error of the limit load that the search accepts; meshes add about as much."""

@@ -9,10 +9,10 @@ axisymmetric state share geometry and material with those of n = 0.
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.switch.materials import Material
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import NumericalError
 
 CLOSE = 1e-5
 """Stretches closer than this take the limit of divided differences: both errors near 1e-10."""

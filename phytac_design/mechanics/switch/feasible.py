@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.switch.curve import press_bowl
 from phytac_design.mechanics.switch.fit import (
@@ -15,6 +14,7 @@ from phytac_design.mechanics.switch.fit import (
 )
 from phytac_design.mechanics.switch.presets import Rubber
 from phytac_design.mechanics.switch.space import Space
+from phytac_shapes.errors import NumericalError
 
 FINER = 7
 """Walls, each 4 % thinner, that are tried on the fine mesh for the largest threshold."""

@@ -1,11 +1,10 @@
 """Whether a bowl fits: its shape within the space, its curve within space and rubber."""
 
-from phytac_shapes.errors import DesignError
-
 from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.mechanics.switch.curve import Curve, Snap, snap_of
 from phytac_design.mechanics.switch.presets import Rubber
 from phytac_design.mechanics.switch.space import Space
+from phytac_shapes.errors import DesignError
 
 FILLETS = (1.0 / 6.0, 1.0 / 4.0, 1.0 / 3.0, 5.0 / 12.0)
 """Fillets of pad and stem that are tried, in stem diameters: rounder ones bear more."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 

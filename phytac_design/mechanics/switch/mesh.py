@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray, IntArray
 
 SAME = 1e-7

@@ -5,12 +5,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.switch import element
 from phytac_design.mechanics.switch.materials import Material
 from phytac_design.mechanics.switch.mesh import AxiMesh
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import NumericalError
 
 HELD = -1
 """Equation number of a DOF that does not move."""

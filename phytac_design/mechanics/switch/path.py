@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.large.stability import negative_pivots, stray
 from phytac_design.mechanics.shell.factor import SUPERLU
 from phytac_design.mechanics.switch.model import AxiModel, State
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 ITERATIONS = 9
 RESIDUAL_TOL = 1e-9

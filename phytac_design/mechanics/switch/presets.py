@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass, replace
 
-from phytac_shapes.errors import DesignError
-
 from phytac_design.mechanics.switch.materials import Material, neo_hookean
+from phytac_shapes.errors import DesignError
 
 
 @dataclass(frozen=True, kw_only=True)

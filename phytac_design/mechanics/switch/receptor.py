@@ -3,13 +3,13 @@
 from pathlib import Path
 
 import numpy as np
-from phytac_shapes.errors import DesignError, InputError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.switch.material_fit import TERMS, fit_uniaxial, read_test
 from phytac_design.mechanics.switch.presets import Rubber, rubber
 from phytac_design.mechanics.switch.space import Space
+from phytac_shapes.errors import DesignError, InputError
 
 STRAIN_OF_TEST = 0.6
 """Share of a test's largest strain that a switch may reach again and again."""

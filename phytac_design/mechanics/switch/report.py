@@ -3,11 +3,11 @@
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.mechanics.switch.design import SwitchDesign
 from phytac_design.mechanics.switch.feasible import Feasible
 from phytac_design.mechanics.switch.svg import line_plot
+from phytac_shapes.arrays import FloatArray
 
 
 def switch_dict(made: SwitchDesign) -> dict[str, Any]:

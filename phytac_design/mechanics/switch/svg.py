@@ -6,6 +6,7 @@ from math import floor, log10
 from pathlib import Path
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import OutputError
 

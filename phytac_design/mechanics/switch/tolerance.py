@@ -3,13 +3,13 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError, NumericalError
 
 from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.mechanics.switch.curve import press_bowl, snap_of
 from phytac_design.mechanics.switch.materials import Material
 from phytac_design.mechanics.switch.space import Tolerance
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError, NumericalError
 
 WALLS = 5
 """Walls between the tolerance's ends (three deviations) that are solved; between them a cubic."""

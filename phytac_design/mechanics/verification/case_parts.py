@@ -4,11 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 from phytac_design.mechanics.shell.discretisation import ProbedShell
 from phytac_design.mechanics.shell.element import DRILLING, GAUSS, shape
 from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 Lines = int | FloatArray
 """Number of elements along a side, or the lines of nodes themselves, 0 … 1."""

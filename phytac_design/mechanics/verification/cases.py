@@ -7,7 +7,6 @@ Lee and Bathe (2004) and published values for the free hyperboloid.
 """
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.mechanics.shell.element import DRILLING
 from phytac_design.mechanics.verification.case_parts import (
@@ -26,6 +25,7 @@ from phytac_design.mechanics.verification.case_parts import (
     surface_load,
     weights,
 )
+from phytac_shapes.arrays import FloatArray
 
 __all__ = [
     "HYPERBOLOID",

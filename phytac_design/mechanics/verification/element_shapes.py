@@ -1,6 +1,7 @@
 """Single elements of every awkward shape, for trials of their rigid motions."""
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray
 
 SHAPES: dict[str, tuple[tuple[float, float, float], ...]] = {

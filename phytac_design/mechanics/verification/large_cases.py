@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray
 
 from phytac_design.mechanics.large.newton import Equilibrium, Loading
 from phytac_design.mechanics.large.path import solve_large, trace_arc, trace_displacement
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification.cases import SYMMETRY, Patch, at, hold, no_support, patch
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 END_FORCE = {0.25: (0.563, 3.015), 0.5: (1.604, 4.933), 1.0: (3.286, 6.698)}
 """Cantilever under an end force: λ to (−u, w) at the tip."""

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+
 from phytac_shapes.errors import NumericalError
 
 LAYERS = 2

@@ -39,8 +39,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh, shell_mesh
@@ -49,6 +47,8 @@ from phytac_design.layout import Markers
 from phytac_design.optics import paint
 from phytac_design.optics.fixture_bodies import fixture_mesh
 from phytac_design.report.maps import family, flat_map
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 if TYPE_CHECKING:
     from phytac_decoder.camera.camera import Camera

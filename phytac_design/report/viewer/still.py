@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from phytac_decoder.camera.camera import Camera, pinhole
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
+from phytac_decoder.camera.camera import Camera, pinhole
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.optics.frame import render_frame
@@ -15,6 +13,8 @@ from phytac_design.optics.paint import BACKGROUND
 from phytac_design.optics.scene import SHELL, Scene, build_scene
 from phytac_design.report.maps import family
 from phytac_design.report.viewer.data import eye_of
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 WIDTH_PX, HEIGHT_PX = 1800, 1400
 FINER = 2

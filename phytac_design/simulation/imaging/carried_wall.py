@@ -3,14 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 from scipy.spatial import cKDTree
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import boundary_mm
 from phytac_design.layout import Markers
 from phytac_design.optics.scene import SHELL, Scene
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 NEAREST = 8
 """Markers (and points of the fixed edges) that a point of the wall follows."""

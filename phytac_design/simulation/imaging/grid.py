@@ -2,8 +2,9 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_shapes.arrays import FloatArray
 from scipy.special import ndtri
+
+from phytac_shapes.arrays import FloatArray
 
 CELL_px = 0.1
 """Places on the pixels this far apart are misjudged independently."""

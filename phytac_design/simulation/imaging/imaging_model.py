@@ -7,12 +7,9 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
 from phytac_decoder.estimation.decode import confirmed, locate_in, locate_markers
 from phytac_decoder.io.bundle import Bundle
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
-from phytac_shapes.errors import InputError
-
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of
@@ -25,6 +22,9 @@ from phytac_design.simulation.imaging.paint import PaintPoints
 from phytac_design.simulation.imaging.tips import TipCover
 from phytac_design.simulation.imaging.virtual_camera import Eye, strip_of
 from phytac_design.simulation.sensor_instance import Unit
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
+from phytac_shapes.errors import InputError
 
 Centroids = Literal["paint", "pixels"]
 DRAWS = 8

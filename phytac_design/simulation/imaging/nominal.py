@@ -5,13 +5,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle, Shown
 from phytac_decoder.vision.switch_detection import TipModel
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
@@ -24,6 +22,8 @@ from phytac_design.simulation.expected_image import Expected, colour_model, expe
 from phytac_design.simulation.imaging.paint import PaintPoints
 from phytac_design.simulation.imaging.virtual_camera import strip_of
 from phytac_design.simulation.response import rigid_slope
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 
 def expected_views(design: Design, surface: Surface, markers: Markers) -> dict[str, Any]:

@@ -9,14 +9,14 @@ its own far side; what neighbours hide is left to ``optics.watch``.
 from dataclasses import replace
 
 import numpy as np
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.vision.segmentation import ColourModel
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-
 from phytac_design.layout import Markers
 from phytac_design.optics.light import Strip, triangle_light
 from phytac_design.optics.paint import to_srgb
 from phytac_design.optics.scene import Scene, paint_owner
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 LUMA = np.array([0.299, 0.587, 0.114])
 CHROMA = np.array([0.713, 0.564])

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.optics.frame import sample_offsets
 from phytac_design.optics.raster import marker_windows, pieces_by_marker, project_scene
 from phytac_design.optics.scene import Scene, paint_owner
 from phytac_design.optics.zbuffer import View, fill
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 SAMPLES = 8
 """Samples per pixel."""

@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_span_mm
 from phytac_design.layout import Markers
@@ -17,6 +15,8 @@ from phytac_design.optics.light import Strip, triangle_light
 from phytac_design.optics.scene import Scene, build_scene
 from phytac_design.simulation.imaging.carried_wall import WallMotion
 from phytac_design.simulation.sensor_instance import Unit
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 
 class Eye:

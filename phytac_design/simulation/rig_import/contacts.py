@@ -4,14 +4,14 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.errors import InputError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.simulation.indenters import INDENTERS, Touches
 from phytac_design.simulation.rig_import.log import Problems, RigLog
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import InputError
 
 LEAST_mm = 0.05
 """Contacts of a smaller radius are taken for a wrong unit."""

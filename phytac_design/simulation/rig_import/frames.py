@@ -6,11 +6,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+
 from phytac_decoder.estimation.decode import read_image
+from phytac_design.simulation.rig_import.log import Problems, RigLog
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
-
-from phytac_design.simulation.rig_import.log import Problems, RigLog
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 STAMP_NS = re.compile(r"\d{16,19}")

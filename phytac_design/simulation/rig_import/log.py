@@ -7,11 +7,11 @@ from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
+
+from phytac_design.simulation.indenters import INDENTERS
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.bounded_reader import read_text
 from phytac_shapes.errors import InputError
-
-from phytac_design.simulation.indenters import INDENTERS
 
 PLACES = (("x_mm", "y_mm", "z_mm"), ("u", "v"), ("marker",), ("row", "column"))
 """Ways to state a position, each a set of columns."""

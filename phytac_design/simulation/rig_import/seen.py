@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
 from phytac_decoder.estimation.decode import (
     FOUND_WELL,
     MOVED_PX,
@@ -16,10 +17,6 @@ from phytac_decoder.estimation.decode import (
 )
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.vision.segmentation import check_image
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
-from phytac_shapes.errors import InputError
-
 from phytac_design.datasets.samples import REAL, Samples, TouchRows, truth_rows
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
@@ -29,6 +26,9 @@ from phytac_design.simulation.contacts import Switching, share_out
 from phytac_design.simulation.indenters import Touches
 from phytac_design.simulation.rig_import.frames import Source
 from phytac_design.simulation.rig_import.log import Problems, RigLog
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
+from phytac_shapes.errors import InputError
 
 SAY_EVERY = 25
 SURE = 2.0

@@ -1,7 +1,6 @@
 """The data set of a simulation, from its plan and its journal."""
 
 import numpy as np
-from phytac_shapes.errors import OutputError
 
 from phytac_design.datasets.samples import STATUSES, THEORIES, Meta, Samples, TouchRows, truth_rows
 from phytac_design.design.design_file import design_hash
@@ -9,6 +8,7 @@ from phytac_design.engine.cache import code_hash
 from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.run.journal import Journal
 from phytac_design.simulation.scenario.file import scenario_hash
+from phytac_shapes.errors import OutputError
 
 
 def gather(job: Job, journal: Journal) -> Samples:

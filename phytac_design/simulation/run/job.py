@@ -7,9 +7,6 @@ from functools import cached_property
 from hashlib import sha256
 from typing import Any, Literal, get_args
 
-from phytac_shapes import Surface
-from phytac_shapes.errors import DesignError
-
 from phytac_design.design.accuracy import PRESETS, Preset
 from phytac_design.design.spec import Design
 from phytac_design.engine.cache import code_hash
@@ -19,6 +16,8 @@ from phytac_design.simulation.scenario.draw import make_plan
 from phytac_design.simulation.scenario.file import Scenario
 from phytac_design.simulation.scenario.scatter import draw_unit
 from phytac_design.simulation.sensor_instance import Unit
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError
 
 Keep = Literal["inputs", "points", "frames"]
 

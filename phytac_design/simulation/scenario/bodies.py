@@ -7,9 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
@@ -18,6 +15,9 @@ from phytac_design.simulation.scenario.file import Scenario
 from phytac_design.simulation.scenario.placing import Placer, jitter_of, placer, places_at, traverse
 from phytac_design.simulation.scenario.streams import Stream, stream
 from phytac_design.simulation.scenario.tables import LENGTH_RADII, IndenterSection, TouchSection
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 TRIES = 400
 """Places tried for the contacts of one sample."""

@@ -4,8 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
@@ -36,6 +34,8 @@ from phytac_design.simulation.scenario.history import (
 from phytac_design.simulation.scenario.placing import window
 from phytac_design.simulation.scenario.region import touched_region, window_places
 from phytac_design.simulation.sensor_instance import Unit
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
 
 SUBSTEPS = 8
 """Steps of each piece of a press under a prescribed depth, to find where the wall lets go."""

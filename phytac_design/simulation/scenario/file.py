@@ -8,8 +8,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, Self, Union, get_args, get_origin
 
-from phytac_shapes.bounded_reader import joined, read_text, toml_table
-from phytac_shapes.errors import DesignError
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from phytac_design.simulation.scenario.tables import (
@@ -23,6 +21,8 @@ from phytac_design.simulation.scenario.tables import (
     TouchSection,
     UnitSection,
 )
+from phytac_shapes.bounded_reader import joined, read_text, toml_table
+from phytac_shapes.errors import DesignError
 
 
 class Scenario(Table):

@@ -1,9 +1,6 @@
 """A hand of fixed pads around a sensor: where its pads lie, and how hard each of them presses."""
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.simulation.indenters import Touches
@@ -11,6 +8,9 @@ from phytac_design.simulation.scenario.bodies import Ranges, indenter_shape, pic
 from phytac_design.simulation.scenario.file import GripSection, Scenario
 from phytac_design.simulation.scenario.placing import Window, window
 from phytac_design.simulation.scenario.streams import Stream, stream
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
 PAD_GAP = 0.98
 """Pads that would overlap shrink until two neighbours take up this share of their distance."""

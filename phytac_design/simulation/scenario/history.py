@@ -16,6 +16,7 @@ own law at the felt force.
 from dataclasses import dataclass
 
 import numpy as np
+
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 

@@ -4,13 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.layout import Markers
 from phytac_design.simulation.contacts import JITTER_MM, JITTER_SHARE, beside
 from phytac_design.simulation.scenario.tables import TouchAt, TouchSection
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 AWAY_mm = 10.0
 """A point given by hand may lie this far beyond its patch's radius from the surface."""

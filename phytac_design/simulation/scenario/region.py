@@ -1,11 +1,11 @@
 """The part of a chart that contacts cover."""
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray
 
 from phytac_design.simulation.sample_plan import Region
 from phytac_design.simulation.scenario.placing import Window
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 CELLS = 128
 """Cells along each axis of the chart in which the patches are looked up."""

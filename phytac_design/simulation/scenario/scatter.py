@@ -3,10 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import cameras_of
@@ -17,6 +15,8 @@ from phytac_design.simulation.contacts import beside
 from phytac_design.simulation.scenario.file import UnitSection
 from phytac_design.simulation.scenario.streams import Stream, stream
 from phytac_design.simulation.sensor_instance import Unit, WallField
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 CUT = 3.0
 """Normal variates are cut at so many standard deviations: no print is beyond reason."""

@@ -3,8 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from phytac_shapes.errors import DesignError, PhytacError
-
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
@@ -40,6 +38,7 @@ from phytac_design.study.advice.rows import (
     suspects,
 )
 from phytac_design.study.advice.slopes import Slope, slopes_of
+from phytac_shapes.errors import DesignError, PhytacError
 
 CHECKS = 5
 """Moves that are applied and judged."""

@@ -6,14 +6,14 @@ and tube was looked at, and is no nearer to whole runs.
 """
 
 import numpy as np
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.simulation.response import rigid_slope
 from phytac_design.study.advice.judge import Judged
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
 
 
 class CarriedPaint:

@@ -4,11 +4,10 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from phytac_shapes.errors import OutputError
-
 from phytac_design.design.design_file import to_toml
 from phytac_design.study.advice.advise import Advice
 from phytac_design.study.advice.words import as_dict, polished_dict
+from phytac_shapes.errors import OutputError
 
 if TYPE_CHECKING:
     from phytac_design.study.advice.polish import Polished

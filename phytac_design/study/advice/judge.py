@@ -6,9 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.field_groups import values_of
@@ -24,6 +21,9 @@ from phytac_design.stages.loaded_views import UNDERLOAD, see_pressed
 from phytac_design.stages.resolution import RESOLUTION, RIM_SHARE
 from phytac_design.stages.views import PICTURES
 from phytac_design.study.search.surrogate import FORCE_N, predict
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import NumericalError
 
 CROSSTALK_PX = 0.1
 """Most that a centroid may be disturbed."""

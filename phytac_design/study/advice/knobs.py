@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.design_file import parse_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
+from phytac_shapes.errors import DesignError
 
 FREE, CHOICE, SIZE, COUNT, ROW = "free", "choice", "size", "count", "row"
 """Kinds of knobs: of no matter to the user; parts to buy; the body; markers; one row alone."""

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from phytac_shapes.errors import DesignError, PhytacError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import tolerance_mm
@@ -15,6 +14,7 @@ from phytac_design.rules.check import check_design
 from phytac_design.study.advice.judge import CROSSTALK_PX
 from phytac_design.study.advice.knobs import COUNT, ROW, Knob
 from phytac_design.study.advice.probe import Probe
+from phytac_shapes.errors import DesignError, PhytacError
 
 TIMES = (1, 2, 4, 8)
 """Steps that are looked at, either way."""

@@ -3,8 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from phytac_shapes.errors import PhytacError
-
 from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import cameras_of, stand_off_mm
 from phytac_design.rules.check import check_design
@@ -20,6 +18,7 @@ from phytac_design.study.advice.judge import (
 )
 from phytac_design.study.advice.knobs import SIZE, Knob
 from phytac_design.study.advice.slopes import Slope
+from phytac_shapes.errors import PhytacError
 
 GOALS = ("force_middle_N", "force_worst_N", "gap_px", "load_gap_px")
 """What advice is for, where nothing is wrong; gaps only while they are below ``GAP_WANTED_PX``."""

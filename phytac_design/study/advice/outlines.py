@@ -10,12 +10,12 @@ not known here; where markers are whole, the least distance of their pixels is t
 """
 
 import numpy as np
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes.arrays import FloatArray, IntArray
 from scipy.spatial import cKDTree
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
+from phytac_shapes.arrays import FloatArray, IntArray
 
 RING = 16
 """Points of a circle."""

@@ -15,8 +15,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError, PhytacError
 from scipy.optimize import linprog
 
 from phytac_design.design.accuracy import Accuracy
@@ -27,6 +25,8 @@ from phytac_design.study.advice.knobs import FREE, choose, knobs_of
 from phytac_design.study.advice.moves import broken, stand_off_of
 from phytac_design.study.advice.probe import Probe
 from phytac_design.study.advice.slopes import Slope, slopes_of
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError, PhytacError
 
 GOAL = "force_middle_N"
 GAPS = ("gap_px", "load_gap_px")

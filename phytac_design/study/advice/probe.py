@@ -15,10 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.field_groups import values_of
 from phytac_design.design.spec import Design
@@ -40,6 +38,8 @@ from phytac_design.study.advice.carried import CarriedPaint
 from phytac_design.study.advice.judge import Judged, force_figures, middle_of
 from phytac_design.study.advice.outlines import gaps_px, ring_points
 from phytac_design.study.search.surrogate import FORCE_N
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 CONTACTS = 16
 """Receptors at which the bound is taken, at most."""

@@ -4,8 +4,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, with_heights
@@ -14,6 +12,8 @@ from phytac_design.study.advice.judge import Judged
 from phytac_design.study.advice.knobs import ROW, ROWS, Fields, Knob, is_row, with_fields
 from phytac_design.study.advice.probe import Probe, View
 from phytac_design.study.search.surrogate import FORCE_N
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import DesignError
 
 STEP_MM = 0.5
 REACH_STEPS = 8

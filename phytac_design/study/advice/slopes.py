@@ -4,13 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.errors import PhytacError
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.study.advice.judge import FORCES, Judged, strain_of
 from phytac_design.study.advice.knobs import Knob
 from phytac_design.study.advice.probe import Probe
+from phytac_shapes.errors import PhytacError
 
 SLOPED = (*FORCES, "gap_px", "load_gap_px", "strain")
 """Figures with slopes: gaps absolute, the others relative."""

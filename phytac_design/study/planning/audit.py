@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from phytac_decoder.io.bundle import load_bundle
-from phytac_shapes.arrays import FloatArray
 
+from phytac_decoder.io.bundle import load_bundle
 from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.layout.arc import by_area
 from phytac_design.mechanics.large.modified import Modified
@@ -20,6 +19,7 @@ from phytac_design.simulation.scene_scope import scope_of
 from phytac_design.stages.response import truth_of, watch_of
 from phytac_design.study.planning.measure import MB
 from phytac_design.study.planning.plan import Plan
+from phytac_shapes.arrays import FloatArray
 
 PRESSES = 6
 """Presses that the error of a force is measured with."""

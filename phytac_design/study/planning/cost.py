@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 from scipy.optimize import nnls
 from scipy.sparse import csc_matrix, diags_array, eye_array, kron
 from scipy.sparse.linalg import splu
@@ -16,6 +15,7 @@ from phytac_design.design.spec import Design
 from phytac_design.simulation.response_tables import APART
 from phytac_design.study.planning.counts import Counts
 from phytac_design.study.planning.units import MEMORY_MB, SECONDS, PROBE_s
+from phytac_shapes.arrays import FloatArray
 
 WITHIN = 2.0
 """Factor within which predicted and actual cost of a build lie; measured, see docs/plan.md."""

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes import Surface
 
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.scene import ALL_AT_ONCE, Scene
@@ -14,6 +13,7 @@ from phytac_design.simulation.response_tables import place_spacing_mm, rings
 from phytac_design.simulation.scene_scope import PRESSES_LEAST, Scope
 from phytac_design.stages.response import JUDGED, samples_of
 from phytac_design.study.planning.resolve import Resolved
+from phytac_shapes import Surface
 
 COARSE = 2.5
 """Element size of a local mesh far from the touched part, over that in it."""

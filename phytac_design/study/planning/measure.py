@@ -12,11 +12,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from phytac_shapes.errors import NumericalError
-
 from phytac_design.engine import cache
 from phytac_design.engine.stage import Context, Stage
 from phytac_design.stages.build import Work
+from phytac_shapes.errors import NumericalError
 
 MB = 1024.0
 """Of the kilobytes that the system counts peak memory in."""

@@ -1,8 +1,6 @@
 """A first look on a coarse mesh, before anything is planned: how far linear theory is off."""
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
@@ -11,6 +9,8 @@ from phytac_design.mechanics.meshing.mesh import marker_size_mm, plain_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
 from phytac_design.simulation.scene_scope import Scope
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 REFINE = 2
 """Elements per marker pitch of the pilot's mesh."""

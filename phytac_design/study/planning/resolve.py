@@ -3,11 +3,8 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray
-from phytac_shapes.errors import DesignError
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.scene import ContactSection, Scene
 from phytac_design.design.spec import Design
@@ -18,6 +15,9 @@ from phytac_design.optics.fixture_bodies import fixture_mesh
 from phytac_design.simulation.scene_scope import Scope, windows_of
 from phytac_design.stages import STAGES
 from phytac_design.study.planning.pilot import linear_error
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray
+from phytac_shapes.errors import DesignError
 
 FABRICATION = ("shell", "step", "switch", "hardware", "mold", "kit", "printing", "bench")
 STAGES_OF: dict[str, tuple[str, ...]] = {

@@ -5,10 +5,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes import Surface
-from phytac_shapes.arrays import IntArray
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
@@ -17,6 +15,8 @@ from phytac_design.optics.visibility import Visibility, best_of, check_visibilit
 from phytac_design.rules.check import check_design
 from phytac_design.simulation.imaging.nominal import paint_slopes
 from phytac_design.study.search.file import Study
+from phytac_shapes import Surface
+from phytac_shapes.arrays import IntArray
 
 COARSE = 2.5
 """Coarser polygons than those of a check, 0.25 px off their circles: rays are few anyway."""

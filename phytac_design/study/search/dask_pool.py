@@ -13,12 +13,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-from phytac_shapes.errors import InputError, MissingPartError
-
 from phytac_design.core.threads import THREADS
 from phytac_design.engine.cache import code_hash
 from phytac_design.study.search.ladder import FAILED, Outcome, Task
 from phytac_design.study.search.pool import keep_memory
+from phytac_shapes.errors import InputError, MissingPartError
 
 AHEAD = 2
 """Pieces per worker that are given out ahead, so that none waits for the driver."""

@@ -8,12 +8,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from phytac_shapes.bounded_reader import joined, read_text, toml_table
-from phytac_shapes.errors import DesignError
 from pydantic import Field, ValidationError, model_validator
 
 from phytac_design.design.base_table import Section
 from phytac_design.study.search.measures import MEASURES, RUNGS, measure_of, measures_up_to
+from phytac_shapes.bounded_reader import joined, read_text, toml_table
+from phytac_shapes.errors import DesignError
 
 Value = int | float | str
 Text = Annotated[str, Field(min_length=1, max_length=200)]

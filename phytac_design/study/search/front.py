@@ -1,6 +1,7 @@
 """Fronts of what cannot be better in everything, and how much they cover."""
 
 import numpy as np
+
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 

@@ -12,7 +12,6 @@ from hashlib import sha256
 from typing import Any
 
 import numpy as np
-from phytac_shapes.errors import DesignError, PhytacError
 
 from phytac_design.design.design_file import design_hash
 from phytac_design.engine.cache import code_hash
@@ -22,6 +21,7 @@ from phytac_design.study.search.front import ranks
 from phytac_design.study.search.measures import MEASURES, RUNGS, stand_in
 from phytac_design.study.search.rungs import LADDER
 from phytac_design.study.search.space import Params, Space, make_space
+from phytac_shapes.errors import DesignError, PhytacError
 
 OK, REFUSED, UNFIT, DROPPED, FAILED = "ok", "refused", "unfit", "dropped", "failed"
 """Met everything so far; cannot be made; misses a constraint; others were better; went wrong."""

@@ -2,12 +2,11 @@
 
 from pathlib import Path
 
-from phytac_shapes.errors import DesignError, InputError
-
 from phytac_design.design.design_file import design_hash, parse_design
 from phytac_design.design.spec import Design
 from phytac_design.study.search.space import make_space
 from phytac_design.study.search.store import read_columns, read_study
+from phytac_shapes.errors import DesignError, InputError
 
 
 def rebuild(folder: Path, trial: int) -> Design:

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray
-from phytac_shapes.errors import OutputError
 from scipy.stats import spearmanr
 
 from phytac_design.core.json_values import finite
@@ -18,6 +16,8 @@ from phytac_design.study.search.front import front
 from phytac_design.study.search.ladder import OK
 from phytac_design.study.search.measures import MEASURES, measures_up_to
 from phytac_design.study.search.store import read_columns, read_study
+from phytac_shapes.arrays import BoolArray, FloatArray
+from phytac_shapes.errors import OutputError
 
 BINS = 12
 """Slices of a variable, by rank, for its importance."""

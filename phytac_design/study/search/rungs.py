@@ -12,8 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
 from scipy.spatial import cKDTree
 
 from phytac_design.design.accuracy import settings_of
@@ -28,6 +26,8 @@ from phytac_design.optics.sampled_visibility import sampled_fraction
 from phytac_design.optics.visibility import FRACTION_MIN
 from phytac_design.study.search.candidate import Candidate
 from phytac_design.study.search.surrogate import FORCE_N, predict
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
 
 Measures = dict[str, float]
 OUTLINE = 16

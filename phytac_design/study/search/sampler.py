@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError, MissingPartError, OutputError
 from scipy.stats import qmc
 
 from phytac_design.study.search.file import Study
 from phytac_design.study.search.ladder import OK
 from phytac_design.study.search.measures import stand_in
 from phytac_design.study.search.space import Axis, Params, Space
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError, MissingPartError, OutputError
 
 Row = Mapping[str, Any]
 """A candidate's row of the results."""

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 from pydantic import BaseModel, ValidationError
 
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.spec import Design
 from phytac_design.study.search.file import Study, Value, Variable
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
 Params = dict[str, Value]
 """Value of each variable, by its field."""

@@ -13,14 +13,13 @@ from importlib import metadata
 from pathlib import Path
 from typing import IO, Any
 
-from phytac_shapes.errors import InputError, OutputError, cause_of
-
 from phytac_design.core.parquet_recording import parquet_library
 from phytac_design.engine.cache import code_hash, locked
 from phytac_design.study.search.file import Study
 from phytac_design.study.search.ladder import Outcome, Task, spec_of
 from phytac_design.study.search.measures import measures_up_to
 from phytac_design.study.search.space import Params, Space
+from phytac_shapes.errors import InputError, OutputError, cause_of
 
 STUDY, RESULTS, PARTS, OPEN = "study.json", "results.parquet", "parts", "open.jsonl"
 GROUP_ROWS = 4096

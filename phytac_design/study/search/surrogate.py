@@ -18,15 +18,15 @@ receptors and holes are left out: good to some tens of per cent, and for putting
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_decoder.camera.camera import Camera, stack_views
-from phytac_shapes import Surface
-from phytac_shapes.arrays import BoolArray, FloatArray
 from scipy.special import j1
 
+from phytac_decoder.camera.camera import Camera, stack_views
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.arc import CELLS
 from phytac_design.simulation.bound import Bound, cell_prior, contact_signals
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 WAVES = 36
 """Waves along and around."""

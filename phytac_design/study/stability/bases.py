@@ -4,11 +4,10 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from phytac_shapes import Surface
-from phytac_shapes.errors import DesignError
-
 from phytac_design.design.design_file import parse_design
 from phytac_design.design.spec import Design
+from phytac_shapes import Surface
+from phytac_shapes.errors import DesignError
 
 Data = dict[str, Any]
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
 from phytac_shapes.arrays import FloatArray
 
 Gap = Callable[[FloatArray], FloatArray]

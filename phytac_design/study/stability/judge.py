@@ -5,9 +5,8 @@ import time
 import warnings
 from collections.abc import Mapping
 
-from phytac_shapes.errors import PhytacError
-
 from phytac_design.study.stability.case import Case, Check, Evidence, Outcome
+from phytac_shapes.errors import PhytacError
 
 LONGEST = 700
 """Characters of a message that a person still reads."""

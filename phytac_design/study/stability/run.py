@@ -8,12 +8,11 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from phytac_shapes import REGISTRY
-from phytac_shapes.errors import InputError
-
 from phytac_design.study.stability.case import Case, Outcome
 from phytac_design.study.stability.rooms import ROOMS, drawn
 from phytac_design.study.stability.runner import run_cases
+from phytac_shapes import REGISTRY
+from phytac_shapes.errors import InputError
 
 JOURNAL = "journal.jsonl"
 

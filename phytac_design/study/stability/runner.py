@@ -11,10 +11,9 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from phytac_shapes.errors import OutputError
-
 from phytac_design.study.stability.case import Case, Outcome
 from phytac_design.study.stability.worker import serve
+from phytac_shapes.errors import OutputError
 
 START_S = 60.0
 """What a new process may take to import what its first case needs."""

@@ -10,8 +10,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from phytac_shapes.errors import DesignError
-
 from phytac_design.design.accuracy import PRESETS, Accuracy
 from phytac_design.design.spec import Design
 from phytac_design.engine import cache
@@ -19,6 +17,7 @@ from phytac_design.engine.stage import Context
 from phytac_design.stages import STAGES
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.study.tradeoff.cost import Work, machine_factor, predict
+from phytac_shapes.errors import DesignError
 
 Progress = Callable[[str], None]
 GROUPS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (

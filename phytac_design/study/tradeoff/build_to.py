@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from phytac_shapes.errors import DesignError, OutputError
-
 from phytac_design.core.json_values import finite
 from phytac_design.design.spec import Design
 from phytac_design.rules.check import check_design
@@ -17,6 +15,7 @@ from phytac_design.study.tradeoff.budget import choose_budget, run_plan
 from phytac_design.study.tradeoff.choose import Choice, achieved, choose_tolerance
 from phytac_design.study.tradeoff.force import ForceError
 from phytac_design.study.tradeoff.knobs import Quantity
+from phytac_shapes.errors import DesignError, OutputError
 
 Progress = Callable[[str], None]
 AUDIT = Path("report") / "trade.json"

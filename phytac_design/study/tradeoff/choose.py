@@ -5,8 +5,6 @@ from dataclasses import asdict, dataclass, field, replace
 from itertools import product
 from typing import Any
 
-from phytac_shapes.errors import DesignError
-
 from phytac_design.design.accuracy import PRESETS, Accuracy
 from phytac_design.design.spec import Design
 from phytac_design.study.tradeoff.cost import Work, machine_factor, predict
@@ -15,6 +13,7 @@ from phytac_design.study.tradeoff.knobs import Quantity
 from phytac_design.study.tradeoff.pilot import ForcePilot
 from phytac_design.study.tradeoff.sight import SightPilot
 from phytac_design.study.tradeoff.volume import VolumePilot
+from phytac_shapes.errors import DesignError
 
 Progress = Callable[[str], None]
 REFINES = (2, 3, 4, 5, 6, 8, 10, 12)

@@ -3,13 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.spec import Design
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.indenters import Touches, flat_touches
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
 COUNT = 16
 """Contacts of the standard set."""

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping
 from functools import cache, cached_property
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.spec import Design
@@ -24,6 +23,7 @@ from phytac_design.simulation.response_tables import APART, place_spacing_mm, ri
 from phytac_design.stages import STAGES
 from phytac_design.stages.response import samples_of
 from phytac_design.study.tradeoff.coefficients import COEFFICIENTS, PROBE_S
+from phytac_shapes.arrays import FloatArray
 
 PROBES = 3
 """Repetitions of the machine's probe; the quickest counts."""

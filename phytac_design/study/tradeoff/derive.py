@@ -7,11 +7,10 @@ those that every design is built with in :data:`FINE_s`, then least in the rest.
 
 from collections.abc import Mapping, Sequence
 
-from phytac_shapes.errors import NumericalError
-
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.study.tradeoff.front import Measured, beaten_by
 from phytac_design.study.tradeoff.levels import accuracy_of
+from phytac_shapes.errors import NumericalError
 
 WANTED: dict[str, dict[str, float]] = {
     "draft": {"force": 0.20, "visibility": 0.25, "volume": 0.01, "score": 0.50},

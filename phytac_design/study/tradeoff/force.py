@@ -14,11 +14,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from phytac_decoder.mechanics.response_table import NEAR, Places
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import NumericalError
 
+from phytac_decoder.mechanics.response_table import NEAR, Places
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
@@ -35,6 +32,9 @@ from phytac_design.simulation.receptor_kinematics import Feet
 from phytac_design.simulation.response import turned_points
 from phytac_design.simulation.response_tables import between, place_spacing_mm, rings
 from phytac_design.study.tradeoff.contacts import StandardContacts, standard_contacts
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import NumericalError
 
 NEWTON_STEPS = 30
 """Of the fit of one force; four are common."""

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Literal
 
-from phytac_shapes.errors import DesignError
-
 from phytac_design.stages import STAGES
+from phytac_shapes.errors import DesignError
 
 Quantity = Literal["force", "visibility", "volume", "score"]
 QUANTITIES: dict[Quantity, str] = {

@@ -13,10 +13,10 @@ No large displacement is solved on a fine mesh, and no table is made. What is no
 from functools import cached_property
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.study.tradeoff.force import COARSE, ForceError, read_forces, rms
+from phytac_shapes.arrays import FloatArray
 
 SAFETY = 1.25
 """Factor on predicted force errors; 0.9 to 1.2 was needed on domes, grips and a patch."""

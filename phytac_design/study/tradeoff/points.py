@@ -16,12 +16,11 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal
 
-from phytac_shapes.errors import NumericalError, OutputError
-
 from phytac_design.design.accuracy import PRESETS, Accuracy
 from phytac_design.design.design_file import design_hash, parse_design
 from phytac_design.design.spec import Design
 from phytac_design.engine.cache import code_hash
+from phytac_shapes.errors import NumericalError, OutputError
 
 Kind = Literal["stages", "force", "alone", "truth", "use"]
 MARK = "point: "

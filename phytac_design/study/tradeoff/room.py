@@ -7,10 +7,10 @@ say nothing of the markers that none of them comes near.
 from collections.abc import Sequence
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.engine.stage import Context
 from phytac_design.optics.loaded_visibility import UnderLoad
+from phytac_shapes.arrays import FloatArray
 
 
 def room_of(

@@ -9,8 +9,6 @@ stage presses.
 from functools import partial
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.layout.cameras import tolerance_mm
@@ -19,6 +17,8 @@ from phytac_design.optics.loaded_visibility import press_all
 from phytac_design.optics.scene import build_scene
 from phytac_design.study.tradeoff.force import REFERENCE, ForceError
 from phytac_design.study.tradeoff.room import room_between
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
 SAFETY = 1.3
 """Factor on predicted differences."""

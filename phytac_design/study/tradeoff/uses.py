@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design
 from phytac_design.study.tradeoff.contacts import standard_contacts
 from phytac_design.study.tradeoff.force import ForceError, read_forces, rms
+from phytac_shapes.arrays import FloatArray
 
 SAMPLES = 4
 """Presses that the routes are compared on."""

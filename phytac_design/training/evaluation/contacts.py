@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
 from phytac_decoder.estimation.estimators import ForceModel
+from phytac_design.datasets.samples import FAILED, Samples
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import InputError, NumericalError
-
-from phytac_design.datasets.samples import FAILED, Samples
 
 
 @dataclass(frozen=True, kw_only=True)

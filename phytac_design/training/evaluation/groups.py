@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-from phytac_shapes.errors import InputError
 
 from phytac_design.datasets.samples import Samples
 from phytac_design.design.accuracy import PRESETS
@@ -15,6 +13,8 @@ from phytac_design.engine.stage import Context
 from phytac_design.stages.decoder import MIDDLE, along_mm, length_mm
 from phytac_design.training.evaluation.contacts import Decoded
 from phytac_design.training.training_data import DataSet
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import InputError
 
 FORCE_EDGES_N = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 25.0, np.inf)
 """The paper tells 0.5 to 25 N from below 5 N; the ranges between are ours."""

@@ -7,6 +7,7 @@ from statistics import NormalDist
 from typing import Any
 
 import numpy as np
+
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 RESAMPLES = 1000

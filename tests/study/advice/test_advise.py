@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError, OutputError
 
 from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
@@ -17,6 +16,7 @@ from phytac_design.study.advice.knobs import COUNT, knobs_of, with_fields
 from phytac_design.study.advice.moves import FAULTS, RULES, Move, broken, costs_of, gain_of
 from phytac_design.study.advice.rows import as_explicit, named_rows, row_knobs
 from phytac_design.study.advice.words import as_dict, text
+from phytac_shapes.errors import DesignError, OutputError
 from tests.study.advice.cases import DRAFT, ROWS, judged_tube, tube, with_long_row
 
 

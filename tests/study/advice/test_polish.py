@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from phytac_shapes.errors import DesignError
 from typer.testing import CliRunner
 
 from phytac_design.cli.advise_command import advise as command
@@ -17,6 +16,7 @@ from phytac_design.study.advice.knobs import Knob
 from phytac_design.study.advice.moves import broken
 from phytac_design.study.advice.polish import GAIN_LEAST, GAP_ROOM_PX, Polished, polish, step_of
 from phytac_design.study.advice.slopes import SLOPED, Slope
+from phytac_shapes.errors import DesignError
 from tests.study.advice.cases import DRAFT, tube, with_long_row
 
 ONLY = ["wall", "layout.height_far_mm"]

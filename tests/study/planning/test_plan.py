@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
-from phytac_shapes.errors import DesignError
 from typer.testing import CliRunner
 
 from phytac_design.cli import plan_command
@@ -20,6 +19,7 @@ from phytac_design.study.planning.counts import repeats
 from phytac_design.study.planning.plan import Plan, plan_scene
 from phytac_design.study.planning.resolve import resolve
 from phytac_design.study.planning.units import MEMORY_MB, SECONDS
+from phytac_shapes.errors import DesignError
 from tests.designs import changed, small
 from tests.study.planning.scenes import scene
 

@@ -4,9 +4,9 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.scene import WITHOUT, Scene, load_scene, shipped_scenes
+from phytac_shapes.errors import DesignError
 from tests.study.planning.scenes import scene
 
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from phytac_decoder.estimation.decode import Measured
 from phytac_decoder.io.bundle import Bundle, load_bundle
-
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.scene import building
 from phytac_design.engine.stage import EXPORT, Context

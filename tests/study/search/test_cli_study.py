@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 import typer
-from phytac_shapes.errors import DesignError, InputError
 from typer.testing import CliRunner
 
 from phytac_design.cli.study_commands import optimise, sweep
 from phytac_design.study.search.measures import MEASURES
+from phytac_shapes.errors import DesignError, InputError
 
 APP = typer.Typer()
 APP.command()(sweep)

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from phytac_shapes.errors import DesignError, InputError, OutputError
 
 from phytac_design.study.search import rungs
 from phytac_design.study.search import store as stores
@@ -18,6 +17,7 @@ from phytac_design.study.search.pool import OwnProcess, Pool
 from phytac_design.study.search.rebuild import rebuild
 from phytac_design.study.search.sampler import Search
 from phytac_design.study.search.store import RESULTS, Store
+from phytac_shapes.errors import DesignError, InputError, OutputError
 from tests.study.search.studies import space_of, tiny
 
 KINDS: list[Kind] = ["sweep", "optimise"]

@@ -4,11 +4,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.study.search.file import load_study, parse_study, shipped_studies
 from phytac_design.study.search.measures import MEASURES, RUNGS, stand_in
 from phytac_design.study.search.space import make_space
+from phytac_shapes.errors import DesignError
 from tests.designs import small
 from tests.study.search.studies import space_of, tiny
 

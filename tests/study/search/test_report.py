@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import InputError
 
 from phytac_design.study.search.drive import run_study
 from phytac_design.study.search.report import (
@@ -18,6 +17,7 @@ from phytac_design.study.search.report import (
     saved,
     write_page,
 )
+from phytac_shapes.errors import InputError
 from tests.study.search.studies import space_of, tiny
 
 

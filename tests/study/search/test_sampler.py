@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.study.search.front import front, hypervolume, ranks
 from phytac_design.study.search.ladder import OK, UNFIT
 from phytac_design.study.search.sampler import Cover, Search, sobol
+from phytac_shapes.errors import DesignError
 from tests.study.search.studies import space_of, tiny
 
 

@@ -5,13 +5,13 @@ import json
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from phytac_shapes import REGISTRY
-from phytac_shapes.errors import InputError
 
 from phytac_design.study.stability.case import Case
 from phytac_design.study.stability.judge import judge
 from phytac_design.study.stability.rooms import ROOMS, drawn
 from phytac_design.study.stability.run import choose
+from phytac_shapes import REGISTRY
+from phytac_shapes.errors import InputError
 
 SHARE = 4
 """Cases of each room that are run here, the first and the last among them."""

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.study.stability.case import Case, Evidence, Expect, Outcome
 from phytac_design.study.stability.judge import judge, unreadable
+from phytac_shapes.errors import DesignError
 
 GOOD = "the wall is too thin to print (0.3 mm < 0.4 mm); raise wall.thickness_mm to 0.4"
 

@@ -5,11 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from phytac_decoder.io.bundle import load_bundle, save_bundle
 from phytac_decoder.serving.wire_protocol import Splitter
-from phytac_shapes import Grip
-from phytac_shapes.errors import DesignError, InputError, NumericalError
-
 from phytac_design.design.camera_files import read_lens
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.positions import read_positions
@@ -18,6 +16,8 @@ from phytac_design.mechanics.switch.cases import inflated_sphere
 from phytac_design.mechanics.verification.ring_case import ring_case
 from phytac_design.study.stability.bases import base, changed, design_of
 from phytac_design.study.stability.rooms.readers import bundle
+from phytac_shapes import Grip
+from phytac_shapes.errors import DesignError, InputError, NumericalError
 
 
 def test_rays_meet_a_sensor_that_is_long_and_thin() -> None:

@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from phytac_shapes.errors import DesignError
 from typer.testing import CliRunner
 
 from phytac_design.cli.app import app
@@ -17,6 +16,7 @@ from phytac_design.study.tradeoff import budget as budget_module
 from phytac_design.study.tradeoff import build_to as module
 from phytac_design.study.tradeoff.build_to import AUDIT, build_to
 from phytac_design.study.tradeoff.choose import Choice
+from phytac_shapes.errors import DesignError
 from tests.designs import small
 
 

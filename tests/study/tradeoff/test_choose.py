@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.design.accuracy import PRESETS, RANGES, Accuracy
 from phytac_design.engine.stage import Stage
@@ -27,6 +26,7 @@ from phytac_design.study.tradeoff.choose import achieved, choose_tolerance
 from phytac_design.study.tradeoff.coefficients import COEFFICIENTS
 from phytac_design.study.tradeoff.cost import Work, fit, predict, terms
 from phytac_design.study.tradeoff.force import ForceError
+from phytac_shapes.errors import DesignError
 from tests.designs import DRAWN, drawn, small
 
 DRAFT = PRESETS["draft"]

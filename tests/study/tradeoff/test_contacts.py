@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from phytac_shapes.errors import DesignError
 
 from phytac_design.study.tradeoff.contacts import even_places, rim_points, standard_contacts
+from phytac_shapes.errors import DesignError
 from tests.designs import drawn, small
 
 

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 import typer
-from phytac_shapes.errors import DesignError, NumericalError
 from typer.testing import CliRunner
 
 from phytac_design.cli.tradeoff_command import tradeoff as tradeoff_command
@@ -24,6 +23,7 @@ from phytac_design.study.tradeoff.levels import (
 )
 from phytac_design.study.tradeoff.points import Point, Points
 from phytac_design.study.tradeoff.run import tradeoff
+from phytac_shapes.errors import DesignError, NumericalError
 from tests.designs import drawn
 
 

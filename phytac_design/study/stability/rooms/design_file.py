@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, get_args
 
-from phytac_shapes.errors import DesignError
 from pydantic import BaseModel
 
 from phytac_design.design.design_file import load_design, parse_design, shipped_designs, to_toml
@@ -15,6 +14,7 @@ from phytac_design.design.spec import Design
 from phytac_design.study.stability.bases import base, changed
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
 from phytac_design.study.stability.judge import unreadable
+from phytac_shapes.errors import DesignError
 
 NUMBERLESS: tuple[Any, ...] = ("text", [], {}, True, [1.0, 2.0, 3.0])
 """What is no number, in ways that other readers of files let pass."""

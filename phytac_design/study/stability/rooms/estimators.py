@@ -5,14 +5,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+
 from phytac_decoder.estimation.contact_fit import Noise, Prior
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.locator import Locator
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
 from phytac_decoder.mechanics.response_table import Places
-from phytac_shapes.arrays import FloatArray, IntArray
-
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
+from phytac_shapes.arrays import FloatArray, IntArray
 
 SIDE_MM, PITCH_MM, SMEAR_MM, RADIUS_MM = 60.0, 6.0, 7.0, 5.0
 """A flat sensor whose motion is known in closed form: a dent is a Gaussian."""

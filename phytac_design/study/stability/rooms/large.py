@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.mechanics.large.newton import Equilibrium, Loading
 from phytac_design.mechanics.large.path import solve_large, trace_displacement
@@ -12,6 +11,7 @@ from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification.case_parts import hold, no_support, patch
 from phytac_design.mechanics.verification.large_cases import ROOF, hinged_roof
 from phytac_design.study.stability.case import Case, Evidence, Room
+from phytac_shapes.arrays import FloatArray
 
 RESIDUAL = 1e-6
 """Of equilibrium, relative: the solver's own promise."""

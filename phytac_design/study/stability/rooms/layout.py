@@ -4,13 +4,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.study.stability.bases import AROUND, SHAPES, design_of, numbers_of, sized
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
 from phytac_design.study.stability.faces import face_of
+from phytac_shapes import Surface
 
 EXACT = 1e-9
 """Relative to the size of the sensor."""

@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from phytac_decoder.camera.lens import Lens
-from phytac_shapes.arrays import FloatArray
 
+from phytac_decoder.camera.lens import Lens
 from phytac_design.study.stability.bases import SHAPES, design_of
 from phytac_design.study.stability.case import Case, Evidence, Room
+from phytac_shapes.arrays import FloatArray
 
 IMAGE_PX = 1e-9
 """Error of a projection, relative to the image's size: arithmetic's own."""

@@ -5,12 +5,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from phytac_shapes.errors import DesignError
 
 from phytac_design.layout.receptor_distances import nearest_pair, smallest_receptor_gap_mm
-from phytac_design.rules import check_design
+from phytac_design.rules.check import check_design
 from phytac_design.study.stability.bases import SHAPES, design_of
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
+from phytac_shapes.errors import DesignError
 
 NEAR = 1e-6
 """mm that a rule is kept or broken by: a thousand times its slack, a thousandth of a printer's."""

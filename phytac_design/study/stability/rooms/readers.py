@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.cascade_network import CascadeNetwork
 from phytac_decoder.estimation.estimators import ForceModel
@@ -14,8 +15,6 @@ from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
 from phytac_decoder.serving.wire_protocol import Splitter, encode
 from phytac_decoder.vision.segmentation import ColourModel
 from phytac_decoder.vision.switch_detection import TipModel
-from phytac_shapes.errors import DesignError, InputError, PhytacError
-
 from phytac_design.design.camera_files import read_lens, write_lens
 from phytac_design.design.fixture_files import read_stl
 from phytac_design.design.positions import read_positions
@@ -25,6 +24,7 @@ from phytac_design.simulation.scenario.file import load_scenario
 from phytac_design.study.stability.bases import design_of
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
 from phytac_design.study.stability.judge import unreadable
+from phytac_shapes.errors import DesignError, InputError, PhytacError
 
 COUNT = 12
 MONSTERS: tuple[Any, ...] = (

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.large.quadratic import (
@@ -27,6 +25,8 @@ from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_design.study.stability.bases import SHAPES, design_of
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
 from phytac_design.study.stability.rooms.shell import balances
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 RECIPROCAL = 1e-9
 """Betti's theorem, relative, beside the solution's own rounding."""

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray
 
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification import cases as published
@@ -23,6 +22,7 @@ from phytac_design.mechanics.verification.plate_case import plate_case
 from phytac_design.mechanics.verification.ring_case import ring_case
 from phytac_design.mechanics.verification.single_row import arch_case
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
+from phytac_shapes.arrays import FloatArray
 
 ROUNDING = 1e-10
 """Of balances, relative, beside what their own terms round to."""

@@ -4,14 +4,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
 
-from phytac_design.rules import check_design
+from phytac_design.rules.check import check_design
 from phytac_design.solids.solid_mesh import shell_manifold, to_triangles
 from phytac_design.study.stability.bases import AROUND, SHAPES, design_of, numbers_of
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
 from phytac_design.study.stability.faces import face_of
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
 
 FACETS = 1e-3
 """Volume that facets within the tolerance may cost, relative."""

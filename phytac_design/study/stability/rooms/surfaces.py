@@ -5,15 +5,15 @@ from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
-import phytac_shapes
-from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import DesignError
 
+import phytac_shapes
 from phytac_design.design.spec import SHAPE_MODELS
 from phytac_design.study.stability.bases import SHAPES, design_of, numbers_of
 from phytac_design.study.stability.case import Case, Evidence, Room
 from phytac_design.study.stability.faces import Face, face_of, patch_point
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
 
 EXACT = 1e-9
 """Relative to the size of the sensor: seven digits of twice the arithmetic's are left."""

@@ -4,13 +4,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from phytac_shapes.errors import NumericalError
 
 from phytac_design.mechanics.switch import cases as published
 from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.mechanics.switch.curve import press_bowl, snap_of
 from phytac_design.mechanics.switch.materials import Yeoh, bulk_of, neo_hookean
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
+from phytac_shapes.errors import NumericalError
 
 PEAK, PEAK_AT, VALLEY, VALLEY_AT = 74.5, 0.0146, 37.4, 0.069
 """Clamped cap under a ring load (Mescall 1966): lb and in."""

@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from phytac_decoder.camera.camera import Camera
-from phytac_shapes.arrays import FloatArray, IntArray
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.optics.raster import rasterise
@@ -15,6 +14,7 @@ from phytac_design.optics.visibility import check_visibility
 from phytac_design.rules.check import check_design
 from phytac_design.study.stability.bases import SHAPES, design_of, sized
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
+from phytac_shapes.arrays import FloatArray, IntArray
 
 PIXELS = 240
 """Pixels whose rays are cast, half of them on paint."""

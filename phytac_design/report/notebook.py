@@ -1,22 +1,25 @@
-"""What designs, markers and builds show of themselves in a notebook: key figures and a map."""
+"""HTML of surfaces, designs, markers and builds in a notebook: key figures and a map.
+
+IPython calls these functions; :mod:`phytac_design` registers them when it is imported in a
+notebook.
+"""
 
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
-from phytac_shapes.arrays import FloatArray, IntArray
-from phytac_shapes.errors import PhytacError
-from phytac_shapes.notebook_html import card, figure, map_svg
 
+from phytac_design.core.notebook_html import card, figure, map_svg
+from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout.marker_layout import make_markers
 from phytac_design.layout.markers import Markers
 from phytac_design.report.maps import flat_map
-
-if TYPE_CHECKING:
-    from phytac_design.stages.build import BuildResult
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.errors import PhytacError
 
 PAINTS = {
     "blue": "#1c52dc",
@@ -28,6 +31,48 @@ PAINTS = {
 PALETTE = tuple(PAINTS.values())
 LARGEST = ("report/report.html", "shell/shell.stl", "shell/shell.step", "decoder/bundle.json")
 """Files of a build that are named, where it has them."""
+CHART_POINTS = 73
+"""Points along each edge of a drawn chart."""
+CHART_LINES = 9
+"""Lines of the chart drawn each way."""
+
+
+class Built(Protocol):
+    """A finished build, see :class:`phytac_design.stages.build.BuildResult`."""
+
+    out: Path
+    ran: tuple[str, ...]
+    cached: tuple[str, ...]
+    seconds: float
+
+
+def surface_html(surface: Surface) -> str:
+    """Family, facts, and the unrolled chart of a surface."""
+    rows = {name: figure(value) for name, value in surface.facts().items()}
+    low, high = surface.bounds_mm()
+    rows["box_mm"] = " × ".join(figure(side) for side in high - low)
+    edges, lines = chart_lines(surface)
+    drawing = map_svg(edges, f"unrolled {surface.name}", faint=lines)
+    return card(f"{surface.name} (surface)", rows, drawing)
+
+
+def chart_lines(surface: Surface) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Edges, and lines of the chart between them, on the unrolled map: (n, 2) mm each."""
+    (u0, u1), (v0, v1) = surface.domain
+    u, v = np.linspace(u0, u1, CHART_POINTS), np.linspace(v0, v1, CHART_POINTS)
+
+    def along(at: float) -> FloatArray:
+        return surface.unwrap(np.column_stack([u, np.full_like(u, at)]))
+
+    def around(at: float) -> FloatArray:
+        return surface.unwrap(np.column_stack([np.full_like(v, at), v]))
+
+    edges = [along(v0), along(v1), around(u0), around(u1)]
+    inner_u, inner_v = (
+        np.linspace(u0, u1, CHART_LINES)[1:-1],
+        np.linspace(v0, v1, CHART_LINES)[1:-1],
+    )
+    return edges, [*map(around, inner_u.tolist()), *map(along, inner_v.tolist())]
 
 
 def design_html(design: Design) -> str:
@@ -107,7 +152,7 @@ def chart_mm(markers: Markers) -> FloatArray:
     return np.asarray((markers.uv * np.sqrt(np.maximum(metric, 0.0)))[:, ::-1])
 
 
-def build_html(result: "BuildResult") -> str:
+def build_html(result: Built) -> str:
     """Folder, figures and files of a build, with the map of its design."""
     rows = {
         "folder": str(result.out),
@@ -121,8 +166,6 @@ def build_html(result: "BuildResult") -> str:
 
 
 def _built_map(path: Path) -> str:
-    from phytac_design.design.design_file import load_design
-
     try:
         design = load_design(str(path))
         return design_map(design, make_markers(design, design.surface()))

@@ -2,49 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from phytac_shapes.arrays import FloatArray
 
-if TYPE_CHECKING:
-    from phytac_shapes.surface import Surface
-
 SIZE_px = 420
 """Longer side of a drawing."""
 MARGIN = 0.04
 """Empty border, as a share of the longer side."""
-STATIONS = 73
-"""Points along each edge of a chart."""
-LINES = 9
-"""Lines of the chart drawn each way."""
-
-
-def surface_html(surface: "Surface") -> str:
-    """Family, facts, and the unrolled chart of a surface."""
-    rows = {name: figure(value) for name, value in surface.facts().items()}
-    low, high = surface.bounds_mm()
-    rows["box_mm"] = " × ".join(figure(side) for side in high - low)
-    edges, lines = chart_lines(surface)
-    drawing = map_svg(edges, f"unrolled {surface.name}", faint=lines)
-    return card(f"{surface.name} (surface)", rows, drawing)
-
-
-def chart_lines(surface: "Surface") -> tuple[list[FloatArray], list[FloatArray]]:
-    """Edges, and lines of the chart between them, on the unrolled map: (n, 2) mm each."""
-    (u0, u1), (v0, v1) = surface.domain
-    u, v = np.linspace(u0, u1, STATIONS), np.linspace(v0, v1, STATIONS)
-
-    def along(at: float) -> FloatArray:
-        return surface.unwrap(np.column_stack([u, np.full_like(u, at)]))
-
-    def around(at: float) -> FloatArray:
-        return surface.unwrap(np.column_stack([np.full_like(v, at), v]))
-
-    edges = [along(v0), along(v1), around(u0), around(u1)]
-    inner_u, inner_v = np.linspace(u0, u1, LINES)[1:-1], np.linspace(v0, v1, LINES)[1:-1]
-    return edges, [*map(around, inner_u.tolist()), *map(along, inner_v.tolist())]
 
 
 def map_svg(
