@@ -24,7 +24,7 @@ KEY = "a1b2c3d4e5f6" * 5
 WORKER = """
 import sys, time
 from pathlib import Path
-from phytac_design import cache
+from phytac_design.engine import cache
 def work(folder):
     (folder / "export").mkdir()
     (folder / "export" / "out.txt").write_text(sys.argv[2])
@@ -119,25 +119,41 @@ def test_prune_sweeps_what_the_dead_left_and_spares_what_the_living_make(root: P
     assert not hidden(root)
 
 
-@pytest.mark.parametrize("harm", ["shorter", "gone", "record"])
-def test_a_damaged_result_is_made_again(harm: str) -> None:
+@pytest.mark.parametrize("harm", ["shorter", "gone", "flipped", "record", "record flipped"])
+def test_a_damaged_result_is_reported_and_made_again(harm: str) -> None:
     folder = cache.publish("views", KEY, writes("right"))
+    record = folder / cache.RECORD
     if harm == "record":
-        (folder / cache.RECORD).write_text('{"seconds": 1')
+        record.write_text('{"seconds": 1')
+    elif harm == "record flipped":
+        record.write_text(record.read_text().replace("0.1", "0.3", 1))
     elif harm == "gone":
         (folder / "out.txt").unlink()
     else:
-        (folder / "out.txt").write_text("r")
-    assert cache.lookup("views", KEY) is None
+        (folder / "out.txt").write_text("r" if harm == "shorter" else "wrong")
+    reports: list[str] = []
+    assert cache.lookup("views", KEY, report=reports.append) is None
+    (report,) = reports
+    assert "views is damaged" in report
+    assert ("stage.json" if "record" in harm else "out.txt") in report
     folder = cache.publish("views", KEY, writes("right"))
     assert (folder / "out.txt").read_text() == "right"
+
+
+def test_results_are_readable_as_the_umask_says() -> None:
+    before = os.umask(0o022)
+    try:
+        folder = cache.publish("views", KEY, writes("right"))
+    finally:
+        os.umask(before)
+    assert folder.stat().st_mode & 0o777 == 0o755
+    assert (folder / "out.txt").stat().st_mode & 0o777 == 0o644
 
 
 def test_verify_finds_changed_bytes_and_drops_them() -> None:
     folder = cache.publish("views", KEY, writes("right"))
     cache.publish("shell", KEY, writes("other"))
     (folder / "out.txt").write_text("wrong")
-    assert cache.lookup("views", KEY) == folder  # of the same size: not seen in passing
     assert cache_eviction.damaged() == [folder]
     shown = CliRunner().invoke(app, ["cache", "--verify", "--json"])
     assert shown.exit_code == 0

@@ -26,8 +26,8 @@ def cache(
     as_json: JsonOption = False,
 ) -> None:
     """Show the cache of finished stages, or make room in it."""
+    from phytac_design.core.cache_folder import cache_root
     from phytac_design.engine import cache_eviction
-    from phytac_design.engine.cache import cache_root
 
     limit = float("inf") if prune is None else size_bytes(prune)
     oldest_s = float("inf") if older_than is None else duration_s(older_than)

@@ -7,14 +7,29 @@ from typing import Any, TypeVar, cast
 
 import numba
 
+from phytac_design.core.cache_folder import cache_root
 from phytac_design.core.threads import THREADS
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 
 def kernel(function: Kernel) -> Kernel:
-    """Compile with numba, cached on disk, free of the interpreter lock; 1 / 0 is inf."""
-    return cast("Kernel", numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    """Compile with numba, cached on disk, without the interpreter lock; 1 / 0 is inf.
+
+    Machine code is kept beside the source or in the user's cache folder. Where neither can be
+    written (read-only containers, services without a home folder) it goes to
+    :func:`cache_root`, and if that fails too it is compiled anew by each process.
+    """
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+    try:
+        compiled = numba.njit(cache=True, **options)(function)
+    except RuntimeError:
+        numba.config.CACHE_DIR = str(cache_root() / "kernels")
+        try:
+            compiled = numba.njit(cache=True, **options)(function)
+        except (RuntimeError, OSError):
+            compiled = numba.njit(**options)(function)
+    return cast("Kernel", compiled)
 
 
 def workers() -> int:

@@ -8,44 +8,36 @@ import errno
 import fcntl
 import json
 import os
+import secrets
 import shutil
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from hashlib import sha256
+from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, Any
 
+from phytac_design.core.cache_folder import cache_root
 from phytac_shapes.errors import OutputError
 
 RECORD = "stage.json"
+CHECKSUM = "checksum"
+"""Key of the record's own hash, over all its other keys."""
 SOURCES = {".py", ".js", ".css", ".html"}
 """Suffixes of the program's own files: pages are made of more than Python."""
 LOCK = ".lock"
 """What the file ends in that is locked while a result of its key is made."""
 
 
-def cache_root() -> Path:
-    """Folder of the cache: ``$PHYTAC_CACHE``, or ``phytac`` in the user's cache folder."""
-    own = os.environ.get("PHYTAC_CACHE")
-    if own:
-        return Path(own)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "phytac"
-
-
 @cache
 def code_hash() -> str:
     """Hash of the project's own source: a changed program makes new results."""
-    import phytac_decoder
-    import phytac_design
-    import phytac_shapes
-
     digest = sha256()
-    for package in (phytac_shapes, phytac_decoder, phytac_design):
-        for folder in package.__path__:
+    for package in ("phytac_shapes", "phytac_decoder", "phytac_design"):
+        spec = find_spec(package)
+        for folder in spec.submodule_search_locations or () if spec else ():
             for path in sorted(p for p in Path(folder).rglob("*") if p.suffix in SOURCES):
                 digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()
@@ -71,28 +63,45 @@ def folder_of(name: str, key: str) -> Path:
     return cache_root() / name / key[:24]
 
 
-def lookup(name: str, key: str) -> Path | None:
-    """Folder of a finished and whole result, or None; it counts as used now."""
+def lookup(name: str, key: str, *, report: Callable[[str], None] = lambda _: None) -> Path | None:
+    """Folder of a finished and intact result, or None; it counts as used now.
+
+    Every file is read and compared with the hash that it was published with. ``report`` is called
+    with a sentence if a result is there but damaged.
+    """
     folder = folder_of(name, key)
-    if not is_whole(folder):
+    if not folder.is_dir():
         return None
-    # When it was last used is only for eviction: a cache that may not be written still serves.
+    if path := damaged_file(folder):
+        report(f"warning: the cached result of {name} is damaged ({path}) and is computed again")
+        return None
+    # The time of the last use only serves eviction: a read-only cache still works.
     with suppress(OSError):
         os.utime(folder / RECORD)
     return folder
 
 
-def is_whole(folder: Path, *, read: bool = False) -> bool:
-    """Whether a result has every file that it was published with, by size or (``read``) content."""
+def damaged_file(folder: Path) -> str:
+    """First file of a result that is not, byte for byte, as it was published; "" if none."""
     try:
-        files: dict[str, list[Any]] = record(folder)["files"]
-        return all(
-            (folder / path).stat().st_size == size
-            and (not read or file_hash(folder / path) == digest)
-            for path, (size, digest) in files.items()
-        )
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
+        made = record(folder)
+        if made.pop(CHECKSUM) != _checksum(made):
+            return RECORD
+        files: dict[str, list[Any]] = made["files"]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return RECORD
+    for path, (size, digest) in files.items():
+        try:
+            intact = (folder / path).stat().st_size == size and file_hash(folder / path) == digest
+        except OSError:
+            intact = False
+        if not intact:
+            return path
+    return ""
+
+
+def _checksum(made: dict[str, Any]) -> str:
+    return sha256(json.dumps(made, sort_keys=True).encode()).hexdigest()
 
 
 def publish(
@@ -133,7 +142,9 @@ def publish(
             # What is here now is of a run that was killed, or was damaged since.
             for left in (final, *final.parent.glob(f".{key[:8]}-*")):
                 shutil.rmtree(left, ignore_errors=True)
-            scratch = Path(tempfile.mkdtemp(prefix=f".{key[:8]}-", dir=final.parent))
+            # Not tempfile.mkdtemp: results are readable as the umask says, not by the owner alone.
+            scratch = final.parent / f".{key[:8]}-{secrets.token_hex(6)}"
+            scratch.mkdir()
         except OSError as error:
             raise _unwritable(error) from None
         try:
@@ -143,6 +154,9 @@ def publish(
                 for path in sorted(scratch.rglob("*"))
                 if path.is_file()
             }
+            # As it will be read back: tuples are lists in JSON.
+            made = json.loads(json.dumps(made))
+            made[CHECKSUM] = _checksum(made)
             (scratch / RECORD).write_text(json.dumps(made, sort_keys=True))
             scratch.rename(final)
         except OSError as error:

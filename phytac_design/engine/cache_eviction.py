@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 
+from phytac_design.core.cache_folder import cache_root
 from phytac_design.engine.cache import (
     LOCK,
     RECORD,
     age_s,
-    cache_root,
-    is_whole,
+    damaged_file,
     locked,
     record,
     same_file,
@@ -108,7 +108,7 @@ def _folders() -> Iterator[Path]:
 
 def damaged() -> list[Path]:
     """Results whose files are not, byte for byte, those that were published; reads all of them."""
-    return [folder for folder in _folders() if not is_whole(folder, read=True)]
+    return [folder for folder in _folders() if damaged_file(folder)]
 
 
 def prune(*, limit_bytes: float, older_than_s: float = float("inf")) -> Pruned:

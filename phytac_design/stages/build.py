@@ -186,7 +186,7 @@ def run_stages(
             needed = {name: context.folders[name] for name in stage.needs}
             key = keys[stage.name] = cache.stage_key(stage.name, stage.inputs(context, keys))
             turn = f"[{number}/{len(stages)}] {stage.name}"
-            folder = cache.lookup(stage.name, key)
+            folder = cache.lookup(stage.name, key, report=progress)
             while folder is None or not (keep or own).enter_context(cache.held(folder)):
                 work = Work(stage, replace(context, folders=needed, uses=stage.uses), turn)
                 folder = cache.publish(stage.name, key, work, waiting=work.waiting)
@@ -307,13 +307,18 @@ def _export(
     files = [_entry(out, Path("design.toml"), "design", 0.0)]
     for stage in stages:
         source = context.folders[stage.name] / EXPORT
-        seconds = float(cache.record(context.folders[stage.name])["seconds"])
+        made = cache.record(context.folders[stage.name])
+        seconds, hashes = (
+            float(made["seconds"]),
+            {name: item[1] for name, item in made["files"].items()},
+        )
         paths = [path.relative_to(source) for path in source.rglob("*") if path.is_file()]
         for path in sorted(paths):
             target = out / path
             target.parent.mkdir(parents=True, exist_ok=True)
             partial = target.with_name(f".{target.name}.part")
             shutil.copyfile(source / path, partial)
+            _check_copy(partial, source / path, hashes[f"{EXPORT}/{path.as_posix()}"])
             partial.replace(target)
         if stage.finish:
             stage.finish(design, out)
@@ -338,6 +343,17 @@ def _export(
     partial.write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     partial.replace(out / MANIFEST)
     (out / OLD_MANIFEST).unlink(missing_ok=True)
+
+
+def _check_copy(copy: Path, source: Path, digest: str) -> None:
+    """Refuse a copy that is not, byte for byte, what the stage wrote."""
+    if cache.file_hash(copy) == digest:
+        return
+    copy.unlink()
+    raise OutputError(
+        f"{source} was damaged while it was exported (its SHA-256 is not {digest[:12]}…); run the "
+        "same command again, which computes it anew, and check the disk if this happens again"
+    )
 
 
 def _settle_old_files(
