@@ -33,7 +33,7 @@ from phytac_design.cli import (
     train_command,
 )
 from phytac_design.cli.options import DesignArgument, JsonOption, SeedOption, say
-from phytac_shapes.errors import DesignError, PhytacError
+from phytac_shapes.errors import DesignError, MissingPartError, PhytacError
 
 app = typer.Typer(
     add_completion=False,
@@ -166,6 +166,19 @@ for command in (
 app.command("import")(import_command.import_)
 
 
+EXTRAS = {
+    "design": (
+        "OCP cadquery lib3mf manifold3d matplotlib meshio numba OpenGL pyarrow pydantic pyrender scipy "
+        "tomlkit trimesh yaml"
+    ),
+    "solid": "gmsh",
+    "train": "onnx torch",
+    "study": "dask distributed optuna",
+    "studio": "starlette uvicorn",
+}
+"""Libraries of each extra, by the names they are imported with."""
+
+
 def main() -> None:
     """Run the command line; a user's error is one line on standard error and an exit code."""
     try:
@@ -173,3 +186,13 @@ def main() -> None:
     except PhytacError as error:
         say(f"error: {error}")
         sys.exit(error.exit_code)
+    except ModuleNotFoundError as error:
+        library = str(error.name).partition(".")[0]
+        extra = next((name for name, parts in EXTRAS.items() if library in parts.split()), "")
+        if not extra:
+            raise
+        say(
+            f"error: this command needs {library}, which is not installed: "
+            f"pip install 'phytac-design[{extra}]'"
+        )
+        sys.exit(MissingPartError.exit_code)

@@ -336,13 +336,21 @@ def _export(
         "format": "phytac-exports",
         "schema_version": "1.0",
         "versions": {"phytac-design": metadata.version("phytac-design")}
-        | {name: metadata.version(name) for name in PARTS},
+        | {name: version for name in PARTS if (version := _version(name))},
         "files": sorted(files + others, key=lambda item: str(item["path"])),
     }
     partial = out / f".{MANIFEST}.part"
     partial.write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     partial.replace(out / MANIFEST)
     (out / OLD_MANIFEST).unlink(missing_ok=True)
+
+
+def _version(name: str) -> str:
+    """Version of an installed library; "" of one that is not installed."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return ""
 
 
 def _check_copy(copy: Path, source: Path, digest: str) -> None:

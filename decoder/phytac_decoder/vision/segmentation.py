@@ -149,7 +149,8 @@ def segment(
         mask = cv2.compare(classes, colour + 1, cv2.CMP_EQ)
         own, renumber, boxes = _components(mask, area_min_px)
         points = cv2.findNonZero(mask)
-        place = np.zeros((0, 2), dtype=np.int32) if points is None else points[:, 0]
+        # OpenCV 4 returns (n, 1, 2), OpenCV 5 (n, 2).
+        place = np.zeros((0, 2), dtype=np.int32) if points is None else points.reshape(-1, 2)
         blob = renumber[own[place[:, 1], place[:, 0]]]
         place, blob = place[blob > 0], blob[blob > 0]
         x, y = place.T
