@@ -1,0 +1,241 @@
+"""Each extra alone in a fresh environment, and what it promises: python -m benchmarks.install.
+
+Makes one virtual environment per Python and extra, installs the wheel of the working tree there
+from the package index, and runs ``phytac --help`` and the commands that the extra is for. Needs the
+network and several GB of disk (torch alone fills one).
+
+``--pythons`` names interpreters (comma separated), ``--extras`` a part of the extras, ``--lowest``
+resolves to the lower bounds of ``pyproject.toml`` (needs uv), ``--torch`` is the requirement that
+stands for torch.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from collections.abc import Callable
+from http import HTTPStatus
+from pathlib import Path
+
+from benchmarks.harness import RESULTS, Table
+
+ROOT = Path(__file__).parents[1]
+EXTRAS = ("", "design", "solid", "train", "study", "studio", "all")
+PACKAGES = ("shapes", "decoder", "phytac_design")
+SOURCE = "success"
+
+
+def make_wheel(folder: Path) -> Path:
+    """Build the wheel from a copy of the working tree."""
+    source, out = folder / "source", folder / "out"
+    out.mkdir(parents=True)
+    for package in PACKAGES:
+        ignore = shutil.ignore_patterns("__pycache__", "node_modules")
+        shutil.copytree(ROOT / package, source / package, ignore=ignore)
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copyfile(ROOT / name, source / name)
+    words = ["wheel", "--quiet", "--no-deps", "--wheel-dir", str(out), str(source)]
+    subprocess.run([sys.executable, "-m", "pip", *words], check=True)
+    (path,) = out.glob("*.whl")
+    return path
+
+
+class Environment:
+    """A virtual environment with one extra, and a folder and cache of its own.
+
+    Attributes
+    ----------
+    install_s : float
+        Seconds that the installation took.
+    """
+
+    def __init__(
+        self, folder: Path, python: str, requirement: str, *, torch: str, lowest: bool
+    ) -> None:
+        self.folder = folder
+        self.bin = folder / "env" / "bin"
+        subprocess.run([python, "-m", "venv", str(folder / "env")], check=True)
+        words = [requirement]
+        if "train" in requirement or "all" in requirement:
+            words.append(torch)
+        start = time.perf_counter()
+        if lowest:
+            tool = ["uv", "pip", "install", "--quiet", "--resolution", "lowest-direct"]
+            tool += ["--python", str(self.bin / "python")]
+        else:
+            tool = [str(self.bin / "python"), "-m", "pip", "install", "--quiet"]
+            tool += ["--disable-pip-version-check"]
+        subprocess.run([*tool, *words], check=True)
+        self.install_s = time.perf_counter() - start
+
+    def environment(self) -> dict[str, str]:
+        """Environment variables: nothing of the checkout is found, the cache is empty."""
+        own = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+        return own | {"PHYTAC_CACHE": str(self.folder / "cache")}
+
+    def phytac(self, *words: str, expect: int = 0) -> str:
+        """Run a command; "" if it exited with ``expect``, else the last line that it printed."""
+        done = subprocess.run(
+            [str(self.bin / "phytac"), *words],
+            cwd=self.folder,
+            env=self.environment(),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode == expect:
+            return ""
+        lines = (done.stderr + done.stdout).strip().splitlines()
+        return f"exit code {done.returncode}: {lines[-1] if lines else ''}"
+
+    def size_MB(self) -> float:
+        """Size on disk."""
+        files = (path for path in (self.folder / "env").rglob("*") if path.is_file())
+        return sum(path.lstat().st_size for path in files) / 1e6
+
+
+def decodes(env: Environment, built: Path) -> str:
+    """Decode the frame that a build leaves beside its bundle."""
+    frames = built / "views"
+    return env.phytac(
+        "decode",
+        str(built / "decoder"),
+        str(frames / "frame_pressed.png"),
+        "--rest",
+        str(frames / "frame_rest.png"),
+        "--csv",
+        "forces.csv",
+    )
+
+
+def refuses(env: Environment, _: Path) -> str:
+    """Anything but decoding names the extra to install."""
+    return env.phytac("build", "cylinder60", expect=6)
+
+
+def builds(env: Environment, _: Path) -> str:
+    """Build a draft from start to manifest."""
+    failure = env.phytac("build", "cylinder60", "--accuracy", "draft")
+    manifest = env.folder / "exports" / "cylinder60" / "manifest.json"
+    return failure or ("" if manifest.is_file() else "no manifest.json")
+
+
+def meshes(env: Environment, _: Path) -> str:
+    """Mesh a small true CAD with tetrahedra."""
+    return env.phytac("mesh", "hemisphere", "--out", "mesh", "--solid", "--size", "3")
+
+
+def learns(env: Environment, built: Path) -> str:
+    """Export the network of a decoder as ONNX; torch can be imported."""
+    failure = env.phytac("export-onnx", str(built / "decoder"))
+    done = subprocess.run(
+        [str(env.bin / "python"), "-c", "import torch, phytac_design.training.cnn"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=env.environment(),
+    )
+    return failure or (done.stderr.strip().splitlines() or [""])[-1]
+
+
+def searches(env: Environment, _: Path) -> str:
+    """Search a few candidates, with one worker process."""
+    words = ("optimise", "dense-cylinder", "--candidates", "4", "--workers", "1", "--out", "study")
+    return env.phytac(*words)
+
+
+def serves(env: Environment, _: Path) -> str:
+    """Start the studio and read its page."""
+    words = [str(env.bin / "phytac"), "studio", "--no-browser"]
+    process = subprocess.Popen(
+        words, cwd=env.folder, env=env.environment(), stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if (at := line.find("http://")) >= 0:
+                url = line[at:].split()[0]
+                with urllib.request.urlopen(url, timeout=60) as page:  # noqa: S310 - our own server
+                    return "" if page.status == HTTPStatus.OK else f"status {page.status}"
+        return "no address printed"
+    finally:
+        process.terminate()
+        process.communicate()
+
+
+PROMISES: dict[str, tuple[tuple[str, Callable[[Environment, Path], str]], ...]] = {
+    "": (("decodes a frame", decodes), ("other commands name the extra", refuses)),
+    "design": (("draft build to manifest", builds),),
+    "solid": (("solid mesh", meshes),),
+    "train": (("ONNX export, torch", learns),),
+    "study": (("four candidates of a search", searches),),
+    "studio": (("serves its page", serves),),
+    "all": (
+        ("draft build to manifest", builds),
+        ("decodes a frame", decodes),
+        ("ONNX export, torch", learns),
+    ),
+}
+
+
+def measure(
+    table: Table, python: str, extra: str, wheel: Path, built: Path, given: argparse.Namespace
+) -> None:
+    """Rows of one extra on one Python."""
+    words = [python, "-c", "import sys; print('%d.%d' % sys.version_info[:2])"]
+    version = subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip()
+    bounds = ", lowest versions" if given.lowest else ""
+    name = f"Python {version}, [{extra}]{bounds}" if extra else f"Python {version}, bare{bounds}"
+    with tempfile.TemporaryDirectory() as folder:
+        requirement = f"{wheel}[{extra}]" if extra else str(wheel)
+        env = Environment(Path(folder), python, requirement, torch=given.torch, lowest=given.lowest)
+        for what, check in (("phytac --help", lambda e, _: e.phytac("--help")), *PROMISES[extra]):
+            failure = check(env, built)
+            table.add(
+                f"{name}: {what}, failures", int(bool(failure)), "", 0, SOURCE, "== 0", failure
+            )
+        table.add(f"{name}: installed size", env.size_MB(), "MB", "-", "reported only")
+        table.add(f"{name}: time to install", env.install_s, "s", "-", "reported only")
+
+
+def main() -> None:
+    """Run all environments that were asked for; rows of others are kept."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--pythons", default=sys.executable, help="interpreters, comma separated")
+    parser.add_argument("--extras", default=",".join(EXTRAS), help="a part of them")
+    parser.add_argument("--lowest", action="store_true", help="lower bounds instead of the newest")
+    parser.add_argument("--torch", default="torch", help="requirement that stands for torch")
+    parser.add_argument("--bundle", type=Path, help="a build to decode with, instead of a new one")
+    parser.add_argument("--dry", action="store_true", help="results are not written")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        wheel = make_wheel(folder)
+        built = given.bundle
+        if built is None:
+            words = ["-m", "phytac_design", "build", "cylinder60", "--accuracy", "draft"]
+            built = folder / "built"
+            subprocess.run([sys.executable, *words, "--out", str(built)], check=True)
+        for python in given.pythons.split(","):
+            for extra in given.extras.split(","):
+                label = f"{Path(python).name} [{extra}]" + (" lowest" if given.lowest else "")
+                table = Table("install", part=label)
+                measure(table, python, extra, wheel, built.resolve(), given)
+                if not given.dry:
+                    table.write(order=parts_with(label))
+
+
+def parts_with(label: str) -> list[str]:
+    """Parts of the committed results, and this one."""
+    path = RESULTS / "install.json"
+    old = [row["part"] for row in json.loads(path.read_text())["rows"]] if path.is_file() else []
+    return sorted({*old, label})
+
+
+if __name__ == "__main__":
+    main()
