@@ -16,7 +16,7 @@ from typing import Any
 from benchmarks.page_fuzz_change import changed, changed_table, json_text, toml_text
 
 ROOT = Path(__file__).parents[1]
-PACKAGE = ROOT / "phytac_design"
+PACKAGE = ROOT / "phytac_design" / "data"
 TABLES = 0.6
 """Share of inputs whose values are changed, rather than their bytes."""
 

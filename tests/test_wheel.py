@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("shapes", "decoder", "phytac_design")
+PACKAGES = {"phytac_shapes": "shapes", "phytac_decoder": "decoder", "phytac_design": "."}
+"""Packages, and the folder that holds each."""
 LEFT_BEHIND = {".md", ".pyc", ".nbi", ".nbc", ".map"}
 """Files beside the modules that a program does not read: notes, compiled kernels."""
 
@@ -17,12 +18,12 @@ LEFT_BEHIND = {".md", ".pyc", ".nbi", ".nbc", ".map"}
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
     """The wheel of the working tree, built from a copy: nothing is left in the tree."""
-    folder = tmp_path_factory.mktemp("wheel")
-    source, out = folder / "source", folder / "out"
+    made = tmp_path_factory.mktemp("wheel")
+    source, out = made / "source", made / "out"
     ignore = shutil.ignore_patterns("__pycache__", "node_modules")
-    for room in (*ROOMS, "tests", "benchmarks", "tools"):
-        shutil.copytree(ROOT / room, source / room, ignore=ignore)
-    for name in ("pyproject.toml", "README.md"):
+    for folder in ("shapes", "decoder", "phytac_design", "tests", "benchmarks", "tools"):
+        shutil.copytree(ROOT / folder, source / folder, ignore=ignore)
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copyfile(ROOT / name, source / name)
     code = f"from setuptools import build_meta; build_meta.build_wheel({str(out)!r})"
     out.mkdir()
@@ -38,12 +39,12 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
     return zipfile.ZipFile(path)
 
 
-def test_every_file_of_the_rooms_is_in_it(wheel: zipfile.ZipFile) -> None:
+def test_every_file_of_the_packages_is_in_it(wheel: zipfile.ZipFile) -> None:
     packed = {name for name in wheel.namelist() if ".dist-info/" not in name}
     wanted = {
-        path.relative_to(ROOT).as_posix()
-        for room in ROOMS
-        for path in (ROOT / room).rglob("*")
+        path.relative_to(ROOT / folder).as_posix()
+        for package, folder in PACKAGES.items()
+        for path in (ROOT / folder / package).rglob("*")
         if path.is_file() and path.suffix not in LEFT_BEHIND and "node_modules" not in path.parts
     }
     assert wanted - packed == set(), "name it in package-data of pyproject.toml"
@@ -57,8 +58,9 @@ def test_its_command_and_its_parts_are_named(wheel: zipfile.ZipFile) -> None:
 
     assert "phytac = phytac_design.cli.app:main" in text("entry_points.txt")
     facts = text("METADATA")
-    assert "Requires-Dist: numpy==" in facts
-    for extra in ("design", "study", "train", "dev"):
+    assert "Requires-Dist: numpy>=" in facts
+    assert "License-Expression: MIT" in facts
+    for extra in ("design", "solid", "study", "studio", "train", "all", "dev"):
         assert f"Provides-Extra: {extra}" in facts
 
 
@@ -68,8 +70,9 @@ def test_it_runs_where_there_is_no_checkout(wheel: zipfile.ZipFile, tmp_path: Pa
     code = """
 import sys
 sys.path.insert(0, sys.argv[1])
-import phytac_design, shapes, decoder
-assert all(room.__file__.startswith(sys.argv[1]) for room in (phytac_design, shapes, decoder))
+import phytac_design, phytac_shapes, phytac_decoder
+packages = (phytac_design, phytac_shapes, phytac_decoder)
+assert all(package.__file__.startswith(sys.argv[1]) for package in packages)
 from phytac_design.rules.design_review import checkup
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.rules.check import check_design

@@ -26,7 +26,7 @@ def _registered() -> dict[str, type[Surface]]:
             continue
         if own.name in found:
             raise DesignError(
-                f"shapes/{module.name}.py registers the shape {own.name!r}, which there is "
+                f"phytac_shapes/{module.name}.py registers the shape {own.name!r}, which there is "
                 f"already ({found[own.name].__module__}); give it another name"
             )
         found[own.name] = own

@@ -39,7 +39,7 @@ def python(code: str, path: Path) -> str:
     done = subprocess.run(
         [sys.executable, "-c", code],
         cwd=path,
-        env={**os.environ, "PYTHONPATH": f"{path}{os.pathsep}{ROOT}"},
+        env={**os.environ, "PYTHONPATH": f"{path / 'decoder'}{os.pathsep}{ROOT}"},
         capture_output=True,
         text=True,
         check=False,
@@ -59,7 +59,7 @@ def test_a_calibration_file_makes_the_camera(tmp_path: Path) -> None:
 
 def test_a_lens_is_one_class_in_one_file(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "decoder", tmp_path / "decoder", ignore=shutil.ignore_patterns("__py*"))
-    with (tmp_path / "decoder" / "lens.py").open("a") as stream:
+    with (tmp_path / "decoder" / "phytac_decoder" / "camera" / "lens.py").open("a") as stream:
         stream.write("\n\n" + listing(CAMERA, "decoder/phytac_decoder/camera/lens.py"))
     code = """
 import numpy as np

@@ -22,7 +22,9 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of ``shapes/`` with the one file more, found before the installed one."""
     folder = tmp_path_factory.mktemp("checkout")
     shutil.copytree(ROOT / "shapes", folder / "shapes", ignore=shutil.ignore_patterns("__py*"))
-    (folder / "shapes" / "barrel.py").write_text(listing(GUIDE, "shapes/barrel.py"))
+    (folder / "shapes" / "phytac_shapes" / "barrel.py").write_text(
+        listing(GUIDE, "shapes/phytac_shapes/barrel.py")
+    )
     (folder / "keg.toml").write_text(listing(GUIDE, "keg.toml"))
     return folder
 
@@ -32,7 +34,7 @@ def phytac(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-c", code, *words],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"},
+        env={**os.environ, "PYTHONPATH": f"{folder / 'shapes'}{os.pathsep}{ROOT}"},
         capture_output=True,
         text=True,
         check=False,
@@ -41,7 +43,9 @@ def phytac(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 def barrel(checkout: Path, **sizes: float) -> phytac_shapes.Surface:
     """A barrel of the guide's class."""
-    spec = spec_from_file_location("barrel_of_the_guide", checkout / "shapes" / "barrel.py")
+    spec = spec_from_file_location(
+        "barrel_of_the_guide", checkout / "shapes" / "phytac_shapes" / "barrel.py"
+    )
     assert spec is not None
     assert spec.loader is not None
     module = module_from_spec(spec)
@@ -103,8 +107,10 @@ def test_the_guide_counts_right() -> None:
 
 def test_two_shapes_of_one_name_are_refused(checkout: Path, tmp_path: Path) -> None:
     shutil.copytree(checkout / "shapes", tmp_path / "shapes")
-    text = (tmp_path / "shapes" / "barrel.py").read_text()
-    (tmp_path / "shapes" / "barrel.py").write_text(text.replace('"barrel"', '"cone"'))
+    text = (tmp_path / "shapes" / "phytac_shapes" / "barrel.py").read_text()
+    (tmp_path / "shapes" / "phytac_shapes" / "barrel.py").write_text(
+        text.replace('"barrel"', '"cone"')
+    )
     done = phytac(tmp_path, "shapes")
     assert done.returncode != 0
     assert "registers the shape 'cone', which there is already (phytac_shapes.cone)" in done.stderr
