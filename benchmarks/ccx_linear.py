@@ -20,7 +20,7 @@ STOPPED = 201
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run:
+class CcxRun:
     """What CalculiX found and how long it took.
 
     Attributes
@@ -46,7 +46,7 @@ def run_linear(
     modulus_MPa: float,
     poisson: float,
     analysis: bool = True,
-) -> Run:
+) -> CcxRun:
     """Run loads (m, N, 3) as m linear steps of one file, on one thread.
 
     ``analysis=False`` reads the file, expands the shells and stops (``*NO ANALYSIS``).
@@ -68,11 +68,11 @@ def run_linear(
     seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     assert run.returncode == (0 if analysis else STOPPED), run.stdout[-400:]
     if not analysis:
-        return Run(displacement_mm=np.zeros((0, 0, 3)), seconds=seconds, equations=0)
+        return CcxRun(displacement_mm=np.zeros((0, 0, 3)), seconds=seconds, equations=0)
     tail = run.stdout.split("number of equations", 1)[1].split()
     found = _read(folder / "job.dat", len(mesh.nodes_mm))
     assert len(found) == len(loads), run.stdout[-400:]
-    return Run(displacement_mm=found, seconds=seconds, equations=int(tail[0]))
+    return CcxRun(displacement_mm=found, seconds=seconds, equations=int(tail[0]))
 
 
 def _model(mesh: QuadraticMesh, modulus_MPa: float, poisson: float) -> Iterator[str]:

@@ -19,8 +19,8 @@ from benchmarks import (
     decoder_accuracy,
     decoder_cnn,
     decoder_faults,
+    decoder_identities,
     decoder_moving,
-    decoder_names,
     decoder_referee,
     decoder_shapes,
     decoder_speed,
@@ -29,8 +29,8 @@ from benchmarks import (
 )
 from benchmarks.harness import Table, run_parts
 from benchmarks.plain_eyes import plain_opencv
-from phytac_decoder.estimation.decode import measure_frame, read_image, rest_positions
 from phytac_decoder.io.bundle import Bundle, load_bundle
+from phytac_decoder.pipeline.decode import measure_frame, read_image, rest_positions
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
@@ -245,7 +245,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "linear": linear_rows,
         "speed": decoder_speed.add_rows,
         "speed_large": partial(decoder_speed.add_rows, size=decoder_speed.LARGE),
-        "names": decoder_names.add_rows,
+        "names": decoder_identities.add_rows,
         "moving": decoder_moving.add_rows,
         "stream": decoder_stream.add_rows,
         "faults": decoder_faults.add_rows,

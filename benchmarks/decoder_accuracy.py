@@ -11,8 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.decoder_data import Case, few_of, origin, units
-from benchmarks.decoder_judge import LEARNT, Verdict, by_design, mechanics, taught, verdict
+from benchmarks.decoder_data import DataSetSpec, origin, random_subset, units
+from benchmarks.decoder_evaluation import (
+    LEARNT,
+    Evaluation,
+    by_design,
+    evaluate_decoder,
+    mechanics,
+    train_decoder,
+)
 from benchmarks.decoder_rows import (
     ALL,
     FULL,
@@ -39,7 +46,7 @@ from benchmarks.harness import Table
 from phytac_decoder.io.bundle import Bundle
 from phytac_design.engine.stage import Context
 from phytac_design.training.training_data import DataSet
-from phytac_design.workflows.simulate import eyes_of
+from phytac_design.workflows.simulate import imaging_model
 from phytac_shapes.arrays import FloatArray
 
 COUNTS = (25, 50, 100, 150, 300, 598)
@@ -55,7 +62,7 @@ TRAIN_S = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bench:
+class UnitDecoder:
     """One unit: the decoder by design, what is learnt from, and what is held out.
 
     Attributes
@@ -70,7 +77,7 @@ class Bench:
         To learn from, and held out.
     """
 
-    case: Case
+    case: DataSetSpec
     context: Context
     plain: Bundle
     train: DataSet
@@ -91,19 +98,19 @@ class Bench:
     @property
     def pixels_px(self) -> FloatArray:
         """Scatter (n, 2) of its markers' places over where on the pixels they are."""
-        found = eyes_of(self.case.job).at_rest.grid_px
+        found = imaging_model(self.case.job).at_rest.grid_px
         return np.where(np.isfinite(found), found, np.nanmean(found, axis=0))
 
-    def judged(self, bundle: Bundle, *, names: Sequence[str] | None = None) -> Verdict:
+    def judged(self, bundle: Bundle, *, names: Sequence[str] | None = None) -> Evaluation:
         """A decoder on the held-out samples."""
-        return verdict(self.context, bundle.model, self.test, estimators=names)
+        return evaluate_decoder(self.context, bundle.model, self.test, estimators=names)
 
 
-def bench(case: Case) -> Bench:
+def bench(case: DataSetSpec) -> UnitDecoder:
     """Make the decoder, and read or simulate the data."""
     context = mechanics(case.job.design, case.accuracy or case.job.accuracy)
     train, test = case.parts()
-    return Bench(case=case, context=context, plain=by_design(context), train=train, test=test)
+    return UnitDecoder(case=case, context=context, plain=by_design(context), train=train, test=test)
 
 
 def add_rows_accuracy(table: Table, *, quick: bool) -> None:
@@ -111,7 +118,7 @@ def add_rows_accuracy(table: Table, *, quick: bool) -> None:
     each = []
     for number, case in enumerate(units(quick=quick)):
         here = bench(case)
-        bundle, facts = taught(here.plain, here.train)
+        bundle, facts = train_decoder(here.plain, here.train)
         judged = replace(here.judged(bundle), pixels_px=here.pixels_px)
         full = number == 0 and not quick
         _count_row(table, here, judged, target=full)
@@ -128,7 +135,7 @@ def add_rows_accuracy(table: Table, *, quick: bool) -> None:
     _spread_rows(table, each)
 
 
-def _count_row(table: Table, here: Bench, judged: Verdict, *, target: bool) -> None:
+def _count_row(table: Table, here: UnitDecoder, judged: Evaluation, *, target: bool) -> None:
     """How many contacts are judged, and where the data are from."""
     judged_ones, count = int(judged.decoded.tripped.sum()), len(judged.decoded.touch)
     table.add(
@@ -143,14 +150,14 @@ def _count_row(table: Table, here: Bench, judged: Verdict, *, target: bool) -> N
     )
 
 
-def _pairs_rows(table: Table, here: Bench, judged: Verdict) -> None:
+def _pairs_rows(table: Table, here: UnitDecoder, judged: Evaluation) -> None:
     """The same decoder without its tables of pairs: contacts that stiffen or soften each other."""
     model = here.plain.model
     locator = model.locator
     assert locator is not None
     alone = replace(locator, places=replace(locator.places, pairs=None))
     plain = replace(here.plain, model=replace(model, locator=alone))
-    bundle, _ = taught(plain, here.train, names=("auto",))
+    bundle, _ = train_decoder(plain, here.train, names=("auto",))
     without = here.judged(bundle, names=("auto",))
     for group in (MIDDLE, SINGLE, SEVERAL, RIMS):
         mask = judged.group(*group)
@@ -171,7 +178,7 @@ def _pairs_rows(table: Table, here: Bench, judged: Verdict) -> None:
 
 
 def _time_rows(
-    table: Table, here: Bench, facts: Mapping[str, Mapping[str, Any]], *, target: bool
+    table: Table, here: UnitDecoder, facts: Mapping[str, Mapping[str, Any]], *, target: bool
 ) -> None:
     for name, found in facts.items():
         table.add(
@@ -185,7 +192,7 @@ def _time_rows(
         )
 
 
-def _spread_rows(table: Table, each: Sequence[Verdict]) -> None:
+def _spread_rows(table: Table, each: Sequence[Evaluation]) -> None:
     """Mean over the units, and their spread."""
     name = each[0].data.meta.design
     for estimator in each[0].decoded.decoded_N:
@@ -217,10 +224,10 @@ def add_rows_few(table: Table, *, quick: bool) -> None:
     }
     _curve_rows(table, here, "auto", 0, [here.judged(here.plain, names=["auto"])], errors)
     for count in counts[:1] if quick else counts:
-        draws: list[Verdict] = []
+        draws: list[Evaluation] = []
         for draw in range(1 if quick or count == most else DRAWS):
-            data = few_of(here.train, count, seed=draw)
-            bundle, _ = taught(here.plain, data, names=CURVE, seed=draw)
+            data = random_subset(here.train, count, seed=draw)
+            bundle, _ = train_decoder(here.plain, data, names=CURVE, seed=draw)
             draws.append(here.judged(bundle, names=CURVE))
         for name in CURVE:
             _curve_rows(table, here, name, count, draws, errors)
@@ -241,10 +248,10 @@ def add_rows_few(table: Table, *, quick: bool) -> None:
 
 def _curve_rows(
     table: Table,
-    here: Bench,
+    here: UnitDecoder,
     name: str,
     count: int,
-    draws: Sequence[Verdict],
+    draws: Sequence[Evaluation],
     errors: dict[tuple[str, Group], dict[int, float]],
 ) -> None:
     """Mean error of an estimator from so many samples; kept in ``errors``, %."""
@@ -271,11 +278,11 @@ def add_rows_other_unit(table: Table, *, quick: bool) -> None:
     """Decoders on prints that they have never seen, and with a few samples of these."""
     first, *others = units(quick=quick)
     home = bench(first)
-    bundle, _ = taught(home.plain, home.train)
+    bundle, _ = train_decoder(home.plain, home.train)
     for case in others:
         here = bench(case)
-        few = few_of(here.train, CALIBRATION, seed=0)
-        again, _ = taught(here.plain, few, start=bundle)
+        few = random_subset(here.train, CALIBRATION, seed=0)
+        again, _ = train_decoder(here.plain, few, start=bundle)
         ways: tuple[tuple[str, Bundle, Sequence[str]], ...] = (
             ("by design alone", here.plain, ("fem", "koi_inverse", "auto")),
             (f"trained on unit {first.job.scenario.unit.number}", bundle, LEARNT),

@@ -4,17 +4,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phytac_decoder.estimation.contact_estimates import Found
-from phytac_decoder.estimation.contact_fit import start
-from phytac_decoder.estimation.contact_shifts import UNKNOWNS, explain
+from phytac_decoder.estimation.contact_estimates import ContactDetection
+from phytac_decoder.estimation.contact_fit import initial_state
+from phytac_decoder.estimation.contact_shifts import UNKNOWNS, single_contact_shifts
 from phytac_design.datasets.samples import Samples
 from phytac_design.engine.stage import Context
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
-from phytac_design.simulation.bound import Prior, Signals, cell_prior, contact_signals
+from phytac_design.simulation.cramer_rao import (
+    ContactSignals,
+    PositionPrior,
+    cell_prior,
+    contact_signals,
+)
 from phytac_design.simulation.response import motion_responses
 from phytac_design.stages.places import locator_of
-from phytac_design.training.locator_calibration import second_moments
+from phytac_design.training.locator_calibration import pressure_moments
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 QUIET_px = 0.05
@@ -66,7 +71,7 @@ class Bounds:
         )
 
 
-def noise_of(found: list[Found | None], samples: Samples) -> FloatArray:
+def noise_of(found: list[ContactDetection | None], samples: Samples) -> FloatArray:
     """Noise (n, 2) px of shifts: robust scatter of markers that a sample's contacts leave alone.
 
     Parameters
@@ -140,7 +145,7 @@ def bounds(
         if own.start == own.stop:
             continue
         seen = np.isfinite(samples.shift_px[sample]).reshape(-1)
-        mine = Signals(shift=signals.shift[own], slopes=signals.slopes[own])
+        mine = ContactSignals(shift=signals.shift[own], slopes=signals.slopes[own])
         newtons = touches.force_N[rows[own]]
         force[rows[own]], alone[rows[own]] = _sample(
             mine, newtons, seen / noise_px.reshape(-1), prior
@@ -156,7 +161,7 @@ def bounds(
 
 
 def _sample(
-    signals: Signals, force_N: FloatArray, weight: FloatArray, prior: Prior
+    signals: ContactSignals, force_N: FloatArray, weight: FloatArray, prior: PositionPrior
 ) -> tuple[FloatArray, FloatArray]:
     """Bounds (m,) of m contacts at once, and of each alone."""
     slopes = force_N[:, None, None] * signals.slopes
@@ -184,7 +189,7 @@ def _least(weighed: FloatArray, known: FloatArray) -> FloatArray:
 
 
 def _by_moments(
-    context: Context, samples: Samples, chosen: BoolArray, prior: Prior
+    context: Context, samples: Samples, chosen: BoolArray, prior: PositionPrior
 ) -> tuple[FloatArray, FloatArray]:
     """Slopes (c, 6, 2n) of shifts by all unknowns of the chosen contacts, and what is known (6,).
 
@@ -198,9 +203,9 @@ def _by_moments(
     out = np.empty((len(moments), UNKNOWNS, 2 * samples.markers))
     rows = zip(touches.point_mm[chosen], touches.force_N[chosen], moments, strict=True)
     for k, (point, force, own) in enumerate(rows):
-        state = start(locator.places, locator.prior, point, float(force))
+        state = initial_state(locator.places, locator.prior, point, float(force))
         state.x[3:] = own
-        out[k] = explain(state, 1)[1]
+        out[k] = single_contact_shifts(state, 1)[1]
     spread = np.maximum(moments.std(axis=0), MOMENT_LEAST_MM2)
     return out, np.array([0.0, *[prior.place_mm**-2] * 2, *spread**-2.0])
 
@@ -209,7 +214,7 @@ def _moments(samples: Samples, chosen: BoolArray) -> FloatArray:
     """Second moments (c, 3) mm² of the chosen contacts."""
     touches = samples.touches
     assert touches is not None
-    return second_moments(
+    return pressure_moments(
         {
             "indenter": touches.indenter[chosen],
             "radius_mm": touches.radius_mm[chosen],
@@ -219,7 +224,7 @@ def _moments(samples: Samples, chosen: BoolArray) -> FloatArray:
     )
 
 
-def _signals(context: Context, samples: Samples, chosen: BoolArray) -> Signals:
+def _signals(context: Context, samples: Samples, chosen: BoolArray) -> ContactSignals:
     """Shifts per newton of the chosen contacts, as even discs of their second moments."""
     touches = samples.touches
     assert touches is not None

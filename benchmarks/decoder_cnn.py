@@ -29,14 +29,14 @@ PAPER = {598: 48.0, 3909: 93.0}
 """Accuracy, %."""
 PARAMETERS = 758.4
 """Of the paper's network, thousand."""
-TOLD = (
+CONDITIONS = (
     "told which switches are truly on; the force of a contact is the sum over its switches; "
     "contacts that turned on none are left out"
 )
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judged:
+class ContactForces:
     """Contacts of the held-out samples: sample, true and decoded force of each, (c,)."""
 
     sample: IntArray
@@ -100,7 +100,7 @@ def _places(made: Job) -> FloatArray:
     return places_in_frame(camera.project(markers.tip_mm), size)
 
 
-def judge(name: str, trained: CnnTrained, samples: Samples, held: IntArray) -> Judged:
+def judge(name: str, trained: CnnTrained, samples: Samples, held: IntArray) -> ContactForces:
     """Contacts of held-out samples as the network reads them."""
     truth, touches = samples.truth, samples.touches
     if truth is None or touches is None:
@@ -111,7 +111,7 @@ def judge(name: str, trained: CnnTrained, samples: Samples, held: IntArray) -> J
     owner, rows = truth.touch[mine], len(touches.sample)
     read = forces[truth.sample[mine], truth.marker[mine]]
     contact = np.unique(owner)
-    return Judged(
+    return ContactForces(
         sample=touches.sample[contact],
         force_N=_sums(owner, truth.force_N[mine], rows)[contact],
         decoded_N=_sums(owner, read, rows)[contact],
@@ -130,7 +130,7 @@ def add_rows(table: Table, *, quick: bool) -> None:
     # The rig goes column by column: drawn at random, no side is left out.
     order = np.random.default_rng(SEED).permutation(usable)
     how = Lessons(epochs=2) if quick else Lessons()
-    about = f"{origin(name, meta)}; {TOLD}"
+    about = f"{origin(name, meta)}; {CONDITIONS}"
     for count in counts:
         trained, taught = learn(name, made, samples, order[:count], how)
         known = judge(name, trained, samples, taught)
@@ -146,7 +146,12 @@ def add_rows(table: Table, *, quick: bool) -> None:
 
 
 def _add(
-    table: Table, count: int, trained: CnnTrained, known: Judged, found: Judged, about: str
+    table: Table,
+    count: int,
+    trained: CnnTrained,
+    known: ContactForces,
+    found: ContactForces,
+    about: str,
 ) -> None:
     """Rows of one network: on what it learnt from (``known``) and on further contacts."""
     guess = np.full(len(found.force_N), known.force_N.mean())

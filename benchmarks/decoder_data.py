@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from benchmarks.twin_engine import changed
-from phytac_design.datasets.samples import FAILED, Meta, Samples
+from phytac_design.datasets.samples import FAILED, DataSetInfo, Samples
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.datasets.samples_writer import TABLE, file_hash
 from phytac_design.design.accuracy import Preset
@@ -23,8 +23,8 @@ from phytac_design.design.design_file import design_hash, load_design, parse_des
 from phytac_design.design.spec import Design
 from phytac_design.engine.cache import code_hash
 from phytac_design.simulation.run.job import Job
-from phytac_design.simulation.scenario.file import scenario_hash
-from phytac_design.training.join_datasets import pick
+from phytac_design.simulation.scenario.scenario_file import scenario_hash
+from phytac_design.training.join_datasets import select_samples
 from phytac_design.training.training_data import DataSet
 from phytac_design.workflows.simulate import simulate
 from phytac_shapes.arrays import IntArray
@@ -40,7 +40,7 @@ LINEAR: dict[str, object] = {"displacement": "linear"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case:
+class DataSetSpec:
     """A data set and how it is used.
 
     Attributes
@@ -79,7 +79,7 @@ def data_folder() -> Path:
     return Path(told) if told else Path.home() / ".cache" / "phytac-benchmarks"
 
 
-def data_set(name: str, job: Job) -> tuple[Samples, Meta]:
+def data_set(name: str, job: Job) -> tuple[Samples, DataSetInfo]:
     """A data set that is at hand, also if another version of the program made it, or simulated.
 
     Parameters
@@ -122,7 +122,7 @@ def data_set(name: str, job: Job) -> tuple[Samples, Meta]:
     return samples, meta
 
 
-def origin(name: str, meta: Meta) -> str:
+def origin(name: str, meta: DataSetInfo) -> str:
     """What a data set is and which program made it when, for a row's note."""
     table = data_folder() / name / TABLE
     day = time.strftime("%Y-%m-%d", time.gmtime(table.stat().st_mtime))
@@ -132,7 +132,7 @@ def origin(name: str, meta: Meta) -> str:
     return f"{meta.what}; {meta.route}, {meta.notes.get('accuracy')}; made {day} by {made}"
 
 
-def set_of(name: str, samples: Samples, meta: Meta) -> DataSet:
+def set_of(name: str, samples: Samples, meta: DataSetInfo) -> DataSet:
     """A data set as trainers and judges take it."""
     folder = data_folder() / name
     table = folder / TABLE
@@ -142,10 +142,10 @@ def set_of(name: str, samples: Samples, meta: Meta) -> DataSet:
 
 def chosen(item: DataSet, index: IntArray) -> DataSet:
     """Some samples of a data set."""
-    return replace(item, samples=pick(item.samples, np.sort(index)))
+    return replace(item, samples=select_samples(item.samples, np.sort(index)))
 
 
-def few_of(item: DataSet, count: int, *, seed: int) -> DataSet:
+def random_subset(item: DataSet, count: int, *, seed: int) -> DataSet:
     """So many samples at random; for one seed, fewer are among more."""
     order = np.random.default_rng([seed, 25]).permutation(item.samples.count)
     return chosen(item, order[:count])
@@ -181,26 +181,28 @@ def small_design() -> Design:
     return parse_design({**data, "name": "small"}, "small")
 
 
-def units(*, quick: bool) -> list[Case]:
+def units(*, quick: bool) -> list[DataSetSpec]:
     """Three virtual prints of cylinder60, by frames; from the paper's 598 samples each."""
     if quick:
         return [_quick(1, 50), _quick(2, 40)]
     design = load_design("cylinder60")
     first = job_of(design, unit=1, samples=1100, route="frames")
     others = [
-        Case(name=f"u{k}", job=job_of(design, unit=k, samples=count, route="frames"), train=train)
+        DataSetSpec(
+            name=f"u{k}", job=job_of(design, unit=k, samples=count, route="frames"), train=train
+        )
         for k, count, train in ((2, 760, 598), (3, 760, 598))
     ]
-    return [Case(name="u1", job=first, train=598, mixed=False), *others]
+    return [DataSetSpec(name="u1", job=first, train=598, mixed=False), *others]
 
 
-def nominal(design: Design) -> Case:
+def nominal(design: Design) -> DataSetSpec:
     """The sensor as designed, by points, to learn from alone."""
     count, name = 120, "u0" if design.name == "cylinder60" else f"u0-{design.name}"
-    return Case(name=name, job=job_of(design, unit=0, samples=count), train=count)
+    return DataSetSpec(name=name, job=job_of(design, unit=0, samples=count), train=count)
 
 
-def of_shape(name: str, *, quick: bool) -> Case:
+def of_shape(name: str, *, quick: bool) -> DataSetSpec:
     """The first virtual print of a shipped design, by frames."""
     if quick:
         return _quick(1, 50)
@@ -209,22 +211,22 @@ def of_shape(name: str, *, quick: bool) -> Case:
     accuracy: Preset = "draft" if name in FLAT else "standard"
     train = count // 2
     job = job_of(load_design(name), unit=1, samples=count, accuracy=accuracy, route="frames")
-    return Case(name=f"shape-{name}", job=job, train=train, accuracy="standard")
+    return DataSetSpec(name=f"shape-{name}", job=job, train=train, accuracy="standard")
 
 
-def cycles(*, quick: bool) -> Case:
+def cycles(*, quick: bool) -> DataSetSpec:
     """One press again and again, creep and light drift on, on the first unit, by frames."""
     if quick:
         cycle: dict[str, object] = {"count": 20, "every": 19}
         job = job_of(
             small_design(), scenario="cycles", unit=1, accuracy="draft", cycle=cycle, solve=LINEAR
         )
-        return Case(name="quick-cycles", job=job, train=0)
+        return DataSetSpec(name="quick-cycles", job=job, train=0)
     job = job_of(load_design("cylinder60"), scenario="cycles", unit=1, route="frames")
-    return Case(name="cycles", job=job, train=0)
+    return DataSetSpec(name="cycles", job=job, train=0)
 
 
-def _quick(unit: int, samples: int) -> Case:
+def _quick(unit: int, samples: int) -> DataSetSpec:
     """A few draft samples of the small design."""
     job = job_of(small_design(), unit=unit, samples=samples, accuracy="draft", solve=LINEAR)
-    return Case(name=f"quick-{unit}-{samples}", job=job, train=samples // 2)
+    return DataSetSpec(name=f"quick-{unit}-{samples}", job=job, train=samples // 2)

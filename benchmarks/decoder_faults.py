@@ -14,18 +14,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.decoder_bench import REFINE, SEEN, Bench, scenario_of
 from benchmarks.decoder_damage import FAULTS, Sample
 from benchmarks.decoder_lights import add_lights
+from benchmarks.decoder_presses import REFINE, SEEN, PressedSensor, scenario_of
 from benchmarks.harness import Table, arguments
-from phytac_decoder.estimation.decode import Measured, measure_frame
 from phytac_decoder.io.bundle import Bundle
-from phytac_decoder.vision.colour_calibration import calibrate_rest
-from phytac_decoder.vision.torn_frames import STREAK, Tears
-from phytac_decoder.vision.tracker import Follower
+from phytac_decoder.pipeline.colour_calibration import calibrate_rest
+from phytac_decoder.pipeline.decode import Measured, measure_frame
+from phytac_decoder.pipeline.tracker import Follower
+from phytac_decoder.serving.torn_frames import FRAMES_CHANGED_MIN, TornFrameDetector
 from phytac_design.design.design_file import load_design
 from phytac_design.stages.build import copy_of, run_stages, select_stages
-from phytac_design.stages.decoder import plain_model
+from phytac_design.stages.decoder import untrained_model
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
 
@@ -39,7 +39,7 @@ TRIES = 4
 
 
 @dataclass
-class Tally:
+class FaultCounts:
     """What became of one fault's frames."""
 
     frames: int = 0
@@ -56,7 +56,7 @@ class Tally:
 
 
 def judged(
-    bench: Bench, index: int, sound: Measured, seen: Measured, estimator: str
+    bench: PressedSensor, index: int, sound: Measured, seen: Measured, estimator: str
 ) -> tuple[float, float, bool, list[str]]:
     """Relative error of the total, largest of a contact (N), whether wrong, and warnings."""
     bundle, true = bench.bundle, bench.true_N(index)
@@ -71,7 +71,7 @@ def judged(
     return abs(after[0] / true.sum() - 1.0), float(np.abs(error).max()), wrong, told
 
 
-def add_faults(table: Table, bench: Bench, count: int) -> None:
+def add_faults(table: Table, bench: PressedSensor, count: int) -> None:
     """Each fault in ``count`` pressed frames; errors, and whether it was flagged."""
     rest = bench.shot(bench.chip(*bench.at_rest), seed=100)
     bundle = calibrate_rest(bench.bundle, rest)
@@ -82,7 +82,7 @@ def add_faults(table: Table, bench: Bench, count: int) -> None:
     tears = {index: _tears(bench, chips[after], index) for index, after in pairwise(chosen)}
     names = [name for name in ESTIMATORS if name in bundle.model.estimators]
     for fault, damage in {"none": _again, **FAULTS}.items():
-        tallies = {name: Tally() for name in names}
+        tallies = {name: FaultCounts() for name in names}
         for index, sample in _samples(bench, chosen, chips):
             frame = damage(sample)
             follows = _followed(bundle, rest, sample, frame)
@@ -117,7 +117,7 @@ def _again(sample: Sample) -> ImageArray:
 
 
 def _samples(
-    bench: Bench,
+    bench: PressedSensor,
     chosen: list[int],
     chips: dict[int, NDArray[np.float32]],
 ) -> Iterator[tuple[int, Sample]]:
@@ -160,16 +160,16 @@ def _followed(bundle: Bundle, rest: ImageArray, sample: Sample, frame: ImageArra
     return bool(seen.flags or seen.warnings(bundle, forces, estimator="koi_inverse"))
 
 
-def _tears(bench: Bench, light: NDArray[np.float32], index: int) -> Tears:
+def _tears(bench: PressedSensor, light: NDArray[np.float32], index: int) -> TornFrameDetector:
     """One who has seen frames of the press before a sample's; the last is its ``other``."""
-    tears = Tears()
-    for seed in (*(10000 * k + index for k in range(3, 3 + STREAK)), 2000 + index):
+    tears = TornFrameDetector()
+    for seed in (*(10000 * k + index for k in range(3, 3 + FRAMES_CHANGED_MIN)), 2000 + index):
         if tears.look([bench.shot(light, seed=seed)]):
             raise InputError(f"sample {index}: two draws of the noise are the same")
     return tears
 
 
-def _add_fault(table: Table, fault: str, estimator: str, tally: Tally) -> None:
+def _add_fault(table: Table, fault: str, estimator: str, tally: FaultCounts) -> None:
     total, contact = tally.total, tally.contact
     where = f"fault {fault}, {estimator}"
     if fault == "none":
@@ -220,14 +220,14 @@ def _add_fault(table: Table, fault: str, estimator: str, tally: Tally) -> None:
     )
 
 
-def add_alarms(table: Table, benches: dict[str, Bench]) -> None:
+def add_alarms(table: Table, benches: dict[str, PressedSensor]) -> None:
     """Warnings about sound frames, by the points route."""
     for label, bench in benches.items():
         for estimator in ESTIMATORS:
             _add_alarm(table, label, bench, estimator)
 
 
-def _add_alarm(table: Table, label: str, bench: Bench, estimator: str) -> None:
+def _add_alarm(table: Table, label: str, bench: PressedSensor, estimator: str) -> None:
     alarms, missing, told = 0, 0, ""
     for index, motion in enumerate(bench.motion):
         bits = bench.job.plan.switching.bits[index]
@@ -252,7 +252,7 @@ def _add_alarm(table: Table, label: str, bench: Bench, estimator: str) -> None:
     )
 
 
-def with_tables(bench: Bench) -> Bench:
+def with_tables(bench: PressedSensor) -> PressedSensor:
     """The same, its decoder with the tables of ``auto``."""
     context = run_stages(
         bench.job.design,
@@ -262,7 +262,7 @@ def with_tables(bench: Bench) -> Bench:
         force=True,
         progress=lambda _: None,
     )[0]
-    return replace(bench, bundle=replace(bench.bundle, model=plain_model(context)))
+    return replace(bench, bundle=replace(bench.bundle, model=untrained_model(context)))
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
@@ -273,14 +273,16 @@ def add_rows(table: Table, *, quick: bool) -> None:
         half = {"width_px": 1296, "height_px": 972, "focal_px": design.camera.focal_px / 2.0,
                 "pixel_um": 2.0 * design.camera.pixel_um}  # fmt: skip
         design = copy_of(design, camera=half)
-    bench = Bench.of(design, scenario_of(3 if quick else 30, "receptor"), seed=1, quick=quick)
+    bench = PressedSensor.of(
+        design, scenario_of(3 if quick else 30, "receptor"), seed=1, quick=quick
+    )
     bench = with_tables(bench)
     add_lights(table, bench, quick=quick)
     add_faults(table, bench, 1 if quick else 20)
     benches = {}
     for label, count in (("receptor", 4 if quick else 120), ("anywhere", 4 if quick else 60)):
         job = replace(bench.job, scenario=scenario_of(count, label), seed=2)
-        benches[f"pressed at {label}"] = Bench.pressed(
+        benches[f"pressed at {label}"] = PressedSensor.pressed(
             job, bench.eyes, bench.bundle, refine=5 if quick else REFINE
         )
     add_alarms(table, benches)

@@ -6,10 +6,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.decoder_bench import Bench, rms
+from benchmarks.decoder_presses import PressedSensor, rms
 from benchmarks.harness import Table
-from phytac_decoder.estimation.decode import measure_frame, rest_positions
-from phytac_decoder.vision.colour_calibration import calibrate_rest
+from phytac_decoder.pipeline.colour_calibration import calibrate_rest
+from phytac_decoder.pipeline.decode import measure_frame, rest_positions
 from phytac_design.optics.paint import PAINTS, to_linear
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
@@ -26,7 +26,7 @@ FADED = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """How frames are exposed; see ``Bench.shot``."""
+    """How frames are exposed; see ``PressedSensor.shot``."""
 
     name: str = "neutral"
     gains: tuple[float, float] = (1.0, 1.0)
@@ -44,7 +44,9 @@ class Light:
     error_px: float = 0.0
 
 
-def shots(bench: Bench, chips: list[NDArray[np.float32]], setting: Setting) -> list[ImageArray]:
+def shots(
+    bench: PressedSensor, chips: list[NDArray[np.float32]], setting: Setting
+) -> list[ImageArray]:
     """Frame of each light on the chip, each with noise of its own."""
     return [
         bench.shot(chip, k, gains=setting.gains, stops=setting.stops, corner=setting.corner)
@@ -52,7 +54,9 @@ def shots(bench: Bench, chips: list[NDArray[np.float32]], setting: Setting) -> l
     ]
 
 
-def look(bench: Bench, frames: list[ImageArray], poses: list[int], *, calibrated: bool) -> Light:
+def look(
+    bench: PressedSensor, frames: list[ImageArray], poses: list[int], *, calibrated: bool
+) -> Light:
     """Read a rest frame (first) and pressed ones."""
     out, errors = Light(), []
     try:
@@ -74,7 +78,7 @@ def look(bench: Bench, frames: list[ImageArray], poses: list[int], *, calibrated
     return out
 
 
-def add_lights(table: Table, bench: Bench, *, quick: bool) -> None:
+def add_lights(table: Table, bench: PressedSensor, *, quick: bool) -> None:
     """White balance, exposure and vignetting, before and after calibrating by the rest frame."""
     total = np.bincount(bench.job.plan.touches.sample, weights=bench.job.plan.touches.force_N)
     poses = np.argsort(-total)[: 1 if quick else 2].tolist()
@@ -116,7 +120,7 @@ def add_lights(table: Table, bench: Bench, *, quick: bool) -> None:
             add(f"{stops:+g} stops, neutral", chips, [Setting(stops=stops)], target=False)
 
 
-def _faded(bench: Bench, poses: list[int]) -> list[NDArray[np.float32]]:
+def _faded(bench: PressedSensor, poses: list[int]) -> list[NDArray[np.float32]]:
     """Light on the chip where all paint has faded."""
     eye = bench.eyes.eyes[0]
     names = (*bench.job.design.layout.colours, "red")

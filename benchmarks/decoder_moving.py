@@ -13,16 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.decoder_accuracy import bench
-from benchmarks.decoder_data import LINEAR, SEED, Case, data_set, units
-from benchmarks.decoder_judge import taught
+from benchmarks.decoder_data import LINEAR, SEED, DataSetSpec, data_set, units
+from benchmarks.decoder_evaluation import train_decoder
 from benchmarks.harness import Table, arguments
-from phytac_decoder.estimation.decode import Measured
-from phytac_decoder.estimation.frame_reading import Reading, read
 from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.pipeline.decode import Measured
+from phytac_decoder.pipeline.frame_reading import Reading, read
 from phytac_design.datasets.samples import Samples
 from phytac_design.design.spec import Design
 from phytac_design.simulation.run.job import Job
-from phytac_design.simulation.scenario.file import parse_scenario
+from phytac_design.simulation.scenario.scenario_file import parse_scenario
 from phytac_shapes.arrays import FloatArray
 
 FPS = 480.0
@@ -40,7 +40,7 @@ ROUNDS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run:
+class DecodedFilm:
     """A film decoded.
 
     Attributes
@@ -115,7 +115,7 @@ def decoded(
     *,
     follow: bool,
     rounds: int = ROUNDS,
-) -> Run:
+) -> DecodedFilm:
     """All frames in their order; of each the shortest of some rounds' times."""
     took = np.full(len(frames), np.inf)
     readings: list[Reading] = []
@@ -129,10 +129,10 @@ def decoded(
             took[k] = min(took[k], 1e3 * (time.process_time() - start))
             readings.append(last)
             before = last if follow else None
-    return Run(readings=readings, ms=took)
+    return DecodedFilm(readings=readings, ms=took)
 
 
-def error_N(run: Run, true_N: FloatArray) -> FloatArray:
+def error_N(run: DecodedFilm, true_N: FloatArray) -> FloatArray:
     """Error (frames,) N of the sum of all contacts, whose truth is (frames,)."""
     total = [
         sum(contact.force_N for contact in reading.found.contacts)
@@ -147,9 +147,9 @@ def add_rows(table: Table, *, quick: bool) -> None:
     """Time and error of each estimator that streams, by design and trained."""
     first = units(quick=quick)[0]
     here = bench(first)
-    film = Case(name="stroke", job=job(first.job.design, quick=quick), train=0)
+    film = DataSetSpec(name="stroke", job=job(first.job.design, quick=quick), train=0)
     samples, _ = data_set(film.name, film.job)
-    bundle, _ = taught(here.plain, here.train, names=("auto",))
+    bundle, _ = train_decoder(here.plain, here.train, names=("auto",))
     head = f"{first.job.design.name} unit 1, five fingers at 480 fps"
     true_N = (forces()[:: FRAMES // 8] if quick else forces()).sum(axis=1)
     for name, model in (("by design", here.plain), ("trained", bundle)):
@@ -191,7 +191,7 @@ def add_film(
     _difference_rows(table, head, alone, followed)
 
 
-def _time_rows(table: Table, head: str, run: Run, note: str) -> None:
+def _time_rows(table: Table, head: str, run: DecodedFilm, note: str) -> None:
     for name, share in (("p50", 50), ("p99", 99)):
         table.add(
             f"{head}: a frame, {name}",
@@ -203,7 +203,7 @@ def _time_rows(table: Table, head: str, run: Run, note: str) -> None:
         )
 
 
-def _difference_rows(table: Table, head: str, alone: Run, followed: Run) -> None:
+def _difference_rows(table: Table, head: str, alone: DecodedFilm, followed: DecodedFilm) -> None:
     """How far what is gone on is from what each frame says by itself."""
     apart, other = [], 0
     for one, two in zip(alone.readings, followed.readings, strict=True):

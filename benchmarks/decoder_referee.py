@@ -8,18 +8,31 @@ networks learnt from the twin's samples of the sensor as designed.
 import numpy as np
 
 from benchmarks.decoder_data import nominal, set_of
-from benchmarks.decoder_judge import LEARNT, by_design, mechanics, taught, verdict
+from benchmarks.decoder_evaluation import (
+    LEARNT,
+    by_design,
+    evaluate_decoder,
+    mechanics,
+    train_decoder,
+)
 from benchmarks.decoder_rows import FULL, TARGETS, add_bounds, add_claims, add_scores
 from benchmarks.harness import Table
 from benchmarks.referee.contacts import COUNTS
 from benchmarks.referee.read import Solved, data_file, read_solved
-from phytac_design.datasets.samples import STATUSES, THEORIES, Meta, Samples, TouchRows, truth_rows
+from phytac_design.datasets.samples import (
+    STATUSES,
+    THEORIES,
+    DataSetInfo,
+    Samples,
+    TouchRows,
+    truth_rows,
+)
 from phytac_design.design.accuracy import Preset
 from phytac_design.design.design_file import design_hash, load_design
 from phytac_design.engine.stage import Context
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.simulation.contacts import Contacts, switch_states
-from phytac_design.stages.response import watch_of
+from phytac_design.stages.response import image_response_of
 from phytac_design.training.training_data import DataSet
 from phytac_shapes.arrays import FloatArray
 
@@ -35,7 +48,7 @@ def shifts_px(context: Context, item: Solved) -> FloatArray:
     The paint turns with its receptor where the referee models it with its tube, and more of it
     shows on one side; elsewhere it moves as the tip, which it is beside.
     """
-    see, markers = watch_of(context), context.markers
+    see, markers = image_response_of(context), context.markers
     paint = see.watched
     arm = (paint - markers.tip_mm)[item.kept]
     turn = rot.deviation(rot.exponential(item.turn_rad))
@@ -98,7 +111,7 @@ def samples_of(context: Context, solved: list[Solved]) -> Samples:
 def data_of(context: Context, solved: list[Solved]) -> DataSet:
     """The same as a data set."""
     design = context.design
-    meta = Meta(
+    meta = DataSetInfo(
         simulated=True,
         what=f"{len(solved)} contacts of {design.name} solved by CalculiX",
         design=design.name,
@@ -118,14 +131,14 @@ def add_rows_referee(table: Table, *, quick: bool) -> None:
         data = data_of(context, solved[:8] if quick else solved)
         plain = by_design(context)
         head = f"{name}, {data.samples.count} loads of the referee"
-        judged = verdict(context, plain.model, data)
+        judged = evaluate_decoder(context, plain.model, data)
         add_scores(table, f"{head}, by design alone", judged, FULL, targets=TARGETS, source=SOURCE)
         add_bounds(table, head, judged, target=None)
         add_claims(table, f"{head}, by design alone", judged.claims, target=False)
         if quick:
             continue
         case = nominal(design)
-        bundle, _ = taught(plain, case.parts()[0])
-        again = verdict(context, bundle.model, data, estimators=LEARNT)
+        bundle, _ = train_decoder(plain, case.parts()[0])
+        again = evaluate_decoder(context, bundle.model, data, estimators=LEARNT)
         add_scores(table, f"{head}, trained on the twin's {case.name}", again, FULL, source=SOURCE)
         add_claims(table, f"{head}, trained on the twin's {case.name}", again.claims, target=False)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from benchmarks.decoder_judge import Claims, Verdict
+from benchmarks.decoder_evaluation import Claims, Evaluation
 from benchmarks.harness import Table, holds
 from phytac_shapes.arrays import BoolArray
 
@@ -59,7 +59,7 @@ SHORT = tuple((group, key) for group in (ALL, MIDDLE) for key in (RELATIVE, MAE)
 def add_scores(
     table: Table,
     head: str,
-    judged: Verdict,
+    judged: Evaluation,
     figures: Sequence[tuple[Group, str]],
     *,
     targets: Targets = NO_TARGETS,
@@ -103,7 +103,7 @@ def add_scores(
             )
 
 
-def add_tenths(table: Table, head: str, judged: Verdict) -> None:
+def add_tenths(table: Table, head: str, judged: Evaluation) -> None:
     """Where along the sensor ``auto`` is worst, tenth by tenth."""
     tenths = judged.groups.get("along", {})
     error = judged.decoded.decoded_N["auto"] - judged.decoded.force_N
@@ -124,7 +124,7 @@ def add_tenths(table: Table, head: str, judged: Verdict) -> None:
     )
 
 
-def allowed(judged: Verdict, mask: BoolArray) -> str:
+def allowed(judged: Evaluation, mask: BoolArray) -> str:
     """What the bound allows, in words."""
     least, _ = judged.least_relative(mask)
     return (
@@ -133,7 +133,7 @@ def allowed(judged: Verdict, mask: BoolArray) -> str:
     )
 
 
-def add_bounds(table: Table, head: str, judged: Verdict, *, target: str | None) -> None:
+def add_bounds(table: Table, head: str, judged: Evaluation, *, target: str | None) -> None:
     """How far ``auto`` is from the Cramér-Rao bound, and what that allows.
 
     ``target`` is for the ratio towards the rims; elsewhere the ratio is only reported.
@@ -249,7 +249,7 @@ def _nothing(claims: Claims) -> str:
     )
 
 
-def add_switches(table: Table, head: str, judged: Verdict) -> None:
+def add_switches(table: Table, head: str, judged: Evaluation) -> None:
     """Key nodes of interest: recall and false ones."""
     found = judged.decoded
     if found.on:

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from benchmarks.decoder_accuracy import PAPER_PERCENT, Bench, bench
+from benchmarks.decoder_accuracy import PAPER_PERCENT, UnitDecoder, bench
 from benchmarks.decoder_data import cycles, of_shape, units
-from benchmarks.decoder_judge import Verdict, taught
+from benchmarks.decoder_evaluation import Evaluation, train_decoder
 from benchmarks.decoder_rows import (
     ALL,
     FULL,
@@ -35,7 +35,7 @@ def add_rows_shapes(table: Table, *, quick: bool) -> None:
     names = [name for name in shipped_designs() if name not in LEFT_OUT]
     for name in names[:1] if quick else names:
         here = bench(of_shape(name, quick=quick))
-        bundle, _ = taught(here.plain, here.train)
+        bundle, _ = train_decoder(here.plain, here.train)
         judged = here.judged(bundle)
         add_scores(table, here.head, judged, FULL, targets=SHAPE_TARGETS)
         add_bounds(table, here.head, judged, target=None)
@@ -53,10 +53,12 @@ def add_rows_shapes(table: Table, *, quick: bool) -> None:
 def add_rows_cycles(table: Table, *, quick: bool) -> None:
     """What creep and a fading light do to a decoder that was trained on an elastic wall."""
     home = bench(units(quick=quick)[0])
-    bundle, _ = taught(home.plain, home.train)
+    bundle, _ = train_decoder(home.plain, home.train)
     case = cycles(quick=quick)
     _, data = case.parts()
-    here = Bench(case=case, context=home.context, plain=home.plain, train=home.train, test=data)
+    here = UnitDecoder(
+        case=case, context=home.context, plain=home.plain, train=home.train, test=data
+    )
     judged = here.judged(bundle)
     cycle = case.job.scenario.cycle
     assert cycle is not None
@@ -73,7 +75,7 @@ def add_rows_cycles(table: Table, *, quick: bool) -> None:
 
 
 def _drift_rows(
-    table: Table, here: Bench, judged: Verdict, name: str, ends: dict[str, BoolArray]
+    table: Table, here: UnitDecoder, judged: Evaluation, name: str, ends: dict[str, BoolArray]
 ) -> None:
     """Error of an estimator in the first and in the last cycles, (s,) each."""
     decoded = judged.decoded
@@ -104,7 +106,7 @@ def _drift_rows(
     )
 
 
-def _rest_rows(table: Table, here: Bench, judged: Verdict, rest: BoolArray) -> None:
+def _rest_rows(table: Table, here: UnitDecoder, judged: Evaluation, rest: BoolArray) -> None:
     """Forces read after each release, and what the markers still show; ``rest`` is (s,)."""
     decoded, samples = judged.decoded, here.test.samples
     assert samples.shift_px is not None

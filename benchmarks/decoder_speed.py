@@ -15,12 +15,12 @@ import numpy as np
 
 from benchmarks.harness import Table, arguments
 from benchmarks.plain_eyes import plain_opencv
-from benchmarks.twin_camera import Case
-from phytac_decoder.estimation.decode import measure_frame
+from benchmarks.twin_camera import CameraCase
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.pipeline.decode import measure_frame
+from phytac_decoder.pipeline.tracker import Follower
 from phytac_decoder.vision.matching import nearest_same_colour_px
-from phytac_decoder.vision.tracker import Follower
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import CAMERA_PRESETS, Design
 from phytac_design.layout.cameras import Readers, cameras_of
@@ -28,7 +28,7 @@ from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.compliance import marker_compliance
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.simulation.condense import condense
-from phytac_design.simulation.imaging.imaging_model import Eyes
+from phytac_design.simulation.imaging.imaging_model import ImagingModel
 from phytac_design.simulation.response import rigid_slope
 from phytac_design.stages.build import copy_of
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
@@ -54,18 +54,18 @@ SEPARABLE = 0.06
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sensor:
+class CameraSensor:
     """A design before a camera: its eyes, its decoder, its motion under unit forces."""
 
-    case: Case
-    eyes: Eyes
+    case: CameraCase
+    eyes: ImagingModel
     bundle: Bundle
     unit_motion: FloatArray
 
     @classmethod
-    def of(cls, design: Design) -> "Sensor":
+    def of(cls, design: Design) -> "CameraSensor":
         """The sensor that is the design itself; the decoder's matrices at draft accuracy."""
-        case = Case.of(design)
+        case = CameraCase.of(design)
         eyes, markers = case.eyes(), case.markers
         mesh = marker_mesh(case.surface, markers, thickness_mm=design.wall.thickness_mm, refine=3)
         model = sensor_model(design, markers, mesh, receptors=True)
@@ -115,7 +115,7 @@ class Hand:
     slide_mm: float = SLIDE_mm
     force_N: float = FORCE_N
 
-    def frames(self, sensor: Sensor, count: int) -> Iterator[tuple[FloatArray, BoolArray]]:
+    def frames(self, sensor: CameraSensor, count: int) -> Iterator[tuple[FloatArray, BoolArray]]:
         """Motion (n, 6) and bits (n,) in each of so many frames."""
         place = sensor.bundle.position_mm
         low, high = place[:, 2].min(), place[:, 2].max()
@@ -163,7 +163,7 @@ class Film:
         return follower
 
 
-def film_of(sensor: Sensor, chosen: range, times: float = 1.0) -> Film:
+def film_of(sensor: CameraSensor, chosen: range, times: float = 1.0) -> Film:
     """Render frames ``chosen`` of the grip, its motions so many ``times`` as large."""
     eyes, rng = sensor.eyes, np.random.default_rng(5)
     still, off = np.zeros((eyes.count, 6)), np.zeros(eyes.count, dtype=np.bool_)
@@ -193,12 +193,12 @@ def rms(values: FloatArray) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
 
-def add_accuracy(table: Table, label: str, sensor: Sensor, film: Film) -> BoolArray:
+def add_accuracy(table: Table, label: str, sensor: CameraSensor, film: Film) -> BoolArray:
     """Centroids against the full search; gives the markers (n,) that it tells apart."""
     bundle = sensor.bundle
     full_rest = measure_frame(bundle, film.rest[1], rest_px=bundle.rest_px)
     apart = nearest_same_colour_px(bundle.rest_px, bundle.colour)
-    sure = told_apart(sensor, film.rest)
+    sure = separable(sensor, film.rest)
     table.add(
         f"{label}: markers that can be told apart at rest",
         float(sure.mean()),
@@ -238,7 +238,7 @@ def add_accuracy(table: Table, label: str, sensor: Sensor, film: Film) -> BoolAr
     return sure
 
 
-def told_apart(sensor: Sensor, rest: list[ImageArray]) -> BoolArray:
+def separable(sensor: CameraSensor, rest: list[ImageArray]) -> BoolArray:
     """Markers (n,) that are told apart in the second of two frames at rest."""
     bundle = sensor.bundle
     full = measure_frame(bundle, rest[1], rest_px=bundle.rest_px)
@@ -266,7 +266,7 @@ def named_wrongly(
     return sum(swapped(rest_px[own] + shift_px[own], found_px[own]) for own in groups)
 
 
-def add_names(table: Table, label: str, sensor: Sensor, film: Film, sure: BoolArray) -> None:
+def add_names(table: Table, label: str, sensor: CameraSensor, film: Film, sure: BoolArray) -> None:
     """Whether markers keep their names, and switches theirs."""
     bundle = sensor.bundle
     follower = film.started(bundle, 1)
@@ -317,7 +317,7 @@ def swapped(true_px: FloatArray, found_px: FloatArray) -> int:
 
 
 def add_speed(
-    table: Table, label: str, target_ms: float, sensor: Sensor, film: Film, repeats: int
+    table: Table, label: str, target_ms: float, sensor: CameraSensor, film: Film, repeats: int
 ) -> None:
     """Milliseconds of one core, beside the plain route on the same frames."""
     bundle, count = sensor.bundle, len(film.frames)
@@ -376,7 +376,7 @@ def add_rows(table: Table, *, quick: bool, size: str = SMALL) -> None:
     cv2.setNumThreads(1)
     whole = size == SMALL and not quick
     for name in DESIGNS[:1] if quick else DESIGNS:
-        sensor = Sensor.of(before_camera(load_design(name), size))
+        sensor = CameraSensor.of(before_camera(load_design(name), size))
         film = film_of(sensor, range(WHOLE) if whole else range(FIRST, FIRST + FEW))
         label = f"{name} {size}, {sensor.eyes.count} markers"
         sure = add_accuracy(table, label, sensor, film)

@@ -14,13 +14,13 @@ import numpy as np
 
 from benchmarks.decoder_stream_clients import READERS, clients
 from benchmarks.harness import Table, arguments
-from phytac_decoder.estimation.decode import read_image, rest_positions
-from phytac_decoder.estimation.frame_reading import Reading
 from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_decoder.io.frame import Frame, Source
-from phytac_decoder.serving.force_server import Limits, Server
+from phytac_decoder.pipeline.decode import read_image, rest_positions
+from phytac_decoder.pipeline.frame_reading import Reading
+from phytac_decoder.serving.force_server import ClientLimits, StreamServer
 from phytac_decoder.serving.sensor_loop import Decode, Stream, frame_decoder
-from phytac_decoder.serving.wire_protocol import Message, Messages
+from phytac_decoder.serving.wire_protocol import Message, MessageBuilder
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.stages.build import build
 from phytac_shapes.arrays import ImageArray
@@ -138,13 +138,13 @@ def add_stalled(table: Table, folder: Path, *, quick: bool) -> Bundle:
     """The sensor's own decoder with no client, and with ten of which one stalls."""
     bundle, images, decode = sensor(folder)
     rounds, frames = (3, 20) if quick else (20, 100)
-    messages = Messages(bundle=bundle, estimator="koi_inverse")
-    limits, started_s = Limits(patience_s=600.0), time.monotonic()
+    messages = MessageBuilder(bundle=bundle, estimator="koi_inverse")
+    limits, started_s = ClientLimits(patience_s=600.0), time.monotonic()
     lone_ms: list[float] = []
     ten_ms: list[float] = []
     with (
-        Server(messages.hello(), port=0) as lone,
-        Server(messages.hello(), port=0, limits=limits) as busy,
+        StreamServer(messages.hello(), port=0) as lone,
+        StreamServer(messages.hello(), port=0, limits=limits) as busy,
         clients(busy, started_s, stalled=1) as heard,
     ):
         sources = {lone.port: Repeated(images), busy.port: Repeated(images)}
@@ -210,14 +210,14 @@ def add_stalled(table: Table, folder: Path, *, quick: bool) -> Bundle:
 
 def add_flood(table: Table, bundle: Bundle, *, quick: bool) -> None:
     """How long publishing holds the sensor up, whatever clients do."""
-    messages = Messages(bundle=bundle, estimator="koi_inverse")
+    messages = MessageBuilder(bundle=bundle, estimator="koi_inverse")
     decode, count = made_up(bundle), 300 if quick else 5000
     frame = Frame(number=0, timestamp_s=0.0, images=(), ready_s=0.0)
     message = messages.frame(decode(frame), sequence=0, timestamp_s=0.0)
     spent: dict[str, list[float]] = {}
     for name, stalled in (("no client", 0), ("nine who read and twenty who stall", 20)):
         taken = spent.setdefault(name, [])
-        with Server(messages.hello(), port=0, limits=Limits(patience_s=60.0)) as server:
+        with StreamServer(messages.hello(), port=0, limits=ClientLimits(patience_s=60.0)) as server:
             if stalled:
                 with clients(server, time.monotonic(), stalled) as heard:
                     _publish(server, message, count, taken)
@@ -239,7 +239,7 @@ def add_flood(table: Table, bundle: Bundle, *, quick: bool) -> None:
             )
 
 
-def _publish(server: Server, message: Message, count: int, taken: list[float]) -> None:
+def _publish(server: StreamServer, message: Message, count: int, taken: list[float]) -> None:
     for number in range(count):
         begun = time.perf_counter()
         server.publish(message | {"sequence": number})
@@ -251,12 +251,14 @@ def add_soak(table: Table, bundle: Bundle, *, quick: bool) -> None:
     """480 frames a second to nine who read and one who stalls."""
     seconds = 3.0 if quick else SOAK_S
     alone_s = min(seconds / 3.0, ALONE_S)
-    messages = Messages(bundle=bundle, estimator="stand-in")
+    messages = MessageBuilder(bundle=bundle, estimator="stand-in")
     alone = Ticks(alone_s)
     Stream(source=alone, decode=made_up(bundle), messages=messages, publish=lambda _: None).run()
     started_s, source = time.monotonic(), Ticks(seconds)
     with (
-        Server(messages.hello(), port=0, limits=Limits(patience_s=PATIENCE_S)) as server,
+        StreamServer(
+            messages.hello(), port=0, limits=ClientLimits(patience_s=PATIENCE_S)
+        ) as server,
         clients(server, started_s, stalled=1) as heard,
     ):
         stream = Stream(

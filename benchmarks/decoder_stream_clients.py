@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from phytac_decoder.serving.force_server import Server
-from phytac_decoder.serving.wire_protocol import Splitter
+from phytac_decoder.serving.force_server import StreamServer
+from phytac_decoder.serving.wire_protocol import MessageSplitter
 from phytac_shapes.arrays import FloatArray
 
 READERS = 9
 
 
 @dataclass(frozen=True, kw_only=True)
-class Heard:
+class ClientRecord:
     """What the clients of a run tell.
 
     Attributes
@@ -43,7 +43,7 @@ def listen(port: int, readers: int, stalled: int, started_s: float, tell: Connec
     """Clients in one process: ``readers`` that read until the end, ``stalled`` that never do."""
     sleepers = [_connected(port, small=True) for _ in range(stalled)]
     selector = selectors.DefaultSelector()
-    splitters = [Splitter("lines") for _ in range(readers)]
+    splitters = [MessageSplitter("lines") for _ in range(readers)]
     sequences: list[list[int]] = [[] for _ in range(readers)]
     late: list[float] = []
     for number in range(readers):
@@ -75,7 +75,9 @@ def _connected(port: int, *, small: bool = False) -> socket.socket:
 
 
 @contextmanager
-def clients(server: Server, started_s: float, stalled: int) -> Iterator[Callable[[], Heard]]:
+def clients(
+    server: StreamServer, started_s: float, stalled: int
+) -> Iterator[Callable[[], ClientRecord]]:
     """Readers, and some that stall, in a process of their own; gives what they heard."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
@@ -87,9 +89,9 @@ def clients(server: Server, started_s: float, stalled: int) -> Iterator[Callable
     while server.clients < READERS + stalled:
         time.sleep(0.01)
 
-    def heard() -> Heard:
+    def heard() -> ClientRecord:
         sequences, late = here.recv()
-        return Heard(sequences=sequences, latency_ms=1000.0 * np.array(late))
+        return ClientRecord(sequences=sequences, latency_ms=1000.0 * np.array(late))
 
     try:
         yield heard

@@ -9,20 +9,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.decoder_data import few_of, units
+from benchmarks.decoder_data import random_subset, units
 from benchmarks.harness import Table
-from phytac_decoder.estimation.locator import Locator
+from phytac_decoder.estimation.locator import ContactLocator
 from phytac_design.datasets.samples import Samples
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import Context
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
-from phytac_design.simulation.response_tables import make_places, place_spacing_mm
+from phytac_design.simulation.response_tables import place_spacing_mm, tabulate_responses
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder import along_mm, middle_mm
 from phytac_design.stages.places import locator_of
-from phytac_design.stages.response import watch_of
-from phytac_design.training.locator_calibration import calibrated, match
+from phytac_design.stages.response import image_response_of
+from phytac_design.training.locator_calibration import calibrate_locator, match_contacts
 
 STEPS = ((0.8, 1), (0.8, 3), (0.55, 1), (0.55, 2), (0.55, 3), (0.55, 4), (0.4, 5))
 """Spacing over the patches' mean radius, and powers of the force."""
@@ -30,7 +30,7 @@ LEARN, JUDGE = 100, 100
 """Samples."""
 
 
-def tables(context: Context, share: float, orders: int) -> tuple[Locator, dict[str, float]]:
+def tables(context: Context, share: float, orders: int) -> tuple[ContactLocator, dict[str, float]]:
     """The estimator with other tables, and what they cost."""
     design, surface, markers = context.design, context.surface, context.markers
     standard = locator_of(context)
@@ -38,13 +38,13 @@ def tables(context: Context, share: float, orders: int) -> tuple[Locator, dict[s
     mesh = marker_mesh(
         surface, markers, thickness_mm=design.wall.thickness_mm, refine=context.accuracy.refine
     )
-    places = make_places(
+    places = tabulate_responses(
         design,
         surface,
         markers,
         mesh=mesh,
         model=sensor_model(design, markers, mesh, receptors=True),
-        see=watch_of(context),
+        see=image_response_of(context),
         spacing_mm=place_spacing_mm(surface, share, standard.places.radius_mm),
         orders=orders,
     ).places
@@ -52,13 +52,13 @@ def tables(context: Context, share: float, orders: int) -> tuple[Locator, dict[s
     return replace(standard, places=places), cost
 
 
-def judged(locator: Locator, samples: Samples, context: Context) -> dict[str, float]:
+def judged(locator: ContactLocator, samples: Samples, context: Context) -> dict[str, float]:
     """Errors on held-out samples, and milliseconds of those with one contact."""
     chosen = np.arange(samples.count)
     assert samples.touches is not None
     assert samples.shift_px is not None
     assert samples.bits_read is not None
-    matches = match(locator, samples, chosen)
+    matches = match_contacts(locator, samples, chosen)
     learnt = locator.correction
     force = matches.force_N
     if learnt is not None:
@@ -94,12 +94,12 @@ def add_rows(table: Table, *, quick: bool) -> None:
         progress=lambda _: None,
     )[0]
     learn, judge = (
-        few_of(part, count, seed=0)
+        random_subset(part, count, seed=0)
         for part, count in zip(case.parts(), (LEARN, JUDGE), strict=True)
     )
     for share, orders in STEPS[:2] if quick else STEPS:
         locator, figures = tables(context, share, orders)
-        taught, _ = calibrated(
+        taught, _ = calibrate_locator(
             locator,
             learn.samples,
             np.arange(learn.samples.count),

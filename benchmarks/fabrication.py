@@ -51,10 +51,10 @@ ADMESH_ROWS = (
     "Normals fixed",
     "Total disconnected facets",
 )
-Case = tuple[Design, Surface, Markers]
+CheckedDesign = tuple[Design, Surface, Markers]
 
 
-def load(name: str, *, rows: int | None = None) -> Case:
+def load(name: str, *, rows: int | None = None) -> CheckedDesign:
     """Read a shipped design, checked; ``rows`` shortens the lattice for a smoke run."""
     design = load_design(name)
     if rows is not None:
@@ -63,7 +63,7 @@ def load(name: str, *, rows: int | None = None) -> Case:
     return design, *check_design(design)
 
 
-def facts(table: Table, case: Case) -> None:
+def facts(table: Table, case: CheckedDesign) -> None:
     """Facts of the mesh, by manifold3d and by trimesh, against what the holes make them."""
     design, surface, markers = case
     solid = shell_manifold(*case)
@@ -135,7 +135,7 @@ def wall(table: Table) -> None:
         )
 
 
-def routes(table: Table, case: Case, folder: Path) -> None:
+def routes(table: Table, case: CheckedDesign, folder: Path) -> None:
     """Time design → STL by manifold3d and by CadQuery/OCC in the same run, and STEP."""
     design = case[0]
     check = median_of(lambda: check_design(design))
@@ -175,7 +175,7 @@ def routes(table: Table, case: Case, folder: Path) -> None:
     sizes(table, design.name, folder)
 
 
-def agreement(table: Table, case: Case, solid: Any, folder: Path) -> None:
+def agreement(table: Table, case: CheckedDesign, solid: Any, folder: Path) -> None:
     """Volumes of mesh, CAD solid, and STEP file opened again; validity."""
     name, mine, again = case[0].name, cad_facts(solid), cad_facts(read_step(folder / "shell.step"))
     mesh = shell_manifold(*case).volume()
@@ -218,7 +218,7 @@ def sizes(table: Table, name: str, folder: Path) -> None:
     )
 
 
-def outside(table: Table, case: Case, folder: Path) -> None:
+def outside(table: Table, case: CheckedDesign, folder: Path) -> None:
     """Run admesh and prusa-slicer on the files as they are."""
     name = case[0].name
     stl = folder / "shell.stl"
@@ -289,7 +289,7 @@ def shapes_rows(table: Table, names: list[str], folder: Path, *, rows: int | Non
         outside(table, case, folder)
 
 
-def bare_wall(table: Table, case: Case) -> None:
+def bare_wall(table: Table, case: CheckedDesign) -> None:
     """Wall without rims against offset areas integrated through it (Steiner)."""
     design, surface, _ = case
     thickness = design.wall.thickness_mm

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.bench_measure import (
+from benchmarks.document_measurements import (
     fit_shift_mm,
     in_sensor,
     rasterise_pdf,

@@ -19,7 +19,7 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.cylinder import Cylinder
 
-Case = tuple[Design, Surface, Markers]
+CheckedDesign = tuple[Design, Surface, Markers]
 SPACING_mm = 0.35
 """Between the points at which the chordal error is measured."""
 
@@ -32,7 +32,7 @@ def sides(radius_mm: float, tolerance_mm: float) -> int:
     return int(np.ceil(np.pi / np.arccos(1.0 - 2.0 * tolerance_mm / radius_mm)))
 
 
-def fewest(case: Case, tolerance_mm: float) -> int:
+def fewest(case: CheckedDesign, tolerance_mm: float) -> int:
     """Triangles of the best tessellation of a cylindrical shell, counted without the crossings.
 
     A plane region with V corners on its rims and h holes takes V + 2·h − 2 triangles, a strip of n
@@ -54,7 +54,7 @@ def fewest(case: Case, tolerance_mm: float) -> int:
     return walls + markers.count * each
 
 
-def chordal_errors(case: Case) -> FloatArray:
+def chordal_errors(case: CheckedDesign) -> FloatArray:
     """Distance from the true faces (n,) of points all over the mesh of a cylindrical shell, mm."""
     design, surface, markers = case
     assert isinstance(surface, Cylinder)
@@ -80,7 +80,7 @@ def chordal_errors(case: Case) -> FloatArray:
     return np.asarray(near)
 
 
-def facet_rows(table: Table, case: Case) -> None:
+def facet_rows(table: Table, case: CheckedDesign) -> None:
     """Chordal error and facet count of a cylinder's shell."""
     name = case[0].name
     count = int(shell_manifold(*case).num_tri())
@@ -104,7 +104,7 @@ def facet_rows(table: Table, case: Case) -> None:
     )
 
 
-def slicing(table: Table, case: Case, folder: Path) -> None:
+def slicing(table: Table, case: CheckedDesign, folder: Path) -> None:
     """Time that prusa-slicer takes for our STL and for OCC's (``occ.stl`` in the folder)."""
     if not shutil.which("prusa-slicer"):
         return

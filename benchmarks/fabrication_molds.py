@@ -31,8 +31,8 @@ from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import make_markers
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.switch.design import design_switch
-from phytac_design.mechanics.switch.receptor import rubber_of, space_of
 from phytac_design.mechanics.switch.report import switch_dict
+from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
 from phytac_design.solids.solid_mesh import to_manifold
 from phytac_design.stages.build import copy_of
 from phytac_design.stages.mold import MOLD

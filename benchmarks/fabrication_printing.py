@@ -25,7 +25,7 @@ from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_tria
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
-Case = tuple[Design, Surface, Markers]
+CheckedDesign = tuple[Design, Surface, Markers]
 BOX = (
     (0, 3, 2), (0, 2, 1), (4, 5, 6), (4, 6, 7), (0, 1, 5), (0, 5, 4),
     (1, 2, 6), (1, 6, 5), (2, 3, 7), (2, 7, 6), (3, 0, 4), (3, 4, 7),
@@ -33,7 +33,7 @@ BOX = (
 LOCATED_mm = 0.5
 
 
-def load(name: str, **changes: Any) -> Case:
+def load(name: str, **changes: Any) -> CheckedDesign:
     """Read a shipped design with changes of its tables, checked."""
     data = load_design(name).model_dump()
     for table, values in changes.items():
@@ -55,7 +55,7 @@ def rod(start: FloatArray, end: FloatArray, diameter_mm: float) -> Any:
     return to_manifold(prisms(start[None], end[None], diameter_mm / 2.0, 16))
 
 
-def planted(case: Case) -> tuple[TriangleMesh, dict[str, FloatArray]]:
+def planted(case: CheckedDesign) -> tuple[TriangleMesh, dict[str, FloatArray]]:
     """Shell of cylinder60 with four faults on its near rim, and their middles (mm) by rule."""
     solid = shell_manifold(*case)
     x, y, z = np.eye(3)
@@ -73,7 +73,7 @@ def planted(case: Case) -> tuple[TriangleMesh, dict[str, FloatArray]]:
     }
 
 
-def checked(case: Case, mesh: TriangleMesh) -> tuple[PrintReport, float]:
+def checked(case: CheckedDesign, mesh: TriangleMesh) -> tuple[PrintReport, float]:
     """Report of a shell as its STL file holds it, and the seconds that the check took."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "shell.stl"
@@ -146,7 +146,7 @@ def shipped_rows(table: Table, names: list[str]) -> None:
         )
 
 
-def parting_rows(table: Table, label: str, case: Case) -> None:
+def parting_rows(table: Table, label: str, case: CheckedDesign) -> None:
     """A shell larger than the bed: pieces fit, volumes add up, pieces do not collide."""
     solid = shell_manifold(*case)
     start = time.perf_counter()

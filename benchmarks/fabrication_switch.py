@@ -15,15 +15,15 @@ from benchmarks.harness import Table, arguments
 from phytac_design.design.design_file import shipped_designs
 from phytac_design.mechanics.switch import cases
 from phytac_design.mechanics.switch.bowl import bowl_model
-from phytac_design.mechanics.switch.ccx import ccx_curve
+from phytac_design.mechanics.switch.calculix import ccx_curve
 from phytac_design.mechanics.switch.curve import press_bowl, snap_of
 from phytac_design.mechanics.switch.design import SwitchDesign, design_switch
-from phytac_design.mechanics.switch.feasible import Feasible, feasible
+from phytac_design.mechanics.switch.feasible_range import Feasible, feasible_range
+from phytac_design.mechanics.switch.line_plot import line_plot, write_svg
 from phytac_design.mechanics.switch.materials import neo_hookean
-from phytac_design.mechanics.switch.presets import rubber
 from phytac_design.mechanics.switch.report import curve_plot, range_over_modulus, range_plot
+from phytac_design.mechanics.switch.rubbers import rubber
 from phytac_design.mechanics.switch.space import Space
-from phytac_design.mechanics.switch.svg import line_plot, write_svg
 from phytac_shapes.errors import DesignError
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
@@ -198,7 +198,7 @@ def switches(table: Table, *, quick: bool) -> None:
     """Five switches of one rubber, the published threshold at the assumed modulus, a refusal."""
     space, hard = Space(), rubber("tpu-8400n")
     soft = hard.of_modulus(SOFTER_MPa)
-    found = feasible(soft, space)
+    found = feasible_range(soft, space)
     if found is None:
         raise DesignError("no switch fits the default space; check the space's defaults")
     largest = 0.99 * found.most_N

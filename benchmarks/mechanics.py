@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks import (
     mechanics_calibration,
-    mechanics_extremes,
+    mechanics_jitter,
     mechanics_large,
     mechanics_receptors,
     mechanics_rounding,
@@ -40,14 +40,14 @@ MARKER = 184  # row 11 of 23
 FINGERTIP_MM = 6.0
 FORCE_N = 10.0
 COARSE = "discretisation error of second order: a quarter of it with twice the elements"
-Case = Callable[[int], float]
+ProblemBuilder = Callable[[int], float]
 
 
 def published(table: Table, *, quick: bool) -> None:
     """Published linear cases: error in percent of the reference."""
     coarse_fine = {16: "<= 3", 32: "<= 1.5"}
     pinched = {16: "<= 7", 32: "<= 2"}
-    named: list[tuple[str, Case, str, str, dict[int, str]]] = [
+    named: list[tuple[str, ProblemBuilder, str, str, dict[int, str]]] = [
         ("Scordelis-Lo roof", cases.scordelis_lo, "0.3024", "published reference", coarse_fine),
         ("pinched cylinder", cases.pinched_cylinder, "1.82488e-5", "published reference", pinched),
         (
@@ -256,7 +256,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     return {
         "linear": linear,
         "rounding": mechanics_rounding.add_rows,
-        "extremes": partial(mechanics_extremes.add_rows, quick=quick),
+        "extremes": partial(mechanics_jitter.add_rows, quick=quick),
         "large": large,
         "shapes": partial(mechanics_shapes.add_rows, quick=quick),
         "calibration": partial(mechanics_calibration.add_rows, quick=quick),

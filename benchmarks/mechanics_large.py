@@ -17,10 +17,10 @@ import numpy as np
 from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design
 from phytac_design.mechanics.large.batch import solve_batch
-from phytac_design.mechanics.large.estimate import check_linear
-from phytac_design.mechanics.large.graded import contact_mesh
+from phytac_design.mechanics.large.contact_mesh import contact_mesh
+from phytac_design.mechanics.large.linear_error import check_linear
+from phytac_design.mechanics.large.load_path import solve_large, trace_arc, trace_displacement
 from phytac_design.mechanics.large.newton import Equilibrium, Loading, System
-from phytac_design.mechanics.large.path import solve_large, trace_arc, trace_displacement
 from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_patch, run_ccx
 from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads

@@ -23,7 +23,7 @@ from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.meshing.mesh import marker_mesh
-from phytac_design.mechanics.pressing.place import Place
+from phytac_design.mechanics.pressing.contact_patch import ContactPatch
 from phytac_design.mechanics.pressing.press import press
 from phytac_design.mechanics.shell import receptor_stiffness as rc
 from phytac_design.mechanics.shell.compliance import marker_compliance, point_motion
@@ -212,7 +212,7 @@ def whole_prototype(table: Table) -> None:
     memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6
     table.add(f"{name}: CAD, mesh and CalculiX", seconds, "s", reference="-", source=CCX)
     table.add(f"{name}: memory of CalculiX", memory, "GB", reference="-", source=CCX)
-    place = Place(uv=uv, radius_mm=radius, force_N=1.0)
+    place = ContactPatch(uv=uv, radius_mm=radius, force_N=1.0)
     for refine in (4, 12):
         for receptors, how, target in (
             (False, "plain shell", None),

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import Table, arguments
-from phytac_design.mechanics.large.follower import pressure_forces
+from phytac_design.mechanics.large.pressure_load import pressure_forces
 from phytac_design.mechanics.large.quadratic import QuadraticMesh, _serendipity, run_ccx
 from phytac_design.mechanics.meshing.locate import locate
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_size_mm, node_mesh, plain_mesh

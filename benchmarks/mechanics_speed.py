@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks import mechanics_cost
-from benchmarks.ccx_linear import Run, run_linear
+from benchmarks.ccx_linear import CcxRun, run_linear
 from benchmarks.harness import Table, median_of
 from phytac_design.design.design_file import load_design
-from phytac_design.mechanics.large.graded import contact_mesh
+from phytac_design.mechanics.large.contact_mesh import contact_mesh
 from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_patch
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
@@ -54,7 +54,7 @@ Size = tuple[Any, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class MeshSolution:
     """A solution: peak (mm per N), seconds without start-up and files, unknowns."""
 
     peak: float
@@ -91,7 +91,7 @@ class Shell:
             growth=size[1],
         )
 
-    def ours(self, mesh: ShellMesh) -> Outcome:
+    def ours(self, mesh: ShellMesh) -> MeshSolution:
         """Elements, assembly, factor and one load."""
         load = patch_loads(mesh, self.surface, CENTRE[None], RADIUS_MM)
         start = time.process_time()
@@ -99,18 +99,18 @@ class Shell:
         motion = model.solve(load).motion
         seconds = time.process_time() - start
         peak = float(np.linalg.norm(motion[_middle(mesh.uv), :3, 0]))
-        return Outcome(peak=peak, seconds=seconds, unknowns=int(np.sum(~model.fixed)))
+        return MeshSolution(peak=peak, seconds=seconds, unknowns=int(np.sum(~model.fixed)))
 
-    def theirs(self, mesh: ShellMesh) -> Outcome:
+    def theirs(self, mesh: ShellMesh) -> MeshSolution:
         """One load in CalculiX; reading the file and expanding the shells is timed apart."""
         quadratic = quadratic_mesh(mesh, self.surface)
         load = quadratic_patch(quadratic, self.surface, CENTRE, RADIUS_MM)[None]
         run, reading = _job(quadratic, load, self.kind)
         peak = float(np.linalg.norm(run.displacement_mm[0, _middle(quadratic.uv)]))
-        return Outcome(peak=peak, seconds=run.seconds - reading, unknowns=run.equations)
+        return MeshSolution(peak=peak, seconds=run.seconds - reading, unknowns=run.equations)
 
 
-def _job(mesh: Any, loads: FloatArray, kind: dict[str, Any]) -> tuple[Run, float]:
+def _job(mesh: Any, loads: FloatArray, kind: dict[str, Any]) -> tuple[CcxRun, float]:
     """Run a job; also the seconds of start-up, reading and expansion alone."""
     with tempfile.TemporaryDirectory() as folder:
         reading = run_linear(Path(folder), mesh, loads, **kind, analysis=False).seconds
@@ -128,17 +128,17 @@ def _limit(values: Iterable[Any]) -> Any:
 
 
 def _pair(
-    solve: Callable[[ShellMesh], Outcome],
+    solve: Callable[[ShellMesh], MeshSolution],
     mesh: Callable[[Size], ShellMesh],
     size: Size,
     factor: float = 2,
-) -> Outcome:
+) -> MeshSolution:
     """Solutions on a mesh and on one with elements half as long, extrapolated.
 
     ``factor`` turns the size of the one into that of the other.
     """
     coarse, fine = (solve(mesh((k * size[0], k * size[1]))) for k in (1, factor))
-    return Outcome(
+    return MeshSolution(
         peak=_limit((fine.peak, coarse.peak)),
         seconds=coarse.seconds + fine.seconds,
         unknowns=coarse.unknowns + fine.unknowns,
@@ -146,8 +146,8 @@ def _pair(
 
 
 def _cheapest(
-    solve: Callable[[Size], Outcome], sizes: list[Any], limit: float, error: float
-) -> tuple[Outcome, Size] | None:
+    solve: Callable[[Size], MeshSolution], sizes: list[Any], limit: float, error: float
+) -> tuple[MeshSolution, Size] | None:
     """First of the sizes that reaches the error and keeps it on the next; median of three runs."""
     for size, finer in pairwise(sizes):
         # A coarse mesh may cross the limit by chance; the next one would show it.
@@ -160,7 +160,7 @@ def _cheapest(
     return None
 
 
-def _seconds(outcome: Outcome) -> float:
+def _seconds(outcome: MeshSolution) -> float:
     return outcome.seconds
 
 
@@ -231,8 +231,8 @@ def one_load(table: Table, shell: Shell) -> None:
 def _ratio(
     table: Table,
     case: str,
-    ours: tuple[Outcome, Size],
-    theirs: tuple[Outcome, Size],
+    ours: tuple[MeshSolution, Size],
+    theirs: tuple[MeshSolution, Size],
     target: str,
 ) -> None:
     table.add(

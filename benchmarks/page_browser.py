@@ -32,7 +32,7 @@ TURN = """async turns => {
 
 
 @dataclass(kw_only=True)
-class Seen:
+class PageMetrics:
     """What a browser made of a page.
 
     Attributes
@@ -77,12 +77,14 @@ def chromium() -> Iterator[Browser]:
 
 
 @contextmanager
-def shown(browser: Browser, path: Path, size: tuple[int, int]) -> Iterator[tuple[Page, Seen]]:
+def shown(
+    browser: Browser, path: Path, size: tuple[int, int]
+) -> Iterator[tuple[Page, PageMetrics]]:
     """Open a page from disk in a window of its own; its errors and requests are noted."""
     context = browser.new_context(viewport={"width": size[0], "height": size[1]})
     context.set_default_timeout(WAIT_MS)
     page = context.new_page()
-    seen = Seen(paint_s=0.0, ready_s=0.0)
+    seen = PageMetrics(paint_s=0.0, ready_s=0.0)
     own = path.resolve().as_uri()
     page.on("console", lambda m: seen.errors.append(m.text) if m.type == "error" else None)
     page.on("pageerror", lambda error: seen.errors.append(str(error)))
@@ -100,7 +102,7 @@ def shown(browser: Browser, path: Path, size: tuple[int, int]) -> Iterator[tuple
     context.close()
 
 
-def look(browser: Browser, path: Path, size: tuple[int, int] = DESKTOP) -> Seen:
+def look(browser: Browser, path: Path, size: tuple[int, int] = DESKTOP) -> PageMetrics:
     """Open a page, use all of it, and judge it."""
     with shown(browser, path, size) as (page, seen):
         seen.turn_ms = float(page.evaluate(TURN, TURNS))

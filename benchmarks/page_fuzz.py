@@ -50,7 +50,7 @@ class Hang(BaseException):
 
 
 @dataclass
-class Tally:
+class FuzzCounts:
     """What became of a reader's inputs."""
 
     read: int = 0
@@ -64,7 +64,7 @@ class Tally:
         """Number of them."""
         return self.read + self.refused + len(self.faults)
 
-    def add(self, other: "Tally") -> None:
+    def add(self, other: "FuzzCounts") -> None:
         """Count another's as well."""
         self.read += other.read
         self.refused += other.refused
@@ -135,7 +135,7 @@ def _ended(work: Callable[[], Any], seconds: float) -> tuple[str | None, bool, f
     return fault, done, time.process_time() - begin
 
 
-class Place:
+class InputFolder:
     """A folder in which each input stands while it is read."""
 
     def __init__(self, folder: Path) -> None:
@@ -158,9 +158,9 @@ def input_of(name: str, reader: Reader, number: int) -> Files:
     return reader.make(random.Random(f"{name} {number}"))  # noqa: S311 - nothing secret
 
 
-def tried(name: str, reader: Reader, numbers: range, place: Place) -> Tally:
+def read_inputs(name: str, reader: Reader, numbers: range, place: InputFolder) -> FuzzCounts:
     """Read inputs of some numbers, one after the other."""
-    out = Tally()
+    out = FuzzCounts()
     begin = time.process_time()
     with little_memory():
         for number in numbers:
@@ -177,24 +177,24 @@ def tried(name: str, reader: Reader, numbers: range, place: Place) -> Tally:
     return out
 
 
-def run(name: str, count: int, journal: Path | None, *, until: float = float("inf")) -> Tally:
+def run(name: str, count: int, journal: Path | None, *, until: float = float("inf")) -> FuzzCounts:
     """Read inputs 0 to ``count``; what the journal holds is not read again."""
-    total, done = Tally(), 0
+    total, done = FuzzCounts(), 0
     if journal is not None and journal.is_file():
         for line in journal.read_text().splitlines():
             with suppress(ValueError, KeyError, TypeError):
                 entry = json.loads(line)
                 if entry.pop("first") == done:
-                    total.add(Tally(**entry))
+                    total.add(FuzzCounts(**entry))
                     done = total.inputs
     if done >= count:
         return total
     reader = READERS[name]()
     folder = Path(tempfile.mkdtemp(dir=MEMORY if MEMORY.is_dir() else None))
     try:
-        place = Place(folder)
+        place = InputFolder(folder)
         while done < count and time.monotonic() < until:
-            piece = tried(name, reader, range(done, min(done + SLICE, count)), place)
+            piece = read_inputs(name, reader, range(done, min(done + SLICE, count)), place)
             if journal is not None:
                 with journal.open("a") as file:
                     file.write(json.dumps({"first": done} | asdict(piece)) + "\n")
@@ -298,7 +298,7 @@ def main() -> None:
     if given.input >= 0:
         reader = READERS[given.reader]()
         with tempfile.TemporaryDirectory() as folder:
-            at = Place(Path(folder)).put(input_of(given.reader, reader, given.input))
+            at = InputFolder(Path(folder)).put(input_of(given.reader, reader, given.input))
             for path in at.iterdir():
                 print(path.name, path.read_bytes()[:4000])
             reader.read(at)

@@ -80,7 +80,7 @@ def _design() -> Reader:
 
 
 def _study() -> Reader:
-    from phytac_design.study.search.file import load_study
+    from phytac_design.study.search.study_file import load_study
 
     make = _toml("x.toml", shipped("studies"))
     return Reader(make=make, read=lambda at: load_study(str(at / "x.toml")), weight=60)
@@ -94,7 +94,7 @@ def _scene() -> Reader:
 
 
 def _scenario() -> Reader:
-    from phytac_design.simulation.scenario.file import load_scenario
+    from phytac_design.simulation.scenario.scenario_file import load_scenario
 
     make = _toml("x.toml", shipped("scenarios"))
     return Reader(make=make, read=lambda at: load_scenario(str(at / "x.toml")), weight=80)
@@ -261,7 +261,7 @@ def _calibration() -> Reader:
 
 
 def _stream() -> Reader:
-    from phytac_decoder.serving.wire_protocol import Splitter, encode
+    from phytac_decoder.serving.wire_protocol import MessageSplitter, encode
 
     messages: list[dict[str, Any]] = [
         {"type": "hello", "format": "phytac-stream", "version": "1.1", "units": {"force": "N"}},
@@ -286,7 +286,7 @@ def _stream() -> Reader:
     def read(at: Path) -> None:
         (path,) = at.iterdir()
         framing, data = path.name, path.read_bytes()
-        splitter = Splitter(framing)
+        splitter = MessageSplitter(framing)
         step = max(len(data) // 3, 1)
         for first in range(0, len(data), step):
             splitter.feed(data[first : first + step])
@@ -344,7 +344,7 @@ def _regions() -> Reader:
 
 def _logs() -> Reader:
     from phytac_design.fabrication.calibration_rig.log import read_log
-    from phytac_design.simulation.rig_import.log import Problems, read_rig_log
+    from phytac_design.simulation.rig_import.log import RowProblems, read_rig_log
 
     bench = (
         b"# step 17, frame 203, 41.250 s\ncontact_marker,patch_radius_mm,force_N,displacement_mm\n"
@@ -359,7 +359,7 @@ def _logs() -> Reader:
         try:
             read_log(at / "x.csv")
         except InputError:
-            read_rig_log(at / "x.csv", Problems(where="x.csv"))
+            read_rig_log(at / "x.csv", RowProblems(where="x.csv"))
 
     return Reader(make=make, read=read, weight=60)
 

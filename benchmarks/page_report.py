@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import Table, median_of
-from benchmarks.page_browser import DESKTOP, PHONE, Seen, chromium, look, paints_s, shown
+from benchmarks.page_browser import DESKTOP, PHONE, PageMetrics, chromium, look, paints_s, shown
 from phytac_design.design.design_file import load_design
 from phytac_design.report.builds import read_builds
 from phytac_design.report.compare import compare_page
@@ -63,7 +63,7 @@ def report(table: Table, *, quick: bool) -> None:
             _judged(table, f"{case}, phone", phone)
 
 
-def _judged(table: Table, case: str, seen: Seen) -> None:
+def _judged(table: Table, case: str, seen: PageMetrics) -> None:
     """Rows of one look at a page."""
     table.add(
         f"{case}: until everything is drawn",

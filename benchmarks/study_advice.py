@@ -9,9 +9,9 @@ from benchmarks.study_cases import one_thread
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design
 from phytac_design.study.advice.advise import Advice, advise
-from phytac_design.study.advice.judge import FORCES, faults_of
-from phytac_design.study.advice.polish import polish
-from phytac_design.study.advice.slopes import Slope
+from phytac_design.study.advice.design_evaluation import FORCES, faults_of
+from phytac_design.study.advice.refinement import refine
+from phytac_design.study.advice.sensitivity import Sensitivity
 
 DESIGNS = ("cylinder60", "hemisphere", "grip")
 CLOSE = 0.25
@@ -42,7 +42,7 @@ def advice(table: Table, *, quick: bool) -> None:
         )
     if quick:
         return
-    done = polish(load_design(POLISHED), accuracy, rounds=4)
+    done = refine(load_design(POLISHED), accuracy, rounds=4)
     before, after = done.before, done.figures
     table.add(
         f"{POLISHED}: force over the middle heights after polishing, share of before",
@@ -132,7 +132,7 @@ def _slopes(table: Table, name: str, found: Advice) -> None:
 
 
 def _error(
-    slope: Slope, amount: float, achieved: dict[str, float], figures: dict[str, float]
+    slope: Sensitivity, amount: float, achieved: dict[str, float], figures: dict[str, float]
 ) -> float:
     """Foretold less achieved force over the middle heights, as a share of what it was."""
     goal = "force_middle_N"

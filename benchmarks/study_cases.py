@@ -12,10 +12,10 @@ import numpy as np
 from benchmarks.decoder_data import data_folder
 from phytac_design.core.threads import THREADS
 from phytac_design.engine.cache import code_hash
-from phytac_design.study.search.file import Study
-from phytac_design.study.search.ladder import Outcome, climb, spec_of
 from phytac_design.study.search.sampler import sobol
 from phytac_design.study.search.space import Params, Space, make_space
+from phytac_design.study.search.study_file import Study
+from phytac_design.study.search.successive_halving import Outcome, evaluate_candidate, spec_of
 
 THIN = {
     "receptor.diameter_outer_mm": 2.4,
@@ -96,7 +96,7 @@ def climbed(
     with path.open("a", encoding="utf-8") as file:
         start = time.monotonic()
         for number, params in enumerate(candidates[len(known) :], start=len(known) + 1):
-            outcome = climb(spec, params, rungs)
+            outcome = evaluate_candidate(spec, params, rungs)
             file.write(json.dumps(vars(outcome)) + "\n")
             file.flush()
             if number % 20 == 0:

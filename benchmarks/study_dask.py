@@ -23,11 +23,17 @@ from benchmarks.harness import Table
 from benchmarks.study_cases import drawn, one_thread, study_of
 from phytac_design.core.parquet_recording import parquet_library
 from phytac_design.core.threads import THREADS
-from phytac_design.study.search.dask_pool import WORKERS, DaskPool
-from phytac_design.study.search.drive import Done, run_study
-from phytac_design.study.search.file import Study
-from phytac_design.study.search.ladder import Outcome, Task, climb, spec_of, task_of
+from phytac_design.study.search.dask_pool import WORKER_ENVIRONMENT, DaskPool
+from phytac_design.study.search.driver import StudyRun, run_study
 from phytac_design.study.search.space import Space
+from phytac_design.study.search.study_file import Study
+from phytac_design.study.search.successive_halving import (
+    Outcome,
+    Task,
+    evaluate_candidate,
+    spec_of,
+    task_of,
+)
 
 RUNGS = ("rules", "sampled")
 GO = "go"
@@ -55,7 +61,7 @@ def warm() -> None:
     """Load all that a candidate needs."""
     study, space = study_for(4)
     for params in drawn(study, space, 4):
-        climb(spec_of(study, space), params, RUNGS)
+        evaluate_candidate(spec_of(study, space), params, RUNGS)
 
 
 def copy(folder: Path, count: int) -> None:
@@ -110,7 +116,7 @@ def overhead_ms(pool: DaskPool, count: int) -> float:
     return 1e3 * (time.perf_counter() - start) / count
 
 
-def pooled(pool: DaskPool, count: int, folder: Path) -> Done:
+def pooled(pool: DaskPool, count: int, folder: Path) -> StudyRun:
     """Run a study on a pool whose workers have loaded all."""
     study, space = study_for(count)
     spec, early = spec_of(study, space), drawn(study, space, 4 * pool.workers, first=1 << 16)
@@ -133,7 +139,11 @@ class Cluster:
     def _start(self, part: str, *words: str) -> "subprocess.Popen[bytes]":
         command = [sys.executable, "-m", f"distributed.cli.dask_{part}", *words, "--no-dashboard"]
         quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        environment = os.environ | WORKERS | {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "50"}
+        environment = (
+            os.environ
+            | WORKER_ENVIRONMENT
+            | {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "50"}
+        )
         return subprocess.Popen(command, env=environment, **quiet)
 
     def _scheduler(self) -> "subprocess.Popen[bytes]":

@@ -9,11 +9,11 @@ from benchmarks.decoder_data import data_folder
 from benchmarks.harness import Table
 from benchmarks.study_cases import THIN, one_thread, study_of
 from phytac_design.engine.cache import code_hash
-from phytac_design.study.search.drive import Kind, run_study
-from phytac_design.study.search.file import Study
-from phytac_design.study.search.front import hypervolume
+from phytac_design.study.search.driver import Kind, run_study
+from phytac_design.study.search.pareto import hypervolume
 from phytac_design.study.search.report import Results, read_results
 from phytac_design.study.search.space import Space
+from phytac_design.study.search.study_file import Study
 
 SEEDS = (1, 2, 3)
 GOALS = [

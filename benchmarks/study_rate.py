@@ -9,8 +9,8 @@ from scipy.stats import spearmanr
 
 from benchmarks.harness import Table
 from benchmarks.study_cases import SPACES, climbed, drawn, median, one_thread, study_of
-from phytac_design.study.search.ladder import OK, Outcome, climb, spec_of
 from phytac_design.study.search.measures import MEASURES, measures_up_to
+from phytac_design.study.search.successive_halving import OK, Outcome, evaluate_candidate, spec_of
 
 CHEAP = ("rules", "sampled")
 SOURCE = "processor time of one process on one thread, compiled code loaded before"
@@ -31,9 +31,9 @@ def rate(table: Table, *, quick: bool) -> None:
         spec = spec_of(study, space)
         candidates = drawn(study, space, each)
         for params in candidates[:WARM]:
-            climb(spec, params, CHEAP)
+            evaluate_candidate(spec, params, CHEAP)
         start, wall = time.process_time(), time.perf_counter()
-        outcomes = [climb(spec, params, CHEAP) for params in candidates]
+        outcomes = [evaluate_candidate(spec, params, CHEAP) for params in candidates]
         seconds, wall = time.process_time() - start, time.perf_counter() - wall
         able = [outcome for outcome in outcomes if outcome.status == OK]
         own = sum(sum(outcome.seconds.values()) for outcome in able)
@@ -84,7 +84,7 @@ def _profile(table: Table) -> None:
     profile = cProfile.Profile()
     profile.enable()
     for params in drawn(study, space, 20):
-        climb(spec, params, CHEAP)
+        evaluate_candidate(spec, params, CHEAP)
     profile.disable()
     stats = pstats.Stats(profile)
     cumulative = {key[2]: value[3] for key, value in stats.stats.items()}  # type: ignore[attr-defined]  # not in its stubs
@@ -110,7 +110,7 @@ def ladder(table: Table, *, quick: bool) -> None:
         able = [
             params
             for params in candidates
-            if climb(spec_of(study, space), params, ("rules",)).status == OK
+            if evaluate_candidate(spec_of(study, space), params, ("rules",)).status == OK
         ][:each]
         found = list(climbed(f"ladder-{shape}", study, space, able, PRESSED))
         found = [outcome for outcome in found if outcome.status == OK]

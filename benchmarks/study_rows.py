@@ -13,11 +13,11 @@ import numpy as np
 
 from benchmarks.harness import Table
 from benchmarks.study_cases import study_of
-from phytac_design.study.search.drive import run_study
-from phytac_design.study.search.ladder import Outcome, Task
+from phytac_design.study.search.driver import run_study
 from phytac_design.study.search.measures import measures_up_to
 from phytac_design.study.search.report import read_results, write_page
-from phytac_design.study.search.store import OPEN
+from phytac_design.study.search.study_folder import OPEN
+from phytac_design.study.search.successive_halving import Outcome, Task
 
 RUNGS = ("rules", "sampled")
 GOALS = [

@@ -5,10 +5,10 @@ import numpy as np
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.design_file import load_design
 from phytac_design.simulation.contacts import switch_states
-from phytac_design.simulation.pressed_series import Seen
+from phytac_design.simulation.pressed_series import ImageResponse
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.places import locator_of
-from phytac_design.stages.response import watch_of
+from phytac_design.stages.response import image_response_of
 from phytac_design.study.tradeoff.force import REFERENCE, ForceError, extrapolation, rms
 from phytac_shapes.arrays import FloatArray
 
@@ -32,7 +32,7 @@ def auto_errors(name: str, setting: Accuracy) -> tuple[float, float, int]:
     figure = rms(error.errors(setting))
     contacts = error.contacts
     switches = switch_states(design, error.surface, error.markers, contacts.touches)
-    shift = watched_px(error, watch_of(context))
+    shift = watched_px(error, image_response_of(context))
     read, true = [], []
     for k in np.flatnonzero(np.isfinite(shift).all(axis=1)).tolist():
         found = locator.find(shift[k].reshape(-1, 2), np.flatnonzero(switches.bits[k]))
@@ -42,7 +42,7 @@ def auto_errors(name: str, setting: Accuracy) -> tuple[float, float, int]:
     return figure, rms(np.array(read) / np.array(true) - 1.0), len(read)
 
 
-def watched_px(error: ForceError, see: Seen) -> FloatArray:
+def watched_px(error: ForceError, see: ImageResponse) -> FloatArray:
     """Shifts (c, 2n) of the paint that the cameras really see, by the reference."""
     coarse, fine = (
         np.stack([see.shift(one).ravel() for one in error.truth(refine).motion])

@@ -2,7 +2,7 @@
 
 Part of ``python -m benchmarks.tradeoff``. Results of stages lie below ``$PHYTAC_DATA``: a run that
 was killed goes on where it was. ``python -m benchmarks.tradeoff_scenes --units`` measures the unit
-costs that plans are made with and writes them into ``phytac_design/study/planning/units.py``.
+costs that plans are made with and writes them into ``phytac_design/study/planning/unit_costs.py``.
 """
 
 import json
@@ -19,8 +19,8 @@ import numpy as np
 
 from benchmarks.decoder_data import data_folder
 from benchmarks.harness import Table, argument_parser
-from phytac_decoder.estimation.decode import Measured
 from phytac_decoder.io.bundle import Bundle, load_bundle
+from phytac_decoder.pipeline.decode import Measured
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design
 from phytac_design.design.scene import load_scene

@@ -19,21 +19,21 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from benchmarks import twin_decoders, twin_engine, twin_eyes, twin_theory
+from benchmarks import twin_decoders, twin_detection, twin_engine, twin_theory
 from benchmarks.harness import Table, run_parts
 from benchmarks.referee import strip
 from benchmarks.referee.contacts import COUNTS, DATA
 from benchmarks.referee.read import Solved, data_file, read_solved
 from benchmarks.referee.solve import Sensor, sensor
 from phytac_design.design.accuracy import PRESETS
-from phytac_design.mechanics.large.modified import Modified
+from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.shell.pressure import Holes, touch_loads
+from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.indenters import flat_touches
 from phytac_design.simulation.instance_shell import truth_shell
-from phytac_design.simulation.receptor_kinematics import Feet
+from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.response import point_motions, turned_points
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -61,7 +61,7 @@ GROUPS: tuple[tuple[str, Callable[[Solved], bool]], ...] = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judged:
+class TipComparison:
     """Tips of one contact by the shell, beside the referee's.
 
     Attributes
@@ -88,24 +88,28 @@ def shell_loads(this: Sensor, mesh: ShellMesh, solved: list[Solved]) -> csc_matr
         samples=len(solved),
     )
     holes = Holes.of(this.surface, this.markers.uv, this.design.receptor.diameter_hole_mm / 2.0)
-    unit = touch_loads(mesh, this.surface, flat_touches(contacts), holes=holes)
+    unit = indentation_loads(mesh, this.surface, flat_touches(contacts), holes=holes)
     rows = np.arange(len(contacts.sample))
     share = csc_matrix((contacts.force_N, (rows, contacts.sample)))
     return csc_matrix(unit @ share)
 
 
-def judge(this: Sensor, mesh: ShellMesh, model: ShellModel, solved: list[Solved]) -> list[Judged]:
+def judge(
+    this: Sensor, mesh: ShellMesh, model: ShellModel, solved: list[Solved]
+) -> list[TipComparison]:
     """Solve the referee's contacts on a shell, linear and with large displacements."""
     markers = this.markers
     arm = markers.tip_mm - markers.mid_mm
-    feet = Feet(mesh, this.surface, markers.uv, this.design.receptor.diameter_outer_mm / 2.0)
-    shell, out = Modified(model), []
+    feet = ReceptorKinematics(
+        mesh, this.surface, markers.uv, this.design.receptor.diameter_outer_mm / 2.0
+    )
+    shell, out = QuasiNewtonSolver(model), []
     for item, load in zip(solved, shell_loads(this, mesh, solved).T.toarray(), strict=True):
         linear, sample = shell.linear(load), shell.solve(load).sample
         if sample.motion is None:
             raise RuntimeError(f"contact {item.index} has no shell solution: {sample.reason}")
         out.append(
-            Judged(
+            TipComparison(
                 item=item,
                 large_mm=turned_points(feet.large(sample.motion), arm),
                 linear_mm=point_motions(feet.linear(linear), arm),
@@ -131,7 +135,7 @@ def at_rim(this: Sensor) -> BoolArray:
     return np.asarray(np.min([np.linalg.norm(p - here, axis=1) for p in ends], axis=0) < RIM_MM)
 
 
-def worst_tip(one: Judged) -> int:
+def worst_tip(one: TipComparison) -> int:
     """The receptor whose tip is farthest off."""
     return int(np.argmax(np.linalg.norm(one.large_mm - one.item.motion_mm, axis=1)))
 
@@ -264,7 +268,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         name: partial(rows, quick=quick)
         for name, rows in (
             ("theory", twin_theory.add_rows),
-            ("eyes", twin_eyes.add_rows),
+            ("eyes", twin_detection.add_rows),
             ("time", twin_engine.time_rows),
             ("workers", twin_engine.worker_rows),
             ("kills", twin_engine.kill_rows),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Table
-from phytac_decoder.estimation.decode import locate_markers
+from phytac_decoder.pipeline.decode import locate_markers
 from phytac_design.core.threads import THREADS, one_thread_each
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
@@ -23,12 +23,12 @@ from phytac_design.optics.picture import render_picture
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.scene import build_scene
 from phytac_design.simulation.contacts import draw_contacts, switch_states
-from phytac_design.simulation.imaging.imaging_model import Eyes
-from phytac_design.simulation.imaging.nominal import expected_views
+from phytac_design.simulation.imaging.imaging_model import ImagingModel
+from phytac_design.simulation.imaging.nominal_view import expected_views
 from phytac_design.simulation.instance_shell import truth_shell
 from phytac_design.simulation.response import motion_responses, superpose
-from phytac_design.simulation.scenario.tables import SolveSection
-from phytac_design.simulation.sensor_instance import Unit, WallField
+from phytac_design.simulation.scenario.sections import SolveSection
+from phytac_design.simulation.sensor_instance import SensorInstance, ThicknessField
 from phytac_design.stages.build import copy_of
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, ImageArray
@@ -51,25 +51,25 @@ FAULTS: dict[str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case:
+class CameraCase:
     """A design as its own unit, pressed."""
 
     design: Design
     surface: Surface
     markers: Markers
-    unit: Unit
+    unit: SensorInstance
     views: dict[str, Any]
 
     @classmethod
-    def of(cls, design: Design) -> "Case":
+    def of(cls, design: Design) -> "CameraCase":
         """The unit that is the design itself."""
         surface = design.surface()
         markers = make_markers(design, surface)
         threshold = thresholds_N(design, markers) * np.ones(markers.count)
-        unit = Unit(
+        unit = SensorInstance(
             number=0,
             markers=markers,
-            wall=WallField(mean=1.0, waves=np.zeros((0, 4)), domain=surface.domain),
+            wall=ThicknessField(mean=1.0, waves=np.zeros((0, 4)), domain=surface.domain),
             modulus=1.0,
             on_N=threshold,
             off_N=0.7 * threshold,
@@ -79,10 +79,10 @@ class Case:
         views = expected_views(design, surface, markers)
         return cls(design=design, surface=surface, markers=markers, unit=unit, views=views)
 
-    def eyes(self, exposure: Exposure | None = None, **options: Any) -> Eyes:
+    def eyes(self, exposure: Exposure | None = None, **options: Any) -> ImagingModel:
         """Its eyes, with the default exposure and the design's noise."""
         used = exposure or Exposure(noise_pixel=self.design.camera.noise_pixel)
-        return Eyes(
+        return ImagingModel(
             self.design, self.surface, self.unit, exposure=used, views=self.views, **options
         )
 
@@ -113,12 +113,12 @@ def timed(work: Callable[[], Any]) -> tuple[Any, float]:
     return result, time.process_time() - start
 
 
-def faults(table: Table, case: Case) -> None:
+def faults(table: Table, case: CameraCase) -> None:
     """What each fault of a camera does to centroids at rest and to displacements."""
     (motion,), (bits,) = case.pressed(1)
     still, off = np.zeros_like(motion), np.zeros_like(bits)
 
-    def look(eyes: Eyes, brightness: float) -> list[FloatArray]:
+    def look(eyes: ImagingModel, brightness: float) -> list[FloatArray]:
         places = []
         for pose, on in ((still, off), (motion, bits)):
             frames = eyes.frame(pose, on, brightness)
@@ -145,7 +145,7 @@ def faults(table: Table, case: Case) -> None:
         )
 
 
-def camera_chain(table: Table, case: Case, *, quick: bool) -> None:
+def camera_chain(table: Table, case: CameraCase, *, quick: bool) -> None:
     """Seconds of everything behind the renderer, on one thread; how good eight lens points are."""
     design, camera = case.design, case.unit.cameras[0]
     scene = build_scene(
@@ -205,7 +205,7 @@ def camera_chain(table: Table, case: Case, *, quick: bool) -> None:
     )
 
 
-def samples_of_a_pixel(table: Table, case: Case, *, quick: bool) -> None:
+def samples_of_a_pixel(table: Table, case: CameraCase, *, quick: bool) -> None:
     """What samples of a pixel cost, and how far markers seem to move as they cross the pixels."""
     camera, label = case.unit.cameras[0], case.design.name
     with one_thread_each(THREADS):
@@ -229,12 +229,12 @@ def samples_of_a_pixel(table: Table, case: Case, *, quick: bool) -> None:
             )
 
 
-def _positions(case: Case, image: ImageArray) -> FloatArray:
+def _positions(case: CameraCase, image: ImageArray) -> FloatArray:
     """Marker positions (n, 2) in one frame, by the design's eyes."""
     return locate_markers(case.eyes(CLEAN).nominal, (image,))[0].position_px
 
 
-def renderers(table: Table, case: Case) -> None:
+def renderers(table: Table, case: CameraCase) -> None:
     """The project's renderer against pyrender: seconds, pixels, centroids."""
     design, camera = case.design, case.unit.cameras[0]
     scene = build_scene(
@@ -295,7 +295,7 @@ def renderers(table: Table, case: Case) -> None:
     )
 
 
-def readable(table: Table, case: Case) -> None:
+def readable(table: Table, case: CameraCase) -> None:
     """Whether a design is read with the default exposure: markers and bits."""
     eyes = case.eyes()
     rng = np.random.default_rng(0)

@@ -20,8 +20,8 @@ from phytac_design.design.accuracy import Preset
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.run.journal import WORK
-from phytac_design.simulation.scenario.file import Scenario, load_scenario, parse_scenario
-from phytac_design.workflows.simulate import Result, simulate
+from phytac_design.simulation.scenario.scenario_file import Scenario, load_scenario, parse_scenario
+from phytac_design.workflows.simulate import SimulationResult, simulate
 from phytac_shapes.errors import InputError, PhytacError
 
 KILLS = 10
@@ -40,7 +40,7 @@ def changed(name: str, **tables: dict[str, object]) -> Scenario:
     return parse_scenario(data, name)
 
 
-def run_job(job: Job, *, workers: int, folder: Path) -> Result:
+def run_job(job: Job, *, workers: int, folder: Path) -> SimulationResult:
     """Simulate into an empty folder, quietly."""
     return simulate(job, folder, workers=workers, progress=lambda _: None)
 

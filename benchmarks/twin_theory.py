@@ -18,15 +18,15 @@ from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
+from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Loading
-from phytac_design.mechanics.large.path import solve_large
 from phytac_design.simulation.contacts import draw_contacts
 from phytac_design.simulation.indenters import Touches, flat_touches
 from phytac_design.simulation.response import point_motions, turned_points
-from phytac_design.simulation.scenario.file import UnitSection
-from phytac_design.simulation.scenario.region import touched_region
-from phytac_design.simulation.scenario.scatter import draw_unit
-from phytac_design.simulation.sensor_instance import Unit
+from phytac_design.simulation.scenario.contact_box import contact_box
+from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
+from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
+from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_design.simulation.solver import Displacement, Solver
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
@@ -47,13 +47,13 @@ PARTS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bench:
+class DesignUnit:
     """A shipped design, built without scatter."""
 
     design: Design
     surface: Surface
     markers: Markers
-    unit: Unit
+    unit: SensorInstance
 
     @property
     def arm_mm(self) -> FloatArray:
@@ -82,7 +82,7 @@ class Bench:
 
 
 @dataclass
-class Solved:
+class SolvedSamples:
     """Tips (n, 3), seconds, theory, and whether the guarded way was taken, of each sample."""
 
     tips_mm: list[FloatArray] = field(default_factory=list)
@@ -91,18 +91,18 @@ class Solved:
     guarded: list[bool] = field(default_factory=list)
 
 
-def bench(name: str) -> Bench:
+def bench(name: str) -> DesignUnit:
     """Unit 0 of a shipped design."""
     design = load_design(name)
     surface = design.surface()
     markers = make_markers(design, surface)
-    unit = draw_unit(design, surface, markers, UnitSection(number=0), seed=0)
-    return Bench(design=design, surface=surface, markers=markers, unit=unit)
+    unit = draw_sensor_instance(design, surface, markers, SensorInstanceSection(number=0), seed=0)
+    return DesignUnit(design=design, surface=surface, markers=markers, unit=unit)
 
 
-def solve_all(this: Bench, solver: Solver, touches: Touches) -> Solved:
+def solve_all(this: DesignUnit, solver: Solver, touches: Touches) -> SolvedSamples:
     """Solve all samples; one that is not ``ok`` ends the benchmark."""
-    out = Solved()
+    out = SolvedSamples()
     for k in range(touches.samples):
         one = touches.of(k)
         start = time.process_time()
@@ -117,9 +117,9 @@ def solve_all(this: Bench, solver: Solver, touches: Touches) -> Solved:
     return out
 
 
-def newton_all(this: Bench, solver: Solver, touches: Touches, count: int) -> Solved:
+def newton_all(this: DesignUnit, solver: Solver, touches: Touches, count: int) -> SolvedSamples:
     """Solve the first samples by Newton's method, with a factor at every step."""
-    out = Solved()
+    out = SolvedSamples()
     for k in range(count):
         one = touches.of(k)
         start = time.process_time()
@@ -141,7 +141,7 @@ def errors(found: Sequence[FloatArray], truth: Sequence[FloatArray]) -> FloatArr
 
 
 def error_rows(
-    table: Table, head: str, found: Solved, truth: Sequence[FloatArray], source: str
+    table: Table, head: str, found: SolvedSamples, truth: Sequence[FloatArray], source: str
 ) -> None:
     """Seconds, and median and worst error."""
     table.add(
@@ -245,7 +245,7 @@ def local_rows(table: Table, *, quick: bool) -> None:
         inside = np.all((share >= low) & (share <= high), axis=1)
         rows = np.flatnonzero(inside)[:PART]
         touches = drawn.pick(rows, drawn.sample[rows])
-        region = touched_region(this.surface, touches.uv, touches.radius_mm)
+        region = contact_box(this.surface, touches.uv, touches.radius_mm)
         start = time.process_time()
         local = this.solver(refine, "linear", region=region)
         spent = time.process_time() - start

@@ -21,7 +21,7 @@ from phytac_design.optics.scene import build_scene, paint_owner
 from phytac_design.optics.visibility import Visibility, check_visibility
 from phytac_design.rules.check import check_design
 from phytac_design.stages.build import copy_of
-from phytac_design.stages.loaded_views import Pressing, see_pressed
+from phytac_design.stages.loaded_views import PressedShell, see_pressed
 from phytac_shapes.errors import DesignError
 
 STUDY = "design study of this sensor"
@@ -62,7 +62,7 @@ DENSE_TARGETS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case:
+class LayoutCase:
     """A layout, what is seen of it at rest, and under load."""
 
     name: str
@@ -91,14 +91,14 @@ def seen_at_rest(context: Context) -> tuple[Visibility, np.ndarray]:
     return seen, np.minimum(seen.gap_same_colour_px, seen.gap_other_colour_px)
 
 
-def case_of(name: str, design: Design, *, places: int, linear: bool = False) -> Case:
+def case_of(name: str, design: Design, *, places: int, linear: bool = False) -> LayoutCase:
     """Look at a design at rest and pressed."""
     context = context_of(design, linear=linear, places=places)
     rest, gap = seen_at_rest(context)
-    return Case(name=name, context=context, rest=rest, load=see_pressed(context, gap)[1])
+    return LayoutCase(name=name, context=context, rest=rest, load=see_pressed(context, gap)[1])
 
 
-def add_case(table: Table, case: Case) -> None:
+def add_case(table: Table, case: LayoutCase) -> None:
     """Rows of one layout."""
     rest, load, training = case.rest, case.load, case.context.design.training
     dense = case.context.design.name == "cylinder60-dense"
@@ -140,7 +140,7 @@ def add_case(table: Table, case: Case) -> None:
             )
 
 
-def add_heights(table: Table, linear: Case, sight: Case) -> None:
+def add_heights(table: Table, linear: LayoutCase, sight: LayoutCase) -> None:
     """How much line-of-sight heights gain over linear ones, same places on the wall."""
     name = "368, line-of-sight heights over linear"
     before, after = linear.load, sight.load
@@ -182,7 +182,7 @@ def add_places(table: Table, design: Design, counts: tuple[int, ...]) -> None:
     camera = camera_of(design, surface)
     scene = build_scene(design, surface, markers, tolerance_mm=tolerance_mm(camera, markers))
     gap = seen_at_rest(context)[1]
-    shell = Pressing(context)
+    shell = PressedShell(context)
     found: dict[int, UnderLoad] = {}
     for count in counts:
         uv = press_places(surface, markers, gap, count, repeats=shell.repeats)

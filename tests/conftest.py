@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from phytac_design.engine.stage import graphics_libraries
-from phytac_design.mechanics.switch import design, feasible
+from phytac_design.mechanics.switch import design, feasible_range
 from phytac_design.stages.build import BuildResult, build
 from tests.designs import small
 
@@ -47,7 +47,11 @@ def coarse_switches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     What is built with them is in a cache of its own: no other test takes them for the exact ones.
     """
     monkeypatch.setenv("PHYTAC_CACHE", str(tmp_path / "cache"))
-    for module, name in ((design, "press_bowl"), (design, "limit_load"), (feasible, "press_bowl")):
+    for module, name in (
+        (design, "press_bowl"),
+        (design, "limit_load"),
+        (feasible_range, "press_bowl"),
+    ):
         exact = getattr(module, name)
         monkeypatch.setattr(module, name, partial(_coarse, exact))
 

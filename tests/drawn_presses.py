@@ -3,14 +3,14 @@
 import numpy as np
 
 from phytac_decoder.estimation.estimators import ForceModel
-from phytac_design.datasets.samples import Meta, Samples, TouchRows, truth_rows
+from phytac_design.datasets.samples import DataSetInfo, Samples, TouchRows, truth_rows
 from phytac_shapes.arrays import BoolArray, FloatArray
 
 
-def meta_of(design: str, design_hash: str, **changes: object) -> Meta:
+def meta_of(design: str, design_hash: str, **changes: object) -> DataSetInfo:
     """What such a set says of itself."""
     fields = {"what": "drawn for a test", "notes": {"accuracy": "draft"}} | changes
-    return Meta(
+    return DataSetInfo(
         simulated=True, design=design, design_hash=design_hash, route="points", seed=0, **fields
     )
 

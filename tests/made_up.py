@@ -2,18 +2,20 @@
 
 import numpy as np
 
-from phytac_decoder.estimation.contact_estimates import Found, Located
+from phytac_decoder.estimation.contact_estimates import ContactDetection, LocatedContact
 from phytac_shapes.arrays import FloatArray
 
 
-def found_of(*contacts: Located, shift_px: FloatArray) -> Found:
+def found_of(*contacts: LocatedContact, shift_px: FloatArray) -> ContactDetection:
     """What a frame told, made up."""
-    return Found(contacts=list(contacts), misfit=1.0, shift_px=shift_px)
+    return ContactDetection(contacts=list(contacts), misfit=1.0, shift_px=shift_px)
 
 
-def at(point_mm: FloatArray, markers: list[int], force_N: float, sd_N: float = 1.0) -> Located:
+def at(
+    point_mm: FloatArray, markers: list[int], force_N: float, sd_N: float = 1.0
+) -> LocatedContact:
     """A contact, made up."""
-    return Located(
+    return LocatedContact(
         markers=np.array(markers, dtype=np.int64),
         share=np.ones(len(markers)) / max(len(markers), 1),
         force_N=force_N,

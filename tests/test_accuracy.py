@@ -4,21 +4,21 @@ from dataclasses import replace
 
 import pytest
 
-from phytac_design.design.accuracy import PRESETS, name_of, settings_of, with_settings
+from phytac_design.design.accuracy import PRESETS, preset_name, settings_of, with_settings
 from phytac_shapes.errors import DesignError
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_presets_by_name(name: str) -> None:
     assert settings_of(name) is PRESETS[name]
-    assert name_of(PRESETS[name]) == name
+    assert preset_name(PRESETS[name]) == name
 
 
 def test_settings_of_ones_own() -> None:
     own = with_settings(PRESETS["draft"], ["refine=5", "place_share = 0.6", "receptors=no"])
     assert own == replace(PRESETS["draft"], refine=5, place_share=0.6, receptors=False)
     assert settings_of(own) is own
-    assert name_of(own) == "custom"
+    assert preset_name(own) == "custom"
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from phytac_design.mechanics.switch import fit
+from phytac_design.mechanics.switch import bowl_check
 from phytac_design.stages.build import build
 from phytac_shapes.errors import DesignError
 from tests.designs import small
@@ -66,7 +66,7 @@ def test_markers_too_small_to_see_are_refused_not_decoded(tmp_path: Path) -> Non
 def test_switches_that_cannot_be_made_stop_the_build_unless_forced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fit, "FILLETS", fit.FILLETS[::3])
+    monkeypatch.setattr(bowl_check, "FILLETS", bowl_check.FILLETS[::3])
     design = small(name="unmade", switch={"modulus_MPa": 0.1})
     with pytest.raises(DesignError, match=r"or take a rubber of .* MPa; or go on .*--force"):
         build(design, tmp_path / "x", accuracy="draft", progress=quiet)

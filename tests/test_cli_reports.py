@@ -17,7 +17,7 @@ from unittest import mock
 import pytest
 
 from phytac_design.cli import console_reporter
-from phytac_design.cli.console_reporter import Reports
+from phytac_design.cli.console_reporter import ConsoleReporter
 from tests.decoder.toy_sensor import toy_recording
 from tests.test_cli import PHYTAC
 
@@ -51,7 +51,7 @@ def fill(writing: int) -> None:
 
 def test_reports_keep_their_order_and_end_whole() -> None:
     with piped() as pipe:
-        with Reports() as tell:
+        with ConsoleReporter() as tell:
             for number in range(100):
                 tell(f"line {number} µm")
         lines = os.read(pipe, 65536).decode().splitlines()
@@ -63,7 +63,7 @@ def test_nobody_waits_for_a_reader_that_does_not_read(monkeypatch: pytest.Monkey
     with piped() as pipe:
         fill(sys.stderr.fileno())
         begun = time.monotonic()
-        with Reports() as tell:
+        with ConsoleReporter() as tell:
             for number in range(3 * console_reporter.WAITING):
                 tell(f"line {number}")
             assert time.monotonic() - begun < 1.0
@@ -86,7 +86,7 @@ def test_a_reader_that_is_gone_is_no_error() -> None:
         io.TextIOWrapper(io.FileIO(writing, "w"), encoding="utf-8") as stream,
         mock.patch.object(sys, "stderr", stream),
     ):
-        with Reports() as tell:
+        with ConsoleReporter() as tell:
             tell("one")
             tell("two")
         assert not tell._thread.is_alive()

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from phytac_decoder.serving.wire_protocol import Splitter
+from phytac_decoder.serving.wire_protocol import MessageSplitter
 from tests.decoder.toy_sensor import toy_recording
 from tests.test_cli import PHYTAC, phytac
 
@@ -102,7 +102,7 @@ def test_motion_samples_and_lengths(toy: tuple[str, str], tmp_path: Path) -> Non
         socket.create_connection(("127.0.0.1", port)) as link,
         link.makefile("rb") as data,
     ):
-        hello, *frames, end = Splitter("length").feed(data.read())
+        hello, *frames, end = MessageSplitter("length").feed(data.read())
     assert (hello["type"], end["type"]) == ("hello", "end")
     assert [frame["imu"]["t"] for frame in frames] == [0.0, 0.0, 0.02, 0.02]
     wrong = phytac("serve", *toy, "--loop", "--port", "0", "--imu", str(tmp_path / "imu"))

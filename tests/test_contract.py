@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from phytac_decoder.estimation.decode import measure_frame, rest_positions
 from phytac_decoder.estimation.estimators import ESTIMATORS
 from phytac_decoder.io.bundle import load_bundle
+from phytac_decoder.pipeline.decode import measure_frame, rest_positions
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, graphics_libraries
@@ -22,7 +22,7 @@ from phytac_design.simulation.contacts import Contacts, switch_states
 from phytac_design.simulation.instance_shell import truth_shell
 from phytac_design.simulation.response import motion_responses, superpose
 from phytac_design.stages.build import build
-from phytac_design.stages.frames import Pressed, shoot
+from phytac_design.stages.frames import FrameContacts, render_sample
 from phytac_design.stages.response import cell_radius_mm
 from phytac_shapes import REGISTRY
 from tests.designs import DRAWN, drawn
@@ -73,7 +73,7 @@ def test_any_design_is_checked(kind: str, seed: int) -> None:
     assert report["markers"]["density_per_cm2"] > 0.5
 
 
-def one_press(context: Context, marker: int) -> Pressed:
+def one_press(context: Context, marker: int) -> FrameContacts:
     """One patch the size of a marker's cell, on the simulated sensor's own mesh."""
     design, surface, markers = context.design, context.surface, context.markers
     contacts = Contacts(
@@ -87,7 +87,7 @@ def one_press(context: Context, marker: int) -> Pressed:
     unit = motion_responses(
         model, mesh, surface, markers, uv=contacts.uv, radius_mm=contacts.radius_mm
     )
-    return Pressed(
+    return FrameContacts(
         contacts=contacts,
         switching=switch_states(design, surface, markers, contacts),
         motion=superpose(unit, contacts),
@@ -114,8 +114,8 @@ def through_every_room(design: Design, out: Path) -> None:
     shown = np.linalg.norm(bundle.model.compliance_px, axis=0)
     marker = int(np.argmax(np.where(bundle.tips.readable, shown, 0.0)))
     pressed = one_press(context, marker)
-    rest = rest_positions(bundle, shoot(context, pressed, None))
-    frame = shoot(context, pressed, 0)
+    rest = rest_positions(bundle, render_sample(context, pressed, None))
+    frame = render_sample(context, pressed, 0)
     measured = measure_frame(bundle, frame, rest_px=rest)
     on = pressed.switching.bits[0]
     assert on[marker]

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from benchmarks import decoder_data
-from benchmarks.decoder_accuracy import Bench, bench
+from benchmarks.decoder_accuracy import UnitDecoder, bench
 from benchmarks.decoder_bounds import bounds, noise_of
-from benchmarks.decoder_data import Case, data_set, few_of, job_of, origin
-from benchmarks.decoder_judge import Verdict, claims_of, taught
+from benchmarks.decoder_data import DataSetSpec, data_set, job_of, origin, random_subset
+from benchmarks.decoder_evaluation import Evaluation, claims_of, train_decoder
 from benchmarks.decoder_rows import (
     ALL,
     MAE,
@@ -24,11 +24,11 @@ from benchmarks.decoder_rows import (
 )
 from benchmarks.decoder_shapes import add_rows_cycles
 from benchmarks.harness import Table
-from phytac_decoder.estimation.contact_estimates import Found
+from phytac_decoder.estimation.contact_estimates import ContactDetection
 from phytac_design.datasets.samples import FAILED, Samples
 from phytac_design.datasets.samples_writer import write_samples
-from phytac_design.simulation.bound import cell_prior
-from phytac_design.simulation.run.collect import meta_of
+from phytac_design.simulation.cramer_rao import cell_prior
+from phytac_design.simulation.run.data_set import data_set_info
 from phytac_design.simulation.run.job import Job
 from phytac_shapes.errors import OutputError
 from tests.designs import small
@@ -44,17 +44,17 @@ def job(**changes: object) -> Job:
 
 
 @pytest.fixture(scope="module")
-def here(own_cache: None, tmp_path_factory: pytest.TempPathFactory) -> Bench:
+def here(own_cache: None, tmp_path_factory: pytest.TempPathFactory) -> UnitDecoder:
     """The small sensor with a dozen samples to learn from."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PHYTAC_DATA", str(tmp_path_factory.mktemp("data")))
-        return bench(Case(name="small", job=job(), train=12))
+        return bench(DataSetSpec(name="small", job=job(), train=12))
 
 
 @pytest.fixture(scope="module")
-def judged(here: Bench) -> Verdict:
+def judged(here: UnitDecoder) -> Evaluation:
     """A decoder that learnt from them, judged on the others."""
-    bundle, facts = taught(here.plain, here.train)
+    bundle, facts = train_decoder(here.plain, here.train)
     assert set(facts) == {"fem_nn", "fem_nn_identity", "auto"}
     return here.judged(bundle)
 
@@ -85,7 +85,7 @@ def test_data_sets_are_made_once_and_used_again_whoever_made_them(
     def simulate(this: Job, out: Path, *, workers: int) -> None:
         calls.append(workers)
         out.mkdir(parents=True)
-        meta = meta_of(this)
+        meta = data_set_info(this)
         old = {**meta.hashes, "program": "0" * 64, "job": "0" * 64}
         write_samples(out, made_up(this), replace(meta, hashes=old))
 
@@ -112,14 +112,14 @@ def test_another_data_set_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: dict[str, object], word: str
 ) -> None:
     monkeypatch.setenv("PHYTAC_DATA", str(tmp_path))
-    write_samples(_new(tmp_path / "a"), made_up(job()), meta_of(job(**change)))
+    write_samples(_new(tmp_path / "a"), made_up(job()), data_set_info(job(**change)))
     with pytest.raises(OutputError, match=f"another data set.*other {word}.*PHYTAC_DATA"):
         data_set("a", job())
 
 
 def test_another_seed_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PHYTAC_DATA", str(tmp_path))
-    write_samples(_new(tmp_path / "a"), made_up(job()), replace(meta_of(job()), seed=2))
+    write_samples(_new(tmp_path / "a"), made_up(job()), replace(data_set_info(job()), seed=2))
     with pytest.raises(OutputError, match="other seed"):
         data_set("a", job())
 
@@ -129,16 +129,16 @@ def _new(folder: Path) -> Path:
     return folder
 
 
-def test_parts_share_no_sample(here: Bench) -> None:
+def test_parts_share_no_sample(here: UnitDecoder) -> None:
     times = [set(part.samples.time_s.tolist()) for part in (here.train, here.test)]
     assert len(times[0]) == 12
     assert len(times[1]) == 8
     assert not times[0] & times[1]
-    few, more = few_of(here.train, 4, seed=0), few_of(here.train, 7, seed=0)
+    few, more = random_subset(here.train, 4, seed=0), random_subset(here.train, 7, seed=0)
     assert set(few.samples.time_s) < set(more.samples.time_s) < times[0]
 
 
-def test_figures_are_those_of_the_forces(judged: Verdict) -> None:
+def test_figures_are_those_of_the_forces(judged: Evaluation) -> None:
     """Mean relative and absolute error, summed up here one contact after the other."""
     samples, model_forces = judged.data.samples, judged.decoded.decoded_N["koi_inverse"]
     assert samples.truth is not None
@@ -162,7 +162,7 @@ def test_figures_are_those_of_the_forces(judged: Verdict) -> None:
     assert "95 %" in fem["note"]
 
 
-def test_tenths_are_told(judged: Verdict) -> None:
+def test_tenths_are_told(judged: Evaluation) -> None:
     decoded = judged.decoded
     low = judged.groups["along"][next(iter(judged.groups["along"]))]
     wrong = decoded.force_N * np.where(low, 1.5, 1.01)
@@ -172,7 +172,7 @@ def test_tenths_are_told(judged: Verdict) -> None:
     assert "50 (sign +50" in table.rows[0]["note"]
 
 
-def test_what_misses_says_what_the_bound_allows(judged: Verdict) -> None:
+def test_what_misses_says_what_the_bound_allows(judged: Evaluation) -> None:
     table = Table("x")
     every = {(ALL, RELATIVE): {"auto": "<= 0", "koi_inverse": "<= 1e9"}}
     add_scores(table, "here", judged, [(ALL, RELATIVE)], targets=every)
@@ -184,7 +184,7 @@ def test_what_misses_says_what_the_bound_allows(judged: Verdict) -> None:
     assert "holds" not in rows["here: fem"]
 
 
-def test_a_perfect_decoder_has_no_error_and_is_below_the_bound(judged: Verdict) -> None:
+def test_a_perfect_decoder_has_no_error_and_is_below_the_bound(judged: Evaluation) -> None:
     truth = dict.fromkeys(judged.decoded.decoded_N, judged.decoded.force_N)
     perfect = replace(judged, decoded=replace(judged.decoded, decoded_N=truth))
     table = Table("x")
@@ -198,7 +198,7 @@ def test_a_perfect_decoder_has_no_error_and_is_below_the_bound(judged: Verdict) 
     assert [row["value"] for row in table.rows if "over the RMS" in row["case"]][-1] > 0.0
 
 
-def test_bound_is_the_designs_own_and_grows_with_company(judged: Verdict) -> None:
+def test_bound_is_the_designs_own_and_grows_with_company(judged: Evaluation) -> None:
     """Alone it is that of ``twin.bound``; other unknown contacts can only make it worse."""
     samples, context = judged.data.samples, judged.context
     noise = np.full((samples.markers, 2), 0.03)
@@ -228,7 +228,7 @@ def test_bound_is_the_designs_own_and_grows_with_company(judged: Verdict) -> Non
     np.testing.assert_allclose(found.force_N[chosen], direct.force_N, rtol=1e-6)
 
 
-def test_moments_that_are_unknown_only_raise_the_bound(judged: Verdict) -> None:
+def test_moments_that_are_unknown_only_raise_the_bound(judged: Evaluation) -> None:
     samples, context = judged.data.samples, judged.context
     noise = np.full((samples.markers, 2), 0.03)
     rows = judged.decoded.touch[judged.decoded.tripped]
@@ -256,14 +256,14 @@ def test_moments_that_are_unknown_only_raise_the_bound(judged: Verdict) -> None:
     assert np.median(off) < 0.1
 
 
-def test_claims_are_matched_by_switch_and_by_place(judged: Verdict) -> None:
+def test_claims_are_matched_by_switch_and_by_place(judged: Evaluation) -> None:
     """Found well, outside its interval, by nobody, with another; and one that is not there."""
     samples, decoded = judged.data.samples, judged.decoded
     touches, truth = samples.touches, samples.truth
     assert touches is not None
     assert truth is not None
     shift = np.zeros(2 * samples.markers)
-    found: list[Found | None] = [None] * samples.count
+    found: list[ContactDetection | None] = [None] * samples.count
     read = 0
     for sample in range(samples.count):
         own = truth.sample == sample
@@ -281,7 +281,7 @@ def test_claims_are_matched_by_switch_and_by_place(judged: Verdict) -> None:
     several, first = next((k, f) for k, f in enumerate(found) if f and len(f.contacts) > 1)
     one = first.contacts[0]
 
-    def but(changed: Found) -> list[Found | None]:
+    def but(changed: ContactDetection) -> list[ContactDetection | None]:
         return [*found[:several], changed, *found[several + 1 :]]
 
     far = replace(one, force_N=one.force_N + 100.0)
@@ -300,7 +300,7 @@ def test_claims_are_matched_by_switch_and_by_place(judged: Verdict) -> None:
     assert together.unmatched == len(first.contacts)
 
 
-def test_contacts_found_by_motion_alone_are_told_from_what_is_not_there(judged: Verdict) -> None:
+def test_contacts_found_by_motion_alone_are_told_from_what_is_not_there(judged: Evaluation) -> None:
     """A contact whose switches are struck out of the truth counts as found where it was pressed."""
     samples, decoded = judged.data.samples, judged.decoded
     assert samples.touches is not None
@@ -315,7 +315,7 @@ def test_contacts_found_by_motion_alone_are_told_from_what_is_not_there(judged: 
     without = replace(
         samples, truth=replace(truth, **{name: getattr(truth, name)[keep] for name in names})
     )
-    found: list[Found | None] = [None] * samples.count
+    found: list[ContactDetection | None] = [None] * samples.count
     point = samples.touches.point_mm
     aside = point[gone] + np.array([0.0, 0.0, 2.0])
     found[several] = found_of(
@@ -326,7 +326,7 @@ def test_contacts_found_by_motion_alone_are_told_from_what_is_not_there(judged: 
     assert claims.nothing_N.tolist() == [5.0]
 
 
-def test_noise_is_that_of_markers_that_are_left_alone(judged: Verdict) -> None:
+def test_noise_is_that_of_markers_that_are_left_alone(judged: Evaluation) -> None:
     n, count = 6, 200
     rng = np.random.default_rng(0)
     sigma = np.array([0.02, 0.02, 0.05, 0.05, 0.1, 0.1])[:, None]
@@ -342,7 +342,7 @@ def test_noise_is_that_of_markers_that_are_left_alone(judged: Verdict) -> None:
     assert np.all(noise[0] < 0.11)
 
 
-def test_rows_tell_switches_and_intervals(judged: Verdict) -> None:
+def test_rows_tell_switches_and_intervals(judged: Evaluation) -> None:
     table = Table("x")
     read = judged.data.samples.bits_read
     assert read is not None
@@ -361,7 +361,7 @@ def test_rows_tell_switches_and_intervals(judged: Verdict) -> None:
 
 
 def test_failed_samples_are_in_no_part(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, here: Bench
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, here: UnitDecoder
 ) -> None:
     samples = here.train.samples
     status = samples.status.copy()
@@ -375,14 +375,14 @@ def test_failed_samples_are_in_no_part(
     )
     monkeypatch.setenv("PHYTAC_DATA", str(tmp_path))
     write_samples(_new(tmp_path / "b"), bad, here.train.meta)
-    train, test = Case(name="b", job=here.case.job, train=5).parts()
+    train, test = DataSetSpec(name="b", job=here.case.job, train=5).parts()
     assert train.samples.count == 5
     assert test.samples.count == samples.count - 6
     assert samples.time_s[3] not in [*train.samples.time_s, *test.samples.time_s]
 
 
 def test_cycles_part_runs_and_reads_nothing_at_rest(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, here: Bench
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, here: UnitDecoder
 ) -> None:
     """Its quick form, on the small sensor at hand."""
     monkeypatch.setenv("PHYTAC_DATA", str(tmp_path))

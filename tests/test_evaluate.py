@@ -15,13 +15,13 @@ from typer.testing import CliRunner
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle, save_bundle
 from phytac_design.cli.app import app
-from phytac_design.datasets.samples import Meta, Samples
+from phytac_design.datasets.samples import DataSetInfo, Samples
 from phytac_design.datasets.samples_writer import file_hash, write_samples
 from phytac_design.design.design_file import design_hash, to_toml
-from phytac_design.training.evaluation.contacts import decode_contacts
-from phytac_design.training.evaluation.groups import Places, groups_of, places
+from phytac_design.training.evaluation.decoded_contacts import decode_contacts
+from phytac_design.training.evaluation.groups import ContactPositions, contact_positions, groups_of
 from phytac_design.training.evaluation.plots import decoded_against_true
-from phytac_design.training.join_datasets import join
+from phytac_design.training.join_datasets import join_samples
 from phytac_design.training.training_data import DataSet
 from phytac_design.workflows.evaluate_decoder import TABLE, evaluate
 from phytac_shapes.errors import DesignError, InputError, NumericalError, OutputError
@@ -40,7 +40,7 @@ def toy_samples(count: int = 60, seed: int = 0, **options: float) -> Samples:
     return presses(TOY.model, UV, count=count, seed=seed, **options)
 
 
-def toy_meta(**changes: object) -> Meta:
+def toy_meta(**changes: object) -> DataSetInfo:
     """Of the toy sensor."""
     return meta_of(TOY.design, TOY.design_hash, **changes)
 
@@ -57,7 +57,7 @@ def judge(tmp_path: Path) -> Callable[..., Path]:
     """Evaluate the toy decoder quietly; the result's folder."""
     save_bundle(TOY, tmp_path / "decoder")
 
-    def run(*sets: Samples, metas: tuple[Meta, ...] = (), **options: object) -> Path:
+    def run(*sets: Samples, metas: tuple[DataSetInfo, ...] = (), **options: object) -> Path:
         folders = []
         for number, samples in enumerate(sets):
             folders.append(tmp_path / f"data-{number}")
@@ -157,10 +157,10 @@ def test_groups_part_the_contacts() -> None:
         DataSet(folder=Path(), samples=samples, meta=meta, sha256="")
         for samples, meta in zip(sets, (toy_meta(), grips), strict=True)
     ]
-    joined = join(sets)
+    joined = join_samples(sets)
     assert joined.touches is not None
     decoded = decode_contacts(TOY.model, joined, estimators=["fem"])
-    where = Places(along=joined.touches.uv[:, 0], around=joined.touches.uv[:, 1])
+    where = ContactPositions(along=joined.touches.uv[:, 0], around=joined.touches.uv[:, 1])
     groups = groups_of(items, joined, decoded, where)
     total = len(joined.touches.sample)
     for name in ("contact", "small", "force", "height", "along", "around", "data"):
@@ -181,7 +181,9 @@ def test_groups_part_the_contacts() -> None:
 
 
 def test_places_are_shares_of_the_way() -> None:
-    where = places(small(), np.array([[0.0, 0.0], [15.0, np.pi / 2.0], [60.0, 1.9 * np.pi]]))
+    where = contact_positions(
+        small(), np.array([[0.0, 0.0], [15.0, np.pi / 2.0], [60.0, 1.9 * np.pi]])
+    )
     np.testing.assert_allclose(where.along, [0.0, 0.25, 1.0], atol=1e-12)
     np.testing.assert_allclose(where.around, [0.0, 0.25, 0.95], atol=1e-12)
 

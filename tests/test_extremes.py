@@ -17,7 +17,7 @@ from phytac_design.optics.scene import build_scene, paint_owner
 from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
 from phytac_design.stages.build import build
-from phytac_design.stages.decoder import limits_of
+from phytac_design.stages.decoder import limit_facts
 from phytac_shapes import Cone
 from phytac_shapes.errors import DesignError, NumericalError
 from tests.designs import of_shape
@@ -122,7 +122,7 @@ def test_a_marker_on_the_pole_is_read_by_its_neighbours(tmp_path: Path) -> None:
     assert np.hypot(*markers.mid_mm[pole, :2]) < 1e-9
     assert not bundle.stiffness_usable[pole]
     assert not bundle.tips.readable[pole]
-    limits = limits_of(bundle)
+    limits = limit_facts(bundle)
     assert pole in limits["switches_unreadable"]
     assert pole in limits["fem_unusable"]
     force = np.zeros(markers.count)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from phytac_decoder.estimation.force_regions import Region
-from phytac_decoder.estimation.frame_reading import Reading
+from phytac_decoder.pipeline.frame_reading import Reading
 from phytac_decoder.serving.csv_recording import COLUMNS, Recorder, RegionRecorder
-from phytac_decoder.serving.wire_protocol import Messages
+from phytac_decoder.serving.wire_protocol import MessageBuilder
 from phytac_design.core.parquet_recording import to_parquet
 from phytac_shapes.errors import InputError, OutputError
 from tests.decoder.toy_sensor import toy_bundle
@@ -21,7 +21,7 @@ def recorded(folder: Path) -> tuple[Path, Path]:
     """Recordings of three frames: two contacts, a black one, none."""
     contacts, sums = folder / "out.csv", folder / "regions.csv"
     regions = (Region(name="thumb", markers=(7, 8)),)
-    make = Messages(bundle=toy_bundle(), estimator="fem", regions=regions)
+    make = MessageBuilder(bundle=toy_bundle(), estimator="fem", regions=regions)
     forces = np.zeros(30)
     forces[[7, 14, 28]] = (3.0, 1.0, 0.5)
     readings = (

@@ -19,7 +19,14 @@ from benchmarks.referee.contacts import (
     load_contacts,
     write_contacts,
 )
-from benchmarks.referee.read import LEAST, STEPS, Solved, data_file, read_solved, write_solved
+from benchmarks.referee.read import (
+    MOTION_MIN_SHARE,
+    STEPS,
+    Solved,
+    data_file,
+    read_solved,
+    write_solved,
+)
 from benchmarks.referee.solve import Sensor, input_key, sensor, sizes_for
 from phytac_design.simulation.instance_shell import truth_shell
 from phytac_shapes.errors import DesignError
@@ -93,7 +100,7 @@ def test_solved_contacts_read_back(grip: Sensor, tmp_path: Path) -> None:
     assert dict(back.facts) == item.facts
     np.testing.assert_array_equal(back.kept, item.kept)
     half = 0.5001 / STEPS
-    small = np.linalg.norm(item.motion_mm, axis=1) < LEAST * item.peak_mm
+    small = np.linalg.norm(item.motion_mm, axis=1) < MOTION_MIN_SHARE * item.peak_mm
     assert small.sum() == 1
     assert (back.motion_mm[small] == 0.0).all()
     error = np.abs(back.motion_mm - item.motion_mm)[~small]
@@ -197,7 +204,9 @@ def test_tips_beside_rims_are_known(grip: Sensor) -> None:
     item = made_up(grip)
     off = item.motion_mm.copy()
     off[7] += [0.0, 0.3, 0.4]
-    assert twin.worst_tip(twin.Judged(item=item, large_mm=off, linear_mm=item.motion_mm)) == 7
+    assert (
+        twin.worst_tip(twin.TipComparison(item=item, large_mm=off, linear_mm=item.motion_mm)) == 7
+    )
 
 
 def test_gap_and_scale_are_of_the_peak(grip: Sensor) -> None:

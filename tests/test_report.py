@@ -12,7 +12,7 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import Context, write_arrays, write_facts
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of
-from phytac_design.report import figures, maps, names, page, scores, sections, verdict
+from phytac_design.report import figure_names, figures, maps, page, scores, sections, verdict
 from phytac_design.report.drawing import Drawing
 from phytac_design.stages.build import BuildResult
 from phytac_design.stages.report import forced_past
@@ -378,6 +378,6 @@ def test_page_of_a_build_is_whole(built: BuildResult) -> None:
     assert ">nan" not in html
     for key in ("under_load", "markers", "shell", "mesh", "frames", "training", "twin"):
         for path in page.flatten(report[key], f"{key}."):
-            assert names.name_of(path) != path or path == "under_load.sentence", path
+            assert figure_names.name_of(path) != path or path == "under_load.sentence", path
     for key in report["visibility"]:
-        assert names.name_of(f"visibility.{key}") != f"visibility.{key}"
+        assert figure_names.name_of(f"visibility.{key}") != f"visibility.{key}"

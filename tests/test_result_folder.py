@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from phytac_design.training.result_folder import written
+from phytac_design.training.result_folder import write_folder
 from phytac_shapes.errors import OutputError
 
 
@@ -28,7 +28,7 @@ def test_a_full_disk_leaves_the_old_result(
     monkeypatch.setattr(shutil, "copyfile", full)
 
     def train() -> None:
-        with written(tmp_path, "training.json") as scratch:
+        with write_folder(tmp_path, "training.json") as scratch:
             for name in names:
                 (scratch / name).write_text("new")
 

@@ -3,11 +3,16 @@
 import numpy as np
 import pytest
 
-from phytac_design.training.evaluation.scores import MEDIANS, Bootstrap, intervals, summary
+from phytac_design.training.evaluation.scores import (
+    MEDIANS,
+    Bootstrap,
+    error_summary,
+    interval_coverage,
+)
 
 
 def test_errors_are_those_by_hand() -> None:
-    found = summary(np.array([1.5, 3.0, 8.0, 10.0]), np.array([1.0, 4.0, 8.0, 20.0]))
+    found = error_summary(np.array([1.5, 3.0, 8.0, 10.0]), np.array([1.0, 4.0, 8.0, 20.0]))
     assert found["relative_error"] == pytest.approx((0.5 + 0.25 + 0.0 + 0.5) / 4)
     assert found["accuracy"] == pytest.approx(1.0 - 0.3125)
     assert found["relative_error_median"] == pytest.approx(0.375)
@@ -17,7 +22,7 @@ def test_errors_are_those_by_hand() -> None:
     assert found["bias_N"] == pytest.approx(-10.5 / 4)
     assert found["rmse_N"] == pytest.approx(np.sqrt(101.25 / 4))
     assert found["error_sd_N"] == pytest.approx(np.std([0.5, -1.0, 0.0, -10.0]))
-    assert np.isnan(summary(np.zeros(0), np.zeros(0))["relative_error"])
+    assert np.isnan(error_summary(np.zeros(0), np.zeros(0))["relative_error"])
 
 
 def test_intervals_of_the_mean_are_those_of_theory() -> None:
@@ -57,7 +62,7 @@ def test_resampled_measures_are_those_of_the_drawn_contacts(
         index = np.concatenate([np.tile(rows[k], w) for k, w in enumerate(weight) if w])
         index = index[chosen[index]]
         if len(index):
-            drawn.append(summary(estimate[index], truth[index]))
+            drawn.append(error_summary(estimate[index], truth[index]))
     assert (bootstrap.weights.sum(axis=1) == bootstrap.groups[0]).all()
     for name in ("relative_error", "absolute_error_sd_N", "rmse_N", "error_sd_N", *MEDIANS):
         values = [item[name] for item in drawn]
@@ -77,7 +82,7 @@ def test_claimed_intervals_are_counted() -> None:
     truth = rng.uniform(1.0, 20.0, 20_000)
     sd = rng.uniform(0.1, 1.0, 20_000)
     force = truth + sd * rng.normal(size=20_000)
-    assert intervals(force, sd, truth) == pytest.approx(0.90, abs=0.01)
-    assert intervals(force, sd, truth, level=0.5) == pytest.approx(0.50, abs=0.01)
-    assert intervals(force, 0.5 * sd, truth) == pytest.approx(0.589, abs=0.01)
-    assert np.isnan(intervals(force[:0], sd[:0], truth[:0]))
+    assert interval_coverage(force, sd, truth) == pytest.approx(0.90, abs=0.01)
+    assert interval_coverage(force, sd, truth, level=0.5) == pytest.approx(0.50, abs=0.01)
+    assert interval_coverage(force, 0.5 * sd, truth) == pytest.approx(0.589, abs=0.01)
+    assert np.isnan(interval_coverage(force[:0], sd[:0], truth[:0]))

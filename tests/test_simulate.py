@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from phytac_decoder.estimation.decode import read_image
+from phytac_decoder.pipeline.decode import read_image
 from phytac_design.cli.app import app
 from phytac_design.datasets.samples import STATUSES, Samples
 from phytac_design.datasets.samples_reader import read_samples
@@ -24,9 +24,9 @@ from phytac_design.datasets.samples_writer import FILE, TABLE
 from phytac_design.design.design_file import load_design, to_toml
 from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.run.journal import WORK, Journal
-from phytac_design.simulation.scenario.file import Scenario, load_scenario, parse_scenario
+from phytac_design.simulation.scenario.scenario_file import Scenario, load_scenario, parse_scenario
 from phytac_design.stages.build import copy_of
-from phytac_design.workflows.simulate import Result, eyes_of, simulate
+from phytac_design.workflows.simulate import SimulationResult, imaging_model, simulate
 from phytac_shapes.errors import DesignError, OutputError
 from tests.designs import small
 
@@ -52,7 +52,7 @@ def job_of(**changes: Any) -> Job:
     return replace(base, **changes)
 
 
-def run(job: Job, out: Path, **settings: Any) -> Result:
+def run(job: Job, out: Path, **settings: Any) -> SimulationResult:
     """Simulate quietly."""
     return simulate(job, out, progress=lambda _: None, **settings)
 
@@ -147,7 +147,7 @@ def _stop_after(count: int) -> Any:
 @pytest.fixture(autouse=True)
 def _often(monkeypatch: pytest.MonkeyPatch) -> None:
     """Progress after every sample."""
-    monkeypatch.setattr("phytac_design.workflows.simulate.SAY_S", 0.0)
+    monkeypatch.setattr("phytac_design.workflows.simulate.PROGRESS_INTERVAL_s", 0.0)
 
 
 def test_a_killed_command_goes_on_and_gives_the_same_files(whole: Path, tmp_path: Path) -> None:
@@ -284,9 +284,9 @@ def test_markers_too_blurred_to_tell_are_missing_and_told(tmp_path: Path) -> Non
 
 def test_knobs_of_the_eyes_reach_them() -> None:
     tables = {"solve": {"centroids": "pixels", "samples_per_pixel": 3}}
-    eyes = eyes_of(job_of(tables=tables))
+    eyes = imaging_model(job_of(tables=tables))
     assert (eyes.centroids, eyes.eyes[0].samples) == ("pixels", 3)
-    plain = eyes_of(replace(job_of(), scenario=load_scenario("smoke")))
+    plain = imaging_model(replace(job_of(), scenario=load_scenario("smoke")))
     assert (plain.centroids, plain.eyes[0].samples) == ("paint", 54)
 
 

@@ -133,7 +133,7 @@ def test_no_word_of_the_old_dialect_names_anything() -> None:
 
 def test_decoder_runs_without_the_design_tool() -> None:
     code = (
-        "import sys, phytac_decoder.estimation.decode\n"
+        "import sys, phytac_decoder.pipeline.decode\n"
         "heavy = {'torch', 'cadquery', 'pyrender', 'OpenGL', 'scipy', 'phytac_design'}\n"
         "print(sorted(heavy & set(sys.modules)))"
     )

@@ -18,10 +18,14 @@ from phytac_design.design.design_file import design_hash, to_toml
 from phytac_design.engine.stage import Context
 from phytac_design.stages import views
 from phytac_design.stages.build import run_stages, select_stages
-from phytac_design.stages.decoder import assemble, plain_model
-from phytac_design.training.join_datasets import join, pick
-from phytac_design.training.levenberg_marquardt import KeyNodeData, _Cascade, train_network
-from phytac_design.training.training_data import SHARES, DataSet, read_sets, share_out
+from phytac_design.stages.decoder import assemble_bundle, untrained_model
+from phytac_design.training.join_datasets import join_samples, select_samples
+from phytac_design.training.levenberg_marquardt import (
+    CascadeDerivatives,
+    KeyNodeData,
+    train_network,
+)
+from phytac_design.training.training_data import SHARES, DataSet, read_data_sets, split_data_sets
 from phytac_design.workflows.train_decoder import MECHANICS, TABLE, train
 from phytac_shapes.errors import DesignError, InputError, OutputError
 from tests.decoder.drawn_samples import assert_same, drawn
@@ -54,7 +58,7 @@ def context() -> Context:
 def pressed(context: Context, count: int, seed: int, **options: float) -> Samples:
     """Presses on a sensor that is softer than the decoder's mechanics says."""
     settings = {"softer": SOFTER, "noise_px": 0.01} | options
-    return presses(plain_model(context), context.markers.uv, count=count, seed=seed, **settings)
+    return presses(untrained_model(context), context.markers.uv, count=count, seed=seed, **settings)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +85,7 @@ def test_a_decoder_is_trained_and_better_than_the_mechanics_alone(
 ) -> None:
     out = learn()
     bundle, facts = load_bundle(out), json.loads((out / TABLE).read_text())
-    plain = assemble(context, plain_model(context), {})
+    plain = assemble_bundle(context, untrained_model(context), {})
     assert set(bundle.model.networks) == {"fem_nn", "fem_nn_identity"}
     np.testing.assert_array_equal(bundle.rest_px, plain.rest_px)
     np.testing.assert_array_equal(bundle.model.stiffness, plain.model.stiffness)
@@ -119,7 +123,7 @@ def test_inputs_alone_teach_the_networks_the_same(
     learn: Callable[..., Path], context: Context, tmp_path: Path
 ) -> None:
     samples = pressed(context, 200, 0)
-    rows = key_nodes(plain_model(context), samples, noise_px=1e-4)
+    rows = key_nodes(untrained_model(context), samples, noise_px=1e-4)
     write_samples(tmp_path / "inputs", inputs_alone(samples, rows), meta_of("tiny", HASH))
     points, inputs = learn(), learn(tmp_path / "inputs", name="inputs-decoder")
     facts = [json.loads((out / TABLE).read_text()) for out in (points, inputs)]
@@ -147,12 +151,12 @@ def test_several_sets_are_learnt_from_together(
         learn(data, tmp_path / "more", data)
     # As a longer run of one seed holds a shorter one's samples.
     samples = pressed(context, 200, 0)
-    write_samples(tmp_path / "part", pick(samples, np.arange(30)), meta_of("tiny", HASH))
+    write_samples(tmp_path / "part", select_samples(samples, np.arange(30)), meta_of("tiny", HASH))
     with pytest.raises(InputError, match=r"^30 samples of .*part are in .*points as well"):
         learn(data, tmp_path / "part")
     for name, count in (("whole", 200), ("first", 30)):
-        kept = pick(samples, np.arange(count))
-        rows = key_nodes(plain_model(context), kept, noise_px=1e-4)
+        kept = select_samples(samples, np.arange(count))
+        rows = key_nodes(untrained_model(context), kept, noise_px=1e-4)
         write_samples(tmp_path / name, inputs_alone(kept, rows), meta_of("tiny", HASH))
     read = len(np.unique(rows.sample))
     with pytest.raises(InputError, match=rf"^{read} samples of .*first are in .*whole as well"):
@@ -211,7 +215,9 @@ def test_derivatives_are_those_of_the_network(activation: str) -> None:
     net = CascadeNetwork(
         parameters=flat, activation=activation, scale_in=np.ones(10), scale_out=1.0
     )
-    np.testing.assert_allclose(_Cascade(flat, x, rectified=rectified).value, net(x), atol=1e-12)
+    np.testing.assert_allclose(
+        CascadeDerivatives(flat, x, rectified=rectified).value, net(x), atol=1e-12
+    )
     step = 1e-6
     slopes = np.stack(
         [
@@ -221,7 +227,7 @@ def test_derivatives_are_those_of_the_network(activation: str) -> None:
         ],
         axis=1,
     )
-    exact = _Cascade(flat, x, rectified=rectified).jacobian()
+    exact = CascadeDerivatives(flat, x, rectified=rectified).jacobian()
     np.testing.assert_allclose(exact, slopes, rtol=0.0, atol=1e-6 * np.abs(slopes).max())
 
 
@@ -235,7 +241,9 @@ def net_at(flat: np.ndarray, x: np.ndarray, activation: str) -> np.ndarray:
 def test_picked_samples_joined_again_are_the_same() -> None:
     whole = drawn(4, count=9)
     whole = replace(whole, sequence=np.sort(whole.sequence))
-    again = join([pick(whole, np.arange(4)), pick(whole, np.arange(4, 9))])
+    again = join_samples(
+        [select_samples(whole, np.arange(4)), select_samples(whole, np.arange(4, 9))]
+    )
     # Sequences are told apart between sets, and reasons come sorted.
     numbered = np.unique(whole.sequence[:4], return_inverse=True)[1]
     later = np.unique(whole.sequence[4:], return_inverse=True)[1] + numbered.max() + 1
@@ -247,7 +255,7 @@ def test_picked_samples_joined_again_are_the_same() -> None:
 
 def test_a_pick_leaves_out_what_belongs_to_others() -> None:
     whole = drawn(5, count=9)
-    part = pick(whole, np.array([2, 7]))
+    part = select_samples(whole, np.array([2, 7]))
     assert part.touches is not None
     assert whole.touches is not None
     assert part.truth is not None
@@ -260,11 +268,11 @@ def test_a_pick_leaves_out_what_belongs_to_others() -> None:
         part.touches.sample[part.truth.touch[owned]], part.truth.sample[owned]
     )
     with pytest.raises(InputError, match="8, 9 markers cannot be joined"):
-        join([whole, drawn(5, markers=8)])
+        join_samples([whole, drawn(5, markers=8)])
 
 
 def test_parts_share_no_sequence_and_hold_no_failed_sample(context: Context) -> None:
-    model = plain_model(context)
+    model = untrained_model(context)
     samples = pressed(context, 90, 2)
     status = np.where(np.arange(90) < 10, 2, 0)
     samples = replace(
@@ -276,7 +284,7 @@ def test_parts_share_no_sequence_and_hold_no_failed_sample(context: Context) -> 
         reason_index=np.zeros(10, dtype=np.int64),
     )
     item = DataSet(folder=Path("x"), samples=samples, meta=meta_of("tiny", HASH), sha256="0")
-    parts = share_out([item], model, noise_px=0.04, seed=0)
+    parts = split_data_sets([item], model, noise_px=0.04, seed=0)
     assert sum(part.count for part in parts) == 80
     assert abs(parts[0].count - SHARES[0] * 80) <= 3
     seen = [
@@ -287,7 +295,7 @@ def test_parts_share_no_sequence_and_hold_no_failed_sample(context: Context) -> 
     assert sorted(k for times in seen for k in times) == list(range(10, 90))
     groups = [{k // 3 for k in times} for times in seen]
     assert sum(len(group) for group in groups) == len(set.union(*groups))
-    few = share_out([item], model, noise_px=0.04, seed=0, limit=30)
+    few = split_data_sets([item], model, noise_px=0.04, seed=0, limit=30)
     times = [part.samples.time_s for part in few if part.samples is not None]
     assert sorted(np.concatenate(times)) == list(range(10, 40))
 
@@ -352,7 +360,7 @@ def test_the_command(context: Context, data: Path, tmp_path: Path) -> None:
 
 
 def test_sets_are_known_by_their_bytes(data: Path) -> None:
-    (item,) = read_sets([data], design_hash=HASH)
+    (item,) = read_data_sets([data], design_hash=HASH)
     assert item.has_points
     assert item.facts()["samples"] == 200
     assert len(item.sha256) == 64

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from phytac_decoder.estimation.decode import Frames, measure_frame, read_image, rest_positions
 from phytac_decoder.io.bundle import Bundle, load_bundle
+from phytac_decoder.pipeline.decode import Frames, measure_frame, read_image, rest_positions
 from phytac_design.cli.app import app
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
 from phytac_design.stages.build import build
-from phytac_design.stages.frames import Pressed, press, shoot
+from phytac_design.stages.frames import FrameContacts, draw_frame_contacts, render_sample
 from phytac_shapes.errors import InputError
 from tests.designs import of_shape
 
@@ -95,19 +95,19 @@ def test_forces_are_as_right_as_with_one_camera(built: dict[str, Path]) -> None:
     assert two < 1.1 * one
 
 
-def presses(design: Design, count: int) -> tuple[Context, Pressed]:
+def presses(design: Design, count: int) -> tuple[Context, FrameContacts]:
     accuracy = replace(PRESETS["draft"], frames=count)
     context = Context(design=design, accuracy=accuracy, seed=7, progress=lambda _: None)
-    return context, press(context)
+    return context, draw_frame_contacts(context)
 
 
 def decoded(bundle: Bundle, design: Design, count: int) -> tuple[float, float, int]:
     """Mean error and mean force (N) of all forces in a frame, and switches read wrongly."""
     context, pressed = presses(design, count)
-    rest = rest_positions(bundle, shoot(context, pressed, None))
+    rest = rest_positions(bundle, render_sample(context, pressed, None))
     off, force, wrong = [], [], 0
     for index, bits in enumerate(pressed.switching.bits):
-        measured = measure_frame(bundle, shoot(context, pressed, index), rest_px=rest)
+        measured = measure_frame(bundle, render_sample(context, pressed, index), rest_px=rest)
         truth = pressed.switching.receptor_force_N[index]
         off.append(abs(measured.forces_N(bundle, "koi_inverse").sum() - truth.sum()))
         force.append(truth.sum())
@@ -146,7 +146,7 @@ def test_wrong_frames_are_refused(built: dict[str, Path], pick: Any, words: str)
 
 def test_one_camera_takes_one_frame(built: dict[str, Path]) -> None:
     bundle = load_bundle(built["near"] / "decoder")
-    (frame,) = shoot(*presses(cylinder("near"), 1), 0)
+    (frame,) = render_sample(*presses(cylinder("near"), 1), 0)
     alone, listed = measure_frame(bundle, frame), measure_frame(bundle, [frame])
     np.testing.assert_array_equal(alone.shift_px, listed.shift_px)
     with pytest.raises(InputError, match=r"has one camera \(got 2 frames\); give one frame of it"):

@@ -13,8 +13,8 @@ from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
 from phytac_design.layout.worst_places import press_places
 from phytac_design.stages.loaded_views import (
-    LADDER,
-    Pressing,
+    LOAD_STEPS,
+    PressedShell,
     load_sentence,
     load_verdict,
     place_in_words,
@@ -48,7 +48,7 @@ def turns_apart_mm(context: Context, uv: FloatArray) -> FloatArray:
 
 def test_a_sector_is_enough_where_the_sensor_repeats(plain: Context) -> None:
     surface, markers = plain.surface, plain.markers
-    shell = Pressing(plain)
+    shell = PressedShell(plain)
     assert shell.repeats
     gap = np.ones(markers.count)
     gap[13] = 0.5
@@ -74,7 +74,7 @@ def test_presses_of_one_sector_stand_for_all(plain: Context) -> None:
     """A press turned by a column moves the markers by the same motion, turned."""
     lattice = plain.markers.lattice
     assert lattice is not None
-    shell = Pressing(plain)
+    shell = PressedShell(plain)
     uv = press_places(plain.surface, plain.markers, np.ones(plain.markers.count), 3, repeats=True)
     motion = shell.motions(uv, (1.0,))[0][:, 0, :, :3]
     turned = shell.motions(uv + np.array([0.0, lattice.pitch_v]), (1.0,))[0][:, 0, :, :3]
@@ -110,7 +110,7 @@ def test_large_displacement_only_where_something_happens() -> None:
     assert events.any()
     assert (found.first_force_N[events] < 25.0).all()
     assert (found.first_marker[events] >= 0).all()
-    assert facts["theory"].endswith(f"of {2 + events.sum() * (len(LADDER) - 1)} solves")
+    assert facts["theory"].endswith(f"of {2 + events.sum() * (len(LOAD_STEPS) - 1)} solves")
 
 
 def test_the_stage_says_from_when_and_where(tmp_path: Path) -> None:

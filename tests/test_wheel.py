@@ -77,8 +77,8 @@ from phytac_design.rules.design_review import checkup
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.rules.check import check_design
 from phytac_design.design.scene import load_scene
-from phytac_design.study.search.file import load_study
-from phytac_design.simulation.scenario.file import load_scenario
+from phytac_design.study.search.study_file import load_study
+from phytac_design.simulation.scenario.scenario_file import load_scenario
 print(len(shipped_designs()), check_design(load_design("cylinder60"))[1].count)
 print(load_scene("fingertip").name, load_study("dense-cone")[0].name, load_scenario("smoke").name)
 """

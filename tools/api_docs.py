@@ -32,9 +32,9 @@ MODULES: dict[str, tuple[str, ...]] = {
     "Mechanics": (
         "phytac_design/mechanics/meshing/mesh.py",
         "phytac_design/mechanics/shell/solve.py",
-        "phytac_design/mechanics/large/path.py",
+        "phytac_design/mechanics/large/load_path.py",
         "phytac_design/mechanics/pressing/press.py",
-        "phytac_design/simulation/bound.py",
+        "phytac_design/simulation/cramer_rao.py",
     ),
     "Data": (
         "phytac_design/workflows/simulate.py",
@@ -44,7 +44,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     ),
     "Decoding": (
         "decoder/phytac_decoder/io/bundle.py",
-        "decoder/phytac_decoder/estimation/decode.py",
+        "decoder/phytac_decoder/pipeline/decode.py",
         "decoder/phytac_decoder/estimation/estimators.py",
         "decoder/phytac_decoder/io/frame_sources.py",
         "decoder/phytac_decoder/serving/sensor_loop.py",
@@ -52,8 +52,8 @@ MODULES: dict[str, tuple[str, ...]] = {
     ),
     "Searching": (
         "phytac_design/study/planning/plan.py",
-        "phytac_design/study/search/file.py",
-        "phytac_design/study/search/drive.py",
+        "phytac_design/study/search/study_file.py",
+        "phytac_design/study/search/driver.py",
     ),
 }
 HEAD = """# API

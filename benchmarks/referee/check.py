@@ -20,7 +20,7 @@ from benchmarks.referee.read import Solved
 from benchmarks.referee.solve import input_key, sensor, sizes_for, solve_contact
 from phytac_design.mechanics.shell import receptor_stiffness as rc
 from phytac_design.mechanics.solid.cell import Cell, cell_stiffness, ratio
-from phytac_design.mechanics.solid.part import AS_TABLES, PartSizes
+from phytac_design.mechanics.solid.partial_solid import AS_TABLES, PartSizes
 from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes
 from phytac_shapes.arrays import FloatArray
 

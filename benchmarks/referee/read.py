@@ -23,7 +23,7 @@ from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
 SCHEMA = 1
-LEAST = 1e-3
+MOTION_MIN_SHARE = 1e-3
 """Tips that move less than this share of the peak are left out."""
 STEPS = 30_000
 """The largest component of an array is this many steps."""
@@ -43,7 +43,7 @@ class Solved:
     contact : Contact
         The load.
     motion_mm : (n, 3) float
-        Displacement of the centre of every receptor's end face; 0 where below ``LEAST``.
+        Displacement of the centre of every receptor's end face; 0 where below ``MOTION_MIN_SHARE``.
     kept : (k,) int
         Receptors that were modelled with tube and hole; the others stand on a smeared wall.
     turn_rad : (k, 3) float
@@ -156,7 +156,7 @@ def _digest(about: Mapping[str, Any], arrays: Mapping[str, Any]) -> str:
 
 def _pack(item: Solved) -> tuple[dict[str, Any], dict[str, Any]]:
     size = np.linalg.norm(item.motion_mm, axis=1)
-    ids = np.flatnonzero(size >= LEAST * item.peak_mm)
+    ids = np.flatnonzero(size >= MOTION_MIN_SHARE * item.peak_mm)
     motion, step_mm = _steps(item.motion_mm[ids])
     turn, step_rad = _steps(item.turn_rad)
     row = {

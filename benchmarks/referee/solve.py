@@ -28,7 +28,7 @@ from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.solid.load import solid_patch_load
-from phytac_design.mechanics.solid.part import AS_TABLES, PartMesh, PartSizes, part_mesh
+from phytac_design.mechanics.solid.partial_solid import AS_TABLES, PartMesh, PartSizes, part_mesh
 from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes
 from phytac_design.mechanics.solid.solid_writers import (
     ccx_version,
@@ -36,7 +36,7 @@ from phytac_design.mechanics.solid.solid_writers import (
     run_ccx,
     write_solid_inp,
 )
-from phytac_design.mechanics.solid.tips import tips_motion, tips_turn
+from phytac_design.mechanics.solid.tip_motion import tips_motion, tips_turn
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError, PhytacError

@@ -20,11 +20,11 @@ from matplotlib import pyplot as plt
 from recorded import Handle, hand, handle, messages_of, moving, read, words
 
 from phytac_decoder.serving.wire_protocol import Message
-from phytac_design.mechanics.shell.footprints import touch_shares
+from phytac_design.mechanics.shell.footprints import footprint_shares
 from phytac_design.simulation.run.job import Job
-from phytac_design.simulation.scenario.history import switch_through
+from phytac_design.simulation.scenario.viscoelasticity import switch_step
 from phytac_design.simulation.solver import Solver
-from phytac_design.workflows.simulate import eyes_of
+from phytac_design.workflows.simulate import imaging_model
 from phytac_shapes.arrays import FloatArray
 
 FPS = 60.0
@@ -53,9 +53,9 @@ class Sensor:
         self._solver = Solver(
             job.design, job.surface, unit, refine=job.refine, displacement="linear"
         )
-        self._eyes = eyes_of(job)
+        self._eyes = imaging_model(job)
         radius = job.design.switch.footprint_diameter_mm / 2.0
-        self._shares = touch_shares(job.surface, self._touches, unit.markers.uv, radius)
+        self._shares = footprint_shares(job.surface, self._touches, unit.markers.uv, radius)
         self._unit, self._frame = unit, 0
         self._rng = np.random.default_rng(0)
         self._motion = [
@@ -71,7 +71,7 @@ class Sensor:
     def read(self, force_N: FloatArray) -> Message:
         """The next frame, with forces (2,) N on the pads."""
         carried = force_N @ self._shares
-        self._bits = switch_through(self._bits, carried, self._unit.on_N, self._unit.off_N)
+        self._bits = switch_step(self._bits, carried, self._unit.on_N, self._unit.off_N)
         motion = sum(f * m for f, m in zip(force_N, self._motion, strict=True) if m is not None)
         seen = self._eyes.points(np.asarray(motion), self._bits, rng=self._rng)
         self._frame += 1

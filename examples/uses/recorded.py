@@ -13,21 +13,21 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
-from phytac_decoder.estimation.decode import Measured
 from phytac_decoder.estimation.force_regions import Region, load_regions
-from phytac_decoder.estimation.frame_reading import Reading
-from phytac_decoder.estimation.frame_reading import read as read_measured
 from phytac_decoder.io.bundle import Bundle, load_bundle
+from phytac_decoder.pipeline.decode import Measured
+from phytac_decoder.pipeline.frame_reading import Reading
+from phytac_decoder.pipeline.frame_reading import read as read_measured
 from phytac_decoder.serving.csv_recording import Recorder, RegionRecorder
-from phytac_decoder.serving.wire_protocol import Message, Messages
+from phytac_decoder.serving.wire_protocol import Message, MessageBuilder
 from phytac_design.datasets.samples import FAILED, Samples
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout.region_chart import chart_of_design
 from phytac_design.simulation.run.job import Job
-from phytac_design.simulation.scenario.file import Scenario, load_scenario, parse_scenario
-from phytac_design.simulation.scenario.hands import hand_of
+from phytac_design.simulation.scenario.grips import grip_section
+from phytac_design.simulation.scenario.scenario_file import Scenario, load_scenario, parse_scenario
 from phytac_design.stages.build import build
 from phytac_design.workflows.simulate import simulate
 from phytac_shapes.arrays import BoolArray, FloatArray
@@ -82,7 +82,7 @@ def moving(scenario: Scenario, force_N: FloatArray, along: FloatArray | None = N
     along : (s, p) float, optional
         How far each has slid, share of the sensor's length.
     """
-    pads, touch = hand_of(scenario).pads or [], scenario.touch
+    pads, touch = grip_section(scenario).pads or [], scenario.touch
     slid = np.zeros_like(force_N) if along is None else along
     at = [
         {
@@ -119,9 +119,9 @@ def press(sensor: Handle, scenario: Scenario, *, workers: int = 2) -> Samples:
     return samples
 
 
-def messages_of(sensor: Handle) -> Messages:
+def messages_of(sensor: Handle) -> MessageBuilder:
     """Makes the messages of one stream."""
-    return Messages(bundle=sensor.bundle, estimator=sensor.estimator, regions=sensor.regions)
+    return MessageBuilder(bundle=sensor.bundle, estimator=sensor.estimator, regions=sensor.regions)
 
 
 def decode(sensor: Handle, samples: Samples, *, fps: float) -> list[Message]:

@@ -41,10 +41,10 @@ def advise(
     from phytac_design.core.json_values import finite
     from phytac_design.design.accuracy import settings_of, with_settings
     from phytac_design.design.design_file import load_design
+    from phytac_design.study.advice.advice_report import as_dict, polish_text, polished_dict, text
     from phytac_design.study.advice.advise import advise as run
     from phytac_design.study.advice.files import write_advice, write_polished
-    from phytac_design.study.advice.polish import polish as improve
-    from phytac_design.study.advice.words import as_dict, polish_text, polished_dict, text
+    from phytac_design.study.advice.refinement import refine as improve
 
     loaded = load_design(design)
     chosen = with_settings(settings_of(accuracy.value), settings or [])

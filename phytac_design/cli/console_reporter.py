@@ -17,7 +17,7 @@ FLUSH_S = 1.0
 """At the end the last reports have this long to go out."""
 
 
-class Reports:
+class ConsoleReporter:
     """Lines on standard error, written by a thread of its own.
 
     A call returns at once, whatever is behind standard error: where a pipe is full or closed,

@@ -138,10 +138,10 @@ def is_image(where: str) -> bool:
 
 def _decode_frame(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: Wanted) -> None:
     """One frame of each camera, in full."""
-    from phytac_decoder.estimation.decode import measure_frame, read_image
     from phytac_decoder.estimation.force_regions import RegionForces
-    from phytac_decoder.estimation.frame_reading import pushes, read
-    from phytac_decoder.vision.colour_calibration import calibrate_rest
+    from phytac_decoder.pipeline.colour_calibration import calibrate_rest
+    from phytac_decoder.pipeline.decode import measure_frame, read_image
+    from phytac_decoder.pipeline.frame_reading import marker_loads, read
 
     images = [read_image(Path(where)) for where in wanted.source]
     if wanted.rest:
@@ -151,7 +151,7 @@ def _decode_frame(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: Wante
     reading = read(bundle, measured, chosen)
     koi, forces, warnings = reading.koi, reading.forces_N, reading.warnings
     contacts = reading.found.contacts if reading.found else []
-    pressed = pushes(reading, koi, bundle.position_mm)
+    pressed = marker_loads(reading, koi, bundle.position_mm)
     total_N = float(pressed.force_N.sum())
     sums = RegionForces(regions=regions, markers=len(forces))
     held = dict(
@@ -268,7 +268,7 @@ def _decode_recording(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: W
 
     from phytac_decoder.io.frame_sources import open_source
     from phytac_decoder.serving.sensor_loop import Stream
-    from phytac_decoder.serving.wire_protocol import Messages
+    from phytac_decoder.serving.wire_protocol import MessageBuilder
 
     check_sources(bundle.design, len(bundle.cameras), wanted.source)
     _check_files(wanted)
@@ -288,7 +288,7 @@ def _decode_recording(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: W
         stream = Stream(
             source=frames,
             decode=reader,
-            messages=Messages(
+            messages=MessageBuilder(
                 bundle=bundle,
                 estimator=wanted.chosen,
                 source=frames.said,

@@ -67,7 +67,7 @@ def import_(
 ) -> None:
     """Read your own rig: a log of contacts, and images or video, as a data set."""
     from phytac_design.design.design_file import load_design
-    from phytac_design.workflows.import_rig import Settings, import_rig
+    from phytac_design.workflows.import_rig import ImportSettings, import_rig
 
     done = import_rig(
         load_design(design),
@@ -77,7 +77,7 @@ def import_(
         out=out,
         rest=rest or [],
         cameras=camera or [],
-        settings=Settings(
+        settings=ImportSettings(
             off_mm=off,
             tolerance_s=tolerance,
             offset_s=offset,

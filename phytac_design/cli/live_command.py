@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from phytac_design.cli.console_reporter import Reports
+from phytac_design.cli.console_reporter import ConsoleReporter
 from phytac_design.cli.serve_command import (
     DesignOption,
     EstimatorOption,
@@ -52,7 +52,7 @@ def live(
     from phytac_decoder.io.frame_sources import open_source
     from phytac_decoder.serving.live_view import LiveView
     from phytac_decoder.serving.sensor_loop import Stream
-    from phytac_decoder.serving.wire_protocol import Messages
+    from phytac_decoder.serving.wire_protocol import MessageBuilder
 
     loaded = load_bundle(bundle)
     named = named_regions(regions, loaded, bundle, design)
@@ -63,7 +63,7 @@ def live(
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     stopped = False
     with contextlib.ExitStack() as stack:
-        tell = stack.enter_context(Reports())
+        tell = stack.enter_context(ConsoleReporter())
         frames = open_source(
             source,
             fps=fps,
@@ -73,7 +73,7 @@ def live(
             report=tell,
         )
         stack.callback(frames.close)
-        messages = Messages(
+        messages = MessageBuilder(
             bundle=loaded,
             estimator=chosen,
             source=frames.said,

@@ -56,13 +56,13 @@ def press(
     from phytac_design.design.design_file import load_design
     from phytac_design.layout import make_markers
     from phytac_design.mechanics.pressing import press as mechanics
-    from phytac_design.mechanics.pressing.place import place_of
+    from phytac_design.mechanics.pressing.contact_patch import parse_contact_patch
     from phytac_design.mechanics.pressing.press_report import press_dict, press_text, press_warnings
 
     loaded = load_design(design)
     surface = loaded.surface()
     markers = make_markers(loaded, surface)
-    place = place_of(loaded, surface, markers, force_N=force, at=at, radius_mm=radius)
+    place = parse_contact_patch(loaded, surface, markers, force_N=force, at=at, radius_mm=radius)
     accepted = tolerance / 100.0
     result = mechanics.press(
         loaded,
@@ -108,7 +108,7 @@ def mesh(
     """Write meshes with sets, section, material and a load step: ccx runs them as they are."""
     from phytac_design.design.design_file import load_design
     from phytac_design.layout import make_markers
-    from phytac_design.mechanics.pressing.place import place_of
+    from phytac_design.mechanics.pressing.contact_patch import parse_contact_patch
     from phytac_design.mechanics.solid import mesh_files
 
     kinds = [kind.strip() for kind in formats.split(",") if kind.strip()]
@@ -116,7 +116,7 @@ def mesh(
     loaded = load_design(design)
     surface = loaded.surface()
     markers = make_markers(loaded, surface)
-    place = place_of(loaded, surface, markers, force_N=force, at=at, radius_mm=radius)
+    place = parse_contact_patch(loaded, surface, markers, force_N=force, at=at, radius_mm=radius)
     if solid:
         mesh_files.check_solid(loaded, surface, markers, place, size=size)
     mesh_files.make_folder(out)

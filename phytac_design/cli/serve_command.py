@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from phytac_design.cli.console_reporter import Reports
+from phytac_design.cli.console_reporter import ConsoleReporter
 from phytac_design.cli.options import say
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError, OutputError
@@ -116,9 +116,9 @@ def serve(
     from phytac_decoder.io.frame_sources import open_source
     from phytac_decoder.io.imu import Imu
     from phytac_decoder.io.serial_port import SerialPort
-    from phytac_decoder.serving.force_server import Server
+    from phytac_decoder.serving.force_server import StreamServer
     from phytac_decoder.serving.sensor_loop import Progress, Stream
-    from phytac_decoder.serving.wire_protocol import Messages
+    from phytac_decoder.serving.wire_protocol import MessageBuilder
 
     loaded = load_bundle(bundle)
     named = named_regions(regions, loaded, bundle, design)
@@ -130,7 +130,7 @@ def serve(
     # Whoever runs it as a service stops it by SIGTERM.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with contextlib.ExitStack() as stack:
-        tell = stack.enter_context(Reports())
+        tell = stack.enter_context(ConsoleReporter())
         frames = open_source(
             source,
             fps=fps,
@@ -141,7 +141,7 @@ def serve(
         )
         stack.callback(frames.close)
         started_s = time.monotonic()
-        messages = Messages(
+        messages = MessageBuilder(
             bundle=loaded,
             estimator=chosen,
             source=frames.said,
@@ -155,7 +155,7 @@ def serve(
             stack.callback(motion.close)
             check_motion(loop=loop, port=motion.is_port)
         server = stack.enter_context(
-            Server(
+            StreamServer(
                 messages.hello(),
                 host=host,
                 port=port,
@@ -259,8 +259,8 @@ def rest_images(
     InputError
         If both are given, or they cannot be read.
     """
-    from phytac_decoder.estimation.decode import read_image
     from phytac_decoder.io.frame_sources import first_frames
+    from phytac_decoder.pipeline.decode import read_image
 
     if rest and first:
         raise InputError("--rest and --rest-first name the unloaded sensor both; give one of them")
@@ -280,20 +280,20 @@ def decoder_of(
     InputError
         If markers are to be followed from nowhere.
     """
+    from phytac_decoder.pipeline.colour_calibration import calibrate_rest
     from phytac_decoder.serving.sensor_loop import follow_decoder, frame_decoder
-    from phytac_decoder.vision.colour_calibration import calibrate_rest
-    from phytac_decoder.vision.torn_frames import watched
+    from phytac_decoder.serving.torn_frames import with_torn_frame_check
 
     if unloaded:
         bundle = calibrate_rest(bundle, unloaded)
     if not follow:
-        return watched(frame_decoder(bundle, estimator=estimator))
+        return with_torn_frame_check(frame_decoder(bundle, estimator=estimator))
     if not unloaded:
         raise InputError(
             "--follow begins at a frame of the unloaded sensor; give it with --rest, or say with "
             "--rest-first that the recording begins with it"
         )
-    return watched(follow_decoder(bundle, unloaded, estimator=estimator))
+    return with_torn_frame_check(follow_decoder(bundle, unloaded, estimator=estimator))
 
 
 def open_to_others(address: str) -> list[str]:

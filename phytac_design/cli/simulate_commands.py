@@ -82,7 +82,7 @@ def simulate(
     """
     from phytac_design.design.design_file import load_design
     from phytac_design.simulation.run.job import Job
-    from phytac_design.simulation.scenario.file import load_scenario, parse_scenario
+    from phytac_design.simulation.scenario.scenario_file import load_scenario, parse_scenario
     from phytac_design.workflows.simulate import simulate as run
 
     loaded, wanted = load_design(design), load_scenario(scenario)
@@ -137,7 +137,7 @@ def simulate(
 
 def scenarios(as_json: JsonOption = False) -> None:
     """List the shipped scenarios."""
-    from phytac_design.simulation.scenario.file import load_scenario, shipped_scenarios
+    from phytac_design.simulation.scenario.scenario_file import load_scenario, shipped_scenarios
 
     known = {name: load_scenario(name).description for name in shipped_scenarios()}
     if as_json:

@@ -26,18 +26,18 @@ def studio(
     folder `exports`, studies are found in it.
     """
     try:
-        from phytac_design.studio.server import Running, look
+        from phytac_design.studio.server import StudioServer, open_browser
     except ModuleNotFoundError as error:
         if error.name not in {"starlette", "uvicorn"}:
             raise
         raise MissingPartError(
             f"the studio needs {error.name}; pip install 'phytac-design[studio]'"
         ) from None
-    running = Running(Path.cwd(), design, port=port)
+    running = StudioServer(Path.cwd(), design, port=port)
 
     def ready(url: str) -> None:
         say(f"the studio of {Path.cwd()}: {url} (for this machine alone; Ctrl-C stops)")
-        if browser and not look(url):
+        if browser and not open_browser(url):
             say("no browser was found; open that address in one")
 
     try:

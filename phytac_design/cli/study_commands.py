@@ -85,10 +85,10 @@ def _run(
     *,
     as_json: bool,
 ) -> None:
-    from phytac_design.study.search.drive import run_study
-    from phytac_design.study.search.file import load_study
+    from phytac_design.study.search.driver import run_study
     from phytac_design.study.search.report import read_results, summary, write_page
     from phytac_design.study.search.space import make_space
+    from phytac_design.study.search.study_file import load_study
     from phytac_shapes.errors import DesignError
 
     study, folder = load_study(name)
@@ -153,7 +153,7 @@ def _list_measures(*, as_json: bool) -> None:
 
 
 def _list_studies() -> None:
-    from phytac_design.study.search.file import load_study, shipped_studies
+    from phytac_design.study.search.study_file import load_study, shipped_studies
 
     for name in shipped_studies():
         typer.echo(f"{name:24s} {load_study(name)[0].description}")

@@ -42,7 +42,7 @@ def switch(
     """
     from phytac_design.design.design_file import load_design
     from phytac_design.mechanics.switch.design import design_switch
-    from phytac_design.mechanics.switch.receptor import chosen_rubber, rubber_of, space_of
+    from phytac_design.mechanics.switch.line_plot import check_svg, write_svg
     from phytac_design.mechanics.switch.report import (
         curve_plot,
         switch_dict,
@@ -50,7 +50,7 @@ def switch(
         warnings,
     )
     from phytac_design.mechanics.switch.space import Tolerance
-    from phytac_design.mechanics.switch.svg import check_svg, write_svg
+    from phytac_design.mechanics.switch.switch_inputs import chosen_rubber, rubber_of, space_of
 
     if plot:
         check_svg(plot)

@@ -83,7 +83,7 @@ def build_within(
         read_seconds,
         read_tolerance,
     )
-    from phytac_design.study.tradeoff.knobs import Quantity
+    from phytac_design.study.tradeoff.settings import Quantity
     from phytac_shapes.errors import DesignError
 
     known = {name: name for name in get_args(Quantity) if name != "score"}

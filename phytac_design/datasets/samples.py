@@ -126,7 +126,7 @@ class Samples:
     time_s : (s,) float
         When each sample was taken.
     sequence : (s,) int
-        Samples with a common history (one press) share a number; see :func:`split`.
+        Samples with a common history (one press) share a number; see :func:`split_sequences`.
     light : (s,) float
         Brightness of the light over that at the start; 1 where it was not measured.
     status, theory : (s,) int
@@ -193,7 +193,7 @@ class Samples:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Meta:
+class DataSetInfo:
     """What a data set is and where it comes from.
 
     Attributes
@@ -311,7 +311,7 @@ def _step(noise: FloatArray, otherwise: float) -> float:
     return power_of_two_below(STEP_SHARE * float(noise.min())) if len(noise) else otherwise
 
 
-def split(samples: Samples, shares: Sequence[float], *, seed: int) -> list[IntArray]:
+def split_sequences(samples: Samples, shares: Sequence[float], *, seed: int) -> list[IntArray]:
     """Samples shared out at random, sorted in each part; a sequence stays in one part.
 
     Failed samples are in none. Every part gets at least one sequence.

@@ -19,8 +19,8 @@ from phytac_design.datasets.samples import (
     INDENTERS,
     STATUSES,
     THEORIES,
+    DataSetInfo,
     KeyNodeRows,
-    Meta,
     Samples,
     TouchRows,
     TruthRows,
@@ -81,7 +81,7 @@ def read_samples(
     expect_design_hash: str | None = None,
     check_frames: bool = False,
     bytes_max: int = BYTES_MAX,
-) -> tuple[Samples, Meta]:
+) -> tuple[Samples, DataSetInfo]:
     """Read a data set back, with every check there is.
 
     Parameters
@@ -184,11 +184,11 @@ def _counts(table: Mapping[str, Any], folder: Path) -> dict[str, int]:
     return counts
 
 
-def _meta(table: Mapping[str, Any]) -> Meta:
+def _meta(table: Mapping[str, Any]) -> DataSetInfo:
     seed = table["seed"]
     if type(table["simulated"]) is not bool or (seed is not None and type(seed) is not int):
         raise TypeError("simulated or seed is of another kind")
-    return Meta(
+    return DataSetInfo(
         simulated=table["simulated"],
         what=_text(table["what"]),
         design=_text(table["design"]),

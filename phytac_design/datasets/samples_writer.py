@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_design.datasets.samples import INDENTERS, STATUSES, THEORIES, Meta, Samples
+from phytac_design.datasets.samples import INDENTERS, STATUSES, THEORIES, DataSetInfo, Samples
 from phytac_design.datasets.samples_check import (
     ARRAYS,
     COUNTS,
@@ -44,8 +44,8 @@ KEY = [name.removeprefix("key_") for name in names_of(["key_nodes"])]
 
 
 def write_samples(
-    folder: Path, samples: Samples, meta: Meta, *, frames: Sequence[str] = ()
-) -> Meta:
+    folder: Path, samples: Samples, meta: DataSetInfo, *, frames: Sequence[str] = ()
+) -> DataSetInfo:
     """Write a data set, whole or not at all; the same samples always give the same bytes.
 
     Parameters
@@ -241,7 +241,7 @@ def table_hash(table: Mapping[str, Any]) -> str:
 
 def _table(
     samples: Samples,
-    meta: Meta,
+    meta: DataSetInfo,
     arrays: Mapping[str, NDArray[Any]],
     scales: Mapping[str, Mapping[str, float]],
     counts: Mapping[str, int],

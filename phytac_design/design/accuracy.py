@@ -131,7 +131,7 @@ def settings_of(accuracy: str | Accuracy) -> Accuracy:
     return PRESETS[accuracy]
 
 
-def name_of(accuracy: Accuracy) -> str:
+def preset_name(accuracy: Accuracy) -> str:
     """Name of the preset that these settings are, or ``custom``."""
     return next((name for name, preset in PRESETS.items() if preset == accuracy), "custom")
 

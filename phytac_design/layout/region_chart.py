@@ -4,7 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from phytac_decoder.estimation.force_regions import Chart, Region, load_regions, regions_of
+from phytac_decoder.estimation.force_regions import (
+    MarkerChart,
+    Region,
+    load_regions,
+    resolve_regions,
+)
 from phytac_decoder.io.bundle import Bundle
 from phytac_design.design.design_file import design_hash, load_design
 from phytac_design.design.spec import Design
@@ -13,12 +18,12 @@ from phytac_shapes import Surface
 from phytac_shapes.errors import DesignError, InputError
 
 
-def chart_of(surface: Surface, markers: Markers) -> Chart:
+def chart_of(surface: Surface, markers: Markers) -> MarkerChart:
     """Rows, columns and shares of the chart of markers."""
     low, high = surface.domain.T
     share = (markers.uv - low) / (high - low)
     closed = bool(surface.periodic[1])
-    return Chart(
+    return MarkerChart(
         row=markers.row,
         column=markers.column,
         along=np.clip(share[:, 0], 0.0, 1.0),
@@ -27,7 +32,7 @@ def chart_of(surface: Surface, markers: Markers) -> Chart:
     )
 
 
-def chart_of_design(design: Design) -> Chart:
+def chart_of_design(design: Design) -> MarkerChart:
     """Rows, columns and shares of the chart of a design's markers."""
     surface = design.surface()
     return chart_of(surface, make_markers(design, surface))
@@ -50,7 +55,7 @@ def design_regions(design: Design) -> tuple[Region, ...]:
     tables = [region.table() for region in design.regions]
     position_mm = surface.point(markers.uv)
     try:
-        return regions_of(tables, "", position_mm, chart_of(surface, markers))
+        return resolve_regions(tables, "", position_mm, chart_of(surface, markers))
     except InputError as error:
         raise DesignError(str(error)) from None
 

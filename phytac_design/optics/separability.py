@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from phytac_decoder.vision.segmentation import COSINE_MIN, ColourModel
+from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel
 from phytac_design.design.spec import Design
 from phytac_design.optics.light import EVEN, FROM_AXIS, FROM_CAMERA
 from phytac_design.optics.paint import paints_of, to_linear, to_srgb
@@ -128,7 +128,7 @@ def separability(
     cosine = np.sum(chroma[first] * chroma[second], axis=1) / (size[first] * size[second])
     hue = np.arccos(np.clip(cosine, -1.0, 1.0))
     # Beyond its own cone a pixel belongs to no paint: no margin is wider than that.
-    half = np.minimum(hue / 2.0, np.arccos(COSINE_MIN))
+    half = np.minimum(hue / 2.0, np.arccos(HUE_COSINE_MIN))
     away = np.linalg.norm(uv[first] - uv[second], axis=1)
     noise, noise_uv = max(spread, 1e-12), np.maximum(uv_noise, 1e-12)
     floor = full.floor * np.linalg.norm(full.chroma, axis=1)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.vision.segmentation import ColourModel, segment
-from phytac_decoder.vision.switch_detection import RED_RATIO
+from phytac_decoder.vision.switch_detection import RED_RATIO_MIN
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import camera_of, refuse_swallowed, tolerance_mm
@@ -95,12 +95,12 @@ class Visibility:
 
     @property
     def switch_unreadable(self) -> BoolArray:
-        """Markers whose tip does not show ``RED_RATIO`` times its red at rest when out, (n,).
+        """Markers whose tip does not show ``RED_RATIO_MIN`` times its red at rest when out, (n,).
 
         A camera that looks straight into a hole sees the resting tip too: such a switch tells
         nothing, whatever its threshold.
         """
-        return np.asarray(self.red_on_px < RED_RATIO * self.red_rest_px + PIXELS_MIN)
+        return np.asarray(self.red_on_px < RED_RATIO_MIN * self.red_rest_px + PIXELS_MIN)
 
     def summary(self) -> dict[str, float]:
         """Figures of the report: counts of failures, and the least of what has to be large."""

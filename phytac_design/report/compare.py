@@ -130,7 +130,7 @@ def shells_section(builds: Sequence[Build]) -> str:
         "</div></div>"
         for number, build in enumerate(builds)
     ]
-    return "<p>Coloured alike, on one scale; they turn together.</p>" + page.pair(*parts)
+    return "<p>Coloured alike, on one scale; they turn together.</p>" + page.side_by_side(*parts)
 
 
 def pictures_section(builds: Sequence[Build]) -> str:
@@ -142,7 +142,7 @@ def pictures_section(builds: Sequence[Build]) -> str:
             for build in builds
             if name in build.images
         ]
-        out.append(page.pair(*shown))
+        out.append(page.side_by_side(*shown))
     return "".join(out)
 
 

@@ -48,9 +48,11 @@ def mechanics_section(context: Context, report: Mapping[str, Any], draw: Drawing
     unknown = report["response"]["receptors_unknown"]
     note = f'<p class="foot">The wall is taken as plain: {unknown}.</p>' if unknown else ""
     return (
-        page.pair(*maps)
+        page.side_by_side(*maps)
         + page.table(("figure", "value"), list(figures.items()))
         + note
         + "<h3>Mesh for other solvers, and the printed shell</h3>"
-        + page.pair(page.facts(report["mesh"], "mesh"), page.facts(report["shell"], "shell"))
+        + page.side_by_side(
+            page.facts(report["mesh"], "mesh"), page.facts(report["shell"], "shell")
+        )
     )

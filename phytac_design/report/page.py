@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from html import escape, unescape
 from typing import Any
 
-from phytac_design.report.names import absent_why, name_of, place_of
+from phytac_design.report.figure_names import absent_why, name_of, place_of
 
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; margin: 0 auto; max-width: 68rem; padding: 1rem;
@@ -185,7 +185,7 @@ def images_of(html: str) -> dict[str, bytes]:
     return {unescape(name): b64decode(source) for name, source in found}
 
 
-def drawing(svg: str, caption: str) -> str:
+def svg_figure(svg: str, caption: str) -> str:
     """Inline SVG that shrinks with the page, and its caption."""
     size = re.search(r'<svg [^>]*?width="([\d.]+)" height="([\d.]+)"', svg)
     if size and "viewBox" not in svg:
@@ -193,12 +193,12 @@ def drawing(svg: str, caption: str) -> str:
     return f"<figure>{svg}<figcaption>{escape(caption)}</figcaption></figure>"
 
 
-def pair(*parts: str) -> str:
+def side_by_side(*parts: str) -> str:
     """Figures side by side where there is room."""
     return f'<div class="pair">{"".join(parts)}</div>'
 
 
-def folded(summary: str, html: str) -> str:
+def details(summary: str, html: str) -> str:
     """HTML that shows when its summary is chosen, and in print."""
     return f"<details><summary>{escape(summary)}</summary>{html}</details>"
 

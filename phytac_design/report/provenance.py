@@ -102,8 +102,8 @@ def provenance_section(context: Context, report: Mapping[str, Any]) -> str:
         f"{hashes}{versions}<p>The same design, program and seed give the same files. Those beside "
         "this page, as the stages wrote them (design name and regions are stamped into the "
         "decoder's afterwards):</p>"
-        + page.folded(f"{len(files)} files", listed)
-        + page.folded(
+        + page.details(f"{len(files)} files", listed)
+        + page.details(
             "The design file, every field",
             f'<pre tabindex="0">{escape(to_toml(context.design))}</pre>',
         )

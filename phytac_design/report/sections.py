@@ -10,12 +10,12 @@ from phytac_design.engine.stage import Context
 from phytac_design.optics.density import density_map
 from phytac_design.optics.separability import check_paints, separability_svg
 from phytac_design.optics.sharpness import DIRECTIONS
-from phytac_design.report import figures, maps, names, page, scores
+from phytac_design.report import figure_names, figures, maps, page, scores
 from phytac_design.report.drawing import MARKS, Drawing, of_camera, photo
 from phytac_design.report.explorer import GAP_PX, explorer_section
-from phytac_design.report.fabrication import fabrication_section
+from phytac_design.report.fabrication_section import fabrication_section
 from phytac_design.report.mechanics import mechanics_section
-from phytac_design.report.pressed import press_pictures, press_slider
+from phytac_design.report.press_pictures import press_pictures, press_slider
 from phytac_design.report.provenance import provenance_section, time_section
 from phytac_design.report.switches import switch_section
 
@@ -47,11 +47,11 @@ def visibility_table(report: Mapping[str, Any]) -> str:
         }
     if report["straight"]:
         columns["straight rows, same counts"] = report["straight"]
-    keys = [key for key in report["visibility"] if f"visibility.{key}" not in names.NAMES]
-    known = [path.split(".")[1] for path in names.NAMES if path.startswith("visibility.")]
+    keys = [key for key in report["visibility"] if f"visibility.{key}" not in figure_names.NAMES]
+    known = [path.split(".")[1] for path in figure_names.NAMES if path.startswith("visibility.")]
     rows = [
         (
-            names.name_of(f"visibility.{key}"),
+            figure_names.name_of(f"visibility.{key}"),
             *(_or_why(f"visibility.{key}", column.get(key)) for column in columns.values()),
         )
         for key in [*(key for key in known if key in report["visibility"]), *keys]
@@ -60,7 +60,7 @@ def visibility_table(report: Mapping[str, Any]) -> str:
 
 
 def _or_why(path: str, value: Any) -> Any:
-    why = names.absent_why(path) if page.missing(value) else ""
+    why = figure_names.absent_why(path) if page.missing(value) else ""
     return f"{page.DASH} ({why})" if why else value
 
 
@@ -80,7 +80,7 @@ def camera_section(context: Context, report: Mapping[str, Any], draw: Drawing) -
         shown += photo(
             context, "views", f"ids{mark}.png", f"Exact ID map: one colour per marker{whose}"
         )
-        parts.append(page.pair(shown))
+        parts.append(page.side_by_side(shown))
     why = context.facts("compare").get("why")
     if not page.missing(why):
         parts.append(
@@ -89,7 +89,7 @@ def camera_section(context: Context, report: Mapping[str, Any], draw: Drawing) -
     parts.append(visibility_table(report))
     gap = np.minimum(arrays["gap_same_colour_px"], GAP_PX)
     parts.append(
-        page.pair(
+        page.side_by_side(
             draw.both(
                 arrays["visible_fraction"],
                 "Visible fraction of each marker (hidden ones ringed)",
@@ -157,7 +157,7 @@ def lens_section(context: Context, report: Mapping[str, Any]) -> str:
             f"<p>In focus at {lens['focus_mm']:.1f} mm from the camera; images of points are no "
             f"wider than a pixel from {lens['depth_near_mm']:.1f} mm {reach}, and at most "
             f"{lens['max_blur_px']:.2g} px at the markers (thin lens, camera.f_number and "
-            "camera.pixel_um).</p>" + page.folded("Each row", page.table(head, rows))
+            "camera.pixel_um).</p>" + page.details("Each row", page.table(head, rows))
         )
         if any(page.missing(value) for row in rows for value in row):
             parts.append(
@@ -184,7 +184,7 @@ def under_load_section(context: Context, report: Mapping[str, Any], draw: Drawin
     return (
         f"<p>{escape(load['sentence'])}</p>"
         + slider_of(context, report)
-        + page.pair(
+        + page.side_by_side(
             draw.both(
                 arrays["crosstalk_px"],
                 "Crosstalk: greatest shift of a centroid that is not its marker's own motion",
@@ -228,7 +228,7 @@ def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawin
         "stated prior: no estimator without bias is better on average. Least standard "
         "deviations:</p>"
         + page.table(("contact of", *head), rows)
-        + page.pair(
+        + page.side_by_side(
             draw.on_surface(
                 arrays["force_N_10"],
                 "Least standard deviation of a force of 10 N",
@@ -248,14 +248,14 @@ def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawin
 
 def markers_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
     """Density and paints."""
-    return page.pair(
+    return page.side_by_side(
         draw.on_surface(
             density_map(context.surface, context.markers).per_cm2,
             "Local density: markers around each one over their area",
             "per cm²",
             name="density",
         ),
-        page.drawing(
+        page.svg_figure(
             separability_svg(check_paints(context.design)),
             "The paints under the light: three standard deviations of one pixel, and the "
             "decoder's borders",
@@ -280,7 +280,7 @@ def frames_section(context: Context, report: Mapping[str, Any], table: str) -> s
     )
     return (
         f"{table}<p>({page.number(PAPER)}.)</p>"
-        + page.pair(shown)
+        + page.side_by_side(shown)
         + page.facts(report["frames"], "frames")
     )
 
@@ -324,7 +324,7 @@ def sections_of(context: Context, report: Mapping[str, Any]) -> list[tuple[str, 
             "Assumptions",
             "<p>Not stated by the paper; set these to your own parts. Names as in the design "
             "file.</p>"
-            + page.folded("All of them", page.facts(report["assumptions"], "assumptions")),
+            + page.details("All of them", page.facts(report["assumptions"], "assumptions")),
         ),
         ("Time and plan", time_section(context, report)),
         ("Provenance", provenance_section(context, report)),

@@ -40,9 +40,9 @@ def switch_section(context: Context, report: Mapping[str, Any]) -> str:
     return (
         page.table(head, rows)
         + "".join(f'<p class="foot">{escape(sentence(text))}</p>' for text in minded)
-        + page.pair(
+        + page.side_by_side(
             *(
-                page.drawing(path.read_text(encoding="utf-8"), f"Force over stroke: {path.stem}")
+                page.svg_figure(path.read_text(encoding="utf-8"), f"Force over stroke: {path.stem}")
                 for path in curves
             )
         )

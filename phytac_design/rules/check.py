@@ -5,7 +5,7 @@ from phytac_design.fabrication.hardware.assembly import check_hardware
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import cameras_of, refuse_swallowed
 from phytac_design.layout.region_chart import design_regions
-from phytac_design.mechanics.switch.receptor import rubber_of
+from phytac_design.mechanics.switch.switch_inputs import rubber_of
 from phytac_design.optics.separability import check_paints
 from phytac_design.optics.sharpness import sharpness
 from phytac_design.rules.bodies import check_cameras, check_fixtures

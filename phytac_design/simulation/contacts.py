@@ -23,9 +23,9 @@ JITTER_MM = 1.0
 JITTER_SHARE = 1.0 / 3.0
 """But within this share of the smallest patch's radius, on the smallest sensors."""
 TRIES = 400
-POOL = 2048
+PLACES_PER_DRAW = 2048
 """Places drawn at once: charts are cheaper by the thousand than one by one."""
-EMPTY_POOLS = 50
+EMPTY_DRAWS_MAX = 50
 """Draws without a single place that end the search."""
 
 
@@ -160,31 +160,31 @@ def _places(
     empty = 0
     while True:
         if placement == "anywhere" or len(held) == 0:
-            uv = by_area(surface, rng.random((POOL, 2)))
+            uv = by_area(surface, rng.random((PLACES_PER_DRAW, 2)))
             uv = uv[surface.sensing(uv)]
         else:
-            ids = held[rng.integers(len(held), size=POOL)]
-            uv = _beside(surface, markers, ids, rng, jitter_mm)
+            ids = held[rng.integers(len(held), size=PLACES_PER_DRAW)]
+            uv = _near_markers(surface, markers, ids, rng, jitter_mm)
         if inside is not None:
             uv = uv[inside(uv)]
         empty = 0 if len(uv) else empty + 1
-        if empty == EMPTY_POOLS:
+        if empty == EMPTY_DRAWS_MAX:
             raise DesignError(
-                f"no contact can be drawn: {EMPTY_POOLS * POOL} places drawn, none of them in the "
+                f"no contact can be drawn: {EMPTY_DRAWS_MAX * PLACES_PER_DRAW} places drawn, none of them in the "
                 "regions asked for; widen along and around"
             )
         yield from zip(uv, surface.point(uv), strict=True)
 
 
-def _beside(
+def _near_markers(
     surface: Surface, markers: Markers, ids: IntArray, rng: np.random.Generator, jitter_mm: float
 ) -> FloatArray:
     """Places (m, 2) within ``jitter_mm`` of markers (m,), along and around, within open edges."""
     step = rng.uniform(-jitter_mm, jitter_mm, size=(len(ids), 2))
-    return beside(surface, markers.uv[ids], step)
+    return tangent_step(surface, markers.uv[ids], step)
 
 
-def beside(surface: Surface, uv: FloatArray, step_mm: FloatArray) -> FloatArray:
+def tangent_step(surface: Surface, uv: FloatArray, step_mm: FloatArray) -> FloatArray:
     """Chart positions at steps (m, 2) along and around from ``uv`` (m, 2), within open edges.
 
     Steps are taken in the tangent plane and brought back to the surface, so that they are as
@@ -215,10 +215,10 @@ def switch_states(
     )
     total = np.zeros((contacts.samples, markers.count))
     np.add.at(total, contacts.sample, share * contacts.force_N[:, None])
-    return share_out(contacts, share, total > thresholds_N(design, markers))
+    return assign_forces(contacts, share, total > thresholds_N(design, markers))
 
 
-def share_out(contacts: Contacts, share: FloatArray, bits: BoolArray) -> Switching:
+def assign_forces(contacts: Contacts, share: FloatArray, bits: BoolArray) -> Switching:
     """Who presses the switches that are on, and the truth per receptor.
 
     Parameters

@@ -14,7 +14,7 @@ from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)
-class Expected:
+class ExpectedView:
     """Expectations over n markers, measured in frames by the decoder's segmentation.
 
     Attributes
@@ -39,7 +39,7 @@ def colour_model(design: Design) -> tuple[ColourModel, IntArray]:
     return model, np.array([names.index(name) for name in design.layout.colours])
 
 
-def expectations(
+def measure_expected(
     design: Design,
     markers: Markers,
     *,
@@ -47,7 +47,7 @@ def expectations(
     on_frame: ImageArray,
     marker_px: FloatArray,
     red_px: FloatArray,
-) -> Expected:
+) -> ExpectedView:
     """Measure rest positions, tip bias and red areas in two noise-free frames.
 
     Parameters
@@ -71,7 +71,7 @@ def expectations(
     red = model.names.index("red")
     rest_area = _red_area(segment(rest_frame, model, area_min_px=1), red, red_px)
     on_area = _red_area(segment(on_frame, model, area_min_px=1), red, red_px)
-    return Expected(
+    return ExpectedView(
         rest_px=rest,
         tip_bias_px=bias,
         tips=TipModel(on_px=red_px, red_rest_px=rest_area, red_on_px=on_area),

@@ -21,11 +21,11 @@ import numpy as np
 from scipy.sparse import csc_matrix, hstack
 from scipy.sparse.linalg import splu
 
-from phytac_decoder.mechanics.membrane_stretching import Walls
-from phytac_decoder.mechanics.response_table import EVEN, Places
+from phytac_decoder.mechanics.membrane_stretching import BergerWall
+from phytac_decoder.mechanics.response_table import FLAT_COSINE_DROP, ResponseTable
 from phytac_design.mechanics.large.corotational import Corotational
 from phytac_design.mechanics.shell.solve import ShellModel
-from phytac_design.simulation.pressed_series import Pressed, Seen
+from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 STEP = 1e-4
@@ -48,7 +48,7 @@ PARALLEL = 1e-4
 """One less the cosine of normals of one wall's elements."""
 
 
-class Wall:
+class StretchedWall:
     """One flat wall of a shell under tension.
 
     Parameters
@@ -104,7 +104,7 @@ class Wall:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Table:
+class WallTable:
     """One wall's places (q) in powers of the lost share v, from 0.
 
     Attributes
@@ -119,9 +119,9 @@ class Table:
     slope: FloatArray
 
 
-def with_walls(
-    shell: Pressed, see: Seen, places: Places, uv: FloatArray
-) -> tuple[Places, list[float]]:
+def add_membrane_walls(
+    shell: DiscResponse, see: ImageResponse, places: ResponseTable, uv: FloatArray
+) -> tuple[ResponseTable, list[float]]:
     """Tables of places (p,) at chart positions (p, 2), with their flat walls if there are any.
 
     Returns
@@ -142,7 +142,7 @@ def with_walls(
     number = np.full(len(uv), -1)
     tables, gives = [], []
     for one, (own, elements) in enumerate(found):
-        table, give = _tabulated(shell, see, Wall(shell.model, elements), uv[own], places)
+        table, give = _tabulated(shell, see, StretchedWall(shell.model, elements), uv[own], places)
         tables.append(table)
         gives.append(give)
         number[own] = one
@@ -153,11 +153,11 @@ def with_walls(
         rows[own] = np.moveaxis(table.image[1:], 0, 1)
         slopes[own, :, : table.slope.shape[2]] = np.sqrt(give) * np.moveaxis(table.slope, 0, 1)
     whole = np.concatenate([places.shift_px, rows], axis=1)
-    walls = Walls(wall=number, slopes=slopes, most=MOST)
+    walls = BergerWall(wall=number, slopes=slopes, most=MOST)
     return replace(places, shift_px=whole, walls=walls), gives
 
 
-def flat_walls(model: ShellModel, places: Places) -> list[tuple[IntArray, BoolArray]]:
+def flat_walls(model: ShellModel, places: ResponseTable) -> list[tuple[IntArray, BoolArray]]:
     """Places of each flat wall, and its elements (E,)."""
     corner = model.nodes_mm[model.quads]
     across = _across(corner)
@@ -170,7 +170,7 @@ def flat_walls(model: ShellModel, places: Places) -> list[tuple[IntArray, BoolAr
     while len(left):
         one = left[0]
         arm = places.point_mm[left] - places.point_mm[one]
-        mine = normal[left] @ normal[one] > 1.0 - EVEN
+        mine = normal[left] @ normal[one] > 1.0 - FLAT_COSINE_DROP
         mine &= np.abs(arm @ normal[one]) <= LEVEL * np.linalg.norm(arm, axis=1)
         own, left = left[mine], left[~mine]
         elements = np.abs(across @ normal[one]) > 1.0 - PARALLEL
@@ -186,8 +186,12 @@ def _across(corner: FloatArray) -> FloatArray:
 
 
 def _tabulated(
-    shell: Pressed, see: Seen, wall: Wall, uv: FloatArray, places: Places
-) -> tuple[Table, float]:
+    shell: DiscResponse,
+    see: ImageResponse,
+    wall: StretchedWall,
+    uv: FloatArray,
+    places: ResponseTable,
+) -> tuple[WallTable, float]:
     """Tables of a wall's places at ``uv`` (q, 2), at α = 1, and its α."""
     parts = [np.arange(k, min(k + BATCH, len(uv))) for k in range(0, len(uv), BATCH)]
     loads: Any = hstack([csc_matrix(shell.linear(uv[own], places.radius_mm)[0]) for own in parts])
@@ -207,7 +211,7 @@ def _tabulated(
         return np.concatenate(images), np.concatenate(slopes)
 
     image, slope = seen(still)
-    discs = _apart(slope)
+    discs = _independent_discs(slope)
     load = loads[:, discs].toarray()
     motion = still(load)
     half = wall.halved_at(load[:, 0], motion[:, 0])
@@ -218,12 +222,12 @@ def _tabulated(
         now = seen(wall.at(half * v / (1.0 - v)))
         images.append((now[0] - image) / v)
         slopes.append((now[1] - slope) / v)
-    table = Table(
+    table = WallTable(
         image=np.concatenate([image[None], _powers(nodes, np.stack(images))]),
         slope=np.concatenate([slope[None], _powers(nodes, np.stack(slopes))]) / np.sqrt(half),
     )
-    few = Table(image=table.image[:, discs], slope=table.slope[:, discs])
-    return table, _give(shell, see, few, load, motion)
+    few = WallTable(image=table.image[:, discs], slope=table.slope[:, discs])
+    return table, _edge_factor(shell, see, few, load, motion)
 
 
 def _powers(nodes: FloatArray, values: FloatArray) -> FloatArray:
@@ -233,13 +237,15 @@ def _powers(nodes: FloatArray, values: FloatArray) -> FloatArray:
     return np.asarray(flat.reshape(values.shape))
 
 
-def _images(shell: Pressed, see: Seen, motion: FloatArray) -> FloatArray:
+def _images(shell: DiscResponse, see: ImageResponse, motion: FloatArray) -> FloatArray:
     """Shifts (c, 2n) px of linear motions (6N, c)."""
     feet = np.asarray(shell.feet.matrix @ motion).reshape(len(see.slope), 6, -1)
     return np.asarray(np.einsum("nij,njc->cni", see.slope, feet).reshape(motion.shape[1], -1))
 
 
-def _give(shell: Pressed, see: Seen, table: Table, loads: FloatArray, still: FloatArray) -> float:
+def _edge_factor(
+    shell: DiscResponse, see: ImageResponse, table: WallTable, loads: FloatArray, still: FloatArray
+) -> float:
     """α, by large displacements under the first of some discs (d) and under all.
 
     Parameters
@@ -264,7 +270,7 @@ def _give(shell: Pressed, see: Seen, table: Table, loads: FloatArray, still: Flo
     return float(np.exp(np.mean(np.log(np.clip(found, *GIVE))))) if found else 1.0
 
 
-def _apart(slope: FloatArray) -> list[int]:
+def _independent_discs(slope: FloatArray) -> list[int]:
     """Places of slopes (q, r) that are soft, and do not slope alike."""
     size = np.sum(slope**2, axis=1)
     out = [int(np.argmax(size))]

@@ -36,7 +36,7 @@ class Score:
         return asdict(self)
 
 
-def score(estimate_N: FloatArray, truth_N: FloatArray) -> Score:
+def force_score(estimate_N: FloatArray, truth_N: FloatArray) -> Score:
     """Score estimated against true contact forces, (c,) each."""
     if len(truth_N) == 0:
         nan = float("nan")
@@ -60,7 +60,7 @@ def contact_forces(receptor_N: FloatArray, contacts: Contacts, switching: Switch
     return out
 
 
-def judge(
+def score_contacts(
     receptor_N: FloatArray,
     contacts: Contacts,
     switching: Switching,
@@ -93,11 +93,11 @@ def judge(
         "middle": middle,
         "near_rims": ~middle,
     }
-    out: dict[str, Any] = score(estimate[seen], truth[seen]).as_dict()
+    out: dict[str, Any] = force_score(estimate[seen], truth[seen]).as_dict()
     for name, group in groups.items():
-        out[name] = score(estimate[seen & group], truth[seen & group]).as_dict()
+        out[name] = force_score(estimate[seen & group], truth[seen & group]).as_dict()
     owner = switching.owner
     on = owner >= 0
-    receptor = score(receptor_N[on], switching.receptor_force_N[on]).as_dict()
+    receptor = force_score(receptor_N[on], switching.receptor_force_N[on]).as_dict()
     out["receptor"] = {key: value for key, value in receptor.items() if key != "relative_error"}
     return out

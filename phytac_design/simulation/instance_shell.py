@@ -7,7 +7,7 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.meshing.grid import product_grid
-from phytac_design.mechanics.meshing.local import thinned_lines
+from phytac_design.mechanics.meshing.local_refinement import thinned_lines
 from phytac_design.mechanics.meshing.mesh import ShellMesh, _shell, chart_mesh, plain_mesh
 from phytac_design.mechanics.shell.receptor_stiffness import (
     receptor_stiffness,
@@ -15,16 +15,16 @@ from phytac_design.mechanics.shell.receptor_stiffness import (
     unknown_receptors,
 )
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
-from phytac_design.simulation.sample_plan import Region
-from phytac_design.simulation.scenario.scatter import wall_factor
-from phytac_design.simulation.sensor_instance import Unit
+from phytac_design.simulation.sample_plan import ChartBox
+from phytac_design.simulation.scenario.instance_scatter import thickness_factor
+from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
 MARGIN = 1.0
 """How far beyond the touched part the mesh stays fine, in √(R t), the length in which bending
 decays; twice that gains nothing."""
-WORTH = 0.85
+LOCAL_NODES_SHARE_MAX = 0.85
 """A local mesh is taken if it has at most this share of the whole fine one's nodes."""
 
 
@@ -77,12 +77,12 @@ class UnitShell:
     whole_because: str
 
 
-def unit_shell(
+def instance_shell(
     design: Design,
     surface: Surface,
-    unit: Unit,
+    unit: SensorInstance,
     refine: int,
-    region: Region | None = None,
+    region: ChartBox | None = None,
     *,
     local: bool = True,
 ) -> UnitShell:
@@ -109,20 +109,22 @@ def unit_shell(
         mesh, because = local_mesh(design, surface, whole, region)
     return UnitShell(
         mesh=mesh,
-        model=unit_model(design, surface, unit, mesh),
+        model=instance_model(design, surface, unit, mesh),
         whole_nodes=len(whole.nodes_mm),
         whole_because=because,
     )
 
 
-def unit_model(design: Design, surface: Surface, unit: Unit, mesh: ShellMesh) -> ShellModel:
+def instance_model(
+    design: Design, surface: Surface, unit: SensorInstance, mesh: ShellMesh
+) -> ShellModel:
     """Linear model of a virtual sensor on any mesh of its middle face."""
     thickness: float | FloatArray = design.wall.thickness_mm
     modulus: float | FloatArray = design.material.modulus_MPa * unit.modulus
     if len(unit.wall.waves):
         # Chart coordinates of corners have no mean next to a pole or over a seam; places do.
         centre = surface.chart(mesh.nodes_mm[mesh.quads].mean(axis=1))
-        thickness = thickness * wall_factor(unit.wall, centre)
+        thickness = thickness * thickness_factor(unit.wall, centre)
     else:
         thickness = thickness * unit.wall.mean
     if not unknown_receptors(design):
@@ -134,7 +136,7 @@ def unit_model(design: Design, surface: Surface, unit: Unit, mesh: ShellMesh) ->
 
 
 def local_mesh(
-    design: Design, surface: Surface, whole: ShellMesh, region: Region
+    design: Design, surface: Surface, whole: ShellMesh, region: ChartBox
 ) -> tuple[ShellMesh, str]:
     """Mesh as fine as ``whole`` in and around a region and coarser elsewhere; or whole, and why."""
     if any(surface.poles):
@@ -153,6 +155,6 @@ def local_mesh(
             fine = thinned_lines(surface, axis, fine, part=part, margin_mm=margin)
         lines.append(fine)
     mesh = _shell(surface, product_grid(surface, lines[0], lines[1]), whole.thickness_mm)
-    if len(mesh.nodes_mm) > WORTH * len(whole.nodes_mm):
+    if len(mesh.nodes_mm) > LOCAL_NODES_SHARE_MAX * len(whole.nodes_mm):
         return whole, "nearly all of the wall is touched"
     return mesh, ""

@@ -20,20 +20,20 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_decoder.mechanics.interaction_table import Pairs
-from phytac_decoder.mechanics.response_table import Places
-from phytac_design.mechanics.large.cubic_stiffness import DOFS, third_derivatives
+from phytac_decoder.mechanics.interaction_table import InteractionTable
+from phytac_decoder.mechanics.response_table import ResponseTable
+from phytac_design.mechanics.large.cubic_stiffness import DOFS, cubic_stiffness
 from phytac_design.mechanics.shell.pressure import tangent_frame
-from phytac_design.simulation.pressed_series import Pressed, Seen
+from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
 from phytac_shapes.arrays import FloatArray, IntArray
 
 SHARE = 2.2
 """Distance of places over the disc's radius."""
 MOST = 250
 """Places at most: tables grow by their square."""
-ELEMENTS_MOST = 40000
+ELEMENTS_MAX = 40000
 """Shells of more have no such tables: time and memory grow with both."""
-AXES = 64
+AXES_MAX = 64
 """Of the images, at most."""
 DRAWN = 6
 """Pairs drawn at random, for each axis."""
@@ -51,7 +51,7 @@ def pair_spacing_mm(area_mm2: float, radius_mm: float) -> float:
     return max(SHARE * radius_mm, float(np.sqrt(area_mm2 / MOST)))
 
 
-class Mixed:
+class InteractionSolver:
     """Mixed terms of discs at p places.
 
     Parameters
@@ -64,44 +64,46 @@ class Mixed:
         Of the discs.
     """
 
-    def __init__(self, shell: Pressed, see: Seen, uv: FloatArray, radius_mm: float) -> None:
+    def __init__(
+        self, shell: DiscResponse, see: ImageResponse, uv: FloatArray, radius_mm: float
+    ) -> None:
         self.shell, self.see, self.uv, self.radius_mm = shell, see, uv, radius_mm
         self.held = shell.model.fixed.ravel()
         parts = [uv[k : k + BATCH] for k in range(0, len(uv), BATCH)]
         # A newton's linear motions, (6N, p), and those of receptors, (p, n, 6).
         self.motion = np.concatenate([shell.linear(part, radius_mm)[1] for part in parts], axis=1)
         self.feet = np.stack([shell.feet.linear(motion) for motion in self.motion.T])
-        self.bend = bend_of(see, self.feet.shape[1])
+        self.bend = image_curvature(see, self.feet.shape[1])
         self.point_mm = shell.surface.point(uv)
         quads = shell.model.quads
         # DOFs (E, 24) of the elements.
         self.dofs = (6 * quads[:, :, None] + np.arange(6)).reshape(len(quads), DOFS)
 
-    def pairs(self, progress: Callable[[str], None] = lambda _: None) -> Pairs:
+    def pairs(self, progress: Callable[[str], None] = lambda _: None) -> InteractionTable:
         """Tables of all pairs of the places."""
         axes = self.axes()
         progress(f"places: pairs of contacts, {len(axes)} axes")
         along, around = tangent_frame(self.shell.surface, self.uv)
-        grid = Places(
+        grid = ResponseTable(
             point_mm=self.point_mm,
             along=along,
             around=around,
             shift_px=self.coordinates(axes),
             radius_mm=self.radius_mm,
         )
-        return Pairs(grid=grid, axes_px=axes.astype(np.float32))
+        return InteractionTable(grid=grid, axes_px=axes.astype(np.float32))
 
     def axes(self) -> FloatArray:
         """Axes (r, 2n) of the images, each of unit length."""
         _, size, axes = np.linalg.svd(self.images(self.drawn()), full_matrices=False)
-        return np.asarray(axes[:AXES][size[:AXES] > 0.0])
+        return np.asarray(axes[:AXES_MAX][size[:AXES_MAX] > 0.0])
 
     def drawn(self) -> IntArray:
         """Pairs (k, 2) of places that do not overlap, near ones more often."""
         gap = np.linalg.norm(self.point_mm[:, None] - self.point_mm[None], axis=2)
         pairs = np.argwhere(np.triu(gap > 2.0 * self.radius_mm))
         near = gap[pairs[:, 0], pairs[:, 1]] < NEAR * self.radius_mm
-        rng, count = np.random.default_rng(0), DRAWN * AXES
+        rng, count = np.random.default_rng(0), DRAWN * AXES_MAX
         some = rng.permutation(np.flatnonzero(near))[: round(NEAR_SHARE * count)]
         rest = rng.permutation(np.setdiff1d(np.arange(len(pairs)), some))[: count - len(some)]
         return np.asarray(pairs[np.sort(np.concatenate([some, rest]))])
@@ -109,7 +111,7 @@ class Mixed:
     def images(self, pairs: IntArray) -> FloatArray:
         """M (k, 2n) px/N² of pairs of places (k, 2), each solved for itself."""
         push = np.zeros((len(pairs), len(self.motion)))
-        for some, third in third_derivatives(self.shell.model):
+        for some, third in cubic_stiffness(self.shell.model):
             own = self.motion[self.dofs[some]].astype(np.float32)
             for k, (i, j) in enumerate(pairs):
                 by_one = third @ own[:, None, :, i, None]
@@ -133,7 +135,7 @@ class Mixed:
         stirred = self.shell.model.solve(push).motion.reshape(push.shape)
         count = self.motion.shape[1]
         told = np.zeros((len(axes), count, count), dtype=np.float32)
-        for some, third in third_derivatives(self.shell.model):
+        for some, third in cubic_stiffness(self.shell.model):
             own = self.motion[self.dofs[some]].astype(np.float32)
             z = stirred[self.dofs[some]].astype(np.float32)
             flat = own.reshape(-1, count)
@@ -149,7 +151,7 @@ class Mixed:
         return np.ascontiguousarray(told.transpose(1, 2, 0))
 
 
-def bend_of(see: Seen, count: int) -> FloatArray:
+def image_curvature(see: ImageResponse, count: int) -> FloatArray:
     """Second derivatives (n, 2, 6, 6) of the images of n markers by their motion."""
     step = MOVED * np.eye(6)
 

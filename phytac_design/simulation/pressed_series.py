@@ -11,27 +11,27 @@ from phytac_design.layout import Markers
 from phytac_design.layout.cameras import Readers
 from phytac_design.mechanics.large.fast_newton import Rough
 from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.shell.pressure import Holes, touch_loads
+from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.indenters import flat_touches
-from phytac_design.simulation.receptor_kinematics import Feet
+from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.response import point_motions, rigid_slope, turned_points
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 
-SERIES_MAX = 0.9
+SERIES_TERMS_MAX = 0.9
 """Largest the second and third term may be together over the first, at the greatest force."""
-SOLVED_AT = {4: 0.06, 5: 0.005}
+LARGE_SOLVED_ABOVE = {4: 0.06, 5: 0.005}
 """Error of the expansion at the greatest force, in the norm of the stiffness, from which on
 large displacements are solved, by the powers of the force that are kept. With fewer powers none
 are."""
-BEYOND = SOLVED_AT[4]
+SERIES_ERROR_MAX = LARGE_SOLVED_ABOVE[4]
 """The same from which on a sensor is beyond the expansion."""
 
 
-class Pressed:
+class DiscResponse:
     """Receptors' motion under discs.
 
     Parameters
@@ -64,7 +64,7 @@ class Pressed:
         receptor = design.receptor
         self.mesh, self.surface, self.model, self.orders = mesh, surface, model, orders
         self.holes = Holes.of(surface, markers.uv, receptor.diameter_hole_mm / 2.0)
-        self.feet = Feet(mesh, surface, markers.uv, receptor.diameter_outer_mm / 2.0)
+        self.feet = ReceptorKinematics(mesh, surface, markers.uv, receptor.diameter_outer_mm / 2.0)
         self.shell = Rough(model)
         most = design.training.force_max_N
         self.forces = most * np.arange(1, orders) / max(orders - 1, 1)
@@ -108,7 +108,7 @@ class Pressed:
                 samples=count,
             )
         )
-        loads = touch_loads(self.mesh, self.surface, touches, holes=self.holes).toarray()
+        loads = indentation_loads(self.mesh, self.surface, touches, holes=self.holes).toarray()
         return loads, self.model.solve(loads).motion.reshape(loads.shape)
 
     def _motions(self, load: FloatArray, first: FloatArray) -> list[FloatArray]:
@@ -116,10 +116,10 @@ class Pressed:
         if self.orders == 1:
             return out
         series = self._series(load, first)
-        gap = self._gap(load, first, series) if self.orders in SOLVED_AT else 0.0
+        gap = self._gap(load, first, series) if self.orders in LARGE_SOLVED_ABOVE else 0.0
         # A gap that is no number holds nowhere.
-        self.beyond += not gap <= BEYOND
-        if self.orders in SOLVED_AT and not gap <= SOLVED_AT[self.orders]:
+        self.beyond += not gap <= SERIES_ERROR_MAX
+        if self.orders in LARGE_SOLVED_ABOVE and not gap <= LARGE_SOLVED_ABOVE[self.orders]:
             large = self._large(load, first)
             if large:
                 self.solved += 1
@@ -135,7 +135,7 @@ class Pressed:
         most = float(self.forces[-1])
         more = np.linalg.norm((most * second + most**2 * third).reshape(-1, 6)[:, :3], axis=1)
         size = np.linalg.norm(first.reshape(-1, 6)[:, :3], axis=1)
-        if not float(more.max()) <= SERIES_MAX * float(size.max()):
+        if not float(more.max()) <= SERIES_TERMS_MAX * float(size.max()):
             return []
         return [f * first + f**2 * second + f**3 * third for f in self.forces]
 
@@ -160,7 +160,7 @@ class Pressed:
         return out
 
 
-class Seen:
+class ImageResponse:
     """What the cameras see of motion.
 
     Parameters

@@ -33,7 +33,7 @@ NO_EDGE = 1e-9
 """Edges shorter than this share of the longest are the collapsed ones at a pole."""
 
 
-class Feet:
+class ReceptorKinematics:
     """Motion of the receptors of one mesh.
 
     Parameters

@@ -11,25 +11,34 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from phytac_decoder.io.bundle_locator import LEAST_PLACES
-from phytac_decoder.mechanics.interaction_table import Pairs
-from phytac_decoder.mechanics.response_table import AROUND, FACTORIALS, TERMS, Places
+from phytac_decoder.io.bundle_locator import PLACES_MIN
+from phytac_decoder.mechanics.interaction_table import InteractionTable
+from phytac_decoder.mechanics.response_table import (
+    FACTORIALS,
+    FLATNESS_NEIGHBOURS,
+    TERMS,
+    ResponseTable,
+)
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.compliance import turns_of
 from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.mechanics.shell.solve import ShellModel
-from phytac_design.simulation.flat_walls import with_walls
-from phytac_design.simulation.interaction_tables import ELEMENTS_MOST, Mixed, pair_spacing_mm
-from phytac_design.simulation.pressed_series import Pressed, Seen
+from phytac_design.simulation.flat_walls import add_membrane_walls
+from phytac_design.simulation.interaction_tables import (
+    ELEMENTS_MAX,
+    InteractionSolver,
+    pair_spacing_mm,
+)
+from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
 BATCH = 32
 """Loads solved together."""
-APART = 2.0
+HIGHER_ORDER_SPACING = 2.0
 """Distance of places at which the higher powers of the force are solved, over that of places:
 they are a small part of the shifts, and are interpolated."""
 TURN_rad = 0.1
@@ -44,7 +53,7 @@ BYTES_MAX = 400e6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rings:
+class PlaceRings:
     """Places over a surface, in rings along u.
 
     Attributes
@@ -63,7 +72,7 @@ class Rings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tabulated:
+class TabulatedResponse:
     """Tables, and how they came about.
 
     Attributes
@@ -85,7 +94,7 @@ class Tabulated:
         How far the edges of each flat wall hold it, see :mod:`walls`; 1 where they hold still.
     """
 
-    places: Places
+    places: ResponseTable
     solves: int
     bent: int
     large: int
@@ -94,7 +103,7 @@ class Tabulated:
     give: list[float]
 
 
-def rings(surface: Surface, spacing_mm: float, sectors: int) -> Rings:
+def rings(surface: Surface, spacing_mm: float, sectors: int) -> PlaceRings:
     """Places at most about ``spacing_mm`` apart; ``sectors`` > 1 repeats them around so often."""
     (u0, u1), (v0, v1) = surface.domain
     u, v = np.linspace(u0, u1, FINE), np.linspace(v0, v1, 65)
@@ -122,7 +131,7 @@ def rings(surface: Surface, spacing_mm: float, sectors: int) -> Rings:
         uv += [(at, v0 + (v1 - v0) * k / number) for k in range(number)]
         base += [start + k % per for k in range(number)]
         turns += [k // per for k in range(number)]
-    return Rings(uv=np.array(uv), base=np.array(base), turns=np.array(turns))
+    return PlaceRings(uv=np.array(uv), base=np.array(base), turns=np.array(turns))
 
 
 def place_spacing_mm(surface: Surface, share: float, radius_mm: float) -> float:
@@ -131,25 +140,27 @@ def place_spacing_mm(surface: Surface, share: float, radius_mm: float) -> float:
     uv = rings(surface, spacing, 1).uv
     normal = np.cross(*tangent_frame(surface, uv))
     # The nearest is each place itself.
-    _, near = cKDTree(surface.point(uv)).query(surface.point(uv), k=min(AROUND, len(uv)))
+    _, near = cKDTree(surface.point(uv)).query(
+        surface.point(uv), k=min(FLATNESS_NEIGHBOURS, len(uv))
+    )
     cosine = np.einsum("pqi,pi->pq", normal[near], normal).min(axis=1)
     flatter = float(np.median(cosine)) > np.cos(TURN_rad)
     return spacing / CLOSER if flatter else spacing
 
 
-def make_places(
+def tabulate_responses(
     design: Design,
     surface: Surface,
     markers: Markers,
     *,
     mesh: ShellMesh,
     model: ShellModel,
-    see: Seen,
+    see: ImageResponse,
     spacing_mm: float,
     orders: int,
     near: Callable[[float, FloatArray], BoolArray] | None = None,
     progress: Callable[[str], None] = lambda _: None,
-) -> Tabulated:
+) -> TabulatedResponse:
     """Tables over the whole surface, or a part of it.
 
     Where the shell repeats itself around (checked), the places of one column are solved and turned.
@@ -174,7 +185,7 @@ def make_places(
     NumericalError
         If the shell cannot be solved.
     DesignError
-        If fewer than ``LEAST_PLACES`` are wanted.
+        If fewer than ``PLACES_MIN`` are wanted.
     """
     training = design.training
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
@@ -185,18 +196,20 @@ def make_places(
     least = np.sqrt(surface.area_mm2() * orders * 8.0 * markers.count / BYTES_MAX)
     spacing = max(spacing_mm, float(least))
 
-    def table(powers: int, apart_mm: float) -> tuple[Places, FloatArray, int, Pressed, int]:
+    def table(
+        powers: int, apart_mm: float
+    ) -> tuple[ResponseTable, FloatArray, int, DiscResponse, int]:
         ring = rings(surface, apart_mm, sectors)
         wanted = np.flatnonzero(_wanted(ring.uv, apart_mm, near))
-        if len(wanted) < LEAST_PLACES:
+        if len(wanted) < PLACES_MIN:
             raise DesignError(
                 f"the part of the surface asked for holds {len(wanted)} places of the tables, "
-                f"{apart_mm:.2g} mm apart; it takes {LEAST_PLACES}: widen it"
+                f"{apart_mm:.2g} mm apart; it takes {PLACES_MIN}: widen it"
             )
         row = np.full(len(ring.uv), -1)
         row[wanted] = np.arange(len(wanted))
         solved = np.unique(ring.base[wanted])
-        shell = Pressed(design, surface, markers, mesh=mesh, model=model, orders=powers)
+        shell = DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=powers)
         out = np.zeros((len(wanted), powers, 2 * markers.count), dtype=np.float32)
         copies = [wanted[ring.base[wanted] == base] for base in solved]
         unsure = 0
@@ -215,7 +228,7 @@ def make_places(
                 + (", large displacements" if powers > 1 else "")
             )
         along, around = tangent_frame(surface, ring.uv[wanted])
-        places = Places(
+        places = ResponseTable(
             point_mm=surface.point(ring.uv[wanted]),
             along=along,
             around=around,
@@ -226,27 +239,31 @@ def make_places(
 
     places, uv, solves, _, _ = table(1, spacing)
     if orders == 1:
-        return Tabulated(
+        return TabulatedResponse(
             places=places, solves=solves, bent=0, large=0, unsure=0, spacing_mm=spacing, give=[]
         )
     # A small part of the surface holds too few places so far apart.
     apart = (
-        APART * spacing
-        if _enough(rings(surface, APART * spacing, sectors).uv, APART * spacing, near)
+        HIGHER_ORDER_SPACING * spacing
+        if _enough(
+            rings(surface, HIGHER_ORDER_SPACING * spacing, sectors).uv,
+            HIGHER_ORDER_SPACING * spacing,
+            near,
+        )
         else spacing
     )
     higher, _, bent, shell, unsure = table(orders, apart)
-    more = between(higher, places.point_mm)[:, 1:].astype(np.float32)
+    more = interpolate_responses(higher, places.point_mm)[:, 1:].astype(np.float32)
     whole = np.concatenate([places.shift_px, more], axis=1)
     places = replace(places, shift_px=whole, top_N=float(shell.forces[-1]))
     progress("places: flat walls")
-    places, give = with_walls(shell, see, places, uv)
+    places, give = add_membrane_walls(shell, see, places, uv)
     progress("places: pairs of contacts")
     # Of contacts on flat walls tension tells; beyond the expansion pairs on other flat parts
     # would double the errors, while on curved walls they still help (patch).
     holds = unsure == 0 and not give and (shell.beyond == 0 or not places.flat.any())
     pairs = _pairs(shell, see, radius, near, progress) if holds else None
-    return Tabulated(
+    return TabulatedResponse(
         places=replace(places, pairs=pairs),
         solves=solves,
         bent=bent,
@@ -261,7 +278,7 @@ def _enough(
     uv: FloatArray, apart_mm: float, near: Callable[[float, FloatArray], BoolArray] | None
 ) -> bool:
     """Whether tables hold those of places (p, 2) so far apart that are wanted."""
-    return int(_wanted(uv, apart_mm, near).sum()) >= LEAST_PLACES
+    return int(_wanted(uv, apart_mm, near).sum()) >= PLACES_MIN
 
 
 def _wanted(
@@ -272,24 +289,24 @@ def _wanted(
 
 
 def _pairs(
-    shell: Pressed,
-    see: Seen,
+    shell: DiscResponse,
+    see: ImageResponse,
     radius_mm: float,
     near: Callable[[float, FloatArray], BoolArray] | None,
     progress: Callable[[str], None],
-) -> Pairs | None:
+) -> InteractionTable | None:
     """Tables of pairs of places; None where too few are wanted, or the shell is too large."""
-    if len(shell.model.quads) > ELEMENTS_MOST:
+    if len(shell.model.quads) > ELEMENTS_MAX:
         return None
     apart = pair_spacing_mm(shell.surface.area_mm2(), radius_mm)
     uv = rings(shell.surface, apart, 1).uv
     if not _enough(uv, apart, near):
         return None
     wanted = uv[_wanted(uv, apart, near)]
-    return Mixed(shell, see, wanted, radius_mm).pairs(progress)
+    return InteractionSolver(shell, see, wanted, radius_mm).pairs(progress)
 
 
-def between(places: Places, points_mm: FloatArray) -> FloatArray:
+def interpolate_responses(places: ResponseTable, points_mm: FloatArray) -> FloatArray:
     """Rows (m, k, 2n) at points (m, 3) of the surface: cubics about the nearest places."""
     nearest = places.nearest(points_mm)
     out = np.zeros((len(points_mm), *places.shift_px.shape[1:]))

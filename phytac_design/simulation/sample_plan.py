@@ -8,7 +8,7 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)
-class Region:
+class ChartBox:
     """Box of the chart that a scenario's contacts lie in, patches included.
 
     Attributes
@@ -25,7 +25,7 @@ class Region:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class SamplePlan:
     """All samples of a scenario on one unit; cheap to make, the same for every worker.
 
     Attributes
@@ -54,4 +54,4 @@ class Plan:
     sequence: IntArray
     light: FloatArray
     switching: Switching
-    region: Region
+    region: ChartBox

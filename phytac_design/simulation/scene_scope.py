@@ -8,9 +8,9 @@ import numpy as np
 
 from phytac_design.layout import Markers
 from phytac_design.layout.worst_places import SAME_mm, press_places
-from phytac_design.simulation.sample_plan import Region
-from phytac_design.simulation.scenario.placing import Window
-from phytac_design.simulation.scenario.region import touched_region, window_places
+from phytac_design.simulation.sample_plan import ChartBox
+from phytac_design.simulation.scenario.contact_box import contact_box, window_grid
+from phytac_design.simulation.scenario.placement import ChartWindow
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import DesignError
@@ -45,7 +45,7 @@ class Scope:
     """
 
     surface: Surface
-    windows: tuple[Window, ...]
+    windows: tuple[ChartWindow, ...]
     reach_mm: float
     footprint_mm: float
 
@@ -56,7 +56,7 @@ class Scope:
     @cached_property
     def places(self) -> FloatArray:
         """Chart positions (k, 2) all over the regions."""
-        return np.concatenate([window_places(window) for window in self.windows])
+        return np.concatenate([window_grid(window) for window in self.windows])
 
     def distance_mm(self, uv: FloatArray) -> FloatArray:
         """Chord (m,) from chart positions (m, 2) to the nearest region; 0 inside."""
@@ -74,9 +74,9 @@ class Scope:
         return np.asarray(self.distance_mm(uv) <= MARGIN_SPACINGS * spacing_mm)
 
     @cached_property
-    def touched(self) -> Region:
+    def touched(self) -> ChartBox:
         """Box of the chart around all patches."""
-        return touched_region(self.surface, self.places, np.full(len(self.places), self.reach_mm))
+        return contact_box(self.surface, self.places, np.full(len(self.places), self.reach_mm))
 
     @cached_property
     def share(self) -> float:
@@ -145,7 +145,7 @@ class Scope:
         return min(self.share * whole / max(min(around, whole), 1e-12), 1.0)
 
 
-def windows_of(surface: Surface, regions: "tuple[RegionSection, ...]") -> tuple[Window, ...]:
+def windows_of(surface: Surface, regions: "tuple[RegionSection, ...]") -> tuple[ChartWindow, ...]:
     """Parts of the chart that regions stand for.
 
     Raises
@@ -166,7 +166,7 @@ def windows_of(surface: Surface, regions: "tuple[RegionSection, ...]") -> tuple[
                 )
             size[1] += 1.0
         low = start + np.array([region.along[0], region.around[0]]) * span
-        out.append(Window(low=low, size=size * span, surface=surface))
+        out.append(ChartWindow(low=low, size=size * span, surface=surface))
     return tuple(out)
 
 

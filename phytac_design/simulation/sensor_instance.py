@@ -8,7 +8,7 @@ from phytac_shapes.arrays import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
-class WallField:
+class ThicknessField:
     """Thickness over the nominal one, smooth over the wall.
 
     Attributes
@@ -28,7 +28,7 @@ class WallField:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Unit:
+class SensorInstance:
     """A virtual sensor.
 
     Attributes
@@ -37,7 +37,7 @@ class Unit:
         0 is the design itself, without scatter.
     markers : Markers
         As printed: moved along the wall, and their heights.
-    wall : WallField
+    wall : ThicknessField
         Thickness.
     modulus : float
         Young's modulus over the design's.
@@ -51,7 +51,7 @@ class Unit:
 
     number: int
     markers: Markers
-    wall: WallField
+    wall: ThicknessField
     modulus: float
     on_N: FloatArray
     off_N: FloatArray

@@ -6,13 +6,13 @@ from typing import Literal
 import numpy as np
 
 from phytac_design.design.spec import Design
-from phytac_design.mechanics.large.modified import Modified
-from phytac_design.mechanics.shell.pressure import Holes, touch_loads
+from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
+from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.simulation.indenters import Touches
-from phytac_design.simulation.instance_shell import unit_shell
-from phytac_design.simulation.receptor_kinematics import Feet
-from phytac_design.simulation.sample_plan import Region
-from phytac_design.simulation.sensor_instance import Unit
+from phytac_design.simulation.instance_shell import instance_shell
+from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
+from phytac_design.simulation.sample_plan import ChartBox
+from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import PhytacError
@@ -22,7 +22,7 @@ Theory = Literal["rest", "linear", "large"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion:
+class SampleMotion:
     """Motion of one sample.
 
     Attributes
@@ -51,7 +51,7 @@ class Motion:
     reason: str
     theory: Theory
     error_estimate: float
-    softest: float = float("nan")
+    lowest_eigenvalue: float = float("nan")
     guarded: str = ""
 
 
@@ -92,28 +92,30 @@ class Solver:
         self,
         design: Design,
         surface: Surface,
-        unit: Unit,
+        unit: SensorInstance,
         *,
         refine: int,
         displacement: Displacement = "auto",
         tolerance: float = 0.01,
-        region: Region | None = None,
+        region: ChartBox | None = None,
         local: bool = True,
     ) -> None:
         self.surface = surface
         self.displacement, self.tolerance = displacement, tolerance
-        shell = unit_shell(design, surface, unit, refine, region, local=local)
+        shell = instance_shell(design, surface, unit, refine, region, local=local)
         self.mesh, self.model = shell.mesh, shell.model
         self.nodes, self.whole_nodes = len(shell.mesh.nodes_mm), shell.whole_nodes
         self.whole_because = shell.whole_because
         self.count = unit.markers.count
         receptor = design.receptor
-        self.feet = Feet(self.mesh, surface, unit.markers.uv, receptor.diameter_outer_mm / 2.0)
+        self.feet = ReceptorKinematics(
+            self.mesh, surface, unit.markers.uv, receptor.diameter_outer_mm / 2.0
+        )
         self._holes = Holes.of(surface, unit.markers.uv, receptor.diameter_hole_mm / 2.0)
-        self._shell = Modified(self.model)
+        self._shell = QuasiNewtonSolver(self.model)
         self.deepest_mm = float(np.sort(np.ptp(surface.bounds_mm(), axis=0))[1]) / 2.0
 
-    def solve(self, touches: Touches, felt_N: FloatArray) -> Motion:
+    def solve(self, touches: Touches, felt_N: FloatArray) -> SampleMotion:
         """Motion under the touches of one sample, whatever becomes of it; never an exception.
 
         Parameters
@@ -124,13 +126,13 @@ class Solver:
             Force that each presses with.
         """
         if len(felt_N) == 0 or not np.any(felt_N):
-            return Motion(
+            return SampleMotion(
                 motion=np.zeros((self.count, 6)),
                 status="ok",
                 reason="",
                 theory="rest",
                 error_estimate=0.0,
-                softest=1.0,
+                lowest_eigenvalue=1.0,
             )
         theory: Theory = "linear" if self.displacement == "linear" else "large"
         try:
@@ -141,7 +143,7 @@ class Solver:
             return _failed(str(error) or type(error).__name__, theory)
         if self.displacement == "linear":
             reason = self._too_deep(dent)
-            return Motion(
+            return SampleMotion(
                 motion=self.feet.linear(linear),
                 status="flagged" if reason else "ok",
                 reason=reason,
@@ -155,19 +157,19 @@ class Solver:
             return _failed(sample.reason or "the motion is not finite", theory, found.guarded)
         theory = "large" if sample.large else "linear"
         moved = self.feet.large if sample.large else self.feet.linear
-        return Motion(
+        return SampleMotion(
             motion=moved(sample.motion),
             status=sample.status,
             reason=sample.reason,
             theory=theory,
             error_estimate=found.error,
-            softest=found.softest,
+            lowest_eigenvalue=found.lowest_eigenvalue,
             guarded=found.guarded,
         )
 
     def load(self, touches: Touches, felt_N: FloatArray) -> FloatArray:
         """Nodal load (6N,) of one sample; nothing presses on the receptors' holes."""
-        unit = touch_loads(self.mesh, self.surface, touches, holes=self._holes)
+        unit = indentation_loads(self.mesh, self.surface, touches, holes=self._holes)
         return np.asarray(unit @ felt_N).ravel()
 
     def _too_deep(self, dent: float) -> str:
@@ -201,8 +203,8 @@ class Solver:
         return dent
 
 
-def _failed(reason: str, theory: Theory, guarded: str = "") -> Motion:
-    return Motion(
+def _failed(reason: str, theory: Theory, guarded: str = "") -> SampleMotion:
+    return SampleMotion(
         motion=None,
         status="failed",
         reason=reason,

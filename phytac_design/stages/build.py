@@ -13,7 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from phytac_design.design.accuracy import Accuracy, name_of, settings_of
+from phytac_design.design.accuracy import Accuracy, preset_name, settings_of
 from phytac_design.design.design_file import design_hash, parse_design, to_toml
 from phytac_design.design.spec import Design
 from phytac_design.engine import cache
@@ -326,7 +326,7 @@ def _export(
     kept = {item["path"] for item in files}
     identity = {
         "design": {"name": design.name, "hash": design_hash(design)},
-        "accuracy": name_of(context.accuracy),
+        "accuracy": preset_name(context.accuracy),
         "settings": context.accuracy.as_dict(),
         "scene": context.scene.model_dump(mode="json") if context.scene else None,
         "seed": context.seed,

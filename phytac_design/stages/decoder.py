@@ -19,7 +19,7 @@ from phytac_design.stages.response import TOUCH, readers_of
 from phytac_shapes.arrays import BoolArray, FloatArray
 
 if TYPE_CHECKING:
-    from phytac_decoder.estimation.locator import Locator
+    from phytac_decoder.estimation.locator import ContactLocator
     from phytac_decoder.io.bundle import Bundle
     from phytac_decoder.vision.switch_detection import TipModel
 
@@ -53,7 +53,7 @@ def middle_mm(context: Context) -> tuple[float, float]:
     return MIDDLE[0] * length, MIDDLE[1] * length
 
 
-def plain_model(context: Context) -> ForceModel:
+def untrained_model(context: Context) -> ForceModel:
     """Force model of the stages ``response`` and (if it ran) ``places``, without networks."""
     response = context.arrays("response")
     return ForceModel(
@@ -67,7 +67,7 @@ def plain_model(context: Context) -> ForceModel:
     )
 
 
-def _locator(context: Context) -> "Locator":
+def _locator(context: Context) -> "ContactLocator":
     """The estimator ``auto`` by design, which knows what switches cannot be read."""
     played = played_in(context)
     return replace(locator_of(context), blind=_tips(context, played).blind(played))
@@ -76,10 +76,12 @@ def _locator(context: Context) -> "Locator":
 def _tips(context: Context, played: BoolArray) -> "TipModel":
     """Tips as the cameras that read them see them."""
     views = context.arrays("views")
-    return read_tips(views["tip_on_px"], views["tip_red_rest_px"], views["tip_red_on_px"], played)
+    return tips_in_play(
+        views["tip_on_px"], views["tip_red_rest_px"], views["tip_red_on_px"], played
+    )
 
 
-def assemble(context: Context, model: ForceModel, notes: dict[str, Any]) -> "Bundle":
+def assemble_bundle(context: Context, model: ForceModel, notes: dict[str, Any]) -> "Bundle":
     """Bundle from the stages ``views`` and ``response`` and a force model; of no design by name.
 
     Parameters
@@ -87,11 +89,11 @@ def assemble(context: Context, model: ForceModel, notes: dict[str, Any]) -> "Bun
     context : Context
         With the folders of both stages.
     model : ForceModel
-        As of :func:`plain_model`, and what was trained on top of it.
+        As of :func:`untrained_model`, and what was trained on top of it.
     notes : dict
         Where it comes from, plain JSON.
     """
-    from phytac_decoder.io.bundle import Bundle, Shown
+    from phytac_decoder.io.bundle import Bundle, CameraView
     from phytac_design.simulation.expected_image import colour_model
 
     design, views = context.design, context.arrays("views")
@@ -99,7 +101,7 @@ def assemble(context: Context, model: ForceModel, notes: dict[str, Any]) -> "Bun
     readers = readers_of(context)
     played = played_in(context)
     shown = [
-        Shown(rest_px=rest, tips=read_tips(on, red_rest, red_on, played))
+        CameraView(rest_px=rest, tips=tips_in_play(on, red_rest, red_on, played))
         for rest, on, red_rest, red_on in zip(
             views["shown_rest_px"],
             views["shown_tip_on_px"],
@@ -137,7 +139,7 @@ def played_in(context: Context) -> BoolArray:
     return scope.in_play(context.markers)
 
 
-def read_tips(
+def tips_in_play(
     on_px: FloatArray, red_rest_px: FloatArray, red_on_px: FloatArray, played: BoolArray
 ) -> "TipModel":
     """Tips as the decoder reads them.
@@ -145,10 +147,10 @@ def read_tips(
     Of a switch out of play that cannot be read anyway, no amount of red counts; motion alone,
     which explains nothing there, would else stand for it.
     """
-    from phytac_decoder.vision.switch_detection import RED_LEAST_PX, RED_RATIO, TipModel
+    from phytac_decoder.vision.switch_detection import RED_RATIO_MIN, RED_AREA_MIN_px, TipModel
 
     tips = TipModel(on_px=on_px, red_rest_px=red_rest_px, red_on_px=red_on_px)
-    never = UNREAD_RED * (RED_RATIO * red_rest_px + RED_LEAST_PX)
+    never = UNREAD_RED * (RED_RATIO_MIN * red_rest_px + RED_AREA_MIN_px)
     return replace(tips, red_on_px=np.where(played | tips.readable, red_on_px, never))
 
 
@@ -157,13 +159,13 @@ def run(context: Context, folder: Path) -> None:
     from phytac_decoder.io.bundle import save_bundle
 
     twin = context.arrays("twin")
-    model = plain_model(context)
+    model = untrained_model(context)
     training: dict[str, Any] = {"key_nodes": 0, "samples": 0}
     if context.scene is None or context.scene.networks:
         training = train_networks(context, model, Dataset.from_arrays(twin, "train"))
-    scores, arrays = judged(context, model, twin)
+    scores, arrays = evaluate_estimators(context, model, twin)
     write_arrays(folder, arrays)
-    bundle = assemble(
+    bundle = assemble_bundle(
         context,
         model,
         {
@@ -177,7 +179,7 @@ def run(context: Context, folder: Path) -> None:
         | scene_notes(context),
     )
     save_bundle(bundle, folder / EXPORT / "decoder")
-    write_facts(folder, {"training": training, **scores, "limits": limits_of(bundle)})
+    write_facts(folder, {"training": training, **scores, "limits": limit_facts(bundle)})
 
 
 def scene_notes(context: Context) -> dict[str, Any]:
@@ -217,11 +219,11 @@ def train_networks(context: Context, model: ForceModel, data: Dataset) -> dict[s
     return training
 
 
-def judged(
+def evaluate_estimators(
     context: Context, model: ForceModel, twin: dict[str, Any]
 ) -> tuple[dict[str, Any], dict[str, FloatArray]]:
     """Scores of every estimator on both held-out sets, and the forces (c,) that each decoded, N."""
-    from phytac_design.simulation.force_errors import contact_forces, judge
+    from phytac_design.simulation.force_errors import contact_forces, score_contacts
 
     scores: dict[str, Any] = {}
     arrays: dict[str, FloatArray] = {}
@@ -236,7 +238,7 @@ def judged(
             arrays[f"{name}.{estimator}"] = contact_forces(
                 forces, held_out.contacts, held_out.switching
             )
-            scores[name][estimator] = judge(
+            scores[name][estimator] = score_contacts(
                 forces,
                 held_out.contacts,
                 held_out.switching,
@@ -246,7 +248,7 @@ def judged(
     return scores, arrays
 
 
-def limits_of(bundle: "Bundle") -> dict[str, Any]:
+def limit_facts(bundle: "Bundle") -> dict[str, Any]:
     """What the sensor cannot read, as figures: noise of K·u in N, marker ids, sentences."""
     noise = bundle.noise_centroid_px * bundle.model.stiffness_noise_N_px
     inverse = bundle.noise_centroid_px * bundle.model.inverse_noise_N_px

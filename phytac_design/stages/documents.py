@@ -31,7 +31,7 @@ PULL_mm = 16.0
 
 def run(context: Context, folder: Path) -> None:
     """Write ``bench/…`` and the facts: map, bill, recipe."""
-    from phytac_design.fabrication.documents import parts as bill
+    from phytac_design.fabrication.documents import bill_of_materials as bill
     from phytac_design.fabrication.documents.assembly_page import assembly_html
     from phytac_design.fabrication.documents.drawing import svg_text
     from phytac_design.fabrication.documents.fixture_steps import fixture_steps

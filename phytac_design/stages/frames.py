@@ -12,7 +12,7 @@ from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, writ
 from phytac_design.simulation.contacts import Contacts, Switching
 from phytac_design.simulation.scene_scope import scope_of
 from phytac_design.stages.decoder import along_mm, middle_mm
-from phytac_design.stages.response import MECHANICS, truth_of
+from phytac_design.stages.response import MECHANICS, truth_model
 from phytac_design.stages.views import MARKS, write_image
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pressed:
+class FrameContacts:
     """Contacts of all frames, what they trip, and how every marker moves, (samples, n, 6).
 
     ``shown`` (n, 6) is how a sensor would move in the example: with large displacements, where the
@@ -42,7 +42,7 @@ class Pressed:
 
 
 @dataclass(kw_only=True)
-class Tally:
+class DecodedFrames:
     """What decoding all frames gave: forces (samples, n) by estimator, and counts."""
 
     forces_N: dict[str, FloatArray]
@@ -52,7 +52,7 @@ class Tally:
     refused: list[str] = field(default_factory=list)
 
 
-def press(context: Context) -> Pressed:
+def draw_frame_contacts(context: Context) -> FrameContacts:
     """Draw contacts of one to five at once and solve them on the simulated sensor's mesh."""
     from phytac_design.simulation.contacts import draw_contacts, switch_states
     from phytac_design.simulation.response import motion_responses, superpose
@@ -69,13 +69,13 @@ def press(context: Context) -> Pressed:
         most=context.scene.at_once if context.scene else ALL_AT_ONCE,
         inside=scope.holds if scope else None,
     )
-    mesh, model = truth_of(context)
+    mesh, model = truth_model(context)
     responses = motion_responses(
         model, mesh, surface, markers, uv=contacts.uv, radius_mm=contacts.radius_mm
     )
     switching = switch_states(design, surface, markers, contacts)
     motion = superpose(responses, contacts)
-    pressed = Pressed(contacts=contacts, switching=switching, motion=motion)
+    pressed = FrameContacts(contacts=contacts, switching=switching, motion=motion)
     if context.accuracy.place_orders == 1:
         return pressed
     example = contacts.of_sample(pressed.example)
@@ -86,22 +86,24 @@ def _large(
     context: Context, mesh: "ShellMesh", model: "ShellModel", contacts: Contacts
 ) -> FloatArray | None:
     """Motion (n, 6) under the contacts of one sample by large displacements; None without one."""
-    from phytac_design.mechanics.large.modified import Modified
-    from phytac_design.mechanics.shell.pressure import Holes, touch_loads
+    from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
+    from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
     from phytac_design.simulation.indenters import flat_touches
-    from phytac_design.simulation.receptor_kinematics import Feet
+    from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 
     receptor, surface, uv = context.design.receptor, context.surface, context.markers.uv
     holes = Holes.of(surface, uv, receptor.diameter_hole_mm / 2.0)
-    unit = touch_loads(mesh, surface, flat_touches(contacts), holes=holes)
-    motion = Modified(model).solve(np.asarray(unit @ contacts.force_N).ravel()).sample.motion
+    unit = indentation_loads(mesh, surface, flat_touches(contacts), holes=holes)
+    motion = (
+        QuasiNewtonSolver(model).solve(np.asarray(unit @ contacts.force_N).ravel()).sample.motion
+    )
     if motion is None:
         return None
-    return Feet(mesh, surface, uv, receptor.diameter_outer_mm / 2.0).large(motion)
+    return ReceptorKinematics(mesh, surface, uv, receptor.diameter_outer_mm / 2.0).large(motion)
 
 
-def shoot(
-    context: Context, pressed: Pressed, index: int | None, motion: FloatArray | None = None
+def render_sample(
+    context: Context, pressed: FrameContacts, index: int | None, motion: FloatArray | None = None
 ) -> tuple[ImageArray, ...]:
     """Noisy frame of each camera of one sample, or of the unloaded sensor (None).
 
@@ -132,17 +134,17 @@ def write_frames(folder: Path, name: str, frames: tuple[ImageArray, ...]) -> Non
         write_image(export_path(folder, f"views/{name}{mark}.png"), frame)
 
 
-def decode_all(context: Context, folder: Path, pressed: Pressed) -> Tally:
+def decode_all(context: Context, folder: Path, pressed: FrameContacts) -> DecodedFrames:
     """Render and decode every sample; write the unloaded frame and the example."""
-    from phytac_decoder.estimation.decode import measure_frame, rest_positions
     from phytac_decoder.io.bundle import load_bundle
+    from phytac_decoder.pipeline.decode import measure_frame, rest_positions
 
     bundle = load_bundle(context.folders["decoder"] / EXPORT / "decoder")
     # All frames but the example are of a linear shell.
     bundle = replace(bundle, model=bundle.model.linear)
     bits = pressed.switching.bits
-    tally = Tally(forces_N={name: np.zeros(bits.shape) for name in bundle.model.estimators})
-    rest_frames = shoot(context, pressed, None)
+    tally = DecodedFrames(forces_N={name: np.zeros(bits.shape) for name in bundle.model.estimators})
+    rest_frames = render_sample(context, pressed, None)
     write_frames(folder, "frame_rest", rest_frames)
     rest_px = bundle.rest_px
     try:
@@ -150,13 +152,15 @@ def decode_all(context: Context, folder: Path, pressed: Pressed) -> Tally:
     except InputError as error:  # only a forced build of markers that cannot be seen gets here
         tally.refused.append(str(error))
     truth = pressed.switching.receptor_force_N[pressed.example]
-    write_frames(folder, "frame_pressed", shoot(context, pressed, pressed.example, pressed.shown))
+    write_frames(
+        folder, "frame_pressed", render_sample(context, pressed, pressed.example, pressed.shown)
+    )
     export_path(folder, "views/frame_pressed.json").write_text(
         json.dumps({str(i): round(float(truth[i]), 4) for i in np.flatnonzero(truth)})
     )
     for index, on in enumerate(bits):
         context.progress(f"frames: {index + 1} of {len(bits)}")
-        frames = shoot(context, pressed, index)
+        frames = render_sample(context, pressed, index)
         try:
             measured = measure_frame(bundle, frames, rest_px=rest_px)
         except InputError as error:
@@ -174,14 +178,16 @@ def decode_all(context: Context, folder: Path, pressed: Pressed) -> Tally:
 
 def run(context: Context, folder: Path) -> None:
     """Decode rendered frames of one to five contacts each and judge the forces."""
-    from phytac_design.simulation.force_errors import judge
+    from phytac_design.simulation.force_errors import score_contacts
 
-    pressed = press(context)
+    pressed = draw_frame_contacts(context)
     tally = decode_all(context, folder, pressed)
     contacts, switching = pressed.contacts, pressed.switching
     height = along_mm(context, contacts.uv)
     scores: dict[str, Any] = {
-        name: judge(forces, contacts, switching, height_mm=height, middle_mm=middle_mm(context))
+        name: score_contacts(
+            forces, contacts, switching, height_mm=height, middle_mm=middle_mm(context)
+        )
         for name, forces in tally.forces_N.items()
     }
     write_facts(

@@ -9,7 +9,7 @@ from phytac_design.stages.switch import refusal, switches_of
 from phytac_shapes.errors import CadKernelError, DesignError, MissingPartError, NumericalError
 
 if TYPE_CHECKING:
-    from phytac_design.fabrication.hardware.parts import Kit
+    from phytac_design.fabrication.hardware.parts import HardwareAssembly
 
 READS = (
     "name", "markers", "cameras", "bodies", "camera.pixel_um", "switch", "print_rules", "hardware"
@@ -66,7 +66,7 @@ def run(context: Context, folder: Path) -> None:
     write_facts(folder, facts)
 
 
-def _checked(context: Context) -> tuple["Kit", dict[str, Any], dict[str, Any]]:
+def _checked(context: Context) -> tuple["HardwareAssembly", dict[str, Any], dict[str, Any]]:
     """Kit, its solids with shell and switches, and facts; refused unless all checks pass."""
     from phytac_design.fabrication.hardware.assembly import make_hardware
     from phytac_design.fabrication.hardware.bodies import context_solids
@@ -85,7 +85,7 @@ def _checked(context: Context) -> tuple["Kit", dict[str, Any], dict[str, Any]]:
     return kit, solids, hardware_facts(design, kit, found, solids)
 
 
-def _cad(context: Context, kit: "Kit", solids: dict[str, Any]) -> dict[str, Any]:
+def _cad(context: Context, kit: "HardwareAssembly", solids: dict[str, Any]) -> dict[str, Any]:
     """CAD of all parts by name, each compared with its mesh."""
     from phytac_design.fabrication.hardware.by_cad import CadKernel
     from phytac_design.solids.cad import cad_facts
@@ -107,7 +107,7 @@ def _cad(context: Context, kit: "Kit", solids: dict[str, Any]) -> dict[str, Any]
 
 
 def _write_step(
-    context: Context, kit: "Kit", shapes: dict[str, Any], folder: Path
+    context: Context, kit: "HardwareAssembly", shapes: dict[str, Any], folder: Path
 ) -> dict[str, Any]:
     """Write each printed part and the assembly; say what that holds."""
     from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodies, wall_body

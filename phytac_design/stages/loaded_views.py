@@ -17,11 +17,11 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 if TYPE_CHECKING:
     from phytac_design.optics.loaded_visibility import UnderLoad
 
-LADDER = (0.5, 1.0)
+LOAD_STEPS = (0.5, 1.0)
 """Shares of the design's greatest force at which the shell is solved; between, interpolated."""
 
 
-class Pressing:
+class PressedShell:
     """The shell of a sensor, and presses on it at the design's greatest force."""
 
     def __init__(self, context: Context) -> None:
@@ -131,7 +131,7 @@ def press_and_see(
     """Press all over the surface and look.
 
     All places are pressed with the full force; those where something hides or fuses also with the
-    lower ones of ``LADDER``, to find from when.
+    lower ones of ``LOAD_STEPS``, to find from when.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def press_and_see(
         for number, camera in enumerate(cameras_of(design, surface))
     ]
     force = design.training.force_max_N
-    shell = Pressing(context)
+    shell = PressedShell(context)
     scope = scope_of(context)
     choose = press_places if scope is None else scope.presses
     uv = choose(surface, markers, gap_px, context.accuracy.press_places, repeats=shell.repeats)
@@ -182,11 +182,11 @@ def press_and_see(
     found = together(each)
     events = np.flatnonzero(np.isfinite(found.first_force_N))
     if samples and len(events):
-        below, more = shell.motions(uv[events], LADDER[:-1])
+        below, more = shell.motions(uv[events], LOAD_STEPS[:-1])
         samples += more
         known = np.isfinite(below).all(axis=(1, 2, 3))
         path = np.concatenate([below, full[events]], axis=1)[known]
-        first = together(look(path, force * np.array(LADDER)))
+        first = together(look(path, force * np.array(LOAD_STEPS)))
         found.first_force_N[events[known]] = first.first_force_N
         found.first_marker[events[known]] = first.first_marker
     facts = theory_facts(samples, context.accuracy.press_tolerance)

@@ -10,11 +10,11 @@ LOAD_N = 10.0
 
 def run(context: Context, folder: Path) -> None:
     """Write ``mesh/shell.{inp,msh,vtu}`` with a fingertip load step and its linear result."""
-    from phytac_design.mechanics.pressing.place import middle_marker, place_of
+    from phytac_design.mechanics.pressing.contact_patch import middle_marker, parse_contact_patch
     from phytac_design.mechanics.solid.mesh_files import make_folder, write_shell_files
 
     design, surface, markers = context.design, context.surface, context.markers
-    place = place_of(design, surface, markers, force_N=LOAD_N)
+    place = parse_contact_patch(design, surface, markers, force_N=LOAD_N)
     target = folder / EXPORT / "mesh"
     make_folder(target)
     facts = write_shell_files(

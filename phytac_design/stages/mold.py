@@ -26,8 +26,8 @@ def run(context: Context, folder: Path) -> None:
     from phytac_design.fabrication.molds.audit import (
         audit_facts,
         audit_set,
+        check_mold,
         fine_sections,
-        judge,
         volumes_mm3,
     )
     from phytac_design.fabrication.molds.make import make_molds
@@ -49,7 +49,7 @@ def run(context: Context, folder: Path) -> None:
     for each in made:
         context.progress(f"mold: set {each.plan.number} of {each.plan.total}")
         audit = audit_set(each, fine)
-        judge(each, audit)
+        check_mold(each, audit)
         sets.append(audit_facts(each, audit))
         poured.append(volumes_mm3(each, audit, fine))
         for name in each.parts:

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.scene_scope import scope_of
-from phytac_design.stages.response import MECHANICS, SEEN, TOUCH, watch_of
+from phytac_design.stages.response import IMAGE_ARRAYS, MECHANICS, TOUCH, image_response_of
 
 if TYPE_CHECKING:
-    from phytac_decoder.estimation.locator import Locator
+    from phytac_decoder.estimation.locator import ContactLocator
 
 NOISE_FACTOR = 1.4
 """Noise of measured shifts over that of a centroid: they are differences of two."""
@@ -17,10 +17,10 @@ NOISE_FACTOR = 1.4
 
 def run_places(context: Context, folder: Path) -> None:
     """Tabulate linear and large-displacement shifts over the surface."""
-    from phytac_decoder.io.bundle_locator import places_arrays
+    from phytac_decoder.io.bundle_locator import response_arrays
     from phytac_design.mechanics.meshing.mesh import marker_mesh
     from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
-    from phytac_design.simulation.response_tables import make_places, place_spacing_mm
+    from phytac_design.simulation.response_tables import place_spacing_mm, tabulate_responses
 
     design, surface, markers = context.design, context.surface, context.markers
     training, accuracy, scope = design.training, context.accuracy, scope_of(context)
@@ -30,20 +30,20 @@ def run_places(context: Context, folder: Path) -> None:
     receptors = accuracy.receptors and not unknown_receptors(design)
     model = sensor_model(design, markers, mesh, receptors=receptors)
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
-    done = make_places(
+    done = tabulate_responses(
         design,
         surface,
         markers,
         mesh=mesh,
         model=model,
-        see=watch_of(context),
+        see=image_response_of(context),
         spacing_mm=place_spacing_mm(surface, accuracy.place_share, radius),
         orders=accuracy.place_orders,
         near=scope.near if scope else None,
         progress=context.progress,
     )
     places = done.places
-    write_arrays(folder, places_arrays(places))
+    write_arrays(folder, response_arrays(places))
     write_facts(
         folder,
         {
@@ -62,12 +62,12 @@ def run_places(context: Context, folder: Path) -> None:
     )
 
 
-def locator_of(context: Context) -> "Locator":
+def locator_of(context: Context) -> "ContactLocator":
     """The estimator ``auto`` by design alone: no sample of the sensor has been seen."""
-    from phytac_decoder.estimation.contact_fit import Noise, Prior
-    from phytac_decoder.estimation.locator import Locator
-    from phytac_decoder.io.bundle_locator import places_from
-    from phytac_design.simulation.bound import cell_prior
+    from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
+    from phytac_decoder.estimation.locator import ContactLocator
+    from phytac_decoder.io.bundle_locator import response_from_arrays
+    from phytac_design.simulation.cramer_rao import cell_prior
 
     design, surface, markers = context.design, context.surface, context.markers
     training = design.training
@@ -81,14 +81,14 @@ def locator_of(context: Context) -> "Locator":
     radius = float(facts["radius_mm"])
     # A disc's second moment is a quarter of its squared radius.
     spread = radius / 2.0 * prior.radius_mm
-    return Locator(
-        places=places_from(arrays, radius, float(facts.get("top_N", "inf"))),
+    return ContactLocator(
+        places=response_from_arrays(arrays, radius, float(facts.get("top_N", "inf"))),
         position_mm=surface.point(markers.uv),
         neighbours=markers.neighbours,
         footprint_mm=design.switch.footprint_diameter_mm / 2.0,
         threshold_N=thresholds_N(design, markers),
-        prior=Prior(place_mm=prior.place_mm, moments_sd_mm2=(spread, spread / 2.0, spread)),
-        noise=Noise(centroid_px=NOISE_FACTOR * design.camera.noise_centroid_px),
+        prior=ContactPrior(place_mm=prior.place_mm, moments_sd_mm2=(spread, spread / 2.0, spread)),
+        noise=ShiftNoise(centroid_px=NOISE_FACTOR * design.camera.noise_centroid_px),
     )
 
 
@@ -97,7 +97,7 @@ PLACES = Stage(
     reads=(*MECHANICS, *TOUCH),
     knobs=("refine", "receptors", "place_share", "place_orders"),
     needs=("views",),
-    uses=SEEN,
+    uses=IMAGE_ARRAYS,
     scene=("regions", "reach_mm"),
     run=run_places,
 )

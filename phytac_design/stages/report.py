@@ -14,7 +14,7 @@ from phytac_design.engine.stage import Context, Stage, export_path, write_facts
 from phytac_design.optics.separability import check_paints
 from phytac_design.report.changes import changes_of
 from phytac_design.report.explorer import DATA_ID, explorer_data
-from phytac_design.report.fabrication import fabrication_facts
+from phytac_design.report.fabrication_section import fabrication_facts
 from phytac_design.report.page import images_of, page
 from phytac_design.report.provenance import provenance_of
 from phytac_design.report.sections import sections_of

@@ -12,7 +12,7 @@ from phytac_design.stages.response import MECHANICS, TOUCH
 from phytac_shapes.arrays import BoolArray, FloatArray
 
 if TYPE_CHECKING:
-    from phytac_design.simulation.bound import Bound
+    from phytac_design.simulation.cramer_rao import CramerRaoBound
 
 FORCES_N = (1.0, 5.0, 10.0, 25.0)
 """Forces at which the bound is stated, besides the design's greatest."""
@@ -20,7 +20,7 @@ RIM_SHARE = 0.125
 """Share of the height next to each rim that is reported apart (15-105 mm of 120)."""
 
 
-def _medians(bound: "Bound", middle: BoolArray) -> dict[str, float]:
+def _medians(bound: "CramerRaoBound", middle: BoolArray) -> dict[str, float]:
     """Figures over all receptors, and over those (n,) in the middle of the sensor."""
     return {
         "force_N_median_middle": float(np.median(bound.force_N[middle])),
@@ -36,7 +36,7 @@ def run_resolution(context: Context, folder: Path) -> None:
     """Cramér-Rao bound of force and place at every receptor."""
     from phytac_design.mechanics.meshing.mesh import marker_mesh
     from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
-    from phytac_design.simulation.bound import Signals, cell_prior, contact_signals
+    from phytac_design.simulation.cramer_rao import ContactSignals, cell_prior, contact_signals
     from phytac_design.simulation.response import motion_responses
 
     design, surface, markers = context.design, context.surface, context.markers
@@ -80,7 +80,7 @@ def run_resolution(context: Context, folder: Path) -> None:
     table: dict[str, Any] = {}
     # What the decoder makes use of: each marker through the one camera that reads it.
     read = np.repeat((views["camera"] == np.arange(len(slopes))[:, None]).ravel(), 2)
-    as_read = Signals(shift=signals.shift[:, read], slopes=signals.slopes[:, read])
+    as_read = ContactSignals(shift=signals.shift[:, read], slopes=signals.slopes[:, read])
     table_read: dict[str, Any] = {}
     for force in sorted({*FORCES_N, training.force_max_N}):
         bound = signals.bound(force, noise_px=noise, prior=prior)

@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from phytac_design.layout.cameras import Readers
     from phytac_design.mechanics.meshing.mesh import ShellMesh
     from phytac_design.mechanics.shell.solve import ShellModel
-    from phytac_design.simulation.pressed_series import Seen
+    from phytac_design.simulation.pressed_series import ImageResponse
 
 MECHANICS = ("tubes", "cameras", "stiffness")
 TOUCH = ("training.force_max_N", "training.patch_radius_min_mm", "training.patch_radius_max_mm")
-SEEN = {"views": ("paint_point_mm", "paint_slope", "camera")}
+IMAGE_ARRAYS = {"views": ("paint_point_mm", "paint_slope", "camera")}
 """Where the paint is, how its image moves with the wall, and which camera reads it: all that
 mechanics asks of the pictures."""
-JUDGED = {"test": 24, "anywhere": 12}
+SCENE_SAMPLES = {"test": 24, "anywhere": 12}
 """Samples of a scene that trains nothing: to judge with."""
 
 
@@ -40,12 +40,12 @@ def readers_of(context: Context) -> "Readers":
     return Readers(cameras=cameras, read_by=context.arrays("views")["camera"])
 
 
-def watch_of(context: Context) -> "Seen":
+def image_response_of(context: Context) -> "ImageResponse":
     """What the cameras see of motion (of the stage ``views``)."""
-    from phytac_design.simulation.pressed_series import Seen
+    from phytac_design.simulation.pressed_series import ImageResponse
 
     slope = context.arrays("views")["paint_slope"]
-    return Seen(readers_of(context), context.markers.mid_mm, arms_mm(context), slope)
+    return ImageResponse(readers_of(context), context.markers.mid_mm, arms_mm(context), slope)
 
 
 def cell_radius_mm(context: Context) -> float:
@@ -127,7 +127,7 @@ def run_twin(context: Context, folder: Path) -> None:
     rng = np.random.default_rng([context.seed, 1])
     count = samples_of(design, context.accuracy.sample_share)
     if context.scene is not None and not context.scene.samples:
-        count = dict(JUDGED)
+        count = dict(SCENE_SAMPLES)
     scope = scope_of(context)
     drawn = {
         name: draw_contacts(
@@ -142,7 +142,7 @@ def run_twin(context: Context, folder: Path) -> None:
         )
         for name, samples in count.items()
     }
-    mesh, model = truth_of(context)
+    mesh, model = truth_model(context)
     responses = motion_responses(
         model,
         mesh,
@@ -153,7 +153,7 @@ def run_twin(context: Context, folder: Path) -> None:
         progress=context.progress,
     )
     dent = deepest_dent_mm(context, responses, np.concatenate([i.force_N for i in drawn.values()]))
-    see = watch_of(context)
+    see = image_response_of(context)
     arrays: dict[str, Any] = {}
     start = 0
     for name, item in drawn.items():
@@ -178,7 +178,7 @@ def run_twin(context: Context, folder: Path) -> None:
     )
 
 
-def truth_of(context: Context) -> "tuple[ShellMesh, ShellModel]":
+def truth_model(context: Context) -> "tuple[ShellMesh, ShellModel]":
     """Mesh and model of the simulated sensor; in a scene fine in its regions alone."""
     from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
     from phytac_design.simulation.instance_shell import local_mesh, truth_mesh, truth_shell
@@ -229,7 +229,7 @@ RESPONSE = Stage(
     reads=MECHANICS,
     knobs=("refine", "receptors"),
     needs=("views",),
-    uses=SEEN,
+    uses=IMAGE_ARRAYS,
     scene=("regions", "reach_mm"),
     run=run_response,
 )
@@ -238,7 +238,7 @@ TWIN = Stage(
     reads=(*MECHANICS, "trips", "training", "camera.noise_centroid_px"),
     knobs=("truth_refine", "sample_share"),
     needs=("views",),
-    uses=SEEN,
+    uses=IMAGE_ARRAYS,
     seeded=True,
     scene=("regions", "reach_mm", "at_once", "samples"),
     run=run_twin,

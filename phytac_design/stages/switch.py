@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from phytac_decoder.vision.switch_detection import RED_LEAST_PX, RED_RATIO
+from phytac_decoder.vision.switch_detection import RED_RATIO_MIN, RED_AREA_MIN_px
 from phytac_design.core.json_values import finite
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
 from phytac_design.fabrication.switch_set import SwitchSet, make_switches, revolved_volume_mm3
@@ -57,10 +57,10 @@ def design_switches(context: Context, folder: Path) -> list[dict[str, Any]]:
         If one does not fit the space or has no data for its rubber.
     """
     from phytac_design.mechanics.switch.design import design_switch
-    from phytac_design.mechanics.switch.receptor import rubber_of, space_of
+    from phytac_design.mechanics.switch.line_plot import write_svg
     from phytac_design.mechanics.switch.report import curve_plot, switch_dict
     from phytac_design.mechanics.switch.space import Tolerance
-    from phytac_design.mechanics.switch.svg import write_svg
+    from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
 
     design, switch = context.design, context.design.switch
     rubber, space = rubber_of(design), space_of(design)
@@ -91,7 +91,7 @@ def red_of(context: Context) -> dict[str, Any]:
     """
     views = context.arrays("views")
     rest, out = views["tip_red_rest_px"], views["tip_red_on_px"]
-    needed = RED_RATIO * rest + RED_LEAST_PX
+    needed = RED_RATIO_MIN * rest + RED_AREA_MIN_px
     worst = int(np.argmin(out - needed))
     far = int(np.argmax(np.linalg.norm(context.markers.tip_mm - _eye_mm(context), axis=1)))
     return {

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from phytac_decoder.camera.camera import Camera
     from phytac_design.optics.scene import Scene
     from phytac_design.optics.visibility import Visibility
-    from phytac_design.simulation.expected_image import Expected
+    from phytac_design.simulation.expected_image import ExpectedView
 
 MARKS = ("", "_far")
 """What the names of pictures and frames of each camera end in; one camera's, in nothing."""
@@ -61,7 +61,7 @@ def id_picture(part: Any) -> ImageArray:
 def red_centroids(part: Any, count: int) -> FloatArray:
     """Centroid (n, 2) px of the visible red of each tip in an ID map, NaN where none."""
     from phytac_design.optics.scene import red_owner
-    from phytac_design.simulation.imaging.nominal import owner_centroids
+    from phytac_design.simulation.imaging.nominal_view import owner_centroids
 
     return owner_centroids(red_owner(part), count)
 
@@ -72,7 +72,7 @@ class Shot:
 
     camera: "Camera"
     seen: "Visibility"
-    expected: "Expected"
+    expected: "ExpectedView"
     paint_slope: FloatArray
     renderer: str
 
@@ -91,8 +91,8 @@ def shoot(
     from phytac_design.optics.raster import rasterise
     from phytac_design.optics.scene import build_scene
     from phytac_design.optics.visibility import see
-    from phytac_design.simulation.expected_image import expectations
-    from phytac_design.simulation.imaging.nominal import paint_slope
+    from phytac_design.simulation.expected_image import measure_expected
+    from phytac_design.simulation.imaging.nominal_view import paint_slope
 
     design, surface, markers = context.design, context.surface, context.markers
     tolerance = tolerance_mm(camera, markers)
@@ -103,7 +103,7 @@ def shoot(
     part_on = rasterise(on, camera).part
     away = camera.project(markers.tip_mm) if alone else np.nan
     place = np.where(seen.lost[:, None], away, seen.centroid_px)
-    expected = expectations(
+    expected = measure_expected(
         design,
         markers,
         rest_frame=render_frame(rest, camera),

@@ -18,15 +18,15 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import shipped_designs
 from phytac_design.report.page import STYLE
 from phytac_design.report.viewer.assets import SCRIPTS, style, text_of
-from phytac_design.studio import asked as ask
+from phytac_design.studio import request_bodies as ask
+from phytac_design.studio.access_control import RefusedError
 from phytac_design.studio.builds import Builds
 from phytac_design.studio.draft import Asked, draft, exact
 from phytac_design.studio.errors import error_body
-from phytac_design.studio.files import AskError, Opened, Workplace
+from phytac_design.studio.files import AskError, Opened, ProjectFolder
 from phytac_design.studio.form import field_paths, form
-from phytac_design.studio.guard import RefusedError
+from phytac_design.studio.latest_only import StaleError, Turns
 from phytac_design.studio.studies import studies, study_table, trial_design
-from phytac_design.studio.turns import StaleError, Turns
 from phytac_shapes.errors import DesignError, InputError, OutputError, PhytacError
 
 STATIC = {
@@ -58,7 +58,7 @@ class Studio:
         What is open at first: a shipped design, or a path.
     """
 
-    def __init__(self, place: Workplace, design: str) -> None:
+    def __init__(self, place: ProjectFolder, design: str) -> None:
         self.place, self.design = place, design
         self.builds = Builds(place.root)
         self.drafts, self.checks = Turns("draft"), Turns("check")

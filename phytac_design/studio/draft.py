@@ -28,11 +28,11 @@ from phytac_design.optics.scene import Scene, build_scene, paint_owner
 from phytac_design.optics.visibility import FRACTION_MIN, heights_face
 from phytac_design.report.viewer.data import Colouring, base_colourings, viewer_data
 from phytac_design.rules.design_review import checkup
-from phytac_design.studio.turns import StaleError
+from phytac_design.studio.latest_only import StaleError
 from phytac_design.study.search.candidate import COARSE, Candidate
-from phytac_design.study.search.file import Study, Variable
+from phytac_design.study.search.fidelity_levels import outlined_gap_px, rules
 from phytac_design.study.search.measures import MEASURES
-from phytac_design.study.search.rungs import outlined_gap_px, rules
+from phytac_design.study.search.study_file import Study, Variable
 from phytac_design.study.search.surrogate import predict
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import DesignError, PhytacError

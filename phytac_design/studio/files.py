@@ -52,7 +52,7 @@ def digest_of(text: str) -> str:
     return sha256(text.encode()).hexdigest()
 
 
-class Workplace:
+class ProjectFolder:
     """The one folder that the studio reads designs from and writes them to.
 
     Parameters

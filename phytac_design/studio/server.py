@@ -12,9 +12,9 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from phytac_design.design.design_file import load_design, shipped_designs
+from phytac_design.studio.access_control import PATIENCE_S, App, Guard
 from phytac_design.studio.app import Studio
-from phytac_design.studio.files import Workplace
-from phytac_design.studio.guard import PATIENCE_S, App, Guard
+from phytac_design.studio.files import ProjectFolder
 from phytac_shapes.errors import OutputError
 
 LOOPBACK = "127.0.0.1"
@@ -85,7 +85,7 @@ class Told(uvicorn.Server):
         self.ready()
 
 
-class Running:
+class StudioServer:
     """A studio that is ready to run.
 
     Parameters
@@ -112,7 +112,7 @@ class Running:
     ) -> None:
         load_design(design)
         given = None if design in shipped_designs() else Path(design).resolve()
-        place = Workplace(root, given)
+        place = ProjectFolder(root, given)
         name = design
         if given is not None:
             inside = given.is_relative_to(place.root)
@@ -172,7 +172,7 @@ def _listen(port: int) -> socket.socket:
     return listener
 
 
-def look(url: str) -> bool:
+def open_browser(url: str) -> bool:
     """Open a browser; whether there is one."""
     try:
         return webbrowser.open(url)

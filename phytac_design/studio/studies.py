@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from phytac_design.core.json_values import finite
-from phytac_design.report.names import NAMES
+from phytac_design.report.figure_names import NAMES
 from phytac_design.studio.files import walk
 from phytac_design.study.search.measures import MEASURES
 from phytac_design.study.search.rebuild import rebuild
 from phytac_design.study.search.report import Results, read_results
-from phytac_design.study.search.store import RESULTS, STUDY, read_study
+from phytac_design.study.search.study_folder import RESULTS, STUDY, read_study
 from phytac_shapes.errors import InputError, PhytacError
 
 ROWS_MAX = 2000

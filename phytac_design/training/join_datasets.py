@@ -20,7 +20,7 @@ TRUTH = ("sample", "marker", "force_N", "touch")
 KEY = ("sample", "marker", "u_mm", "stiffness_force_N", "force_N")
 
 
-def pick(samples: Samples, index: IntArray) -> Samples:
+def select_samples(samples: Samples, index: IntArray) -> Samples:
     """Some samples with all that belongs to them, renumbered from 0.
 
     Parameters
@@ -63,7 +63,7 @@ def _rows(rows: Any, names: Sequence[str], keep: BoolArray, new: IntArray) -> An
     return replace(rows, **kept | {"sample": new[kept["sample"]]})
 
 
-def join(sets: Sequence[Samples]) -> Samples:
+def join_samples(sets: Sequence[Samples]) -> Samples:
     """Several data sets of one sensor as one; a part stays if all of them have it.
 
     Sequences are renumbered, so that no two sets share one.

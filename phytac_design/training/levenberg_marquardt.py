@@ -58,7 +58,7 @@ class KeyNodeData:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trained:
+class TrainedNetwork:
     """A trained network, how long it took, and its errors in newtons (root mean square)."""
 
     network: CascadeNetwork
@@ -82,7 +82,7 @@ def train_network(
     activation: Activation,
     seed: int,
     start: CascadeNetwork | None = None,
-) -> Trained:
+) -> TrainedNetwork:
     """Fit k = g(nn) so that (K·U)_i + k_i·u_i matches the true force (paper, eq. 2 and 3).
 
     The label k_i = (F_i - (K·U)_i) / u_i is never formed: it is undefined as u → 0. The loss is
@@ -132,7 +132,7 @@ def train_network(
     )
     fits = [_fit(rows[0], rows[1], first, rectified=activation == "rectified") for first in starts]
     best = min(fits, key=lambda fit: fit.rmse_validation)
-    return Trained(
+    return TrainedNetwork(
         network=CascadeNetwork(
             parameters=best.parameters,
             activation=activation,
@@ -186,7 +186,7 @@ def _initial(seed: int) -> FloatArray:
     return np.concatenate(parts)
 
 
-class _Cascade:
+class CascadeDerivatives:
     """The network of ``phytac_decoder.estimation.cascade_network`` at one vector of parameters, with its derivatives."""
 
     def __init__(self, flat: FloatArray, x: FloatArray, *, rectified: bool) -> None:
@@ -226,14 +226,14 @@ class _Cascade:
 def _fit(training: _Rows, validation: _Rows, first: FloatArray, *, rectified: bool) -> _Fit:
     """One Levenberg-Marquardt run from one start."""
 
-    def residual_N(net: _Cascade, rows: _Rows) -> FloatArray:
+    def residual_N(net: CascadeDerivatives, rows: _Rows) -> FloatArray:
         return np.asarray(net.value * rows.u - rows.goal_N)
 
     def rms(error: FloatArray) -> float:
         return float(np.sqrt((error**2).mean()))
 
-    def at(flat: FloatArray, rows: _Rows) -> _Cascade:
-        return _Cascade(flat, rows.x, rectified=rectified)
+    def at(flat: FloatArray, rows: _Rows) -> CascadeDerivatives:
+        return CascadeDerivatives(flat, rows.x, rectified=rectified)
 
     flat = first
     net = at(flat, training)

@@ -7,20 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from phytac_decoder.estimation.contact_estimates import Found, Located
-from phytac_decoder.estimation.contact_fit import Noise, Prior
-from phytac_decoder.estimation.force_correction import Correction, learn_correction
-from phytac_decoder.estimation.locator import Locator
-from phytac_decoder.estimation.marker_gain import (
-    LeftOut,
-    gains,
-    left_out,
-    noise_of,
-    shown,
-    with_gain,
-)
-from phytac_decoder.mechanics.stiffness_field import Uneven
+from phytac_decoder.estimation.contact_estimates import ContactDetection, LocatedContact
+from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
+from phytac_decoder.estimation.force_correction import ForceCorrection, fit_correction
+from phytac_decoder.estimation.locator import ContactLocator
 from phytac_design.datasets.samples import FAILED, Samples, TouchRows
+from phytac_design.training.marker_gain import (
+    CrossValidationFold,
+    apply_gain,
+    cross_validation_folds,
+    estimate_marker_noise,
+    fit_gains,
+    predict_residuals,
+)
+from phytac_design.training.stiffness_field import StiffnessField
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError
 
@@ -41,7 +41,7 @@ FLAT, SPHERE, CYLINDER = range(3)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Matches:
+class ContactMatches:
     """Contacts found, beside those that were pressed; arrays run over c contacts.
 
     Attributes
@@ -69,14 +69,14 @@ class Matches:
     misfit: FloatArray
 
 
-def match(locator: Locator, samples: Samples, chosen: IntArray) -> Matches:
+def match_contacts(locator: ContactLocator, samples: Samples, chosen: IntArray) -> ContactMatches:
     """Find contacts in samples (k,), and match them to what was pressed by the switches tripped.
 
     A contact that was found as two, or two that were found as one, are no match.
     """
     touches, truth, shift, bits = samples.points()
     start = np.searchsorted(truth.sample, np.arange(samples.count + 1))
-    rows: list[tuple[int, Located]] = []
+    rows: list[tuple[int, LocatedContact]] = []
     misfit = []
     for sample in chosen:
         koi = np.flatnonzero(bits[sample])
@@ -93,7 +93,7 @@ def match(locator: Locator, samples: Samples, chosen: IntArray) -> Matches:
         )
     index = np.array([touch for touch, _ in rows], dtype=np.int64)
     contacts = [contact for _, contact in rows]
-    return Matches(
+    return ContactMatches(
         touch=index,
         point_mm=np.stack([contact.point_mm for contact in contacts]),
         force_N=np.array([contact.raw_N for contact in contacts]),
@@ -104,7 +104,9 @@ def match(locator: Locator, samples: Samples, chosen: IntArray) -> Matches:
     )
 
 
-def _matched(found: Found, marker: IntArray, touch: IntArray) -> list[tuple[int, Located]]:
+def _matched(
+    found: ContactDetection, marker: IntArray, touch: IntArray
+) -> list[tuple[int, LocatedContact]]:
     out = []
     for contact in found.contacts:
         pressed = np.unique(touch[np.isin(marker, contact.markers)])
@@ -118,9 +120,14 @@ def _matched(found: Found, marker: IntArray, touch: IntArray) -> list[tuple[int,
     return out
 
 
-def calibrated(
-    locator: Locator, samples: Samples, chosen: IntArray, *, force_max_N: float, seed: int = 0
-) -> tuple[Locator, dict[str, Any]]:
+def calibrate_locator(
+    locator: ContactLocator,
+    samples: Samples,
+    chosen: IntArray,
+    *,
+    force_max_N: float,
+    seed: int = 0,
+) -> tuple[ContactLocator, dict[str, Any]]:
     """A locator that knows its sensor, and what it learnt, as figures.
 
     Parameters
@@ -146,28 +153,32 @@ def calibrated(
         few = np.random.default_rng(seed).permutation(chosen)[:SCALE_SAMPLES]
     plain = replace(locator, correction=None, prior=learnt_prior(locator, samples, chosen))
     plain, first = _scaled(plain, samples, few[:FIRST_SAMPLES], rounds=SCALE_ROUNDS)
-    seen, pressed = shown(plain, samples, chosen, _moments(plain, samples))
-    gain, parts, design = gains(seen), left_out(seen, PARTS, samples.sequence[chosen]), plain.places
-    noise = _noise(plain.noise, *noise_of(seen, parts))
-    uneven = Uneven(seen, parts, pressed, design, noise)
+    seen, pressed = predict_residuals(plain, samples, chosen, _moments(plain, samples))
+    gain, parts, design = (
+        fit_gains(seen),
+        cross_validation_folds(seen, PARTS, samples.sequence[chosen]),
+        plain.places,
+    )
+    noise = _noise(plain.noise, *estimate_marker_noise(seen, parts))
+    uneven = StiffnessField(seen, parts, pressed, design, noise)
     plain = replace(plain, noise=noise)
     again = _left_out(plain, uneven, 1.0, parts, samples, chosen, few)
     if len(chosen) <= SCALE_SAMPLES:
         even = _left_out(plain, uneven.silenced(), 1.0, parts, samples, chosen, few)
         if _scatter(again) > WORSE * _scatter(even):
             uneven, again = uneven.silenced(), even
-    plain = replace(plain, places=with_gain(uneven.told(), gain))
+    plain = replace(plain, places=apply_gain(uneven.told(), gain))
     plain, second = _rescaled(plain, again)
     matches = _left_out(plain, uneven, second, parts, samples, chosen, chosen)
     box = plain.position_mm
-    empty = Correction.plain(
+    empty = ForceCorrection.plain(
         low_mm=box.min(axis=0),
         size_mm=max(float(np.ptp(box, axis=0).max()), 1e-9),
         force_max_N=force_max_N,
     )
     correction = empty
     if len(matches.force_N) >= CORRECTION_LEAST:
-        correction = learn_correction(
+        correction = fit_correction(
             empty,
             point_mm=matches.point_mm,
             force_N=matches.force_N,
@@ -201,17 +212,17 @@ def _blocks(samples: Samples, touch: IntArray) -> IntArray:
 
 
 def _scaled(
-    plain: Locator, samples: Samples, chosen: IntArray, *, rounds: int
-) -> tuple[Locator, float]:
+    plain: ContactLocator, samples: Samples, chosen: IntArray, *, rounds: int
+) -> tuple[ContactLocator, float]:
     """Locator as stiff and as noisy as samples (k,) say, and its stiffness over the one given."""
     stiffness = 1.0
     for _ in range(rounds):
-        plain, factor = _rescaled(plain, match(plain, samples, chosen))
+        plain, factor = _rescaled(plain, match_contacts(plain, samples, chosen))
         stiffness *= factor
     return plain, stiffness
 
 
-def _rescaled(plain: Locator, matches: Matches) -> tuple[Locator, float]:
+def _rescaled(plain: ContactLocator, matches: ContactMatches) -> tuple[ContactLocator, float]:
     """The same by contacts that were found."""
     factor = weighted_median(matches.truth_N / matches.force_N, matches.force_N / matches.sd_N)
     change = float(np.clip(np.sqrt(np.median(matches.misfit)), *NOISE_CHANGE))
@@ -219,13 +230,13 @@ def _rescaled(plain: Locator, matches: Matches) -> tuple[Locator, float]:
     return replace(plain, places=plain.places.scaled(factor), noise=noise), factor
 
 
-def _scatter(matches: Matches) -> float:
+def _scatter(matches: ContactMatches) -> float:
     """Mean of how far found forces are from the truth, over it, but for what all are off."""
     ratio = matches.force_N / matches.truth_N
     return float(np.mean(np.abs(ratio / np.median(ratio) - 1.0)))
 
 
-def _moments(plain: Locator, samples: Samples) -> FloatArray:
+def _moments(plain: ContactLocator, samples: Samples) -> FloatArray:
     """Second moments (c, 3) mm² of all contacts less the disc's; of unknown ones the usual."""
     touches, *_ = samples.points()
     moments = np.tile(plain.prior.moments_mm2, (len(touches.force_N), 1))
@@ -234,7 +245,7 @@ def _moments(plain: Locator, samples: Samples) -> FloatArray:
     return moments
 
 
-def _noise(before: Noise, each_px: FloatArray, switched_px: float | None) -> Noise:
+def _noise(before: ShiftNoise, each_px: FloatArray, switched_px: float | None) -> ShiftNoise:
     """Noise of each marker, and of those whose switch is on."""
     usual = float(np.sqrt(np.mean(each_px**2)))
     return replace(
@@ -246,31 +257,33 @@ def _noise(before: Noise, each_px: FloatArray, switched_px: float | None) -> Noi
 
 
 def _left_out(
-    plain: Locator,
-    uneven: Uneven,
+    plain: ContactLocator,
+    uneven: StiffnessField,
     stiffness: float,
-    parts: list[LeftOut],
+    parts: list[CrossValidationFold],
     samples: Samples,
     chosen: IntArray,
     within: IntArray,
-) -> Matches:
+) -> ContactMatches:
     """Contacts of samples (m,) among those chosen, each found with tables that others told."""
     found = []
     for number, part in enumerate(parts):
         rows = part.rows & np.isin(chosen, within)
-        own = with_gain(uneven.told(without=number).scaled(stiffness), part.gain)
+        own = apply_gain(uneven.told(without=number).scaled(stiffness), part.gain)
         others = replace(plain, places=own)
         with suppress(InputError):  # none of a few samples may be found again
-            found.append(match(others, samples, chosen[rows]))
+            found.append(match_contacts(others, samples, chosen[rows]))
     if not found:
-        return match(plain, samples, within)
-    columns = {f.name: np.concatenate([getattr(m, f.name) for m in found]) for f in fields(Matches)}
-    return Matches(**columns)
+        return match_contacts(plain, samples, within)
+    columns = {
+        f.name: np.concatenate([getattr(m, f.name) for m in found]) for f in fields(ContactMatches)
+    }
+    return ContactMatches(**columns)
 
 
-def _moments_over_disc(locator: Locator, touches: TouchRows, rows: IntArray) -> FloatArray:
+def _moments_over_disc(locator: ContactLocator, touches: TouchRows, rows: IntArray) -> FloatArray:
     """Second moments (k, 3) mm² of contacts' pressures, less those of the tables' disc."""
-    moments = second_moments(
+    moments = pressure_moments(
         {
             "indenter": touches.indenter[rows],
             "radius_mm": touches.radius_mm[rows],
@@ -289,7 +302,7 @@ def weighted_median(values: FloatArray, weights: FloatArray) -> float:
     return float(values[order][np.searchsorted(total, total[-1] / 2.0)])
 
 
-def learnt_prior(locator: Locator, samples: Samples, chosen: IntArray) -> Prior:
+def learnt_prior(locator: ContactLocator, samples: Samples, chosen: IntArray) -> ContactPrior:
     """How contacts of samples lie about the switches they tripped, and how large they are."""
     touches, truth = samples.touches, samples.truth
     if touches is None or truth is None:
@@ -315,7 +328,7 @@ def learnt_prior(locator: Locator, samples: Samples, chosen: IntArray) -> Prior:
     return prior
 
 
-def second_moments(touches: Mapping[str, Any]) -> FloatArray:
+def pressure_moments(touches: Mapping[str, Any]) -> FloatArray:
     """Second moments xx, xy, yy (c, 3) mm² of indenters' pressures about their centres.
 
     An even disc of radius a has a²/4 along each axis, Hertz's ball a²/5, and a strip of half-width

@@ -11,7 +11,7 @@ from phytac_shapes.errors import OutputError
 
 
 @contextmanager
-def claimed(out: Path, table: str, design: str, *, force: bool) -> Iterator[None]:
+def reserve_folder(out: Path, table: str, design: str, *, force: bool) -> Iterator[None]:
     """Make a folder for the work inside, or refuse one that holds something else.
 
     If the work fails and has written nothing, the folder goes again.
@@ -67,7 +67,7 @@ def _design_in(table: Path) -> str | None:
 
 
 @contextmanager
-def written(out: Path, table: str) -> Iterator[Path]:
+def write_folder(out: Path, table: str) -> Iterator[Path]:
     """A folder to write files into, which then move to ``out``, the table last.
 
     Raises

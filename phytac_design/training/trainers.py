@@ -12,7 +12,7 @@ from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle
 from phytac_design.datasets.samples import THEORIES
 from phytac_design.training.levenberg_marquardt import KeyNodeData, train_network
-from phytac_design.training.locator_calibration import calibrated
+from phytac_design.training.locator_calibration import calibrate_locator
 from phytac_design.training.training_data import Part
 from phytac_shapes.errors import InputError
 
@@ -20,7 +20,7 @@ LINEAR = (THEORIES.index("rest"), THEORIES.index("linear"))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lesson:
+class TrainingTask:
     """What a trainer is given.
 
     Attributes
@@ -45,12 +45,12 @@ class Lesson:
     start: Bundle | None = None
 
 
-Trainer = Callable[[Lesson], tuple[ForceModel, dict[str, Any]]]
+Trainer = Callable[[TrainingTask], tuple[ForceModel, dict[str, Any]]]
 """From a lesson to the bundle's force model with one more estimator, and facts, plain JSON."""
 
 
 def train_cascade(
-    lesson: Lesson, *, name: str, activation: Activation
+    lesson: TrainingTask, *, name: str, activation: Activation
 ) -> tuple[ForceModel, dict[str, Any]]:
     """Train the paper's network.
 
@@ -91,7 +91,7 @@ def rmse_N(network: CascadeNetwork, rows: KeyNodeData) -> float:
     return float(np.sqrt((error**2).mean())) if len(error) else float("nan")
 
 
-def calibrate_auto(lesson: Lesson) -> tuple[ForceModel, dict[str, Any]]:
+def calibrate_auto(lesson: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
     """Let ``auto`` know its sensor: stiffness, markers' gains, noise, priors, correction, spread.
 
     Where all samples are of linear theory, its tables are cut to that too.
@@ -106,7 +106,7 @@ def calibrate_auto(lesson: Lesson) -> tuple[ForceModel, dict[str, Any]]:
         missing = "tables in the decoder" if model.locator is None else "points in the data"
         return model, {"left": f"as designed: no {missing}"}
     linear = bool(np.isin(samples.theory, LINEAR).all())
-    locator, facts = calibrated(
+    locator, facts = calibrate_locator(
         model.locator.linear if linear else model.locator,
         samples,
         np.arange(samples.count),

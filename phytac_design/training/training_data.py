@@ -9,10 +9,17 @@ from typing import Any
 import numpy as np
 
 from phytac_decoder.estimation.estimators import ForceModel
-from phytac_design.datasets.samples import FAILED, KeyNodeRows, Meta, Samples, key_nodes, split
+from phytac_design.datasets.samples import (
+    FAILED,
+    DataSetInfo,
+    KeyNodeRows,
+    Samples,
+    key_nodes,
+    split_sequences,
+)
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.datasets.samples_writer import TABLE, file_hash
-from phytac_design.training.join_datasets import join, pick
+from phytac_design.training.join_datasets import join_samples, select_samples
 from phytac_design.training.levenberg_marquardt import KeyNodeData
 from phytac_shapes.arrays import IntArray
 from phytac_shapes.errors import InputError
@@ -41,7 +48,7 @@ class DataSet:
 
     folder: Path
     samples: Samples
-    meta: Meta
+    meta: DataSetInfo
     sha256: str
 
     @property
@@ -81,7 +88,7 @@ class Part:
     samples: Samples | None
 
 
-def read_sets(folders: Sequence[Path], *, design_hash: str) -> list[DataSet]:
+def read_data_sets(folders: Sequence[Path], *, design_hash: str) -> list[DataSet]:
     """Read data sets of one design.
 
     Raises
@@ -184,7 +191,7 @@ def rows_of(item: DataSet, model: ForceModel, noise_px: float) -> KeyNodeRows:
     return kept
 
 
-def share_out(
+def split_data_sets(
     sets: Sequence[DataSet],
     model: ForceModel,
     *,
@@ -213,7 +220,9 @@ def share_out(
         If there are fewer samples than that, or too few to share out, or no key node at all.
     """
     rows = [rows_of(item, model, noise_px) for item in sets]
-    whole = join([replace(item.samples, key_nodes=r) for item, r in zip(sets, rows, strict=True)])
+    whole = join_samples(
+        [replace(item.samples, key_nodes=r) for item, r in zip(sets, rows, strict=True)]
+    )
     usable = np.flatnonzero(whole.status != FAILED)
     if limit is not None:
         if not 0 < limit <= len(usable):
@@ -222,7 +231,7 @@ def share_out(
                 "ask for fewer, or simulate more"
             )
         usable = usable[:limit]
-    whole = pick(whole, usable)
+    whole = select_samples(whole, usable)
     nodes = whole.key_nodes
     if nodes is None or len(nodes.sample) == 0:
         raise InputError(
@@ -238,7 +247,7 @@ def share_out(
     at = np.cumsum([0] + [item.samples.count for item in sets])
     parts = [
         Part(count=len(index), rows=data.take(index), samples=_points(sets, at, usable[index]))
-        for index in split(whole, SHARES, seed=seed)
+        for index in split_sequences(whole, SHARES, seed=seed)
     ]
     return parts[0], parts[1], parts[2]
 
@@ -260,5 +269,5 @@ def _points(sets: Sequence[DataSet], at: IntArray, index: IntArray) -> Samples |
     for item, first in zip(sets, at[:-1].tolist(), strict=True):
         own = index[(index >= first) & (index < first + item.samples.count)] - first
         if item.has_points and len(own):
-            found.append(pick(replace(item.samples, key_nodes=None), own))
-    return join(found) if found else None
+            found.append(select_samples(replace(item.samples, key_nodes=None), own))
+    return join_samples(found) if found else None

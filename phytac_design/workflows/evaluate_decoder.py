@@ -13,14 +13,20 @@ from phytac_design.core.json_values import finite
 from phytac_design.datasets.samples import STATUSES, THEORIES, Samples
 from phytac_design.design.design_file import design_hash, load_design, shipped_designs
 from phytac_design.design.spec import Design
-from phytac_design.training.evaluation.contacts import Decoded, decode_contacts
-from phytac_design.training.evaluation.groups import KINDS, Groups, groups_of, kinds, places
+from phytac_design.training.evaluation.decoded_contacts import DecodedContacts, decode_contacts
+from phytac_design.training.evaluation.groups import (
+    KINDS,
+    Groups,
+    contact_positions,
+    groups_of,
+    kinds,
+)
 from phytac_design.training.evaluation.plots import draw
 from phytac_design.training.evaluation.scores import LEVEL, RESAMPLES, Bootstrap
 from phytac_design.training.evaluation.tables import contacts_csv, tables_md
-from phytac_design.training.join_datasets import join
-from phytac_design.training.result_folder import claimed, written
-from phytac_design.training.training_data import DataSet, bundle_hash, read_sets
+from phytac_design.training.join_datasets import join_samples
+from phytac_design.training.result_folder import reserve_folder, write_folder
+from phytac_design.training.training_data import DataSet, bundle_hash, read_data_sets
 from phytac_shapes.errors import InputError, PhytacError
 
 TABLE = "evaluation.json"
@@ -82,7 +88,7 @@ def evaluate(
         If ``out`` cannot be written or holds something else.
     """
     decoder = load_bundle(bundle)
-    sets = read_sets(data, design_hash=decoder.design_hash)
+    sets = read_data_sets(data, design_hash=decoder.design_hash)
     for item in sets:
         if not item.has_points:
             raise InputError(
@@ -100,15 +106,15 @@ def evaluate(
             f"warning: no design file of {decoder.design} with this decoder's hash was found: "
             "heights and sides are left out; add --design FILE"
         )
-    samples = join([item.samples for item in sets])
+    samples = join_samples([item.samples for item in sets])
     check_markers(decoder, samples)
-    with claimed(out, TABLE, decoder.design, force=force):
+    with reserve_folder(out, TABLE, decoder.design, force=force):
         decoded = decode_contacts(
             decoder.model, samples, progress=lambda name: progress(f"evaluate: {name}")
         )
         where = None
         if known is not None and samples.touches is not None:
-            where = places(known, samples.touches.uv[decoded.touch])
+            where = contact_positions(known, samples.touches.uv[decoded.touch])
         groups = groups_of(sets, samples, decoded, where)
         progress("evaluate: intervals and pictures")
         facts: dict[str, Any] = finite(
@@ -130,7 +136,7 @@ def evaluate(
             }
         )
         kind = kinds(sets, samples, decoded)
-        with written(out, TABLE) as folder:
+        with write_folder(out, TABLE) as folder:
             text = json.dumps(facts, indent=1, sort_keys=True, ensure_ascii=False)
             (folder / TABLE).write_text(text + "\n", encoding="utf-8")
             rows = contacts_csv(samples, decoded, where, [KINDS[k] for k in kind])
@@ -180,7 +186,7 @@ def check_markers(decoder: Bundle, samples: Samples) -> None:
         )
 
 
-def counts(sets: Sequence[DataSet], samples: Samples, decoded: Decoded) -> dict[str, Any]:
+def counts(sets: Sequence[DataSet], samples: Samples, decoded: DecodedContacts) -> dict[str, Any]:
     """How many samples and contacts there are, and what became of them."""
     status = np.bincount(samples.status, minlength=len(STATUSES))
     theory = np.bincount(samples.theory[decoded.judged], minlength=len(THEORIES))
@@ -201,7 +207,7 @@ def counts(sets: Sequence[DataSet], samples: Samples, decoded: Decoded) -> dict[
     }
 
 
-def scores(decoded: Decoded, groups: Groups, seed: int) -> dict[str, Any]:
+def scores(decoded: DecodedContacts, groups: Groups, seed: int) -> dict[str, Any]:
     """Errors of every estimator in every group."""
     bootstrap = Bootstrap(sample=decoded.sample, seed=seed)
     return {

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from phytac_decoder.camera.lens import Lens
-from phytac_decoder.estimation.decode import Measured
 from phytac_decoder.io.bundle import Bundle, load_bundle
-from phytac_design.datasets.samples import Meta, Samples, inputs_alone, key_nodes
+from phytac_decoder.pipeline.decode import Measured
+from phytac_design.datasets.samples import DataSetInfo, Samples, inputs_alone, key_nodes
 from phytac_design.datasets.samples_writer import FRAMES, file_hash, write_samples
 from phytac_design.design.camera_files import read_lens
 from phytac_design.design.design_file import design_hash
@@ -19,9 +19,19 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.simulation.indenters import Touches
 from phytac_design.simulation.rig_import.contacts import contacts_of, sequences_of
-from phytac_design.simulation.rig_import.frames import Folder, Source, match, open_source
-from phytac_design.simulation.rig_import.log import Problems, RigLog, read_rig_log
-from phytac_design.simulation.rig_import.seen import Rig, measure, rest_of, samples_of
+from phytac_design.simulation.rig_import.frames import (
+    FrameFolder,
+    FrameSource,
+    match_frames,
+    open_source,
+)
+from phytac_design.simulation.rig_import.log import RigLog, RowProblems, read_rig_log
+from phytac_design.simulation.rig_import.rig_samples import (
+    RigSetup,
+    measure_samples,
+    rest_positions_of,
+    samples_of,
+)
 from phytac_design.stages.views import MARKS, png_bytes
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError, OutputError
@@ -36,7 +46,7 @@ KEEPS = ("inputs", "points", "frames")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class ImportSettings:
     """How to read a rig's files.
 
     Attributes
@@ -63,7 +73,7 @@ class Settings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Imported:
+class ImportResult:
     """What became of a log.
 
     Attributes
@@ -79,8 +89,8 @@ class Imported:
     """
 
     samples: Samples
-    meta: Meta
-    problems: Problems
+    meta: DataSetInfo
+    problems: RowProblems
     left_out: int
 
 
@@ -93,9 +103,9 @@ def import_rig(
     out: Path,
     rest: Sequence[str] = (),
     cameras: Sequence[Path] = (),
-    settings: Settings | None = None,
+    settings: ImportSettings | None = None,
     progress: Callable[[str], None] = print,
-) -> Imported:
+) -> ImportResult:
     """Read a rig's log and pictures, check them, and write them as a data set.
 
     Parameters
@@ -127,13 +137,13 @@ def import_rig(
     OutputError
         If ``out`` is there already, or cannot be written.
     """
-    chosen, out = settings or Settings(), out.resolve()
+    chosen, out = settings or ImportSettings(), out.resolve()
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise OutputError(f"{out} is there already; choose another folder or remove it")
     rig = _rig(design, bundle, frames, chosen)
     notes: dict[str, Any] = {"settings": asdict(chosen)}
     notes["lenses"] = _check_lenses(rig.bundle, cameras, progress)
-    problems = Problems(where=str(log_path))
+    problems = RowProblems(where=str(log_path))
     log = read_rig_log(log_path, problems)
     touches = contacts_of(
         log,
@@ -148,9 +158,9 @@ def import_rig(
     times = _times(log, rig.sources[0], numbers[0], problems, notes)
     if not chosen.skip_bad:
         problems.refuse()
-    rest_px = rest_of(rig, list(rest), progress)
+    rest_px = rest_positions_of(rig, list(rest), progress)
     sound = np.setdiff1d(np.arange(log.samples), problems.samples)
-    seen = measure(rig, log, numbers, sound, rest_px, problems, progress)
+    seen = measure_samples(rig, log, numbers, sound, rest_px, problems, progress)
     if not chosen.skip_bad:
         problems.refuse()
     if not seen:
@@ -164,7 +174,7 @@ def import_rig(
         "log_says": list(log.remarks),
         "rest": [Path(text).name for text in rest],
     }
-    meta = Meta(
+    meta = DataSetInfo(
         simulated=False,
         what=f"measured: {samples.count} samples of a rig with {design.name}",
         design=design.name,
@@ -181,10 +191,10 @@ def import_rig(
     pictures = numbers[:, sorted(seen)] if chosen.keep == "frames" else numbers[:, :0]
     meta = _write(rig.sources, out, samples, meta, pictures)
     left_out = log.samples - samples.count
-    return Imported(samples=samples, meta=meta, problems=problems, left_out=left_out)
+    return ImportResult(samples=samples, meta=meta, problems=problems, left_out=left_out)
 
 
-def _rig(design: Design, bundle: Path, frames: Sequence[Path], chosen: Settings) -> Rig:
+def _rig(design: Design, bundle: Path, frames: Sequence[Path], chosen: ImportSettings) -> RigSetup:
     """Sensor, decoder and pictures, if they are of one another."""
     if chosen.keep not in KEEPS:
         raise InputError(f"keep must be one of {', '.join(KEEPS)} (got {chosen.keep!r})")
@@ -200,7 +210,7 @@ def _rig(design: Design, bundle: Path, frames: Sequence[Path], chosen: Settings)
             "folders or videos); give --frames once for each, the near end's first"
         )
     surface = design.surface()
-    return Rig(
+    return RigSetup(
         design=design,
         surface=surface,
         markers=make_markers(design, surface),
@@ -209,7 +219,7 @@ def _rig(design: Design, bundle: Path, frames: Sequence[Path], chosen: Settings)
     )
 
 
-def _radius(design: Design, log: RigLog, chosen: Settings, notes: dict[str, Any]) -> float:
+def _radius(design: Design, log: RigLog, chosen: ImportSettings, notes: dict[str, Any]) -> float:
     """Radius of contacts that the log does not say."""
     training = design.training
     middle = 0.5 * (training.patch_radius_min_mm + training.patch_radius_max_mm)
@@ -220,12 +230,12 @@ def _radius(design: Design, log: RigLog, chosen: Settings, notes: dict[str, Any]
 
 
 def _match(
-    log: RigLog, sources: Sequence[Source], chosen: Settings, problems: Problems
+    log: RigLog, sources: Sequence[FrameSource], chosen: ImportSettings, problems: RowProblems
 ) -> IntArray:
     """Picture of each sample, (cameras, s)."""
     return np.stack(
         [
-            match(
+            match_frames(
                 log,
                 source,
                 offset_s=chosen.offset_s,
@@ -238,7 +248,7 @@ def _match(
 
 
 def _times(
-    log: RigLog, source: Source, number: IntArray, problems: Problems, notes: dict[str, Any]
+    log: RigLog, source: FrameSource, number: IntArray, problems: RowProblems, notes: dict[str, Any]
 ) -> FloatArray:
     """When each sample was taken, (s,): by the log's clock, the pictures', or their order."""
     notes["clock"] = "log"
@@ -263,7 +273,7 @@ def _times(
 
 
 def _kept(
-    rig: Rig,
+    rig: RigSetup,
     log: RigLog,
     touches: Touches,
     seen: Mapping[int, Measured],
@@ -351,8 +361,12 @@ def lens_difference_px(made: Lens, found: Lens) -> FloatArray:
 
 
 def _write(
-    sources: Sequence[Source], out: Path, samples: Samples, meta: Meta, pictures: IntArray
-) -> Meta:
+    sources: Sequence[FrameSource],
+    out: Path,
+    samples: Samples,
+    meta: DataSetInfo,
+    pictures: IntArray,
+) -> DataSetInfo:
     """Write the data set beside its place, and put it there whole."""
     part = out.with_name(f".{out.name}.part")
     try:
@@ -376,9 +390,9 @@ def _write(
     return meta
 
 
-def _keep_frame(source: Source, number: int, target: Path) -> str:
+def _keep_frame(source: FrameSource, number: int, target: Path) -> str:
     """Keep a picture: a PNG or JPEG as it is, any other as PNG; its name."""
-    if isinstance(source, Folder):
+    if isinstance(source, FrameFolder):
         suffix = source.files[number].suffix.lower().replace("jpeg", "jpg")
         if suffix in (".png", ".jpg"):
             return Path(shutil.copyfile(source.files[number], target.with_suffix(suffix))).name

@@ -16,30 +16,30 @@ from typing import Any
 
 import numpy as np
 
-from phytac_decoder.estimation.decode import FOUND_WELL
 from phytac_decoder.estimation.estimators import ForceModel
-from phytac_decoder.estimation.sensor_limits import named
+from phytac_decoder.io.sensor_limits import id_list
+from phytac_decoder.pipeline.decode import FOUND_WELL
 from phytac_design.datasets.samples import STATUSES, THEORIES, Samples, inputs_alone, key_nodes
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.datasets.samples_writer import FILE, FRAMES, TABLE, file_hash, write_samples
 from phytac_design.optics.exposure import Exposure
 from phytac_design.rules.check import check_design
-from phytac_design.simulation.imaging.imaging_model import AtRest, Eyes
-from phytac_design.simulation.imaging.nominal import expected_views
-from phytac_design.simulation.run.collect import gather, meta_of
+from phytac_design.simulation.imaging.imaging_model import ImagingModel, RestObservation
+from phytac_design.simulation.imaging.nominal_view import expected_views
+from phytac_design.simulation.run.data_set import data_set_info, gather_samples
 from phytac_design.simulation.run.job import Job
-from phytac_design.simulation.run.journal import WORK, Journal, write_whole
+from phytac_design.simulation.run.journal import Journal, write_whole
 from phytac_design.simulation.run.worker_pool import Crew
 from phytac_design.simulation.solver import Solver
 from phytac_design.stages.build import run_stages, select_stages
-from phytac_design.stages.decoder import plain_model
+from phytac_design.stages.decoder import untrained_model
 from phytac_design.stages.views import MARKS, png_bytes
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import DesignError, InputError, OutputError
 
-SEEN = 7
+IMAGING_STREAM = 7
 """Stream of random numbers of what is seen of a sample."""
-SAY_S = 2.0
+PROGRESS_INTERVAL_s = 2.0
 """Seconds between lines of progress."""
 FEW_FOUND = "less than 95 % of the markers were found"
 LONG_S = 120.0
@@ -47,7 +47,7 @@ LONG_S = 120.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Result:
+class SimulationResult:
     """What a run did.
 
     Attributes
@@ -72,7 +72,7 @@ class Result:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sight:
+class ImagingReference:
     """What all workers need to know of how the unit is seen, found once.
 
     Attributes
@@ -81,44 +81,44 @@ class Sight:
         What the design's cameras are expected to show.
     compliance_px : (2n, n) float or None
         Tells doubtful switches by their motion, where frames are read and some are doubtful.
-    rest : AtRest or str
+    rest : RestObservation or str
         What the unloaded unit shows, or why it cannot be read.
     """
 
     views: dict[str, Any]
     compliance_px: FloatArray | None
-    rest: AtRest | str
+    rest: RestObservation | str
 
 
-def look(job: Job, progress: Callable[[str], None]) -> Sight:
+def observe_rest(job: Job, progress: Callable[[str], None]) -> ImagingReference:
     """Look at the unit at rest."""
     progress("simulate: the sensor at rest")
     views = expected_views(job.design, job.surface, job.markers)
-    eyes = eyes_of(job, views=views)
+    eyes = imaging_model(job, views=views)
     compliance = None
     if job.scenario.solve.route == "frames" and not eyes.nominal.tips.readable.all():
-        compliance = response_of(job).compliance_px
-        eyes = eyes_of(job, views=views, compliance_px=compliance)
+        compliance = force_model_of(job).compliance_px
+        eyes = imaging_model(job, views=views, compliance_px=compliance)
     if eyes.status:
         progress(f"warning: this sensor cannot be read: {eyes.status}")
     else:
         lost = np.flatnonzero(~np.isfinite(eyes.at_rest.rest_px[:, 0]))
         if len(lost):
             progress(
-                f"warning: {len(lost)} of {job.markers.count} markers ({named(lost)}) cannot be "
+                f"warning: {len(lost)} of {job.markers.count} markers ({id_list(lost)}) cannot be "
                 "told at rest and are missing in every sample: their images are too small or too "
                 "blurred; raise camera.f_number or set eyes.lens_blur = false"
             )
-    return Sight(views=views, compliance_px=compliance, rest=eyes.rest)
+    return ImagingReference(views=views, compliance_px=compliance, rest=eyes.rest)
 
 
-def eyes_of(job: Job, **known: Any) -> Eyes:
+def imaging_model(job: Job, **known: Any) -> ImagingModel:
     """Eyes of the job's unit."""
     settings = job.scenario.eyes.model_dump()
     if settings["noise_pixel"] is None:
         settings["noise_pixel"] = job.design.camera.noise_pixel
     solve = job.scenario.solve
-    return Eyes(
+    return ImagingModel(
         job.design,
         job.surface,
         job.unit,
@@ -129,7 +129,7 @@ def eyes_of(job: Job, **known: Any) -> Eyes:
     )
 
 
-def response_of(job: Job) -> ForceModel:
+def force_model_of(job: Job) -> ForceModel:
     """Force model of the design, from the build's cache or built now."""
     context = run_stages(
         job.design,
@@ -139,13 +139,13 @@ def response_of(job: Job) -> ForceModel:
         force=True,
         progress=lambda _: None,
     )[0]
-    return plain_model(context)
+    return untrained_model(context)
 
 
-class Worker:
+class SampleWorker:
     """One process's twin of the sensor: what is dear is made once."""
 
-    def __init__(self, plain: Mapping[str, Any], out: Path, sight: Sight) -> None:
+    def __init__(self, plain: Mapping[str, Any], out: Path, sight: ImagingReference) -> None:
         self.job = job = Job.of(plain)
         self.journal, self.frames = Journal(out), out / FRAMES
         solve = job.scenario.solve
@@ -159,7 +159,7 @@ class Worker:
             region=job.plan.region,
             local=solve.local,
         )
-        self.eyes = eyes_of(
+        self.eyes = imaging_model(
             job, views=sight.views, compliance_px=sight.compliance_px, at_rest=sight.rest
         )
 
@@ -169,7 +169,7 @@ class Worker:
         rows = np.flatnonzero(plan.touches.sample == index)
         touches = plan.touches.pick(rows, [index])
         moved = self.solver.solve(touches, plan.felt_N[rows])
-        rng = np.random.default_rng([job.seed, SEEN, index])
+        rng = np.random.default_rng([job.seed, IMAGING_STREAM, index])
         facts: dict[str, Any] = {
             "status": moved.status,
             "reasons": [moved.reason] if moved.reason else [],
@@ -226,12 +226,12 @@ def _full(out: Path, error: OSError) -> OutputError:
     )
 
 
-def start(plain: Mapping[str, Any], out: Path, sight: Sight) -> Worker:
+def start(plain: Mapping[str, Any], out: Path, sight: ImagingReference) -> SampleWorker:
     """Make a worker's state."""
-    return Worker(plain, out, sight)
+    return SampleWorker(plain, out, sight)
 
 
-def work(worker: Worker, index: int) -> dict[str, Any]:
+def work(worker: SampleWorker, index: int) -> dict[str, Any]:
     """Do one sample."""
     return worker.sample(index)
 
@@ -243,7 +243,7 @@ def simulate(
     workers: int = 2,
     force: bool = False,
     progress: Callable[[str], None] = print,
-) -> Result:
+) -> SimulationResult:
     """Simulate a job into ``out``, going on where an earlier run of the same job ended.
 
     Parameters
@@ -270,7 +270,7 @@ def simulate(
         raise DesignError(f"simulate: workers must not be negative (got {workers})")
     check_design(job.design)
     total = job.plan.touches.samples
-    ready = finished(out, job, force=force)
+    ready = finished_data_set(out, job, force=force)
     if ready is not None:
         progress(f"{out} holds this data set already")
         return _result(out, ready, 0, begin)
@@ -280,27 +280,27 @@ def simulate(
         before = len(facts)
         if before:
             progress(f"simulate: {before} of {total} samples were done before")
-        sight = look(job, progress) if before < total else None
+        sight = observe_rest(job, progress) if before < total else None
         crew = Crew(start=start, given=(job.plain(), out, sight), work=work, workers=workers)
         said, first = time.monotonic(), 0.0
         for index, item in crew.run(k for k in range(total) if k not in facts):
             facts[index] = item if item is not None else lost(job, journal, index)
             first = first or time.perf_counter()
-            if time.monotonic() - said > SAY_S or len(facts) == total:
+            if time.monotonic() - said > PROGRESS_INTERVAL_s or len(facts) == total:
                 said = time.monotonic()
                 progress(_line(facts, before, total, time.perf_counter() - first))
-        samples = gather(job, journal)
+        samples = gather_samples(job, journal)
         if job.keep == "inputs":
             noise_px = job.design.camera.noise_centroid_px
-            rows = key_nodes(response_of(job), samples, noise_px=noise_px)
+            rows = key_nodes(force_model_of(job), samples, noise_px=noise_px)
             samples = inputs_alone(samples, rows)
         names = [name for index in range(total) for name in facts[index]["frames"]]
-        write_samples(out, samples, meta_of(job), frames=names)
+        write_samples(out, samples, data_set_info(job), frames=names)
         journal.drop()
     return _result(out, samples, total - before, begin)
 
 
-def finished(out: Path, job: Job, *, force: bool) -> Samples | None:
+def finished_data_set(out: Path, job: Job, *, force: bool) -> Samples | None:
     """Samples of this very job if they are there whole; makes room for it where ``force`` is set.
 
     Raises
@@ -310,7 +310,7 @@ def finished(out: Path, job: Job, *, force: bool) -> Samples | None:
     """
     if not (out / TABLE).exists():
         foreign = [name for name in (FILE, FRAMES) if (out / name).exists()]
-        if foreign and not force and not (out / WORK).exists():
+        if foreign and not force and not (out / JOURNAL_FOLDER).exists():
             raise OutputError(
                 f"{out} holds {' and '.join(foreign)} of something else; choose another --out, or "
                 "add --force to replace them"
@@ -376,8 +376,8 @@ def _line(facts: Mapping[int, Any], before: int, total: int, seconds: float) -> 
     return f"simulate: {', '.join([f'{len(facts)} of {total} samples', *words])}"
 
 
-def _result(out: Path, samples: Samples, solved: int, begin: float) -> Result:
-    return Result(
+def _result(out: Path, samples: Samples, solved: int, begin: float) -> SimulationResult:
+    return SimulationResult(
         out=out,
         samples=samples.count,
         solved=solved,

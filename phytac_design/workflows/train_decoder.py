@@ -14,18 +14,18 @@ from phytac_design.design.spec import Design
 from phytac_design.layout.region_chart import design_regions
 from phytac_design.rules.check import check_design
 from phytac_design.stages.build import run_stages, select_stages
-from phytac_design.stages.decoder import DECODER, assemble, plain_model
-from phytac_design.training.evaluation.contacts import decode_contacts
-from phytac_design.training.evaluation.scores import summary
-from phytac_design.training.result_folder import claimed, written
-from phytac_design.training.trainers import TRAINERS, Lesson
+from phytac_design.stages.decoder import DECODER, assemble_bundle, untrained_model
+from phytac_design.training.evaluation.decoded_contacts import decode_contacts
+from phytac_design.training.evaluation.scores import error_summary
+from phytac_design.training.result_folder import reserve_folder, write_folder
+from phytac_design.training.trainers import TRAINERS, TrainingTask
 from phytac_design.training.training_data import (
     DataSet,
     Part,
     bundle_hash,
     check_inputs,
-    read_sets,
-    share_out,
+    read_data_sets,
+    split_data_sets,
 )
 
 TABLE = "training.json"
@@ -99,9 +99,9 @@ def train(
         If ``out`` cannot be written or holds something else.
     """
     check_design(design)
-    sets = read_sets(data, design_hash=design_hash(design))
+    sets = read_data_sets(data, design_hash=design_hash(design))
     first = load_bundle(start) if start is not None else None
-    with claimed(out, TABLE, design.name, force=force):
+    with reserve_folder(out, TABLE, design.name, force=force):
         context = run_stages(
             design,
             select_stages(MECHANICS),
@@ -111,7 +111,9 @@ def train(
             progress=progress,
         )[0]
         plain = replace(
-            assemble(context, plain_model(context), _notes(sets, seed, accuracy, start, first)),
+            assemble_bundle(
+                context, untrained_model(context), _notes(sets, seed, accuracy, start, first)
+            ),
             design=design.name,
             design_hash=design_hash(design),
             regions=design_regions(design),
@@ -119,7 +121,7 @@ def train(
         for item in sets:
             check_inputs(item, plain.model, accuracy)
         noise_px = design.camera.noise_centroid_px
-        parts = share_out(sets, plain.model, noise_px=noise_px, seed=seed, limit=samples)
+        parts = split_data_sets(sets, plain.model, noise_px=noise_px, seed=seed, limit=samples)
         bundle, taught = teach(plain, parts, seed, first, progress)
         held_out = held_out_scores(bundle, parts[2])
         notes = {
@@ -142,7 +144,7 @@ def train(
             "trainers": taught,
             "test": held_out,
         }
-        with written(out, TABLE) as folder:
+        with write_folder(out, TABLE) as folder:
             save_bundle(bundle, folder)
             text = json.dumps(finite(facts), indent=1, sort_keys=True, ensure_ascii=False)
             (folder / TABLE).write_text(text + "\n", encoding="utf-8")
@@ -176,7 +178,7 @@ def teach(
     for name, trainer in TRAINERS:
         progress(f"train: {name}")
         begin = time.perf_counter()
-        lesson = Lesson(
+        lesson = TrainingTask(
             bundle=bundle,
             training=parts[0],
             validation=parts[1],
@@ -198,6 +200,6 @@ def held_out_scores(bundle: Bundle, test: Part) -> dict[str, Any] | None:
     contacts = decode_contacts(bundle.model, test.samples)
     on = contacts.tripped
     return {
-        name: summary(decoded[on], contacts.force_N[on])
+        name: error_summary(decoded[on], contacts.force_N[on])
         for name, decoded in contacts.decoded_N.items()
     }

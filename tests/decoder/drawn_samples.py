@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.datasets.samples import KeyNodeRows, Meta, Samples, TouchRows, TruthRows
+from phytac_design.datasets.samples import DataSetInfo, KeyNodeRows, Samples, TouchRows, TruthRows
 from phytac_design.datasets.samples_writer import FORCE_STEP_N, SHIFT_STEP_PX
 
-META = Meta(
+META = DataSetInfo(
     simulated=True,
     what="Drawn at random for a test.",
     design="none",

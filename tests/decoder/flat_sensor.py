@@ -9,9 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from phytac_decoder.estimation.contact_fit import Noise, Prior
-from phytac_decoder.estimation.locator import Locator
-from phytac_decoder.mechanics.response_table import Places
+from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
+from phytac_decoder.estimation.locator import ContactLocator
+from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray, IntArray
 
 SIDE_MM = 60.0
@@ -69,13 +69,13 @@ def together(points_mm: Sequence[FloatArray], forces_N: Sequence[float]) -> Floa
     return np.sum([shifts(at, f) for at, f in zip(points_mm, forces_N, strict=True)], axis=0)
 
 
-def flat_places(step_mm: float = 2.5) -> Places:
+def flat_places(step_mm: float = 2.5) -> ResponseTable:
     """Tables of the sensor."""
     points = grid(step_mm)
     first = np.stack([per_newton(point) for point in points])
     both = np.stack([first, SOFTENING * first], axis=1)
     ones = np.ones(len(points))
-    return Places(
+    return ResponseTable(
         point_mm=points,
         along=np.outer(ones, [1.0, 0.0, 0.0]),
         around=np.outer(ones, [0.0, 1.0, 0.0]),
@@ -84,16 +84,16 @@ def flat_places(step_mm: float = 2.5) -> Places:
     )
 
 
-def flat_locator(*, place_mm: float = 1.5, noise_px: float = 0.02) -> Locator:
+def flat_locator(*, place_mm: float = 1.5, noise_px: float = 0.02) -> ContactLocator:
     """The estimator ``auto`` of the sensor."""
-    return Locator(
+    return ContactLocator(
         places=flat_places(),
         position_mm=MARKERS,
         neighbours=neighbours(),
         footprint_mm=2.3,
         threshold_N=np.full(len(MARKERS), 0.5),
-        prior=Prior(place_mm=place_mm),
-        noise=Noise(centroid_px=noise_px, share=0.005, switched_px=0.0),
+        prior=ContactPrior(place_mm=place_mm),
+        noise=ShiftNoise(centroid_px=noise_px, share=0.005, switched_px=0.0),
     )
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.contact_fit import Noise
-from phytac_decoder.estimation.locator import SILENT_MISFIT, Locator
+from phytac_decoder.estimation.contact_fit import ShiftNoise
+from phytac_decoder.estimation.locator import SILENT_MISFIT, ContactLocator
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import MARKERS, flat_locator, nearest, shifts, together
@@ -19,7 +19,7 @@ def point(x: float, y: float) -> FloatArray:
     return np.array([x, y, 0.0])
 
 
-def blind_at(point_mm: FloatArray) -> Locator:
+def blind_at(point_mm: FloatArray) -> ContactLocator:
     """The locator of a camera that cannot read the switches around a point."""
     gap = np.linalg.norm(MARKERS - point_mm, axis=1)
     return replace(LOCATOR, blind=np.flatnonzero(gap < 8.0))
@@ -44,7 +44,7 @@ def test_a_switch_that_cannot_be_read_does_not_speak_against_a_contact() -> None
 def test_an_unread_contact_is_found_though_noise_is_presumed_too_much() -> None:
     loud, unread = point(15.0, 15.0), point(45.0, 45.0)
     both = together([loud, unread], [10.0, 3.0]).reshape(-1, 2)
-    timid = replace(blind_at(unread), noise=Noise(centroid_px=0.5))
+    timid = replace(blind_at(unread), noise=ShiftNoise(centroid_px=0.5))
     found = timid.find(both, np.array([nearest(loud)]))
     first, second = found.contacts
     assert (first.force_N, second.force_N) == pytest.approx((10.0, 3.0), rel=0.05)

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from phytac_decoder.estimation.contact_fit import Noise, Prior
-from phytac_decoder.estimation.force_correction import Correction
-from phytac_decoder.estimation.locator import Locator
+from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
+from phytac_decoder.estimation.force_correction import ForceCorrection
+from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
-from phytac_decoder.mechanics.interaction_table import Pairs
-from phytac_decoder.mechanics.membrane_stretching import Walls
-from phytac_decoder.mechanics.response_table import Places
+from phytac_decoder.mechanics.interaction_table import InteractionTable
+from phytac_decoder.mechanics.membrane_stretching import BergerWall
+from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.errors import InputError
 from tests.decoder.toy_sensor import toy_bundle
 
@@ -27,15 +27,15 @@ def bundle() -> Bundle:
     rng = np.random.default_rng(0)
     points = plain.position_mm
     ones = np.ones((len(points), 1))
-    locator = Locator(
-        places=Places(
+    locator = ContactLocator(
+        places=ResponseTable(
             point_mm=points,
             along=ones * [1.0, 0.0, 0.0],
             around=ones * [0.0, 1.0, 0.0],
             shift_px=rng.normal(size=(len(points), 3, 2 * count)).astype(np.float32),
             radius_mm=4.0,
-            pairs=Pairs(
-                grid=Places(
+            pairs=InteractionTable(
+                grid=ResponseTable(
                     point_mm=points[:9],
                     along=ones[:9] * [0.0, 1.0, 0.0],
                     around=ones[:9] * [-1.0, 0.0, 0.0],
@@ -44,7 +44,7 @@ def bundle() -> Bundle:
                 ),
                 axes_px=rng.normal(size=(4, 2 * count)).astype(np.float32),
             ),
-            walls=Walls(
+            walls=BergerWall(
                 wall=np.arange(len(points)) % 3 - 1,
                 slopes=0.01 * rng.normal(size=(len(points), 2, 5)).astype(np.float32),
                 most=0.8,
@@ -54,14 +54,16 @@ def bundle() -> Bundle:
         neighbours=plain.model.neighbours,
         footprint_mm=2.0,
         threshold_N=plain.threshold_N,
-        prior=Prior(place_mm=1.0, moments_mm2=(0.1, 0.2, 0.3), moments_sd_mm2=(1.0, 2.0, 3.0)),
-        noise=Noise(
+        prior=ContactPrior(
+            place_mm=1.0, moments_mm2=(0.1, 0.2, 0.3), moments_sd_mm2=(1.0, 2.0, 3.0)
+        ),
+        noise=ShiftNoise(
             centroid_px=0.05,
             share=0.01,
             switched_px=0.4,
             ratio=rng.uniform(0.5, 2.0, 2 * count),
         ),
-        correction=Correction(
+        correction=ForceCorrection(
             centre=rng.normal(size=(7, 5)),
             weight=rng.normal(size=7),
             low_mm=points.min(axis=0),

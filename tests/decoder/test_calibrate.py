@@ -5,17 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.force_correction import (
-    Correction,
-    calibrated_spread,
-    learn_correction,
-)
-from phytac_decoder.estimation.marker_gain import Shown, gains, left_out, noise_of
+from phytac_decoder.estimation.force_correction import ForceCorrection, fit_correction, fit_spread
 from phytac_design.training.locator_calibration import (
-    calibrated,
-    match,
-    second_moments,
+    calibrate_locator,
+    match_contacts,
+    pressure_moments,
     weighted_median,
+)
+from phytac_design.training.marker_gain import (
+    PredictionResiduals,
+    cross_validation_folds,
+    estimate_marker_noise,
+    fit_gains,
 )
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError
@@ -24,7 +25,7 @@ from tests.decoder.flat_sensor import MARKERS, flat_locator
 
 LOCATOR = flat_locator(place_mm=3.0, noise_px=0.1)
 TRAINING = pressed(120, seed=1, slope=0.08)
-LEARNT, FACTS = calibrated(LOCATOR, TRAINING, np.arange(120), force_max_N=25.0)
+LEARNT, FACTS = calibrate_locator(LOCATOR, TRAINING, np.arange(120), force_max_N=25.0)
 
 
 def test_stiffness_noise_and_prior_are_found() -> None:
@@ -37,8 +38,8 @@ def test_stiffness_noise_and_prior_are_found() -> None:
 
 def test_new_contacts_are_read_better_by_far() -> None:
     fresh = pressed(60, seed=2, slope=0.08)
-    before = match(LOCATOR, fresh, np.arange(60))
-    after = match(replace(LEARNT, correction=None), fresh, np.arange(60))
+    before = match_contacts(LOCATOR, fresh, np.arange(60))
+    after = match_contacts(replace(LEARNT, correction=None), fresh, np.arange(60))
     assert LEARNT.correction is not None
     factor = LEARNT.correction.factor(after.point_mm, after.force_N, after.signal_px)
     error = [
@@ -57,7 +58,7 @@ def test_new_contacts_are_read_better_by_far() -> None:
 
 def test_ninety_percent_lie_within_ninety_percent() -> None:
     fresh = pressed(200, seed=3, slope=0.08)
-    matches = match(replace(LEARNT, correction=None), fresh, np.arange(200))
+    matches = match_contacts(replace(LEARNT, correction=None), fresh, np.arange(200))
     learnt = LEARNT.correction
     assert learnt is not None
     force = matches.force_N * learnt.factor(matches.point_mm, matches.force_N, matches.signal_px)
@@ -71,7 +72,7 @@ def test_markers_gains_and_noise_are_found_and_forces_read_better_by_them() -> N
     gain = rng.normal(0.0, 0.03, (n, 2, 2))
     noise = rng.uniform(0.01, 0.09, (n, 1))
     own, fresh = (pressed(k, seed=s, gain=gain, noise=noise) for k, s in ((150, 4), (80, 5)))
-    learnt, facts = calibrated(LOCATOR, own, np.arange(150), force_max_N=25.0)
+    learnt, facts = calibrate_locator(LOCATOR, own, np.arange(150), force_max_N=25.0)
     # Tables over those of the design, at the place beneath each marker and so for its own shift.
     at = learnt.places.nearest(MARKERS)
     rows, plain = (
@@ -89,7 +90,7 @@ def test_markers_gains_and_noise_are_found_and_forces_read_better_by_them() -> N
     assert np.median(np.abs(found / noise - 1.0)) < 0.15
     error = []
     for locator in (learnt, replace(learnt, places=LOCATOR.places.scaled(facts["stiffness"]))):
-        matches = match(replace(locator, correction=None), fresh, np.arange(80))
+        matches = match_contacts(replace(locator, correction=None), fresh, np.arange(80))
         error.append(float(np.mean(np.abs(matches.force_N / matches.truth_N - 1.0))))
     assert error[0] < 0.7 * error[1]
 
@@ -100,14 +101,14 @@ def test_noise_of_switches_that_are_on_is_that_of_the_data() -> None:
     more = np.random.default_rng(8).normal(0.0, 0.3, own.shift_px.shape)
     loud = replace(own, shift_px=own.shift_px + np.where(own.bits[:, :, None], more, 0.0))
     for samples, expected in ((own, NOISE_PX), (loud, 0.3)):
-        _, facts = calibrated(LOCATOR, samples, np.arange(60), force_max_N=25.0)
+        _, facts = calibrate_locator(LOCATOR, samples, np.arange(60), force_max_N=25.0)
         assert facts["switched_px"] == pytest.approx(expected, rel=0.4)
         assert facts["noise_px"] == pytest.approx(NOISE_PX, rel=0.2)
 
 
-def drawn_shown(explained: FloatArray, left: FloatArray) -> Shown:
+def drawn_shown(explained: FloatArray, left: FloatArray) -> PredictionResiduals:
     on = np.zeros(explained.shape[:2], dtype=np.bool_)
-    return Shown(explained_px=explained, left_px=left, on=on)
+    return PredictionResiduals(explained_px=explained, left_px=left, on=on)
 
 
 @pytest.mark.parametrize("scale", [0.0, 0.1, 50.0])
@@ -122,18 +123,20 @@ def test_gains_and_noise_at_the_ends(scale: float, noise: float) -> None:
     one = slice(0, 1)
     for e, r in ((explained, left), (explained[one], left[one]), (explained, lost)):
         seen = drawn_shown(e, r)
-        gain = gains(seen)
-        each, on = noise_of(seen, left_out(seen, 10))
+        gain = fit_gains(seen)
+        each, on = estimate_marker_noise(seen, cross_validation_folds(seen, 10))
         assert np.abs(gain).max() < 0.02
         assert np.isfinite(each).all()
         assert (each > 0.0).all()
         assert on is None
-    each, _ = noise_of(drawn_shown(explained, left), left_out(drawn_shown(explained, left), 10))
+    each, _ = estimate_marker_noise(
+        drawn_shown(explained, left), cross_validation_folds(drawn_shown(explained, left), 10)
+    )
     assert np.median(each) == pytest.approx(max(noise, 1e-4), rel=0.4)
 
 
 def test_few_samples_tell_the_stiffness_alone() -> None:
-    learnt, facts = calibrated(LOCATOR, TRAINING, np.arange(4), force_max_N=25.0)
+    learnt, facts = calibrate_locator(LOCATOR, TRAINING, np.arange(4), force_max_N=25.0)
     assert facts["contacts"] == 6
     assert facts["stiffness"] == pytest.approx(STIFFNESS, rel=0.06)
     assert learnt.correction is not None
@@ -142,7 +145,7 @@ def test_few_samples_tell_the_stiffness_alone() -> None:
 
 
 def test_same_samples_same_locator() -> None:
-    again, facts = calibrated(LOCATOR, TRAINING, np.arange(120), force_max_N=25.0)
+    again, facts = calibrate_locator(LOCATOR, TRAINING, np.arange(120), force_max_N=25.0)
     assert facts == FACTS
     assert again.correction is not None
     assert LEARNT.correction is not None
@@ -151,14 +154,14 @@ def test_same_samples_same_locator() -> None:
 
 def test_samples_without_contacts_or_switches_are_refused() -> None:
     with pytest.raises(InputError, match="no shifts, switches, contacts or truth"):
-        match(LOCATOR, replace(TRAINING, touches=None), np.arange(3))
+        match_contacts(LOCATOR, replace(TRAINING, touches=None), np.arange(3))
     dark = replace(TRAINING, bits_read=np.zeros_like(TRAINING.bits))
     with pytest.raises(InputError, match="no contact of the samples tripped a switch"):
-        calibrated(LOCATOR, dark, np.arange(120), force_max_N=25.0)
+        calibrate_locator(LOCATOR, dark, np.arange(120), force_max_N=25.0)
 
 
 def test_a_correction_fades_away_from_its_data() -> None:
-    plain = Correction.plain(
+    plain = ForceCorrection.plain(
         low_mm=np.zeros(3),
         size_mm=100.0,
         force_max_N=20.0,
@@ -166,7 +169,7 @@ def test_a_correction_fades_away_from_its_data() -> None:
     assert plain.factor(np.zeros((2, 3)), np.ones(2), np.ones(2)).tolist() == [1.0, 1.0]
     rng = np.random.default_rng(0)
     point, force = rng.uniform(0.0, 20.0, (200, 3)), rng.uniform(1.0, 20.0, 200)
-    learnt = learn_correction(
+    learnt = fit_correction(
         plain,
         point_mm=point,
         force_N=force,
@@ -192,8 +195,8 @@ def test_a_correction_reaches_as_far_as_its_data_vary(waves: float, wanted: floa
         return point, force, force * np.exp(0.04 * wave + 0.004 * rng.normal(size=count))
 
     point, force, truth = drawn(700)
-    learnt = learn_correction(
-        Correction.plain(
+    learnt = fit_correction(
+        ForceCorrection.plain(
             low_mm=np.zeros(3),
             size_mm=100.0,
             force_max_N=20.0,
@@ -215,7 +218,7 @@ def test_spread_is_widened_by_a_share_where_noise_does_not_do(true_share: float)
     rng = np.random.default_rng(4)
     force, sd = rng.uniform(1.0, 25.0, 4000), np.full(4000, 0.1)
     error = np.abs(rng.normal(0.0, np.hypot(sd, true_share * force)))
-    factor, share = calibrated_spread(error, sd, force)
+    factor, share = fit_spread(error, sd, force)
     assert factor == pytest.approx(1.0, abs=0.1)
     assert share == pytest.approx(true_share, abs=0.006)
 
@@ -228,7 +231,7 @@ def test_moments_of_indenters_against_their_pressures() -> None:
     ball = np.sqrt(np.maximum(1.0 - r2, 0.0))
     strip = np.sqrt(np.maximum(1.0 - y**2, 0.0))
     turn = 0.4
-    got = second_moments(
+    got = pressure_moments(
         {
             "indenter": np.array([0, 1, 2]),
             "radius_mm": np.array([3.0, 3.0, 3.0]),

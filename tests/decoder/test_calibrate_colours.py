@@ -5,11 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.decode import measure_frame, rest_positions
-from phytac_decoder.io.bundle import Bundle, Shown
-from phytac_decoder.vision.colour_calibration import calibrate_rest, calibrated_colours, fit_colours
+from phytac_decoder.io.bundle import Bundle, CameraView
+from phytac_decoder.pipeline.colour_calibration import (
+    calibrate_rest,
+    calibrated_colours,
+    fit_colours,
+)
+from phytac_decoder.pipeline.decode import measure_frame, rest_positions
+from phytac_decoder.pipeline.tracker import Follower
 from phytac_decoder.vision.segmentation import ColourModel
-from phytac_decoder.vision.tracker import Follower
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError
 from tests.decoder.test_follow import BGR, COLOUR, COUNT, MODEL, REST, TIP_OFF, dent, draw
@@ -141,7 +145,8 @@ def test_two_cameras_are_calibrated_together() -> None:
     one = plain_bundle()
     far = REST[::-1] + np.array([1.0, 2.0])
     shown = tuple(
-        Shown(rest_px=rest, tips=replace(one.tips, on_px=rest + TIP_OFF)) for rest in (REST, far)
+        CameraView(rest_px=rest, tips=replace(one.tips, on_px=rest + TIP_OFF))
+        for rest in (REST, far)
     )
     read_by = (np.arange(COUNT) >= 60).astype(np.int64)
     own = read_by[:, None] == 1

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phytac_decoder.vision.colour_calibration import LIT, fit_colours
+from phytac_decoder.pipeline.colour_calibration import LIT, fit_colours
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError
 from tests.decoder.test_follow import MODEL

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.contact_grouping import REACH_SPACINGS, Contact, Skin
+from phytac_decoder.estimation.contact_grouping import REACH_SPACINGS, Contact, QuadricPatches
 from phytac_decoder.estimation.contact_tracker import HOLD_S, ContactTracker
 from tests.decoder.test_contacts import FPS, PLANE, ids_of, press, spiral, tracker
 
@@ -33,7 +33,7 @@ def test_the_strongest_contact_comes_first() -> None:
 
 
 def test_a_quadric_is_not_asked_far_away() -> None:
-    skin = Skin.through(spiral())
+    skin = QuadricPatches.through(spiral())
     marker = 147
     spacing = float(skin.spacing_mm[marker])
     for axis in skin.axes[marker][:2]:
@@ -47,7 +47,7 @@ def test_the_nearest_marker_has_most_to_say() -> None:
     """On a wavy face: what a quadric says of its neighbours' places is off."""
     x, y = (line.ravel() for line in np.meshgrid(np.arange(0.0, 60.0, 4.0), np.arange(0, 40, 4.0)))
     places = np.column_stack([x, y, 3.0 * np.sin(x / 4.0)])
-    skin = Skin.through(places)
+    skin = QuadricPatches.through(places)
     inner = np.flatnonzero((x > 10) & (x < 46) & (y > 8) & (y < 30))
     gap = np.linalg.norm(places[:, None] - places, axis=2)
     off = [

@@ -7,14 +7,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phytac_decoder.estimation.contact_grouping import Contact, ContactFinder, Skin, contact_groups
+from phytac_decoder.estimation.contact_grouping import (
+    Contact,
+    ContactGrouper,
+    QuadricPatches,
+    group_key_nodes,
+)
 from phytac_decoder.estimation.contact_tracker import (
-    FAR,
     HOLD_FRAMES,
     INSIDE_MAX,
+    UNPAIRED_COST,
     ContactTracker,
-    assign,
-    pair,
+    linear_assignment,
+    match_pairs,
 )
 from phytac_shapes.arrays import FloatArray
 
@@ -44,9 +49,9 @@ def around(position_mm: FloatArray) -> FloatArray:
     return np.argsort(gap, axis=1)[:, 1:9]
 
 
-def on_plane() -> ContactFinder:
+def on_plane() -> ContactGrouper:
     position = grid()
-    return ContactFinder(position_mm=position, neighbours=around(position))
+    return ContactGrouper(position_mm=position, neighbours=around(position))
 
 
 PLANE = on_plane()
@@ -82,7 +87,7 @@ def test_groups_are_the_classes_of_being_linked(seed: int) -> None:
     rng = np.random.default_rng(seed)
     near = np.where(rng.uniform(size=(COUNT, 8)) < 0.15, rng.integers(0, COUNT, (COUNT, 8)), -1)
     koi = np.flatnonzero(rng.uniform(size=COUNT) < rng.uniform())
-    groups = [koi[rows].tolist() for rows in contact_groups(koi, near)]
+    groups = [koi[rows].tolist() for rows in group_key_nodes(koi, near)]
     assert sorted(marker for group in groups for marker in group) == koi.tolist()
     # Warshall's closure, by itself.
     linked = np.eye(COUNT, dtype=bool)
@@ -98,12 +103,12 @@ def test_groups_are_the_classes_of_being_linked(seed: int) -> None:
 
 def test_a_rim_links_nothing() -> None:
     """-1 stands for no neighbour, not for the last marker."""
-    assert contact_groups(np.array([0, 29]), np.full((COUNT, 8), -1)) == [[0], [1]]
+    assert group_key_nodes(np.array([0, 29]), np.full((COUNT, 8), -1)) == [[0], [1]]
 
 
 def test_places_lie_on_the_surface_between_markers() -> None:
     position = spiral()
-    skin = Skin.through(position)
+    skin = QuadricPatches.through(position)
     rng = np.random.default_rng(3)
     inside, off = [], []
     for _ in range(300):
@@ -119,7 +124,7 @@ def test_places_lie_on_the_surface_between_markers() -> None:
 
 def test_one_marker_is_its_own_place_and_a_ring_stays_on_the_surface() -> None:
     position = spiral()
-    finder = ContactFinder(position_mm=position, neighbours=around(position))
+    finder = ContactGrouper(position_mm=position, neighbours=around(position))
     forces = np.zeros(len(position))
     forces[47] = 2.0
     (alone,) = finder.find(forces, np.array([47]))
@@ -155,11 +160,11 @@ def test_pairs_cost_least(seed: int) -> None:
         sum(cost[row, column] for row, column in enumerate(chosen))
         for chosen in permutations(range(columns), rows)
     )
-    chosen = assign(cost)
+    chosen = linear_assignment(cost)
     assert sum(cost[row, column] for row, column in enumerate(chosen)) == pytest.approx(least)
-    turned = sorted((row, column) for column, row in pair(cost.T.tolist()))
+    turned = sorted((row, column) for column, row in match_pairs(cost.T.tolist()))
     assert turned == list(enumerate(chosen))
-    assert pair([[FAR, 1.0], [FAR, 2.0]]) == [(0, 1)]
+    assert match_pairs([[UNPAIRED_COST, 1.0], [UNPAIRED_COST, 2.0]]) == [(0, 1)]
 
 
 def test_ids_stay_while_contacts_slide() -> None:

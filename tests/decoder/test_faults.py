@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.decode import Measured, measure_frame
 from phytac_decoder.estimation.estimators import ForceModel
-from phytac_decoder.estimation.fault_detection import Explained
 from phytac_decoder.io.bundle import Bundle
-from phytac_decoder.vision.matching import carried, match_markers
+from phytac_decoder.pipeline.decode import Measured, measure_frame
+from phytac_decoder.pipeline.fault_detection import FaultDetector
+from phytac_decoder.vision.matching import fill_from_neighbours, match_markers
 from phytac_decoder.vision.segmentation import Blobs
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
@@ -117,27 +117,29 @@ def test_a_stuck_switch_does_not_live_on_others_force() -> None:
     measured = read({84: 20.0, 83: 20.0}, (81, 84))
     forces = measured.forces_N(BUNDLE, "koi_inverse")
     assert forces[81] > BUNDLE.threshold_N[81]
-    found = Explained(BUNDLE, measured.shift_px, measured.koi)
-    assert found.powerless(forces).tolist() == [81]
+    found = FaultDetector(BUNDLE, measured.shift_px, measured.koi)
+    assert found.switches_without_force(forces).tolist() == [81]
 
 
-def explained(forces: dict[int, float], koi: tuple[int, ...], bundle: Bundle = BUNDLE) -> Explained:
-    return Explained(bundle, motion(forces), np.array(koi, dtype=np.int64))
+def explained(
+    forces: dict[int, float], koi: tuple[int, ...], bundle: Bundle = BUNDLE
+) -> FaultDetector:
+    return FaultDetector(bundle, motion(forces), np.array(koi, dtype=np.int64))
 
 
 def test_a_switch_that_is_about_to_let_go_is_not_stuck() -> None:
     threshold = BUNDLE.threshold_N[84]
     for share, weak in ((0.8, []), (0.5, [84])):
         held = explained({84: share * threshold}, (84,))
-        assert held.powerless(held.forces_on(np.arange(COUNT))).tolist() == weak
+        assert held.switches_without_force(held.forces_on(np.arange(COUNT))).tolist() == weak
 
 
 def test_a_strong_group_is_not_asked_about() -> None:
     """It is solved for with its neighbours only where its force is small."""
     for force, asked in ((6.0, False), (1.0, True)):
         held = explained({84: force}, (84,))
-        with mock.patch.object(Explained, "forces_on", wraps=held.forces_on) as solved:
-            assert held.powerless(motion({84: force})[:, 1] / PX_N).size == 0
+        with mock.patch.object(FaultDetector, "forces_on", wraps=held.forces_on) as solved:
+            assert held.switches_without_force(motion({84: force})[:, 1] / PX_N).size == 0
         assert solved.called is asked
 
 
@@ -162,7 +164,7 @@ def test_forces_that_cannot_be_read_are_not_told_of() -> None:
     bundle = replace(BUNDLE, model=replace(BUNDLE.model, compliance_px=faint))
     assert not bundle.force_readable[30]
     shift = (50.0 * faint[:, 30]).reshape(-1, 2)
-    assert Explained(bundle, shift, np.array([], dtype=np.int64)).unexplained()[0].size == 0
+    assert FaultDetector(bundle, shift, np.array([], dtype=np.int64)).unexplained()[0].size == 0
 
 
 def test_a_blind_switch_beside_a_strong_press_may_be_off_by_a_share() -> None:
@@ -172,15 +174,15 @@ def test_a_blind_switch_beside_a_strong_press_may_be_off_by_a_share() -> None:
     for share, told_of in ((1.33, False), (2.0, True)):
         shift = motion({58: 25.0})
         shift[59] *= share
-        pressed, _ = Explained(bundle, shift, np.array([58])).unexplained()
+        pressed, _ = FaultDetector(bundle, shift, np.array([58])).unexplained()
         assert (59 in pressed.tolist()) is told_of
 
 
 def test_forces_of_any_estimator_are_doubted() -> None:
     measured = read({84: 4.0}, (84,))
-    found = Explained(BUNDLE, measured.shift_px, measured.koi)
-    assert found.powerless(measured.forces_N(BUNDLE, "koi_inverse")).tolist() == []
-    assert found.powerless(np.zeros(COUNT)).tolist() == [84]
+    found = FaultDetector(BUNDLE, measured.shift_px, measured.koi)
+    assert found.switches_without_force(measured.forces_N(BUNDLE, "koi_inverse")).tolist() == []
+    assert found.switches_without_force(np.zeros(COUNT)).tolist() == [84]
 
 
 def test_a_marker_astray_is_told_of() -> None:
@@ -266,7 +268,7 @@ def test_motion_of_what_is_not_seen_is_its_neighbours() -> None:
     near = np.array([[1, 2, -1], [0, 2, -1], [0, 1, 3], [-1, -1, -1]])
     moved = np.array([[1.0, 4.0], [np.nan, np.nan], [3.0, 8.0], [np.nan, np.nan]])
     expected = [[1.0, 4.0], [2.0, 6.0], [3.0, 8.0], [0.0, 0.0]]
-    assert carried(moved, near).tolist() == expected
+    assert fill_from_neighbours(moved, near).tolist() == expected
 
 
 def test_a_lost_marker_within_the_box_of_another_colour_is_only_lost() -> None:
@@ -309,7 +311,7 @@ def test_markers_that_are_not_seen_are_no_reason_for_doubt() -> None:
     shift = measured.shift_px.copy()
     shift[[44, 45, 46, 57, 59, 70, 71, 72]] = np.nan
     assert told(replace(measured, shift_px=shift)) == []
-    as_if_still = Explained(BUNDLE, np.nan_to_num(shift), measured.koi)
+    as_if_still = FaultDetector(BUNDLE, np.nan_to_num(shift), measured.koi)
     assert any(len(markers) for markers in as_if_still.unexplained())
 
 
@@ -342,7 +344,7 @@ def suspects(
     """Markers that seem pressed where the switch nearest to a contact is on."""
     noise = np.random.default_rng(6).normal(0.0, noise_px, shift.shape)
     koi = np.array([flat_sensor.nearest(at)])
-    pressed, _ = Explained(bundle, (shift + noise).reshape(-1, 2), koi).unexplained()
+    pressed, _ = FaultDetector(bundle, (shift + noise).reshape(-1, 2), koi).unexplained()
     return pressed.tolist()
 
 
@@ -383,7 +385,7 @@ def test_tables_are_not_asked_about_many_markers() -> None:
     dead = flat_sensor.shifts(np.array([9.0, 9.0, 0.0]), 20.0)
     with mock.patch.object(ForceModel, "contacts") as asked:
         found = suspects(flat_bundle(), flat_sensor.shifts(AT, 5.0) + dead, AT)
-        alone = Explained(flat_bundle(), dead.reshape(-1, 2), np.zeros(0, dtype=np.int64))
+        alone = FaultDetector(flat_bundle(), dead.reshape(-1, 2), np.zeros(0, dtype=np.int64))
         assert len(alone.unexplained()[0]) > 2
     assert len(found) > 2
     assert not asked.called

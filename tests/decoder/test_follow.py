@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from phytac_decoder.camera.camera import Camera
-from phytac_decoder.estimation.decode import measure_frame
 from phytac_decoder.estimation.estimators import ForceModel
-from phytac_decoder.io.bundle import Bundle, Shown
+from phytac_decoder.io.bundle import Bundle, CameraView
+from phytac_decoder.pipeline.decode import measure_frame
+from phytac_decoder.pipeline.tracker import Follower
 from phytac_decoder.vision.colour_codes import coverage_tables
 from phytac_decoder.vision.segmentation import ColourModel
 from phytac_decoder.vision.switch_detection import TipModel
-from phytac_decoder.vision.tracker import Follower
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 from phytac_shapes.errors import InputError
 
@@ -337,7 +337,8 @@ def test_two_cameras_are_followed_each_by_itself() -> None:
     one = make_bundle()
     far = REST[::-1] + np.array([1.0, 2.0])
     shown = tuple(
-        Shown(rest_px=rest, tips=replace(one.tips, on_px=rest + TIP_OFF)) for rest in (REST, far)
+        CameraView(rest_px=rest, tips=replace(one.tips, on_px=rest + TIP_OFF))
+        for rest in (REST, far)
     )
     read_by = (np.arange(COUNT) >= 60).astype(np.int64)
     own = read_by[:, None] == 1

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from phytac_decoder.estimation import contact_fit
-from phytac_decoder.estimation.contact_estimates import Found
+from phytac_decoder.estimation.contact_estimates import ContactDetection
 from phytac_decoder.estimation.locator import LOOK, WORSE
 from phytac_shapes.arrays import FloatArray, IntArray
 from tests.decoder.flat_sensor import flat_locator, nearest, together
@@ -25,7 +25,7 @@ def frame(number: int, forces_N: tuple[float, float], slid_mm: float = 0.0) -> F
     return (clean + noise).reshape(-1, 2)
 
 
-def age_of(found: Found) -> int:
+def age_of(found: ContactDetection) -> int:
     """Frames since its contacts were looked for."""
     assert found.stand is not None
     return found.stand.age
@@ -33,12 +33,14 @@ def age_of(found: Found) -> int:
 
 def gone_on(
     shifts: Callable[[int], FloatArray], count: int, koi: IntArray = KOI
-) -> tuple[list[Found], list[int]]:
+) -> tuple[list[ContactDetection], list[int]]:
     """Frames in their order, and how many rounds of fits each took."""
-    out: list[Found] = []
+    out: list[ContactDetection] = []
     rounds = []
     for k in range(count):
-        with mock.patch.object(contact_fit, "explained", wraps=contact_fit.explained) as asked:
+        with mock.patch.object(
+            contact_fit, "predicted_shifts", wraps=contact_fit.predicted_shifts
+        ) as asked:
             out.append(LOCATOR.find(shifts(k), koi, before=out[-1] if out else None))
         rounds.append(asked.call_count)
     return out, rounds

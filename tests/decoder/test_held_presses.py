@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.force_correction import Correction, learn_correction
-from phytac_decoder.estimation.marker_gain import left_out
+from phytac_decoder.estimation.force_correction import ForceCorrection, fit_correction
 from phytac_design.training.locator_calibration import _blocks
+from phytac_design.training.marker_gain import cross_validation_folds
 from phytac_shapes.arrays import IntArray
 from tests.decoder.flat_samples import pressed
 from tests.decoder.test_calibrate import drawn_shown
@@ -20,14 +20,17 @@ def test_frames_of_a_press_are_left_out_together() -> None:
     explained = rng.normal(size=(30, 6, 2))
     seen = drawn_shown(explained, 0.05 * rng.normal(size=explained.shape))
     sequence = np.repeat(np.arange(10)[::-1], 3)
-    parts = left_out(seen, 4, sequence)
+    parts = cross_validation_folds(seen, 4, sequence)
     assert len(parts) == 4
     whole = np.sum([part.rows for part in parts], axis=0)
     assert (whole == 1).all()
     for part in parts:
         inside, outside = set(sequence[part.rows].tolist()), set(sequence[~part.rows].tolist())
         assert not inside & outside
-    alone, unlike = left_out(seen, 4), left_out(seen, 4, 100 + np.arange(30))
+    alone, unlike = (
+        cross_validation_folds(seen, 4),
+        cross_validation_folds(seen, 4, 100 + np.arange(30)),
+    )
     for one, other in zip(alone, unlike, strict=True):
         assert (one.rows == other.rows).all()
         assert (one.gain == other.gain).all()
@@ -42,8 +45,8 @@ def test_a_spread_is_that_of_presses_not_of_frames(told: bool) -> None:
     truth = force * np.exp(0.1 * rng.normal(size=count))
     press: IntArray = np.repeat(np.arange(count), HELD)
     jitter = np.exp(0.002 * rng.normal(size=count * HELD))
-    learnt = learn_correction(
-        Correction.plain(low_mm=np.zeros(3), size_mm=100.0, force_max_N=20.0),
+    learnt = fit_correction(
+        ForceCorrection.plain(low_mm=np.zeros(3), size_mm=100.0, force_max_N=20.0),
         point_mm=point[press],
         force_N=force[press] * jitter,
         signal_px=np.ones(count * HELD),

@@ -13,22 +13,22 @@ import numpy as np
 import pytest
 
 from phytac_decoder.estimation.force_regions import Region
-from phytac_decoder.estimation.frame_reading import Reading
+from phytac_decoder.pipeline.frame_reading import Reading
 from phytac_decoder.serving.live_view import CURVE_MAX, VIEWERS_MAX, LiveView, unrolled
 from phytac_decoder.serving.live_view_page import PAGE
-from phytac_decoder.serving.wire_protocol import Message, Messages
+from phytac_decoder.serving.wire_protocol import Message, MessageBuilder
 from phytac_shapes.errors import OutputError
 from tests.decoder.toy_sensor import toy_bundle
 
 PATIENCE_S = 10.0
 
 
-def messages() -> Messages:
+def messages() -> MessageBuilder:
     regions = (Region(name="thumb", markers=(7, 8)),)
-    return Messages(bundle=toy_bundle(), estimator="fem", regions=regions)
+    return MessageBuilder(bundle=toy_bundle(), estimator="fem", regions=regions)
 
 
-def frame(make: Messages, number: int) -> Message:
+def frame(make: MessageBuilder, number: int) -> Message:
     forces = np.zeros(30)
     forces[7] = 0.5 + 0.1 * number
     reading = Reading(koi=np.array([7]), forces_N=forces)

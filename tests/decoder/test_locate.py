@@ -7,12 +7,17 @@ import numpy as np
 import pytest
 
 from phytac_decoder.estimation import locator
-from phytac_decoder.estimation.contact_estimates import Located
-from phytac_decoder.estimation.contact_fit import ASTRAY, OFF_SPACINGS, Seen, _doubted
-from phytac_decoder.estimation.force_correction import Correction
+from phytac_decoder.estimation.contact_estimates import LocatedContact
+from phytac_decoder.estimation.contact_fit import (
+    ASTRAY,
+    OFF_SPACINGS,
+    ShiftObservation,
+    robust_cost,
+)
+from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.locator import PRINT_SHARE, SILENT_MISFIT, SILENT_SURE
-from phytac_decoder.mechanics.response_table import Places
-from phytac_design.simulation.scenario.tables import UnitSection
+from phytac_decoder.mechanics.response_table import ResponseTable
+from phytac_design.simulation.scenario.sections import SensorInstanceSection
 from phytac_shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import (
     DISC,
@@ -30,7 +35,7 @@ COUNT = len(MARKERS)
 LOCATOR = flat_locator()
 
 
-def find(shift: FloatArray, koi: list[int]) -> list[Located]:
+def find(shift: FloatArray, koi: list[int]) -> list[LocatedContact]:
     return LOCATOR.find(shift.reshape(-1, 2), np.array(koi, dtype=np.int64)).contacts
 
 
@@ -42,7 +47,7 @@ def test_cubic_between_places_is_exact_for_cubics() -> None:
     points = flat_places().point_mm
     x, y = points[:, 0] / 10.0, points[:, 1] / 10.0
     rows = np.stack([x**3 - x * y**2 + y, x**2 * y + 2.0 * y**2], axis=1)
-    places = Places(
+    places = ResponseTable(
         point_mm=points,
         along=flat_places().along,
         around=flat_places().around,
@@ -67,14 +72,14 @@ def test_cubic_between_places_is_exact_for_cubics() -> None:
     np.testing.assert_allclose(got, want, atol=0.02)
 
 
-def nearest_place(places: Places, at: FloatArray) -> int:
+def nearest_place(places: ResponseTable, at: FloatArray) -> int:
     return int(places.nearest(at[None])[0])
 
 
 def test_far_side_of_a_thin_sensor_takes_no_part() -> None:
     plate = flat_places(5.0)
     below = plate.point_mm - [0.0, 0.0, 1.0]
-    both = Places(
+    both = ResponseTable(
         point_mm=np.concatenate([plate.point_mm, below]),
         along=np.concatenate([plate.along, plate.along]),
         around=np.concatenate([plate.around, -plate.around]),
@@ -145,7 +150,7 @@ def test_silent_contacts_are_told_by_the_spread_that_was_learnt(spread: float, t
     loud, silent = point(15.0, 15.0), point(45.0, 42.0)
     both = together([loud, silent], [10.0, 2.0]).reshape(-1, 2)
     (_, faint) = LOCATOR.find(both, np.array([nearest(loud)])).contacts
-    plain = Correction.plain(low_mm=np.zeros(3), size_mm=60.0, force_max_N=25.0)
+    plain = ForceCorrection.plain(low_mm=np.zeros(3), size_mm=60.0, force_max_N=25.0)
     enough = faint.raw_N / (SILENT_SURE * faint.raw_sd_N)
     learnt = replace(LOCATOR, correction=replace(plain, spread=0.999 * spread * enough))
     found = learnt.find(both, np.array([nearest(loud)]))
@@ -169,7 +174,9 @@ def test_a_force_that_must_have_switched_is_not_silent() -> None:
 def test_a_fit_leaves_what_it_starts_from() -> None:
     """Another fit may start from the same."""
     at, koi = point(21.0, 21.0), np.array([nearest(point(24.0, 24.0))])
-    seen = Seen(shift_px=shifts(at, 9.0), found=np.ones(2 * COUNT, dtype=np.bool_), koi=koi)
+    seen = ShiftObservation(
+        shift_px=shifts(at, 9.0), found=np.ones(2 * COUNT, dtype=np.bool_), koi=koi
+    )
     begun = [LOCATOR._start(koi, np.array([1.0]), np.array([0]))]
     before = begun[0].x.copy()
     assert LOCATOR._fit(begun, seen).states[0].x[0] == pytest.approx(9.0, rel=0.01)
@@ -208,17 +215,17 @@ def test_doubts_begin_where_a_marker_is_far_off_for_its_frame() -> None:
     inverse, limit = np.full(200, 4.0), ASTRAY**2 * 2.0
     left = np.zeros(200)
     left[0] = np.sqrt(limit / 4.0)
-    at_limit, share = _doubted(left, inverse)
+    at_limit, share = robust_cost(left, inverse)
     assert at_limit == pytest.approx(limit)
     np.testing.assert_allclose(share, 1.0)
     left[0] *= 3.0
-    beyond, share = _doubted(left, inverse)
+    beyond, share = robust_cost(left, inverse)
     assert beyond == pytest.approx(limit * (1.0 + np.log(9.0)))
     np.testing.assert_allclose(share[:4], [1.0 / 9.0, 1.0 / 9.0, 1.0, 1.0])
     # Where all are as far off, none is doubted; nor are those that were not found.
     left[:] = left[0]
     inverse[:100] = 0.0
-    total, share = _doubted(left, inverse)
+    total, share = robust_cost(left, inverse)
     assert total == pytest.approx(float(inverse @ left**2))
     np.testing.assert_array_equal(share, 1.0)
 
@@ -227,13 +234,13 @@ def test_the_share_of_a_doubted_marker_is_what_its_sum_grows_with() -> None:
     """Weights are half the sum's derivative over the residual, as iterating them needs."""
     left, inverse = np.random.default_rng(0).normal(size=(2, 40)) ** [[1], [2]]
     left[6:10] *= 30.0
-    _, share = _doubted(left, inverse)
+    _, share = robust_cost(left, inverse)
     assert (share < 0.5).any()
     assert (share == 1.0).any()
     for k in (6, 7, 20):
         step = np.zeros(40)
         step[k] = 1e-5 * left[k]
-        up, down = _doubted(left + step, inverse)[0], _doubted(left - step, inverse)[0]
+        up, down = robust_cost(left + step, inverse)[0], robust_cost(left - step, inverse)[0]
         assert (up - down) / (2.0 * step[k]) == pytest.approx(
             2.0 * share[k] * inverse[k] * left[k], rel=1e-4
         )
@@ -268,7 +275,7 @@ def test_what_is_left_without_a_place_is_not_fitted() -> None:
     at, rng = point(30.0, 30.0), np.random.default_rng(5)
     for _ in range(10):
         noisy = shifts(at, 10.0) + rng.normal(0.0, 0.025, 2 * COUNT)
-        with mock.patch.object(locator, "fit", wraps=locator.fit) as fitted:
+        with mock.patch.object(locator, "fit_contacts", wraps=locator.fit_contacts) as fitted:
             found = LOCATOR.find(noisy.reshape(-1, 2), np.array([nearest(at)]))
         assert found.misfit > SILENT_MISFIT
         assert fitted.call_count == 1
@@ -310,7 +317,7 @@ def test_forces_of_an_unknown_print_are_no_surer_than_its_stiffness() -> None:
     seen = shifts(at, 8.0).reshape(-1, 2), np.array([nearest(at)])
     (unknown,) = LOCATOR.find(*seen).contacts
     assert unknown.sd_N == pytest.approx(np.hypot(unknown.raw_sd_N, 0.11 * 8.0), rel=1e-3)
-    taught = Correction.plain(
+    taught = ForceCorrection.plain(
         low_mm=np.zeros(3),
         size_mm=60.0,
         force_max_N=25.0,
@@ -320,7 +327,7 @@ def test_forces_of_an_unknown_print_are_no_surer_than_its_stiffness() -> None:
 
 
 def test_scatter_of_prints_is_what_the_twin_presumes() -> None:
-    unit = UnitSection()
+    unit = SensorInstanceSection()
     thickness = 2.3 * np.hypot(unit.thickness_share, unit.thickness_wave_share)
     assert pytest.approx(np.hypot(unit.modulus_share, thickness), abs=0.005) == PRINT_SHARE
 

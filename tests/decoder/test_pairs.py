@@ -7,13 +7,19 @@ from functools import cache
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.contact_estimates import Found
-from phytac_decoder.estimation.contact_fit import Fit, Prior, Seen, nothing, start
-from phytac_decoder.estimation.contact_shifts import State, explained, point_of
-from phytac_decoder.estimation.locator import Locator
-from phytac_decoder.estimation.marker_gain import with_gain
-from phytac_decoder.mechanics.interaction_table import MOST, Pairs
-from phytac_decoder.mechanics.response_table import Places
+from phytac_decoder.estimation.contact_estimates import ContactDetection
+from phytac_decoder.estimation.contact_fit import (
+    ContactFit,
+    ContactPrior,
+    ShiftObservation,
+    fit_without_contacts,
+    initial_state,
+)
+from phytac_decoder.estimation.contact_shifts import ContactState, centre_of, predicted_shifts
+from phytac_decoder.estimation.locator import ContactLocator
+from phytac_decoder.mechanics.interaction_table import INTERACTION_SHARE_MAX, InteractionTable
+from phytac_decoder.mechanics.response_table import ResponseTable
+from phytac_design.training.marker_gain import apply_gain
 from phytac_shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import (
     MARKERS,
@@ -48,7 +54,7 @@ def mixed(one_mm: FloatArray, two_mm: FloatArray) -> FloatArray:
 
 
 @cache
-def pairs() -> Pairs:
+def pairs() -> InteractionTable:
     grid = flat_places(5.0)
     points = grid.point_mm
     there = np.stack([pushed(point) for point in points])
@@ -56,10 +62,10 @@ def pairs() -> Pairs:
     images = much[:, :, None] * (there[:, None] + there[None])
     axes = np.linalg.svd(there, full_matrices=False)[2][:AXES]
     rows = (images @ axes.T).astype(np.float32)
-    return Pairs(grid=replace(grid, shift_px=rows), axes_px=axes.astype(np.float32))
+    return InteractionTable(grid=replace(grid, shift_px=rows), axes_px=axes.astype(np.float32))
 
 
-def aware(locator: Locator) -> Locator:
+def aware(locator: ContactLocator) -> ContactLocator:
     return replace(locator, places=locator.places.with_rows(locator.places.shift_px, pairs()))
 
 
@@ -73,17 +79,17 @@ def pressed(at: list[FloatArray], force_N: list[float]) -> FloatArray:
 
 
 def states(
-    places: Places, at: list[FloatArray] = AT, force_N: list[float] = FORCES_N
-) -> list[State]:
-    prior = Prior(place_mm=1e3)
-    return [start(places, prior, p, f) for p, f in zip(at, force_N, strict=True)]
+    places: ResponseTable, at: list[FloatArray] = AT, force_N: list[float] = FORCES_N
+) -> list[ContactState]:
+    prior = ContactPrior(place_mm=1e3)
+    return [initial_state(places, prior, p, f) for p, f in zip(at, force_N, strict=True)]
 
 
-def total(places: Places, found: list[State]) -> FloatArray:
-    return np.sum([one for one, _ in explained(places, found)], axis=0)
+def total(places: ResponseTable, found: list[ContactState]) -> FloatArray:
+    return np.sum([one for one, _ in predicted_shifts(places, found)], axis=0)
 
 
-def forces(found: Found) -> FloatArray:
+def forces(found: ContactDetection) -> FloatArray:
     order = np.argsort([contact.point_mm[0] for contact in found.contacts])
     return np.array([found.contacts[k].force_N for k in order])
 
@@ -126,7 +132,7 @@ def test_mixed_terms_are_those_of_the_places_and_both_forces() -> None:
 def test_slopes_by_forces_are_differences() -> None:
     places = aware(flat_locator()).places
     found = states(places)
-    slopes = [slope[0] for _, slope in explained(places, found)]
+    slopes = [slope[0] for _, slope in predicted_shifts(places, found)]
     for k, slope in enumerate(slopes):
         ends = []
         for step in (-0.01, 0.01):
@@ -151,7 +157,7 @@ def test_a_stiffer_sensor_needs_more_force_for_the_same() -> None:
 def test_markers_show_mixed_terms_by_their_gains() -> None:
     plain = aware(flat_locator()).places
     gain = np.random.default_rng(0).normal(0.0, 0.1, (len(MARKERS), 2, 2))
-    shown = with_gain(plain, gain)
+    shown = apply_gain(plain, gain)
     before = total(plain, states(plain)).reshape(-1, 2)
     wanted = before + np.einsum("nij,nj->ni", gain, before)
     np.testing.assert_allclose(total(shown, states(shown)).reshape(-1, 2), wanted, atol=1e-4)
@@ -168,7 +174,7 @@ def test_coordinates_between_places_are_a_cubic_in_both() -> None:
     rows = np.zeros((len(points), len(points), 4), dtype=np.float32)
     rows[:, :, 2] = value(points[:, None], points[None])
     axes = np.eye(4, 2 * len(MARKERS), dtype=np.float32)
-    table = Pairs(grid=replace(grid, shift_px=rows), axes_px=axes)
+    table = InteractionTable(grid=replace(grid, shift_px=rows), axes_px=axes)
     at = np.array([[21.3, 33.1, 0.0], [40.2, 18.7, 0.0], [11.0, 48.5, 0.0]])
     told = table.between(at)
     assert told.shape == (3, 2 * len(MARKERS))
@@ -183,17 +189,19 @@ def test_mixed_terms_are_no_more_than_a_share_of_what_each_does_alone() -> None:
     wild = replace(places.pairs, axes_px=50.0 * places.pairs.axes_px)
     at = [np.array([20.0, 20.0, 0.0]), np.array([27.0, 20.0, 0.0])]
     found = states(places, at, [20.0, 3.0])
-    alone = [one for one, _ in explained(flat_locator().places, found)]
+    alone = [one for one, _ in predicted_shifts(flat_locator().places, found)]
     more = total(places.with_rows(places.shift_px, wild), found) - np.sum(alone, axis=0)
-    assert np.linalg.norm(more) == pytest.approx(MOST * np.linalg.norm(alone[1]), rel=1e-4)
+    assert np.linalg.norm(more) == pytest.approx(
+        INTERACTION_SHARE_MAX * np.linalg.norm(alone[1]), rel=1e-4
+    )
 
 
 def test_contacts_on_each_other_stay_finite() -> None:
     places = aware(flat_locator()).places
     found = states(places, [AT[0], AT[0]], [9.0, 0.0])
-    parts = explained(places, found)
+    parts = predicted_shifts(places, found)
     assert all(np.isfinite(one).all() and np.isfinite(slope).all() for one, slope in parts)
-    np.testing.assert_array_equal(point_of(places, found[0]), point_of(places, found[1]))
+    np.testing.assert_array_equal(centre_of(places, found[0]), centre_of(places, found[1]))
 
 
 def test_a_linear_sensor_has_no_mixed_terms() -> None:
@@ -228,13 +236,15 @@ def test_what_comes_to_light_with_one_that_is_suspected_is_suspected_too(
     """Where tables err by more than noise, one faint contact after another explains some of it."""
     locator = aware(flat_locator())
     state = states(locator.places, force_N=[0.2, 0.2])[0]
-    seen = Seen(
+    seen = ShiftObservation(
         shift_px=np.zeros(2 * len(MARKERS)),
         found=np.ones(2 * len(MARKERS), dtype=np.bool_),
         koi=np.array([44]),
     )
-    begun = replace(nothing(seen, locator.noise), states=[state], cost=1000.0, misfit=2.0)
-    monkeypatch.setattr(Locator, "_silent", lambda *_: state.copy())
+    begun = replace(
+        fit_without_contacts(seen, locator.noise), states=[state], cost=1000.0, misfit=2.0
+    )
+    monkeypatch.setattr(ContactLocator, "_silent", lambda *_: state.copy())
     for falls, wanted in (
         ((50.0, 45.0, 5.0), [False, False, False]),
         ((30.0, 50.0, 5.0), [False, True, True]),
@@ -242,9 +252,14 @@ def test_what_comes_to_light_with_one_that_is_suspected_is_suspected_too(
     ):
         costs = iter(1000.0 - np.cumsum(falls))
 
-        def fitted(_: Locator, found: list[State], __: Seen, costs: Iterator[float] = costs) -> Fit:
+        def fitted(
+            _: ContactLocator,
+            found: list[ContactState],
+            __: ShiftObservation,
+            costs: Iterator[float] = costs,
+        ) -> ContactFit:
             return replace(begun, states=found, cost=float(next(costs)))
 
-        monkeypatch.setattr(Locator, "_fit", fitted)
+        monkeypatch.setattr(ContactLocator, "_fit", fitted)
         best = locator._searched(begun, seen)
         assert [one.suspected for one in best.states] == wanted

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.contact_estimates import Located
-from phytac_decoder.estimation.contact_fit import Noise
+from phytac_decoder.estimation.contact_estimates import LocatedContact
+from phytac_decoder.estimation.contact_fit import ShiftNoise
 from phytac_shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import flat_locator, nearest, together
 
 LOCATOR = flat_locator()
 
 
-def find(shift: FloatArray, koi: list[int]) -> list[Located]:
+def find(shift: FloatArray, koi: list[int]) -> list[LocatedContact]:
     return LOCATOR.find(shift.reshape(-1, 2), np.array(koi, dtype=np.int64)).contacts
 
 
@@ -44,7 +44,7 @@ def test_fingers_are_parted_though_noise_is_presumed_too_much() -> None:
     places = [point(x, 30.0) for x in (12.0, 30.0)]
     koi = np.arange(nearest(places[0]), nearest(places[1]) + 10, 10)
     seen = together(places, [6.0, 6.0]).reshape(-1, 2)
-    timid = replace(LOCATOR, noise=Noise(centroid_px=0.4))
+    timid = replace(LOCATOR, noise=ShiftNoise(centroid_px=0.4))
     found = timid.find(seen, koi)
     assert found.misfit < 0.1
     assert [contact.force_N for contact in found.contacts] == pytest.approx([6.0, 6.0], rel=0.05)

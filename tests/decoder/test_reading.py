@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation import frame_reading as reading_module
-from phytac_decoder.estimation.contact_estimates import Found, Located
-from phytac_decoder.estimation.decode import Measured, measure_frame, read_image
+from phytac_decoder.estimation.contact_estimates import ContactDetection, LocatedContact
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.force_regions import Region
-from phytac_decoder.estimation.frame_reading import Reading, read
 from phytac_decoder.io.bundle import Bundle, load_bundle
+from phytac_decoder.pipeline import frame_reading as reading_module
+from phytac_decoder.pipeline.decode import Measured, measure_frame, read_image
+from phytac_decoder.pipeline.frame_reading import Reading, read
 from phytac_decoder.serving.csv_recording import Recorder
-from phytac_decoder.serving.wire_protocol import Messages, json_bytes
+from phytac_decoder.serving.wire_protocol import MessageBuilder, json_bytes
 from phytac_design.layout.marker_layout import make_markers
 from phytac_design.stages.build import BuildResult
 from tests.decoder.toy_sensor import toy_bundle
@@ -25,10 +25,10 @@ from tests.designs import small
 COUNT = 30
 
 
-def located(force_N: float, point_mm: tuple[float, float, float], *markers: int) -> Located:
+def located(force_N: float, point_mm: tuple[float, float, float], *markers: int) -> LocatedContact:
     """A contact that shares its force evenly among its switches."""
     on = np.array(markers, dtype=np.int64)
-    return Located(
+    return LocatedContact(
         markers=on,
         share=np.full(len(on), 1.0 / max(len(on), 1)),
         force_N=force_N,
@@ -43,19 +43,19 @@ def located(force_N: float, point_mm: tuple[float, float, float], *markers: int)
     )
 
 
-def reading(*contacts: Located) -> Reading:
+def reading(*contacts: LocatedContact) -> Reading:
     """Of these contacts."""
-    found = Found(contacts=list(contacts), misfit=1.0, shift_px=np.zeros(2 * COUNT))
+    found = ContactDetection(contacts=list(contacts), misfit=1.0, shift_px=np.zeros(2 * COUNT))
     forces = found.receptor_forces_N(COUNT)
     return Reading(koi=np.flatnonzero(forces), forces_N=forces, found=found)
 
 
-def messages() -> Messages:
+def messages() -> MessageBuilder:
     """A stream with the normals of a plane and two regions."""
     bundle = toy_bundle()
     left = Region(name="left", markers=(7, 8))
     right = Region(name="right", markers=(28, 29))
-    return Messages(
+    return MessageBuilder(
         bundle=bundle,
         estimator="auto",
         normals=np.tile([0.0, 0.0, 1.0], (COUNT, 1)),
@@ -138,12 +138,12 @@ def test_a_frame_is_fitted_once(
     measured = replace(measured, koi=measured.koi[1:])
     whole, asked = ForceModel.contacts, []
 
-    def counted(model: ForceModel, *words: Any, **more: Any) -> Found:
+    def counted(model: ForceModel, *words: Any, **more: Any) -> ContactDetection:
         asked.append(words)
         return whole(model, *words, **more)
 
     monkeypatch.setattr(ForceModel, "contacts", counted)
-    monkeypatch.setattr("phytac_decoder.estimation.fault_detection.EXCUSED_MOST", 1000)
+    monkeypatch.setattr("phytac_decoder.pipeline.fault_detection.EXCUSED_MOST", 1000)
     got = read(bundle, measured, "auto")
     assert len(asked) == 1
     assert got.found
@@ -160,11 +160,13 @@ def test_forces_on_switches_that_cannot_be_read_are_among_those_told(
     bundle, measured = pressed
     unread = int(np.setdiff1d(np.arange(len(measured.found)), measured.koi)[0])
     contact = located(5.0, tuple(bundle.position_mm[unread]), unread)
-    found = Found(contacts=[contact], misfit=1.0, shift_px=np.zeros(2 * len(measured.found)))
+    found = ContactDetection(
+        contacts=[contact], misfit=1.0, shift_px=np.zeros(2 * len(measured.found))
+    )
     monkeypatch.setattr(ForceModel, "contacts", lambda *_, **__: found)
     got = reading_module.read(bundle, measured, "auto")
     assert unread in got.koi
-    told = Messages(bundle=bundle, estimator="auto").frame(got, sequence=0, timestamp_s=0.0)
+    told = MessageBuilder(bundle=bundle, estimator="auto").frame(got, sequence=0, timestamp_s=0.0)
     assert dict(zip(told["koi"], told["forces_N"], strict=True))[unread] == 5.0
     assert told["total_N"] == 5.0
 
@@ -176,7 +178,7 @@ def test_the_net_force_acts_along_the_surfaces_normals(
     bundle, measured = pressed
     surface = small().surface()
     normal = make_markers(small(), surface).normal
-    make = Messages(bundle=bundle, estimator="koi_inverse")
+    make = MessageBuilder(bundle=bundle, estimator="koi_inverse")
     got = read(bundle, measured, "koi_inverse")
     told = make.frame(got, sequence=0, timestamp_s=0.0)
     net = -(got.forces_N @ normal)
@@ -189,6 +191,8 @@ def test_other_estimators_leave_grouping_to_the_stream(pressed: tuple[Bundle, Me
     got = read(bundle, measured, "koi_inverse")
     assert got.found is None
     assert got.koi.tolist() == measured.koi.tolist()
-    told = Messages(bundle=bundle, estimator="koi_inverse").frame(got, sequence=0, timestamp_s=0.0)
+    told = MessageBuilder(bundle=bundle, estimator="koi_inverse").frame(
+        got, sequence=0, timestamp_s=0.0
+    )
     assert told["contacts"]
     assert all("sd_N" not in contact for contact in told["contacts"])

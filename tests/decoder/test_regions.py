@@ -14,7 +14,7 @@ import pytest
 from phytac_decoder.estimation.force_regions import (
     NAME_MAX,
     REGIONS_MAX,
-    Chart,
+    MarkerChart,
     Region,
     RegionForces,
     load_regions,
@@ -31,10 +31,12 @@ from tests.designs import changed, small
 
 ROW, COLUMN = np.divmod(np.arange(24), 6)
 PLACES = np.column_stack([10.0 * COLUMN, 10.0 * ROW, np.zeros(24)])
-CHART = Chart(row=ROW, column=COLUMN, along=(ROW + 0.5) / 4.0, around=COLUMN / 6.0, closed=True)
+CHART = MarkerChart(
+    row=ROW, column=COLUMN, along=(ROW + 0.5) / 4.0, around=COLUMN / 6.0, closed=True
+)
 
 
-def load(folder: Path, text: str, chart: Chart | None = CHART) -> tuple[Region, ...]:
+def load(folder: Path, text: str, chart: MarkerChart | None = CHART) -> tuple[Region, ...]:
     path = folder / "regions.toml"
     path.write_text(text)
     return load_regions(path, PLACES, chart)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from phytac_design.datasets import samples as model
 from phytac_design.datasets import samples_writer
-from phytac_design.datasets.samples import split
+from phytac_design.datasets.samples import split_sequences
 from phytac_design.datasets.samples_check import ARRAYS, COUNTS
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.datasets.samples_writer import SHIFT_STEP_PX, file_hash, write_samples
@@ -218,7 +218,7 @@ def test_a_sequence_stays_on_one_side(seed: int, count: int, press: int) -> None
     made = drawn(seed, count, 1, keep="inputs")
     made = replace(made, sequence=np.arange(count) // press)
     shares = (0.7, 0.1, 0.2)
-    parts = split(made, shares, seed=seed)
+    parts = split_sequences(made, shares, seed=seed)
     usable = np.flatnonzero(made.status != 2)
     np.testing.assert_array_equal(np.sort(np.concatenate(parts)), usable)
     owners = [set(made.sequence[part].tolist()) for part in parts]
@@ -226,22 +226,22 @@ def test_a_sequence_stays_on_one_side(seed: int, count: int, press: int) -> None
     for part, share in zip(parts, shares, strict=True):
         assert len(part) > 0
         assert abs(len(part) - share * len(usable)) <= press
-    again = split(made, shares, seed=seed)
+    again = split_sequences(made, shares, seed=seed)
     assert all(np.array_equal(a, b) for a, b in zip(parts, again, strict=True))
 
 
 def test_another_seed_is_another_split() -> None:
     made = replace(drawn(1, 100, keep="inputs"), sequence=np.arange(100))
-    first, second = (split(made, (0.5, 0.5), seed=seed)[0] for seed in (0, 1))
+    first, second = (split_sequences(made, (0.5, 0.5), seed=seed)[0] for seed in (0, 1))
     assert not np.array_equal(first, second)
 
 
 def test_shares_that_cannot_be() -> None:
     made = drawn(1, 30)
     with pytest.raises(InputError, match="sum to 1"):
-        split(made, (0.5, 0.4), seed=0)
+        split_sequences(made, (0.5, 0.4), seed=0)
     with pytest.raises(InputError, match="positive"):
-        split(made, (1.5, -0.5), seed=0)
+        split_sequences(made, (1.5, -0.5), seed=0)
     one = replace(made, sequence=np.zeros(30, dtype=np.int64))
     with pytest.raises(InputError, match="1 sequences cannot fill 2 parts"):
-        split(one, (0.5, 0.5), seed=0)
+        split_sequences(one, (0.5, 0.5), seed=0)

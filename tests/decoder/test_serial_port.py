@@ -11,8 +11,8 @@ import pytest
 
 from phytac_decoder.io.serial_port import SerialPort
 from phytac_decoder.serving import force_server
-from phytac_decoder.serving.force_server import Server
-from phytac_decoder.serving.wire_protocol import Message, Splitter
+from phytac_decoder.serving.force_server import StreamServer
+from phytac_decoder.serving.wire_protocol import Message, MessageSplitter
 
 
 def test_settings_of_an_earlier_user_go() -> None:
@@ -40,7 +40,7 @@ def test_hello_comes_again_however_full_the_port_is(monkeypatch: pytest.MonkeyPa
     done = threading.Event()
 
     def read() -> None:
-        splitter = Splitter("lines")
+        splitter = MessageSplitter("lines")
         os.set_blocking(master, False)
         while not done.is_set():
             with contextlib.suppress(BlockingIOError):
@@ -49,7 +49,7 @@ def test_hello_comes_again_however_full_the_port_is(monkeypatch: pytest.MonkeyPa
 
     reader = threading.Thread(target=read)
     reader.start()
-    with Server(hello, port=0, serial=port, serial_hello=hello) as server:
+    with StreamServer(hello, port=0, serial=port, serial_hello=hello) as server:
         until = time.monotonic() + 4.0
         sent = 0
         while time.monotonic() < until:

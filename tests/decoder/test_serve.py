@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from phytac_decoder.io.serial_port import SerialPort
-from phytac_decoder.serving.force_server import Limits, Server
-from phytac_decoder.serving.wire_protocol import Message, Splitter
+from phytac_decoder.serving.force_server import ClientLimits, StreamServer
+from phytac_decoder.serving.wire_protocol import Message, MessageSplitter
 from phytac_shapes.errors import InputError, OutputError
 
 HELLO = {"type": "hello", "name": "x" * 3000}
@@ -31,13 +31,13 @@ def wait_until(done: Callable[[], bool]) -> None:
 class Client:
     """Reads in a thread of its own until the server closes, or its first message alone."""
 
-    def __init__(self, server: Server, framing: str = "lines", *, read: bool = True) -> None:
+    def __init__(self, server: StreamServer, framing: str = "lines", *, read: bool = True) -> None:
         self.socket = socket.socket()
         self.socket.settimeout(PATIENCE_S)
         if not read:
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         self.socket.connect((server.host, server.port))
-        self._splitter = Splitter(framing)
+        self._splitter = MessageSplitter(framing)
         self.got: list[Message] = []
         while not self.got:
             self._take()
@@ -74,7 +74,7 @@ def sequences(messages: list[Message]) -> list[int]:
 
 @pytest.mark.parametrize("framing", ["lines", "length"])
 def test_all_get_all_in_order_between_hello_and_end(framing: str) -> None:
-    with Server(HELLO, port=0, framing=framing) as server:
+    with StreamServer(HELLO, port=0, framing=framing) as server:
         assert server.host == "127.0.0.1"
         clients = [Client(server, framing) for _ in range(3)]
         assert server.clients == 3
@@ -92,8 +92,8 @@ def test_all_get_all_in_order_between_hello_and_end(framing: str) -> None:
 
 def test_one_of_ten_that_stalls_costs_the_others_nothing_and_is_closed() -> None:
     said: list[str] = []
-    limits = Limits(queue=40, patience_s=0.5)
-    with Server(HELLO, port=0, limits=limits, report=said.append) as server:
+    limits = ClientLimits(queue=40, patience_s=0.5)
+    with StreamServer(HELLO, port=0, limits=limits, report=said.append) as server:
         clients = [Client(server) for _ in range(9)]
         stalled = Client(server, read=False)
         longest = 0.0
@@ -119,7 +119,9 @@ def test_one_of_ten_that_stalls_costs_the_others_nothing_and_is_closed() -> None
 
 
 def test_a_slow_client_gets_the_newest_whole_messages_and_is_told_what_it_lost() -> None:
-    with Server(HELLO, port=0, limits=Limits(queue=10, patience_s=PATIENCE_S)) as server:
+    with StreamServer(
+        HELLO, port=0, limits=ClientLimits(queue=10, patience_s=PATIENCE_S)
+    ) as server:
         slow, quick = Client(server, read=False), Client(server)
         # More than the system's buffers hold.
         for message in numbered(400, BULK):
@@ -145,7 +147,7 @@ def test_a_slow_client_gets_the_newest_whole_messages_and_is_told_what_it_lost()
 
 
 def test_clients_come_and_go() -> None:
-    with Server(HELLO, port=0) as server:
+    with StreamServer(HELLO, port=0) as server:
         first = Client(server)
         server.publish(numbered(1)[0])
         wait_until(lambda: sequences(first.got) == [0])
@@ -169,8 +171,8 @@ def shout(into: socket.socket) -> None:
 
 def test_hostile_clients_do_no_harm() -> None:
     said: list[str] = []
-    limits = Limits(clients=6, received_bytes=10000)
-    with Server(HELLO, port=0, limits=limits, report=said.append) as server:
+    limits = ClientLimits(clients=6, received_bytes=10000)
+    with StreamServer(HELLO, port=0, limits=limits, report=said.append) as server:
         address = (server.host, server.port)
         good = Client(server)
         # Numbers that are none, and an endless line.
@@ -205,21 +207,21 @@ def test_hostile_clients_do_no_harm() -> None:
 
 
 def test_a_port_in_use_is_one_clear_error() -> None:
-    with Server(HELLO, port=0) as server:
+    with StreamServer(HELLO, port=0) as server:
         client = Client(server)
         words = rf"cannot listen at 127.0.0.1, port {server.port} \(Address already in use\); give"
         with pytest.raises(OutputError, match=words):
-            Server(HELLO, port=server.port)
+            StreamServer(HELLO, port=server.port)
     client.all()
     # And free again at once, though its last connections are not forgotten yet.
-    Server(HELLO, port=server.port).close()
+    StreamServer(HELLO, port=server.port).close()
     with pytest.raises(OutputError, match=r"cannot listen at '?no.such.host"):
-        Server(HELLO, host="no.such.host.invalid", port=0)
+        StreamServer(HELLO, host="no.such.host.invalid", port=0)
 
 
 def test_it_stops_cleanly_though_someone_stalls() -> None:
     threads = threading.active_count()
-    server = Server(HELLO, port=0, limits=Limits(queue=5))
+    server = StreamServer(HELLO, port=0, limits=ClientLimits(queue=5))
     stalled = Client(server, read=False)
     for message in numbered(100, BULK):
         server.publish(message)
@@ -234,7 +236,7 @@ def test_it_stops_cleanly_though_someone_stalls() -> None:
 
 def test_what_is_published_last_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     """However the server's thread is interrupted between its steps."""
-    server = Server(HELLO, port=0)
+    server = StreamServer(HELLO, port=0)
     client = Client(server)
     hand_out, closed = server._hand_out, threading.Event()
 
@@ -260,7 +262,7 @@ def test_what_is_published_last_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> 
     ],
 )
 def test_clients_are_told_why_it_ends(error: BaseException, reason: str) -> None:
-    server = Server(HELLO, port=0)
+    server = StreamServer(HELLO, port=0)
     client = Client(server)
     with pytest.raises(type(error)), server:
         raise error
@@ -268,7 +270,7 @@ def test_clients_are_told_why_it_ends(error: BaseException, reason: str) -> None
 
 
 def test_no_number_goes_out_that_is_none() -> None:
-    with Server(HELLO, port=0) as server, pytest.raises(InputError, match="not finite"):
+    with StreamServer(HELLO, port=0) as server, pytest.raises(InputError, match="not finite"):
         server.publish({"type": "frame", "total_N": float("nan")})
 
 
@@ -277,8 +279,8 @@ def test_a_serial_port_gets_fresh_json_lines() -> None:
     port = SerialPort(Path(os.ttyname(slave)), baud=115200)
     os.set_blocking(master, False)
     hello = {"type": "hello", "name": "short"}
-    with Server(HELLO, port=0, serial=port, serial_hello=hello) as server:
-        splitter, got = Splitter("lines"), []
+    with StreamServer(HELLO, port=0, serial=port, serial_hello=hello) as server:
+        splitter, got = MessageSplitter("lines"), []
 
         def read() -> None:
             try:

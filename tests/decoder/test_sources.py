@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.decode import read_image
 from phytac_decoder.io import live_camera
 from phytac_decoder.io.frame import Frame, Source
-from phytac_decoder.io.frame_sources import Recording, first_frames, open_source
-from phytac_decoder.io.recorded_frames import Folder
+from phytac_decoder.io.frame_sources import RecordingSource, first_frames, open_source
+from phytac_decoder.io.recorded_frames import ImageFolder
+from phytac_decoder.pipeline.decode import read_image
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
 
@@ -117,8 +117,8 @@ def test_nothing_but_torn_frames_is_an_error(tmp_path: Path, loop: bool) -> None
 
 def test_a_pace_is_kept(tmp_path: Path) -> None:
     clock = Time()
-    source = Recording(
-        [Folder(folder_of(tmp_path / "f", 6))], fps=4.0, clock=clock.clock, sleep=clock.sleep
+    source = RecordingSource(
+        [ImageFolder(folder_of(tmp_path / "f", 6))], fps=4.0, clock=clock.clock, sleep=clock.sleep
     )
     taken = []
     for frame in source:
@@ -132,8 +132,8 @@ def test_a_pace_is_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize("every", [False, True])
 def test_a_slow_decoder_misses_frames_as_with_a_camera(tmp_path: Path, every: bool) -> None:
     clock = Time()
-    source = Recording(
-        [Folder(folder_of(tmp_path / "f", 12))],
+    source = RecordingSource(
+        [ImageFolder(folder_of(tmp_path / "f", 12))],
         fps=10.0,
         every=every,
         clock=clock.clock,
@@ -255,7 +255,7 @@ def test_a_recording_tells_its_length(tmp_path: Path) -> None:
     near, far = folder_of(tmp_path / "near", 3), video_of(tmp_path / "far.avi", 3)
     for wheres, count in (([near], 3), ([far], None), ([near, far], 3)):
         source = open_source([str(where) for where in wheres])
-        assert isinstance(source, Recording)
+        assert isinstance(source, RecordingSource)
         assert source.count == count
         source.close()
 

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.frame_reading import Reading
 from phytac_decoder.io.frame import Frame, Source
 from phytac_decoder.io.frame_sources import open_source
 from phytac_decoder.io.imu import Imu
+from phytac_decoder.pipeline.frame_reading import Reading
+from phytac_decoder.pipeline.tracker import Follower
 from phytac_decoder.serving.sensor_loop import Progress, Stream, follow_decoder, frame_decoder
-from phytac_decoder.serving.wire_protocol import Message, Messages
-from phytac_decoder.vision.tracker import Follower
+from phytac_decoder.serving.wire_protocol import Message, MessageBuilder
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
 from tests.decoder.test_eyes import lattice
@@ -49,7 +49,7 @@ def run(images: list[ImageArray], **more: Any) -> tuple[list[Message], Stream]:
     settings: dict[str, Any] = {
         "source": Frames(images),
         "decode": frame_decoder(bundle),
-        "messages": Messages(bundle=bundle, estimator="koi_inverse"),
+        "messages": MessageBuilder(bundle=bundle, estimator="koi_inverse"),
         "publish": sent.append,
         "report": lambda _: None,
     }

@@ -3,9 +3,14 @@
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.frame_reading import Reading
 from phytac_decoder.io.frame import Frame
-from phytac_decoder.vision.torn_frames import STREAK, BAND_px, Tears, watched
+from phytac_decoder.pipeline.frame_reading import Reading
+from phytac_decoder.serving.torn_frames import (
+    FRAMES_CHANGED_MIN,
+    BAND_px,
+    TornFrameDetector,
+    with_torn_frame_check,
+)
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
 
@@ -21,12 +26,12 @@ def noisy(seed: int, *, dark: slice | None = None) -> ImageArray:
     return image
 
 
-def warmed(dark: slice | None = None) -> tuple[Tears, ImageArray]:
+def warmed(dark: slice | None = None) -> tuple[TornFrameDetector, ImageArray]:
     """One who has seen enough frames, and the last of them."""
-    tears = Tears()
-    for seed in range(STREAK + 1):
+    tears = TornFrameDetector()
+    for seed in range(FRAMES_CHANGED_MIN + 1):
         assert tears.look([noisy(seed, dark=dark)]) == []
-    return tears, noisy(STREAK, dark=dark)
+    return tears, noisy(FRAMES_CHANGED_MIN, dark=dark)
 
 
 def torn(seed: int, old: ImageArray, part: slice) -> ImageArray:
@@ -64,7 +69,7 @@ def test_what_noise_does_not_change_has_no_say() -> None:
     lower = torn(9, last, slice(70, None))
     lower[:40] = 0
     assert "the lower" in tears.look([lower])[0]
-    drawn, flat = Tears(), np.full((HEIGHT, WIDTH, 3), 90, dtype=np.uint8)
+    drawn, flat = TornFrameDetector(), np.full((HEIGHT, WIDTH, 3), 90, dtype=np.uint8)
     moved = flat.copy()
     moved[60:80, 20:100] = 200
     for image in (flat, flat, moved, flat, flat):
@@ -80,10 +85,10 @@ def test_rows_that_are_old_here_and_there_are_no_tear() -> None:
 
 
 def test_each_camera_is_looked_at_and_another_size_begins_anew() -> None:
-    tears = Tears()
-    for seed in range(STREAK + 1):
+    tears = TornFrameDetector()
+    for seed in range(FRAMES_CHANGED_MIN + 1):
         assert tears.look([noisy(seed), noisy(50 + seed)]) == []
-    (text,) = tears.look([noisy(9), torn(60, noisy(50 + STREAK), slice(0, 48))])
+    (text,) = tears.look([noisy(9), torn(60, noisy(50 + FRAMES_CHANGED_MIN), slice(0, 48))])
     assert "upper" in text
     small = noisy(9)[:50, :60]
     assert tears.look([small, small]) == []
@@ -91,8 +96,8 @@ def test_each_camera_is_looked_at_and_another_size_begins_anew() -> None:
 
 
 def test_a_camera_that_uses_its_buffer_again_is_seen_through() -> None:
-    tears, buffer = Tears(), noisy(0)
-    for seed in range(STREAK + 1):
+    tears, buffer = TornFrameDetector(), noisy(0)
+    for seed in range(FRAMES_CHANGED_MIN + 1):
         buffer[:] = noisy(seed)
         assert tears.look([buffer]) == []
     # And for as long as it stands still.
@@ -102,21 +107,21 @@ def test_a_camera_that_uses_its_buffer_again_is_seen_through() -> None:
 
 def test_a_single_change_is_no_noise() -> None:
     """A press that is drawn without noise changes rows, and they stand still after it."""
-    tears = Tears()
-    for number in range(STREAK):
+    tears = TornFrameDetector()
+    for number in range(FRAMES_CHANGED_MIN):
         assert tears.look([noisy(number)]) == []
-    assert tears.look([noisy(STREAK - 1)]) == []
+    assert tears.look([noisy(FRAMES_CHANGED_MIN - 1)]) == []
     # What stood still begins anew: it is no noise that pauses.
-    for number in range(1, STREAK):
+    for number in range(1, FRAMES_CHANGED_MIN):
         assert tears.look([noisy(10 * number)]) == []
-    assert tears.look([noisy(10 * (STREAK - 1))]) == []
+    assert tears.look([noisy(10 * (FRAMES_CHANGED_MIN - 1))]) == []
 
 
 def test_only_the_band_is_read_of_wide_pictures() -> None:
     wide = np.zeros((40, 4 * BAND_px, 3), dtype=np.uint8)
-    tears = Tears()
+    tears = TornFrameDetector()
     rng = np.random.default_rng(0)
-    for _ in range(STREAK + 1):
+    for _ in range(FRAMES_CHANGED_MIN + 1):
         wide[:, 3 * BAND_px // 4 : 7 * BAND_px // 4] = rng.integers(0, 99, (40, BAND_px, 3))
         assert tears.look([wide]) == []
     wide[:, : BAND_px // 2] = 7
@@ -134,14 +139,14 @@ def test_a_decoder_that_is_watched_says_so_besides() -> None:
         nothing = np.zeros(0)
         return Reading(koi=nothing.astype(np.int64), forces_N=nothing, warnings=["dark"])
 
-    reader = watched(decode)
+    reader = with_torn_frame_check(decode)
     assert reader(frame(0, noisy(0))).warnings == ["dark"]
     # One that cannot be decoded is looked at all the same.
     with pytest.raises(InputError, match="black"):
         reader(frame(1, noisy(1)))
-    for number in range(2, STREAK + 1):
+    for number in range(2, FRAMES_CHANGED_MIN + 1):
         assert reader(frame(number, noisy(number))).warnings == ["dark"]
-    last = torn(99, noisy(STREAK), slice(48, None))
-    dark, text = reader(frame(STREAK + 1, last)).warnings
+    last = torn(99, noisy(FRAMES_CHANGED_MIN), slice(48, None))
+    dark, text = reader(frame(FRAMES_CHANGED_MIN + 1, last)).warnings
     assert dark == "dark"
     assert "it is torn" in text

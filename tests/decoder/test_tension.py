@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from phytac_decoder.estimation.contact_fit import start
-from phytac_decoder.estimation.contact_shifts import State, explained
-from phytac_decoder.mechanics.membrane_stretching import Walls, lost_share, powers_of
-from phytac_decoder.mechanics.response_table import Places
+from phytac_decoder.estimation.contact_fit import initial_state
+from phytac_decoder.estimation.contact_shifts import ContactState, predicted_shifts
+from phytac_decoder.mechanics.membrane_stretching import BergerWall, lost_softness, order_factors
+from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import (
     RADIUS_MM,
@@ -28,14 +28,14 @@ PER_PX = 0.02
 MOST = 0.8
 
 
-def walled(places: Places, wall: int = 0) -> Places:
+def walled(places: ResponseTable, wall: int = 0) -> ResponseTable:
     """Places on a wall that slopes as its markers move, of one mode: both go by 1 - v."""
     first = places.shift_px[:, 0]
     slope = np.float32(PER_PX) * first
     return replace(
         places,
         shift_px=np.concatenate([places.shift_px, -first[:, None]], axis=1),
-        walls=Walls(
+        walls=BergerWall(
             wall=np.full(len(first), wall), slopes=np.stack([slope, -slope], axis=1), most=MOST
         ),
     )
@@ -64,12 +64,12 @@ def closed_form(at: list[FloatArray], forces: list[float]) -> FloatArray:
     )
 
 
-def states(places: Places, at: list[FloatArray], forces: list[float]) -> list[State]:
-    return [start(places, LOCATOR.prior, p, f) for p, f in zip(at, forces, strict=True)]
+def states(places: ResponseTable, at: list[FloatArray], forces: list[float]) -> list[ContactState]:
+    return [initial_state(places, LOCATOR.prior, p, f) for p, f in zip(at, forces, strict=True)]
 
 
-def total(places: Places, pressed: list[State]) -> FloatArray:
-    return np.sum([shifts for shifts, _ in explained(places, pressed)], axis=0)
+def total(places: ResponseTable, pressed: list[ContactState]) -> FloatArray:
+    return np.sum([shifts for shifts, _ in predicted_shifts(places, pressed)], axis=0)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
@@ -86,7 +86,7 @@ def test_slopes_are_those_of_the_shifts_of_all() -> None:
     pressed = states(PLACES, [ONE + ASIDE, TWO, THREE - ASIDE], [12.0, 20.0, 6.0])
     pressed[1].x[3:] = (2.0, -1.0, 1.5)
     steps = np.array([1e-2, 1e-2, 1e-2, 0.1, 0.1, 0.1])
-    for k, (_, slope) in enumerate(explained(PLACES, pressed)):
+    for k, (_, slope) in enumerate(predicted_shifts(PLACES, pressed)):
         for unknown, step in enumerate(steps):
             sides = []
             for sign in (1.0, -1.0):
@@ -114,7 +114,7 @@ def test_each_wall_of_a_box_stretches_alone() -> None:
     point, along, around = flat.point_mm, flat.along, flat.around
     aside = np.column_stack([point[:, 0], np.full(len(point), -40.0), point[:, 1]])
     up = np.tile([0.0, 0.0, 1.0], (len(point), 1))
-    box = Places(
+    box = ResponseTable(
         point_mm=np.concatenate([point, aside]),
         along=np.concatenate([along, along]),
         around=np.concatenate([around, up]),
@@ -126,9 +126,9 @@ def test_each_wall_of_a_box_stretches_alone() -> None:
     number = np.repeat([0, 1], len(point))
     both = replace(both, walls=replace(both.walls, wall=number))
     third = np.array([30.0, -40.0, 30.0])
-    parts = explained(both, states(both, [ONE, third, TWO], [12.0, 15.0, 20.0]))
-    one, two = explained(both, states(both, [ONE, TWO], [12.0, 20.0]))
-    (alone,) = explained(both, states(both, [third], [15.0]))
+    parts = predicted_shifts(both, states(both, [ONE, third, TWO], [12.0, 15.0, 20.0]))
+    one, two = predicted_shifts(both, states(both, [ONE, TWO], [12.0, 20.0]))
+    (alone,) = predicted_shifts(both, states(both, [third], [15.0]))
     for found, wanted in zip(parts, (one, alone, two), strict=True):
         np.testing.assert_array_equal(found[0], wanted[0])
         np.testing.assert_array_equal(found[1], wanted[1])
@@ -149,7 +149,7 @@ def test_a_place_on_no_wall_answers_alone() -> None:
     )
 
 
-def bent(radius_mm: float) -> Places:
+def bent(radius_mm: float) -> ResponseTable:
     """The same places on a cylinder about an axis along the first tangent."""
     flat = flat_places()
     turn = (flat.point_mm[:, 1] - 30.0) / radius_mm
@@ -185,14 +185,14 @@ def test_softness_is_lost_by_its_equation() -> None:
         # What is stiffer slopes less, and not by a straight line.
         slopes = np.concatenate([slopes, -0.7 * slopes, 0.2 * slopes])
         true = brentq(unlost, 0.0, 1.0, args=(slopes,), xtol=1e-15)
-        lost, grows = lost_share(slopes, 0.95)
+        lost, grows = lost_softness(slopes, 0.95)
         assert lost == pytest.approx(min(true, 0.95), rel=1e-9)
-        sides = [lost_share(np.sqrt(1.0 + s) * slopes, 0.95)[0] for s in (1e-3, -1e-3)]
+        sides = [lost_softness(np.sqrt(1.0 + s) * slopes, 0.95)[0] for s in (1e-3, -1e-3)]
         square = np.sum((lost ** np.arange(3) @ slopes) ** 2)
         assert grows * square == pytest.approx((sides[0] - sides[1]) / 2e-3, rel=1e-4, abs=1e-9)
-    assert lost_share(np.zeros((2, 3)), 0.8)[0] == 0.0
+    assert lost_softness(np.zeros((2, 3)), 0.8)[0] == 0.0
     # As far as the tables go, and no farther.
-    assert lost_share(np.array([[1e6], [0.0]]), 0.8) == (0.8, 0.0)
+    assert lost_softness(np.array([[1e6], [0.0]]), 0.8) == (0.8, 0.0)
 
 
 def test_beyond_the_tables_the_response_goes_on_as_it_does_there() -> None:
@@ -203,7 +203,7 @@ def test_beyond_the_tables_the_response_goes_on_as_it_does_there() -> None:
     rows = np.outer(np.append(1.0, powers), np.ones(6)).astype(np.float32)
 
     def at(force: float, top: float) -> float:
-        factors, _ = powers_of(rows, force, top)
+        factors, _ = order_factors(rows, force, top)
         return float((factors @ rows)[0])
 
     assert at(20.0, 25.0) == at(20.0, np.inf)
@@ -213,12 +213,12 @@ def test_beyond_the_tables_the_response_goes_on_as_it_does_there() -> None:
     assert abs(at(50.0, np.inf) / true - 1.0) > 1.0
     # What softens goes on softening.
     soft = np.array([[1.0], [0.02]], dtype=np.float32)
-    factors, grows = powers_of(soft, 40.0, 25.0)
+    factors, grows = order_factors(soft, 40.0, 25.0)
     assert (factors @ soft)[0] == pytest.approx(1.0 + 0.02 * 40.0, rel=0.05)
     assert 0.0 < grows[0] < 1.0
     # And nothing falls faster than a force that moves no more.
     none = np.array([[1.0], [-0.04]], dtype=np.float32)
-    assert powers_of(none, 50.0, 25.0)[1] == pytest.approx(-1.0)
+    assert order_factors(none, 50.0, 25.0)[1] == pytest.approx(-1.0)
 
 
 @pytest.mark.parametrize("top", [np.inf, 10.0])
@@ -232,5 +232,5 @@ def test_slopes_of_one_contact_are_those_of_its_shifts(top: float) -> None:
         return total(places, [moved])
 
     numeric = (at(13.01) - at(12.99)) / 0.02
-    exact = explained(places, [state])[0][1][0]
+    exact = predicted_shifts(places, [state])[0][1][0]
     assert exact == pytest.approx(numeric, rel=1e-3, abs=1e-4 * np.abs(exact).max())

@@ -11,8 +11,8 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from phytac_decoder.camera.camera import Camera
-from phytac_decoder.estimation.decode import measure_frame
-from phytac_decoder.io.bundle import SCHEMA, Bundle, Shown, load_bundle, save_bundle
+from phytac_decoder.io.bundle import SCHEMA, Bundle, CameraView, load_bundle, save_bundle
+from phytac_decoder.pipeline.decode import measure_frame
 from phytac_decoder.vision.matching import match_markers
 from phytac_decoder.vision.segmentation import segment
 from phytac_decoder.vision.switch_detection import TipModel
@@ -34,7 +34,7 @@ def two_cameras() -> Bundle:
         own = number == FAR
         rest = np.where(own[:, None], bundle.rest_px, rng.normal(size=(N, 2)))
         rest[2 if number else 9] = np.nan
-        shown.append(Shown(rest_px=rest, tips=bundle.tips))
+        shown.append(CameraView(rest_px=rest, tips=bundle.tips))
     read_by = FAR.astype(np.int64)
     return replace(bundle, cameras=(near, far), read_by=read_by, shown=tuple(shown))
 
@@ -205,7 +205,7 @@ def pair(foreign: FloatArray) -> tuple[Bundle, list[FloatArray]]:
         tips=none,
         model=model,
         threshold_N=np.full(count, 0.5),
-        shown=(Shown(rest_px=here, tips=none), Shown(rest_px=rest, tips=none)),
+        shown=(CameraView(rest_px=here, tips=none), CameraView(rest_px=rest, tips=none)),
     )
     names = [("blue", "green")[c] for c in colour]
     shown = np.isfinite(here[:, 0])

@@ -5,12 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import phytac_decoder.mechanics.stiffness_field
-from phytac_decoder.estimation.marker_gain import LeftOut, Pressed, Shown, shown
-from phytac_decoder.mechanics.response_table import Places
-from phytac_decoder.mechanics.stiffness_field import Uneven
+import phytac_design.training.stiffness_field
+from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.datasets.samples import Samples
-from phytac_design.training.locator_calibration import calibrated, match
+from phytac_design.training.locator_calibration import calibrate_locator, match_contacts
+from phytac_design.training.marker_gain import (
+    CrossValidationFold,
+    KnownContacts,
+    PredictionResiduals,
+    predict_residuals,
+)
+from phytac_design.training.stiffness_field import StiffnessField
 from phytac_shapes.arrays import BoolArray, FloatArray
 from tests.decoder.flat_samples import NOISE_PX, STIFFNESS, pressed
 from tests.decoder.flat_sensor import MARKERS, flat_locator
@@ -26,48 +31,57 @@ def hilly(point_mm: FloatArray) -> FloatArray:
     return np.asarray(0.1 * np.cos(point_mm[0] / 12.0 + phase) * np.cos(point_mm[1] / 12.0))
 
 
-def seen_of(samples: Samples) -> tuple[Shown, Pressed]:
+def seen_of(samples: Samples) -> tuple[PredictionResiduals, KnownContacts]:
     touches = samples.touches
     assert touches is not None
     moments = np.zeros((len(touches.force_N), 3))
     moments[:, [0, 2]] = (touches.radius_mm**2 - LOCATOR.places.radius_mm**2)[:, None] / 4.0
-    return shown(PLAIN, samples, np.arange(samples.count), moments)
+    return predict_residuals(PLAIN, samples, np.arange(samples.count), moments)
 
 
-def parts_of(count: int, parts: int = 5) -> list[LeftOut]:
+def parts_of(count: int, parts: int = 5) -> list[CrossValidationFold]:
     gain = np.zeros((N, 2, 2))
-    return [LeftOut(rows=np.arange(count) % parts == k, gain=gain) for k in range(parts)]
+    return [
+        CrossValidationFold(rows=np.arange(count) % parts == k, gain=gain) for k in range(parts)
+    ]
 
 
-def told_by(samples: Samples) -> Uneven:
-    return Uneven(*looked_at(samples), PLAIN.places, PLAIN.noise)
+def told_by(samples: Samples) -> StiffnessField:
+    return StiffnessField(*looked_at(samples), PLAIN.places, PLAIN.noise)
 
 
-def looked_at(samples: Samples) -> tuple[Shown, list[LeftOut], Pressed]:
+def looked_at(
+    samples: Samples,
+) -> tuple[PredictionResiduals, list[CrossValidationFold], KnownContacts]:
     seen, contacts = seen_of(samples)
     return seen, parts_of(samples.count), contacts
 
 
-def told_by_some(seen: Shown, parts: list[LeftOut], contacts: Pressed, keep: BoolArray) -> Places:
+def told_by_some(
+    seen: PredictionResiduals,
+    parts: list[CrossValidationFold],
+    contacts: KnownContacts,
+    keep: BoolArray,
+) -> ResponseTable:
     """Tables by some samples (s,) alone."""
     mine = keep[contacts.row]
-    pressed = Pressed(
+    pressed = KnownContacts(
         row=(np.cumsum(keep) - 1)[contacts.row[mine]],
         point_mm=contacts.point_mm[mine],
         linear_N=contacts.linear_N[mine],
     )
-    rest = [LeftOut(rows=part.rows[keep], gain=part.gain) for part in parts]
-    return Uneven(seen.pick(keep), rest, pressed, PLAIN.places, PLAIN.noise).told()
+    rest = [CrossValidationFold(rows=part.rows[keep], gain=part.gain) for part in parts]
+    return StiffnessField(seen.pick(keep), rest, pressed, PLAIN.places, PLAIN.noise).told()
 
 
-def left_px(samples: Samples, places: Places) -> float:
+def left_px(samples: Samples, places: ResponseTable) -> float:
     """RMS of what tables leave of known contacts, less the noise."""
     touches = samples.touches
     assert touches is not None
     moments = np.zeros((len(touches.force_N), 3))
     moments[:, [0, 2]] = (touches.radius_mm**2 - places.radius_mm**2)[:, None] / 4.0
     own = replace(PLAIN, places=places)
-    seen, _ = shown(own, samples, np.arange(samples.count), moments)
+    seen, _ = predict_residuals(own, samples, np.arange(samples.count), moments)
     return float(np.sqrt(max(float(np.mean(seen.left_px**2)) - NOISE_PX**2, 0.0)))
 
 
@@ -76,11 +90,11 @@ def test_an_uneven_print_is_learnt_and_read_better() -> None:
     places = told_by(own).told()
     assert left_px(fresh, places) < 0.5 * left_px(fresh, PLAIN.places)
     errors = []
-    for share in (phytac_decoder.mechanics.stiffness_field.SHARE, 0.0):
+    for share in (phytac_design.training.stiffness_field.SHARE, 0.0):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(phytac_decoder.mechanics.stiffness_field, "SHARE", share)
-            learnt, _ = calibrated(LOCATOR, own, np.arange(160), force_max_N=25.0)
-        found = match(replace(learnt, correction=None), fresh, np.arange(80))
+            patch.setattr(phytac_design.training.stiffness_field, "SHARE", share)
+            learnt, _ = calibrate_locator(LOCATOR, own, np.arange(160), force_max_N=25.0)
+        found = match_contacts(replace(learnt, correction=None), fresh, np.arange(80))
         assert learnt.correction is not None
         factor = learnt.correction.factor(found.point_mm, found.force_N, found.signal_px)
         errors.append(float(np.mean(np.abs(found.force_N * factor / found.truth_N - 1.0))))
@@ -96,7 +110,7 @@ def test_an_even_print_stays_as_designed() -> None:
 def test_a_part_left_out_is_as_if_it_were_never_seen() -> None:
     samples = pressed(40, seed=14, uneven=hilly)
     seen, parts, contacts = looked_at(samples)
-    whole = Uneven(seen, parts, contacts, PLAIN.places, PLAIN.noise)
+    whole = StiffnessField(seen, parts, contacts, PLAIN.places, PLAIN.noise)
     expected = told_by_some(seen, parts, contacts, ~parts[2].rows).shift_px
     change = np.abs(expected - PLAIN.places.shift_px).max()
     off = np.abs(whole.told(without=2).shift_px - expected).max()
@@ -117,27 +131,29 @@ def test_where_the_wall_stiffens_less_is_learnt_of_it() -> None:
 def test_the_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     samples = pressed(30, seed=16, uneven=hilly)
     seen, parts, contacts = looked_at(samples)
-    nobody = Pressed(
+    nobody = KnownContacts(
         row=np.zeros(0, dtype=np.int64), point_mm=np.zeros((0, 3)), linear_N=np.zeros(0)
     )
-    nothing = Uneven(seen, parts, nobody, PLAIN.places, PLAIN.noise)
+    nothing = StiffnessField(seen, parts, nobody, PLAIN.places, PLAIN.noise)
     assert (nothing.told().shift_px == PLAIN.places.shift_px).all()
     dark = replace(seen, left_px=np.full_like(seen.left_px, np.nan))
-    lost = Uneven(dark, parts, contacts, PLAIN.places, PLAIN.noise).told()
+    lost = StiffnessField(dark, parts, contacts, PLAIN.places, PLAIN.noise).told()
     np.testing.assert_allclose(lost.shift_px, PLAIN.places.shift_px, atol=1e-7)
     # A marker that was lost in some frames is told by the rest; of the others nothing changes.
     gone = seen.left_px.copy()
     gone[:15, 3] = np.nan
     some = replace(seen, left_px=gone)
-    rows = Uneven(some, parts, contacts, PLAIN.places, PLAIN.noise).told().shift_px
-    full = Uneven(seen, parts, contacts, PLAIN.places, PLAIN.noise).told().shift_px
+    rows = StiffnessField(some, parts, contacts, PLAIN.places, PLAIN.noise).told().shift_px
+    full = StiffnessField(seen, parts, contacts, PLAIN.places, PLAIN.noise).told().shift_px
     by_rest = told_by_some(seen, parts, contacts, np.arange(30) >= 15).shift_px
     change = np.abs(by_rest - PLAIN.places.shift_px)[:, :, 6:8].max()
     assert np.abs(rows - by_rest)[:, :, 6:8].max() < 1e-3 * change
     others = np.setdiff1d(np.arange(2 * N), [6, 7])
     np.testing.assert_allclose(rows[:, :, others], full[:, :, others], atol=1e-6)
-    monkeypatch.setattr(phytac_decoder.mechanics.stiffness_field, "MOST", 10)
-    few = [Uneven(seen, parts, contacts, PLAIN.places, PLAIN.noise).told() for _ in range(2)]
+    monkeypatch.setattr(phytac_design.training.stiffness_field, "MOST", 10)
+    few = [
+        StiffnessField(seen, parts, contacts, PLAIN.places, PLAIN.noise).told() for _ in range(2)
+    ]
     assert (few[0].shift_px == few[1].shift_px).all()
     assert not np.allclose(few[0].shift_px, full)
 
@@ -147,11 +163,11 @@ def test_few_samples_that_tell_it_wrong_are_not_believed(
     count: int, kept: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     samples = pressed(count, seed=3, uneven=hilly)
-    _, facts = calibrated(LOCATOR, samples, np.arange(count), force_max_N=25.0)
+    _, facts = calibrate_locator(LOCATOR, samples, np.arange(count), force_max_N=25.0)
     assert facts["uneven"]
-    plain = Uneven.told
+    plain = StiffnessField.told
 
-    def wrong(self: Uneven, *, without: int | None = None) -> Places:
+    def wrong(self: StiffnessField, *, without: int | None = None) -> ResponseTable:
         told = plain(self, without=without)
         if not self.speaks:
             return told
@@ -159,7 +175,7 @@ def test_few_samples_that_tell_it_wrong_are_not_believed(
         factor = 1.0 if without is None else 1.0 + 0.1 * (-1.0) ** without
         return told.with_rows(np.float32(factor) * told.shift_px, None)
 
-    monkeypatch.setattr(Uneven, "told", wrong)
-    facts = calibrated(LOCATOR, samples, np.arange(count), force_max_N=25.0)[1]
+    monkeypatch.setattr(StiffnessField, "told", wrong)
+    facts = calibrate_locator(LOCATOR, samples, np.arange(count), force_max_N=25.0)[1]
     assert facts["uneven"] == kept
     assert (facts["spread"] > 3.0) == kept

@@ -14,14 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phytac_decoder.estimation.force_regions import Region
-from phytac_decoder.estimation.frame_reading import Reading
 from phytac_decoder.io.imu import Imu
+from phytac_decoder.pipeline.frame_reading import Reading
 from phytac_decoder.serving.csv_recording import COLUMNS, Recorder, RegionRecorder
 from phytac_decoder.serving.wire_protocol import (
     FRAMINGS,
     MESSAGE_MAX_BYTES,
-    Messages,
-    Splitter,
+    MessageBuilder,
+    MessageSplitter,
     encode,
     json_bytes,
     with_dropped,
@@ -33,8 +33,8 @@ from tests.decoder.toy_sensor import toy_bundle
 COUNT = 30
 
 
-def messages(normals: FloatArray | None = None) -> Messages:
-    return Messages(bundle=toy_bundle(), estimator="koi_inverse", normals=normals)
+def messages(normals: FloatArray | None = None) -> MessageBuilder:
+    return MessageBuilder(bundle=toy_bundle(), estimator="koi_inverse", normals=normals)
 
 
 def reading(forces_N: dict[int, float], *warnings: str) -> Reading:
@@ -85,7 +85,7 @@ def test_regions_have_their_forces_and_contacts_their_region() -> None:
         Region(name="palm", markers=(14, 15, 20)),
         Region(name="hand", markers=(7, 8, 14, 15, 20)),
     )
-    make = Messages(bundle=toy_bundle(), estimator="fem", regions=regions)
+    make = MessageBuilder(bundle=toy_bundle(), estimator="fem", regions=regions)
     assert make.hello()["regions"][0] == {"name": "thumb", "markers": [7, 8]}
     message = make.frame(reading({7: 1.0, 14: 2.5, 29: 0.5}), sequence=0, timestamp_s=0.0)
     assert [(each["name"], each["force_N"]) for each in message["regions"]] == [
@@ -156,7 +156,7 @@ def test_messages_come_back_exactly_however_they_are_cut(seed: int, framing: str
     data = b"".join(encode(message, framing) for message in sent)
     if framing == "lines":
         assert data.count(b"\n") == len(sent)
-    splitter, got = Splitter(framing), []
+    splitter, got = MessageSplitter(framing), []
     at = 0
     while at < len(data):
         step = int(rng.integers(1, 900))
@@ -192,7 +192,7 @@ def test_the_framing_is_four_bytes_big_endian() -> None:
 )
 def test_what_is_no_stream_is_refused(framing: str, data: bytes) -> None:
     with pytest.raises(InputError, match=r"message"):
-        Splitter(framing).feed(data)
+        MessageSplitter(framing).feed(data)
 
 
 def test_motion_samples_go_with_the_frame_they_are_not_newer_than(tmp_path: Path) -> None:
@@ -328,7 +328,7 @@ def test_a_recording_has_a_row_for_each_contact_and_loses_none(tmp_path: Path) -
 def test_a_recording_of_regions_has_a_row_for_each_frame(tmp_path: Path) -> None:
     path = tmp_path / "out.csv"
     regions = (Region(name="thumb", markers=(7, 8)), Region(name="index tip", markers=(29,)))
-    make = Messages(bundle=toy_bundle(), estimator="fem", regions=regions)
+    make = MessageBuilder(bundle=toy_bundle(), estimator="fem", regions=regions)
     with RegionRecorder(path, [region.name for region in regions]) as recorder:
         recorder.add(make.frame(reading({7: 3.0, 29: 0.5}), sequence=4, timestamp_s=0.5))
         recorder.add(make.frame(Reading.none("it is black"), sequence=5, timestamp_s=0.6))

@@ -11,7 +11,7 @@ from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
 from phytac_design.fabrication.hardware.assembly import make_hardware
 from phytac_design.fabrication.hardware.bodies import hardware_solids, sensor_solids
-from phytac_design.fabrication.hardware.parts import Kit
+from phytac_design.fabrication.hardware.parts import HardwareAssembly
 from phytac_design.fabrication.switch_set import SwitchSet, make_switches
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.thresholds import thresholds_N
@@ -39,7 +39,7 @@ def switches(design: Design, surface: Surface, markers: Markers) -> SwitchSet:
 
 
 @cache
-def case(name: str) -> tuple[Design, Surface, Markers, Kit]:
+def case(name: str) -> tuple[Design, Surface, Markers, HardwareAssembly]:
     design = load_design(name)
     surface = design.surface()
     return design, surface, make_markers(design, surface), make_hardware(design, surface)

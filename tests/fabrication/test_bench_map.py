@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.bench_measure import (
+from benchmarks.document_measurements import (
     fit_shift_mm,
     rasterise_pdf,
     red_centres_mm,

@@ -17,7 +17,7 @@ from phytac_design.fabrication.hardware.checks import (
 )
 from phytac_design.fabrication.hardware.report import verdict
 from phytac_design.fabrication.hardware.screws import SCREWS
-from phytac_design.fabrication.hardware.solids import Circle, Cut, Prism, Rod, Union
+from phytac_design.fabrication.hardware.solid_nodes import Circle, Difference, Prism, Rod, Union
 from phytac_design.geometry.envelope import edge_mm
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.layout.cameras import cameras_of
@@ -85,7 +85,7 @@ def test_a_screw_mismatch_is_found() -> None:
     joint = next(joint for joint in kit.joints if joint.name == "camera")
     wrong = replace(joint, screw=SCREWS["M2.5"])
     mount = next(part for part in kit.parts if part.name == "mount")
-    other = replace(mount, node=Cut(body=mount.node, tools=wrong.holding()))
+    other = replace(mount, node=Difference(body=mount.node, tools=wrong.holding()))
     made = replace(kit, parts=tuple(other if p is mount else p for p in kit.parts))
     bodies = solids("cylinder60") | hardware_solids(design, surface, made, tolerance_mm=0.05)
     meshes = meshes_of({key: bodies[key] for key in ("mount", "cover")})
@@ -128,7 +128,7 @@ def test_a_hole_to_the_outside_leaks_light() -> None:
     _, surface, _, kit = case(name)
     mount = next(part for part in kit.parts if part.name == "mount")
     drill = Rod(start_mm=(0.0, 0.0, -25.0), end_mm=(60.0, 0.0, -25.0), radius_mm=2.0)
-    open_mount = MeshKernel(surface, 0.04).solid(Cut(body=mount.node, tools=(drill,)))
+    open_mount = MeshKernel(surface, 0.04).solid(Difference(body=mount.node, tools=(drill,)))
     found = judged(name, solids(name) | {"mount": open_mount})
     assert found.leaks > 0
     with pytest.raises(DesignError, match="light gets into"):
@@ -142,9 +142,9 @@ def test_a_leak_is_as_large_as_its_solid_angle() -> None:
     room = Prism(outline=Circle(radius_mm=9.0), low_mm=-9.0, high_mm=9.0)
     hole = Prism(outline=Circle(radius_mm=5.0), low_mm=8.0, high_mm=11.0)
     count = 20000
-    closed = to_triangles(kernel.solid(Cut(body=box, tools=(room,))))
+    closed = to_triangles(kernel.solid(Difference(body=box, tools=(room,))))
     assert light_leaks(closed, np.zeros((1, 3)), count) == (0, count)
-    open_box = to_triangles(kernel.solid(Cut(body=box, tools=(room, hole))))
+    open_box = to_triangles(kernel.solid(Difference(body=box, tools=(room, hole))))
     leaks, _ = light_leaks(open_box, np.zeros((1, 3)), count)
     share = (1.0 - 10.0 / np.hypot(10.0, 5.0)) / 2.0
     assert leaks / count == pytest.approx(share, rel=0.02)

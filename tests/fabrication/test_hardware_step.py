@@ -11,11 +11,11 @@ from phytac_design.fabrication.hardware.bodies import switch_mesh
 from phytac_design.fabrication.hardware.by_cad import CadKernel
 from phytac_design.fabrication.hardware.by_mesh import MeshKernel
 from phytac_design.fabrication.hardware.parts import COLOURS
-from phytac_design.fabrication.hardware.solids import (
+from phytac_design.fabrication.hardware.solid_nodes import (
     Circle,
-    Common,
-    Cut,
+    Difference,
     Far,
+    Intersection,
     Node,
     Polygon,
     Prism,
@@ -58,8 +58,8 @@ ROD = Rod(start_mm=(0.0, 0.0, 0.0), end_mm=(6.0, 3.0, 2.0), radius_mm=1.0)
         (ROD, np.pi * 7.0),
         (Slab(wall=WallSection()), None),
         (Union(parts=(DISC, BLOCK)), None),
-        (Cut(body=BLOCK, tools=(DISC, ROD)), None),
-        (Common(first=DISC, second=BLOCK), None),
+        (Difference(body=BLOCK, tools=(DISC, ROD)), None),
+        (Intersection(first=DISC, second=BLOCK), None),
         (Far(node=QUAD, z_mm=7.0), 22.0),
     ],
 )

@@ -12,14 +12,14 @@ from pydantic import ValidationError
 
 from phytac_design.design.documents_table import KitSection
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.calibration_rig.bodies import Kit, kit_bodies, kit_parts
+from phytac_design.fabrication.calibration_rig.bodies import CalibrationKit, kit_bodies, kit_parts
 from phytac_design.fabrication.calibration_rig.clean import NEEDLE_mm, clean
 from phytac_design.fabrication.calibration_rig.grippers import jaw, palm_radius_mm
 from phytac_design.fabrication.calibration_rig.guide import guide_text
-from phytac_design.fabrication.calibration_rig.lifted import Lifted
+from phytac_design.fabrication.calibration_rig.offset_surface import OffsetSurface
 from phytac_design.fabrication.calibration_rig.program import gcode, make_program
 from phytac_design.fabrication.calibration_rig.regions import Regions, frames_at, make_regions
-from phytac_design.fabrication.calibration_rig.solids import bolt_places, tool_height_mm
+from phytac_design.fabrication.calibration_rig.tool_solids import bolt_places, tool_height_mm
 from phytac_design.geometry.triangles import TriangleMesh, prisms
 from phytac_design.solids.mesh_export import write_stl
 from phytac_design.solids.mesh_facts import manifold_facts, trimesh_facts
@@ -37,7 +37,7 @@ TOUCH_mm3 = 1e-3
 
 
 @cache
-def kit_of(name: str) -> tuple[Regions, Kit]:
+def kit_of(name: str) -> tuple[Regions, CalibrationKit]:
     design, surface, markers = built(shipped(name))
     regions = make_regions(design, surface, markers)
     kit = kit_bodies(design, surface, markers, regions, bowl_mm=BOWL_mm, tolerance_mm=TOL_mm)
@@ -256,7 +256,7 @@ def test_the_palm_is_as_wide_as_curvature_and_rims_let_it_be() -> None:
 
 @pytest.mark.parametrize("name", sorted(FAMILIES))
 def test_lifted_surfaces_have_true_tangents(name: str) -> None:
-    lifted = Lifted(base=family_design(name).surface(), lift_mm=2.5)
+    lifted = OffsetSurface(base=family_design(name).surface(), lift_mm=2.5)
     low, high = lifted.domain.T
     uv = low + (high - low) * np.random.default_rng(3).uniform(0.1, 0.9, (20, 2))
     for axis in (0, 1):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.bench_measure import Move, in_sensor, read_gcode, tool_axis, tool_x
+from benchmarks.document_measurements import Move, in_sensor, read_gcode, tool_axis, tool_x
 from phytac_design.design.design_file import to_toml
 from phytac_design.fabrication.calibration_rig.log import (
     Log,
@@ -29,7 +29,7 @@ from phytac_design.fabrication.calibration_rig.program import (
 )
 from phytac_design.fabrication.calibration_rig.regions import frames_at, make_regions
 from phytac_design.fabrication.calibration_rig.symmetry import find_symmetry
-from phytac_design.mechanics.calibration.calibration import LINEAR_SHARE
+from phytac_design.mechanics.calibration.calibration import MAX_DISPLACEMENT_OVER_WALL
 from phytac_design.mechanics.calibration.measurements import Measurements, read_measurements
 from phytac_design.mechanics.calibration.probe_response import ProbeResponse
 from phytac_design.mechanics.shell.receptor_stiffness import receptor_stiffness
@@ -90,7 +90,7 @@ def test_every_region_is_pressed_along_its_normal(name: str, run: str) -> None:
         assert targets == pytest.approx(np.tile(due, (len(moves), 1)), rel=1e-4)
     else:
         assert depth == pytest.approx(targets[:, 0], abs=PLACE_mm)
-        assert targets.max() < LINEAR_SHARE * design.wall.thickness_mm
+        assert targets.max() < MAX_DISPLACEMENT_OVER_WALL * design.wall.thickness_mm
         assert len(moves) == 4 * len(needed)
 
 

@@ -10,12 +10,12 @@ import pytest
 from phytac_design.fabrication.molds.audit import (
     Audit,
     audit_set,
+    check_mold,
     fine_sections,
-    judge,
     releases_of,
     volumes_mm3,
 )
-from phytac_design.fabrication.molds.closed import (
+from phytac_design.fabrication.molds.closed_mold import (
     cavities_of,
     fit_of,
     halves_of,
@@ -53,7 +53,7 @@ def changed(made: MoldSet, name: str, mesh: TriangleMesh) -> MoldSet:
 def test_every_part_is_sound(way: str, switches: SwitchSet) -> None:
     (made,) = molds(switches, way=way, tolerance_mm=0.01)
     audit = audit_of(made, switches)
-    judge(made, audit)
+    check_mold(made, audit)
     assert audit.caught == 0
     assert audit.draft_deg >= 0.5 - 1e-9
     assert audit.shared_mm3 < 1e-9
@@ -185,7 +185,7 @@ def test_a_planted_undercut_is_found_where_it_is(way: str, name: str) -> None:
     assert release.caught > 20
     assert np.hypot(*(release.places_mm - centre).T).max() < 1.3
     with pytest.raises(NumericalError, match=f"{name} does not release.*rays along the pull"):
-        judge(bad, audit_of(bad, switches))
+        check_mold(bad, audit_of(bad, switches))
 
 
 def test_too_little_draft_is_found() -> None:
@@ -195,7 +195,7 @@ def test_too_little_draft_is_found() -> None:
     strict = made.sizes.section.model_copy(update={"draft_deg": 0.9})
     sizes = type(made.sizes)(**{**vars(made.sizes), "section": strict})
     with pytest.raises(NumericalError, match=r"core_plate has a face of 0\.77\d degrees"):
-        judge(MoldSet(plan=made.plan, sizes=sizes, parts=made.parts), audit)
+        check_mold(MoldSet(plan=made.plan, sizes=sizes, parts=made.parts), audit)
 
 
 def test_slope_of_a_known_cone() -> None:
@@ -228,19 +228,19 @@ def test_plates_that_do_not_mate_are_seen() -> None:
     assert shared_mm3(*halves) > 1.0
     assert key_gap_mm(aside.plan, aside.sizes, halves) == 0.0
     with pytest.raises(NumericalError, match="share"):
-        judge(aside, audit_of(aside, switches))
+        check_mold(aside, audit_of(aside, switches))
 
 
 def test_shared_volume_and_wrong_cavities_stop_a_build() -> None:
     switches = switch_set((2.0,))
     (made,) = molds(switches)
     audit = audit_of(made, switches)
-    judge(made, audit)
+    check_mold(made, audit)
     with pytest.raises(NumericalError, match=r"share 0\.01 mm³"):
-        judge(made, replace(audit, shared_mm3=0.01))
+        check_mold(made, replace(audit, shared_mm3=0.01))
     off = {kind: replace(fit, volume_error=-0.02) for kind, fit in audit.fits.items()}
     with pytest.raises(NumericalError, match=r"2\.00% off their switches"):
-        judge(made, replace(audit, fits=off))
+        check_mold(made, replace(audit, fits=off))
 
 
 def test_both_ways_close_around_the_same_rubber() -> None:

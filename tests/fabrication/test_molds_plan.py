@@ -15,9 +15,9 @@ from phytac_design.design.spec import Design
 from phytac_design.design.switch_table import MoldSection
 from phytac_design.engine.stage import Context
 from phytac_design.fabrication.molds.grid import Plan, plan_sets
+from phytac_design.fabrication.molds.labels import GLYPHS, label, strokes
 from phytac_design.fabrication.molds.make import MoldSet
 from phytac_design.fabrication.molds.rules import rule_rows
-from phytac_design.fabrication.molds.text import GLYPHS, label, strokes
 from phytac_design.fabrication.switch_set import reach_mm
 from phytac_design.solids.solid_mesh import to_manifold, to_triangles
 from phytac_design.stages.build import copy_of

@@ -9,10 +9,10 @@ import pytest
 from phytac_design.design.print_rules_table import PROCESSES, PrintSection
 from phytac_design.fabrication.printing.check import check_body, check_shell
 from phytac_design.fabrication.printing.drawing import draw_report
-from phytac_design.fabrication.printing.findings import Violation
 from phytac_design.fabrication.printing.overhang import overhangs, stand, suggest
 from phytac_design.fabrication.printing.receptors import check_receptors
 from phytac_design.fabrication.printing.stl import read_stl
+from phytac_design.fabrication.printing.violations import Violation
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import TriangleMesh, prisms
 from phytac_design.solids.mesh_export import write_stl

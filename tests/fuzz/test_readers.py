@@ -9,16 +9,24 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from benchmarks.page_fuzz import Place, Tally, fault_of, input_of, little_memory, run, tried
+from benchmarks.page_fuzz import (
+    FuzzCounts,
+    InputFolder,
+    fault_of,
+    input_of,
+    little_memory,
+    read_inputs,
+    run,
+)
 from benchmarks.page_fuzz_change import json_text, toml_text
 from benchmarks.page_fuzz_readers import READERS, Reader, shipped
 from phytac_decoder.estimation.force_regions import load_regions
 from phytac_decoder.io.bundle import load_bundle, save_bundle
-from phytac_decoder.serving.wire_protocol import Splitter
+from phytac_decoder.serving.wire_protocol import MessageSplitter
 from phytac_design.design.design_file import load_design
 from phytac_design.design.scene import load_scene
-from phytac_design.simulation.scenario.file import load_scenario
-from phytac_design.study.search.file import load_study
+from phytac_design.simulation.scenario.scenario_file import load_scenario
+from phytac_design.study.search.study_file import load_study
 from phytac_design.study.stability.rooms.readers import bundle
 from phytac_shapes.errors import InputError
 
@@ -53,10 +61,10 @@ QUIET = settings(
 @pytest.mark.parametrize("name", READERS)
 def test_spoilt_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
     """The first inputs of the long run (``python -m benchmarks.page --parts fuzz``)."""
-    reader, place = READERS[name](), Place(tmp_path)
-    tally = tried(name, reader, range(120), place)
+    reader, place = READERS[name](), InputFolder(tmp_path)
+    tally = read_inputs(name, reader, range(120), place)
     for number in ONCE.get(name, ()):
-        tally.add(tried(name, reader, range(number, number + 1), place))
+        tally.add(read_inputs(name, reader, range(number, number + 1), place))
     assert tally.faults == []
     assert min(tally.read, tally.refused) >= 5
 
@@ -105,7 +113,7 @@ def test_any_value_in_a_bundle(tmp_path: Path) -> None:
 @settings(QUIET, max_examples=100)
 @given(data=st.binary(max_size=200), framing=st.sampled_from(["lines", "length"]))
 def test_any_bytes_on_the_wire(data: bytes, framing: str) -> None:
-    fault, _, _ = fault_of(lambda: Splitter(framing).feed(data))
+    fault, _, _ = fault_of(lambda: MessageSplitter(framing).feed(data))
     assert fault is None
 
 
@@ -181,7 +189,7 @@ def test_a_stopped_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     numbers.clear()
     again = run("toy", 60, journal)
     assert len(numbers) == 40
-    assert isinstance(again, Tally)
+    assert isinstance(again, FuzzCounts)
     assert again.faults == whole.faults != []
     assert (again.inputs, again.read) == (60, whole.read)
     assert input_of("toy", READERS["toy"](), 7) == input_of("toy", READERS["toy"](), 7)

@@ -22,10 +22,10 @@ from phytac_design.design.scene import load_scene
 from phytac_design.fabrication.calibration_rig.log import read_log
 from phytac_design.mechanics.switch.material_fit import read_test
 from phytac_design.report.builds import read_builds
-from phytac_design.simulation.rig_import.log import Problems, read_rig_log
-from phytac_design.simulation.scenario.file import load_scenario
-from phytac_design.studio.files import Workplace
-from phytac_design.study.search.file import load_study
+from phytac_design.simulation.rig_import.log import RowProblems, read_rig_log
+from phytac_design.simulation.scenario.scenario_file import load_scenario
+from phytac_design.studio.files import ProjectFolder
+from phytac_design.study.search.study_file import load_study
 from phytac_design.study.stability.rooms.readers import bundle
 from phytac_design.workflows.design_from_step import patch_changes
 from phytac_shapes.bounded_reader import LETTERS_MAX, joined, read_bytes, read_text, toml_table
@@ -41,11 +41,11 @@ READ: dict[str, Callable[[Path], Any]] = {
     "body": read_stl,
     "lens": read_lens,
     "log": read_log,
-    "rig log": lambda path: read_rig_log(path, Problems(where="x")),
+    "rig log": lambda path: read_rig_log(path, RowProblems(where="x")),
     "tensile test": read_test,
     "regions": lambda path: load_regions(path, np.zeros((3, 3))),
     "step": patch_changes,
-    "studio": lambda path: Workplace(path.parent).open(str(path)),
+    "studio": lambda path: ProjectFolder(path.parent).open(str(path)),
 }
 
 
@@ -281,7 +281,7 @@ def test_thousands_of_problems_take_no_time(reader: str, text: str, tmp_path: Pa
 
 def test_a_study_that_is_wrong_as_a_whole(tmp_path: Path) -> None:
     """A problem of the file itself has no place in it."""
-    from phytac_design.study.search.file import shipped_studies
+    from phytac_design.study.search.study_file import shipped_studies
 
     path = tmp_path / "x.toml"
     path.write_text("true_value = true\n" + "a = 1\n")

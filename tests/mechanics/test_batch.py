@@ -7,8 +7,8 @@ import pytest
 
 from phytac_design.mechanics.large import batch
 from phytac_design.mechanics.large.batch import Sample, solve_batch, solve_sample
+from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Loading
-from phytac_design.mechanics.large.path import solve_large
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification import large_cases
 from phytac_shapes.errors import NumericalError

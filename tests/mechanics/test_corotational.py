@@ -8,7 +8,7 @@ import pytest
 
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.corotational import Configuration, Corotational
-from phytac_design.mechanics.large.follower import pressure_forces, pressure_stiffness
+from phytac_design.mechanics.large.pressure_load import pressure_forces, pressure_stiffness
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.errors import NumericalError
 

@@ -5,9 +5,9 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from phytac_design.mechanics.large.estimate import check_linear, solve_auto
+from phytac_design.mechanics.large.linear_error import check_linear, solve_auto
+from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Loading
-from phytac_design.mechanics.large.path import solve_large
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification import large_cases
 from phytac_shapes.errors import NumericalError

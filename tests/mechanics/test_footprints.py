@@ -10,9 +10,9 @@ from phytac_design.mechanics.shell import footprints
 from phytac_design.mechanics.shell.footprints import (
     carried_N,
     carried_share,
+    footprint_shares,
     hertz_disc_share,
     strip_share,
-    touch_shares,
 )
 from phytac_design.mechanics.shell.pressure import (
     CYLINDER,
@@ -104,7 +104,7 @@ def test_flat_shares_are_those_of_discs() -> None:
         surface = FAMILIES[name]
         uv = golden(surface, 60, 0.001)
         marker = golden(surface, 300)
-        ours = touch_shares(surface, make_touches(uv, FLAT, radius_mm=5.0), marker, 1.5)
+        ours = footprint_shares(surface, make_touches(uv, FLAT, radius_mm=5.0), marker, 1.5)
         theirs = footprint_force_share(surface, uv, 5.0, marker, 1.5)
         np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-15)
 
@@ -180,7 +180,7 @@ def test_shares_are_those_of_the_pressure_on_the_face(
     foot = min(0.25 * radius, 3.0)
     marker = marker[on_shell_share(surface, marker, 1.05 * foot) == 1.0]
     assert len(marker) >= 2
-    got = touch_shares(surface, touches, marker, foot)[0]
+    got = footprint_shares(surface, touches, marker, foot)[0]
     want = summed(surface, touches, marker, foot)
     assert want.max() > 0.001
     assert np.abs(got - want).max() < slack * want.max() + 2e-4
@@ -196,7 +196,7 @@ def test_a_tiling_of_footprints_carries_it_all(kind: int) -> None:
         uv = golden(surface, 8, 0.002)
         for radius, length in ((5.0, 22.0), (60.0, 300.0)):
             touches = make_touches(uv, kind, radius_mm=radius, length_mm=length, turn_rad=0.4)
-            total = touch_shares(surface, touches, marker, foot).sum(axis=1)
+            total = footprint_shares(surface, touches, marker, foot).sum(axis=1)
             # Footprints stick out over rims, by more of a small touch than of a large one.
             assert np.abs(total - 1.0).max() < (0.12 if radius < 10.0 else 0.02)
             assert np.abs(np.median(total) - 1.0) < 0.012
@@ -209,8 +209,10 @@ def test_turning_changes_nothing() -> None:
     turned = marker @ np.array([[c, -s], [s, c]])  # clockwise in (u, v): v runs that way
     kept = np.array([[0.0, 0.0]])
     size = {"radius_mm": 3.0, "length_mm": 16.0}
-    before = touch_shares(SHEET, make_touches(kept, CYLINDER, turn_rad=0.2, **size), marker, 1.3)
-    after = touch_shares(
+    before = footprint_shares(
+        SHEET, make_touches(kept, CYLINDER, turn_rad=0.2, **size), marker, 1.3
+    )
+    after = footprint_shares(
         SHEET, make_touches(kept, CYLINDER, turn_rad=0.2 + angle, **size), turned, 1.3
     )
     assert before.max() > 0.03
@@ -218,11 +220,11 @@ def test_turning_changes_nothing() -> None:
     tube, uv = FAMILIES["cylinder"], np.array([[40.0, 0.05]])
     marker = golden(tube, 400)
     for kind in KINDS:
-        plain = touch_shares(tube, make_touches(uv, kind, turn_rad=0.3, **size), marker, 1.5)
+        plain = footprint_shares(tube, make_touches(uv, kind, turn_rad=0.3, **size), marker, 1.5)
         around = [0.0, 3.9]
         moved = make_touches(uv + around, kind, turn_rad=0.3, **size)
         np.testing.assert_allclose(
-            touch_shares(tube, moved, marker + around, 1.5), plain, atol=1e-9
+            footprint_shares(tube, moved, marker + around, 1.5), plain, atol=1e-9
         )
 
 
@@ -250,11 +252,11 @@ def test_points_lines_and_backs(kind: int) -> None:
     tube = FAMILIES["cylinder"]
     uv = np.array([[40.0, 1.0], [40.0, 1.2], [0.0, 1.0]])
     size = {"radius_mm": 0.0, "length_mm": 1e-9}
-    share = touch_shares(tube, make_touches(uv, kind, **size), uv, 2.0)
+    share = footprint_shares(tube, make_touches(uv, kind, **size), uv, 2.0)
     np.testing.assert_allclose(share, np.eye(3), atol=1e-6)
     # The wall behind is within the patch's reach, but faces away.
     large = make_touches(uv[:1], kind, radius_mm=90.0, length_mm=180.0)
-    share = touch_shares(tube, large, np.array([[40.0, 1.0], [40.0, 1.0 + np.pi]]), 2.0)
+    share = footprint_shares(tube, large, np.array([[40.0, 1.0], [40.0, 1.0 + np.pi]]), 2.0)
     assert share[0, 0] > 0.0
     assert share[0, 1] == 0.0
 
@@ -263,16 +265,16 @@ def test_carried_forces() -> None:
     tube, marker = FAMILIES["cylinder"], golden(FAMILIES["cylinder"], 50)
     touches = make_touches(marker[:3] + 0.01, SPHERE, radius_mm=4.0)
     force = np.array([1.0, 0.0, 7.0])
-    share = touch_shares(tube, touches, marker, 2.0)
+    share = footprint_shares(tube, touches, marker, 2.0)
     carried = carried_N(tube, touches, force, marker, 2.0)
     assert share.max() > 0.3
     np.testing.assert_array_equal(carried, share * force[:, None])
     none = touches.pick(np.zeros(0, dtype=np.int64), [])
-    assert touch_shares(tube, none, marker, 2.0).shape == (0, 50)
-    assert touch_shares(tube, touches, marker[:0], 2.0).shape == (3, 0)
+    assert footprint_shares(tube, none, marker, 2.0).shape == (0, 50)
+    assert footprint_shares(tube, touches, marker[:0], 2.0).shape == (3, 0)
     touches.radius_mm[1] = -1.0
     with pytest.raises(DesignError, match="contact 1: radius_mm is negative"):
-        touch_shares(tube, touches, marker, 2.0)
+        footprint_shares(tube, touches, marker, 2.0)
 
 
 def test_shares_do_not_depend_on_what_else_is_asked_for() -> None:
@@ -282,9 +284,9 @@ def test_shares_do_not_depend_on_what_else_is_asked_for() -> None:
     marker = golden(dome, 200)
     touches = make_touches(uv, SPHERE, radius_mm=rng.uniform(0.5, 20.0, 12))
     touches.indenter[:6], touches.length_mm[:6] = CYLINDER, 15.0
-    both = touch_shares(dome, touches, marker, 1.5)
+    both = footprint_shares(dome, touches, marker, 1.5)
     for k in range(12):
-        alone = touch_shares(dome, touches.pick(np.array([k]), [0]), marker, 1.5)
+        alone = footprint_shares(dome, touches.pick(np.array([k]), [0]), marker, 1.5)
         np.testing.assert_array_equal(alone[0], both[k])
 
 
@@ -304,7 +306,7 @@ def test_only_near_pairs_are_worked_on(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(footprints, "hertz_disc_share", watched(hertz_disc_share))
     monkeypatch.setattr(footprints, "strip_share", watched(strip_share))
-    share = touch_shares(tube, touches, marker, 0.7)
+    share = footprint_shares(tube, touches, marker, 0.7)
     assert len(worked) == 2
     # Of a strip's corners, and of discs just beyond reach, a few feel nothing.
     assert (share > 0.0).sum() <= sum(worked) < 1.1 * (share > 0.0).sum()

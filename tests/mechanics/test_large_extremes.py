@@ -5,8 +5,8 @@ import pytest
 
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.corotational import Configuration, Corotational
+from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Equilibrium, Loading
-from phytac_design.mechanics.large.path import solve_large
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification import large_cases
 from phytac_design.mechanics.verification.cases import at, hold, no_support, patch

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phytac_design.mechanics.meshing.check import check_directors, check_quads
+from phytac_design.mechanics.meshing.mesh_check import check_directors, check_quads
 from phytac_design.mechanics.verification import cases
 from phytac_shapes.arrays import IntArray
 from phytac_shapes.errors import NumericalError

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from phytac_design.mechanics.large import modified, reference_configuration
+from phytac_design.mechanics.large import quasi_newton, reference_configuration
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.anderson import Anderson
-from phytac_design.mechanics.large.compiled import Elastic
 from phytac_design.mechanics.large.corotational import Configuration, Corotational
-from phytac_design.mechanics.large.estimate import SAFETY, check_linear
-from phytac_design.mechanics.large.follower import pressure_forces
-from phytac_design.mechanics.large.modified import Found, Modified
+from phytac_design.mechanics.large.element_forces import Elastic
+from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY, check_linear
+from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Loading
-from phytac_design.mechanics.large.path import solve_large
+from phytac_design.mechanics.large.pressure_load import pressure_forces
+from phytac_design.mechanics.large.quasi_newton import Found, QuasiNewtonSolver
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
@@ -34,15 +34,15 @@ def tube(thickness: float = 0.8, poisson: float = 0.38) -> tuple[Surface, ShellM
 
 
 @pytest.fixture(scope="module")
-def shell() -> tuple[ShellMesh, Modified]:
+def shell() -> tuple[ShellMesh, QuasiNewtonSolver]:
     _, mesh, model = tube()
-    return mesh, Modified(model)
+    return mesh, QuasiNewtonSolver(model)
 
 
 @pytest.fixture(scope="module")
-def roof() -> tuple[Modified, np.ndarray]:
+def roof() -> tuple[QuasiNewtonSolver, np.ndarray]:
     model, load, _ = large_cases.hinged_roof(6, thickness=12.7)
-    return Modified(model), load
+    return QuasiNewtonSolver(model), load
 
 
 def pressed(
@@ -111,7 +111,7 @@ PRESSES = {
 
 
 @pytest.mark.parametrize("name", PRESSES)
-def test_the_end_is_newtons(shell: tuple[ShellMesh, Modified], name: str) -> None:
+def test_the_end_is_newtons(shell: tuple[ShellMesh, QuasiNewtonSolver], name: str) -> None:
     mesh, solver = shell
     load = pressed(mesh, *PRESSES[name])
     found = solver.solve(load)
@@ -119,7 +119,7 @@ def test_the_end_is_newtons(shell: tuple[ShellMesh, Modified], name: str) -> Non
     assert found.sample.large
     assert found.guarded == ""
     gap = apart(moved(found), exact(solver.model, load))
-    assert gap < modified.CONVERGED
+    assert gap < quasi_newton.CONVERGED
     assert gap < 3.0 * found.error + 1e-9
     turned = moved(found)[:, 3:] - exact(solver.model, load)[:, 3:]
     assert np.abs(turned).max() < 3e-4 * np.abs(moved(found)[:, 3:]).max()
@@ -133,12 +133,14 @@ def test_thin_thick_and_near_incompressible_walls(
 ) -> None:
     _, mesh, model = tube(thickness, poisson)
     load = pressed(mesh, [MIDDLE], [force], 5.0)
-    found = Modified(model).solve(load)
+    found = QuasiNewtonSolver(model).solve(load)
     assert found.sample.status == "ok"
-    assert apart(moved(found), exact(model, load)) < modified.CONVERGED
+    assert apart(moved(found), exact(model, load)) < quasi_newton.CONVERGED
 
 
-def test_past_a_limit_point_no_state_passes_for_good(roof: tuple[Modified, np.ndarray]) -> None:
+def test_past_a_limit_point_no_state_passes_for_good(
+    roof: tuple[QuasiNewtonSolver, np.ndarray],
+) -> None:
     solver, load = roof
     for share in (-0.5, 0.5, 0.95, 1.05):
         force = share * LIMIT * load
@@ -147,7 +149,7 @@ def test_past_a_limit_point_no_state_passes_for_good(roof: tuple[Modified, np.nd
             assert found.sample.status != "ok", share
         else:
             assert found.sample.status == "ok", share
-            assert apart(moved(found), exact(solver.model, force)) < modified.CONVERGED
+            assert apart(moved(found), exact(solver.model, force)) < quasi_newton.CONVERGED
         assert bool(found.guarded) == (share > 0.9), share
 
 
@@ -170,27 +172,31 @@ def squeeze(mesh: ShellMesh, model: ShellModel) -> tuple[np.ndarray, float]:
     return load, float(-1.0 / least[0])
 
 
-def test_buckling_that_linear_theory_does_not_foresee(shell: tuple[ShellMesh, Modified]) -> None:
+def test_buckling_that_linear_theory_does_not_foresee(
+    shell: tuple[ShellMesh, QuasiNewtonSolver],
+) -> None:
     """Even pressure: the motion stays linear to the very load at which the tube buckles."""
     mesh, solver = shell
     load, critical = squeeze(mesh, solver.model)
     seen = {}
     for share in (0.2, 0.7, 0.9, 1.3):
         force = share * critical * load
-        assert SAFETY * check_linear(solver.model, force).error < 0.1
+        assert LINEAR_ERROR_SAFETY * check_linear(solver.model, force).error < 0.1
         seen[share] = solver.solve(force, tolerance=0.1)
     assert not seen[0.2].sample.large
-    assert seen[0.2].softest == pytest.approx(0.8, abs=0.05)
+    assert seen[0.2].lowest_eigenvalue == pytest.approx(0.8, abs=0.05)
     assert seen[0.7].sample.large
-    assert seen[0.7].softest == pytest.approx(0.3, abs=0.05)
+    assert seen[0.7].lowest_eigenvalue == pytest.approx(0.3, abs=0.05)
     assert seen[0.9].sample.large
-    assert seen[0.9].softest == pytest.approx(0.1, abs=0.05)
+    assert seen[0.9].lowest_eigenvalue == pytest.approx(0.1, abs=0.05)
     assert seen[1.3].guarded
     assert seen[1.3].sample.status == "flagged"
     assert "unstable" in seen[1.3].sample.reason
 
 
-def test_auto_takes_linear_theory_where_it_will_do(shell: tuple[ShellMesh, Modified]) -> None:
+def test_auto_takes_linear_theory_where_it_will_do(
+    shell: tuple[ShellMesh, QuasiNewtonSolver],
+) -> None:
     mesh, solver = shell
     for force in (0.5, 12.0):
         load = pressed(mesh, [MIDDLE], [force], 5.0)
@@ -198,23 +204,23 @@ def test_auto_takes_linear_theory_where_it_will_do(shell: tuple[ShellMesh, Modif
         for tolerance in (0.003, 0.03, 0.3):
             found = solver.solve(load, tolerance=tolerance)
             assert found.linear_error == pytest.approx(check.error, rel=2e-3)
-            assert found.sample.large == (check.error * SAFETY > tolerance)
+            assert found.sample.large == (check.error * LINEAR_ERROR_SAFETY > tolerance)
             if not found.sample.large:
                 np.testing.assert_array_equal(moved(found), check.motion)
                 assert apart(moved(found), exact(solver.model, load)) < tolerance
 
 
-def test_same_bits_whatever_came_before(shell: tuple[ShellMesh, Modified]) -> None:
+def test_same_bits_whatever_came_before(shell: tuple[ShellMesh, QuasiNewtonSolver]) -> None:
     mesh, solver = shell
     loads = [pressed(mesh, *PRESSES[name]) for name in ("one", "five", "rim")]
     forward = [moved(solver.solve(load)) for load in loads]
-    other = Modified(tube()[2])
+    other = QuasiNewtonSolver(tube()[2])
     backward = [moved(other.solve(load)) for load in loads[::-1]][::-1]
     for a, b in zip(forward, backward, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
-def test_no_load_and_no_number(shell: tuple[ShellMesh, Modified]) -> None:
+def test_no_load_and_no_number(shell: tuple[ShellMesh, QuasiNewtonSolver]) -> None:
     _, solver = shell
     load = np.zeros(solver.model.fixed.size)
     found = solver.solve(load)
@@ -238,11 +244,14 @@ def test_no_load_and_no_number(shell: tuple[ShellMesh, Modified]) -> None:
     ("name", "value"), [("ITERATIONS", 2), ("TURNED", 1e-3), ("SOFT", 2.0), ("STRAY", 1e-6)]
 )
 def test_what_is_not_vouched_for_goes_the_guarded_way(
-    shell: tuple[ShellMesh, Modified], monkeypatch: pytest.MonkeyPatch, name: str, value: float
+    shell: tuple[ShellMesh, QuasiNewtonSolver],
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    value: float,
 ) -> None:
     mesh, solver = shell
     load = pressed(mesh, *PRESSES["one"])
-    monkeypatch.setattr(modified, name, value)
+    monkeypatch.setattr(quasi_newton, name, value)
     found = solver.solve(load)
     assert found.guarded
     assert found.sample.status == "ok"
@@ -252,9 +261,9 @@ def test_what_is_not_vouched_for_goes_the_guarded_way(
 def test_a_coarse_factor_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     _, mesh, model = tube()
     load = pressed(mesh, *PRESSES["one"])
-    half = Modified(model).solve(load)
+    half = QuasiNewtonSolver(model).solve(load)
     monkeypatch.setattr(reference_configuration, "SINGLE", 0.0)
-    full = Modified(model).solve(load)
+    full = QuasiNewtonSolver(model).solve(load)
     assert np.abs(moved(half) - moved(full)).max() > 0.0
     assert apart(moved(half), moved(full)) < 1e-6
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from phytac_design.mechanics.large import newton, path
+from phytac_design.mechanics.large import load_path, newton
+from phytac_design.mechanics.large.load_path import solve_large, trace_arc, trace_displacement
 from phytac_design.mechanics.large.newton import Control, Equilibrium, Loading, System
-from phytac_design.mechanics.large.path import solve_large, trace_arc, trace_displacement
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification import large_cases
 from phytac_shapes.errors import NumericalError
@@ -180,7 +180,7 @@ def test_what_does_not_converge_is_an_error_with_its_reason(
 def test_either_tolerance_alone_stops_a_loose_answer(
     bound: str, loosened: str, figure: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(path, "STRAY", np.inf)  # it would refuse the loose answers, too
+    monkeypatch.setattr(load_path, "STRAY", np.inf)  # it would refuse the loose answers, too
     model, load, _ = strip()
     usual = solve_large(model, Loading(force=load))[0]
     assert usual.residual <= 1e-6

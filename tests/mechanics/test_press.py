@@ -13,7 +13,11 @@ from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import camera_of
 from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.pressing import press as module
-from phytac_design.mechanics.pressing.place import Place, middle_marker, place_of
+from phytac_design.mechanics.pressing.contact_patch import (
+    ContactPatch,
+    middle_marker,
+    parse_contact_patch,
+)
 from phytac_design.mechanics.pressing.press import Press, bending_strain, press, write_press
 from phytac_design.mechanics.pressing.press_report import press_dict, press_text, press_warnings
 from phytac_shapes.errors import DesignError, NumericalError, OutputError
@@ -24,8 +28,8 @@ SURFACE = DESIGN.surface()
 MARKERS = make_markers(DESIGN, SURFACE)
 
 
-def place(force: float, **words: Any) -> Place:
-    return place_of(DESIGN, SURFACE, MARKERS, force_N=force, **words)
+def place(force: float, **words: Any) -> ContactPatch:
+    return parse_contact_patch(DESIGN, SURFACE, MARKERS, force_N=force, **words)
 
 
 @cache
@@ -68,7 +72,7 @@ def test_place_is_a_marker_a_position_or_the_middle() -> None:
 )
 def test_words_that_make_no_press_are_refused(words: dict[str, Any], message: str) -> None:
     with pytest.raises(DesignError, match=message):
-        place_of(DESIGN, SURFACE, MARKERS, **({"force_N": 1.0} | words))
+        parse_contact_patch(DESIGN, SURFACE, MARKERS, **({"force_N": 1.0} | words))
 
 
 def test_linear_motion_grows_with_the_force_and_peaks_under_it() -> None:

@@ -13,9 +13,9 @@ from phytac_design.mechanics.shell.pressure import (
     Drilled,
     Holes,
     footing,
+    indentation_loads,
     refuse_touches,
     tangent_frame,
-    touch_loads,
 )
 from phytac_design.mechanics.shell.pressure_sharing import near_pairs, on_shell_share
 from phytac_design.mechanics.shell.solve import ShellModel
@@ -47,7 +47,7 @@ def shaped(uv: FloatArray, kind: int, friction: tuple[float, float] = (0.0, 0.0)
 
 def nodal(mesh: ShellMesh, surface: Surface, touches: object) -> FloatArray:
     """Loads (N, 6, c)."""
-    load = touch_loads(mesh, surface, touches).toarray()
+    load = indentation_loads(mesh, surface, touches).toarray()
     return load.reshape(len(mesh.nodes_mm), 6, -1)
 
 
@@ -64,7 +64,7 @@ def test_numbers_of_the_indenters() -> None:
 @pytest.mark.parametrize("radius", [0.0, 0.1, 2.0, 6.0, 25.0])
 def test_flat_without_friction_is_a_patch(radius: float) -> None:
     uv = np.array([[40.0, 0.0], [0.0, 1.0], [33.3, 6.28], [79.0, 2.0]])
-    ours = touch_loads(TUBE_MESH, TUBE, make_touches(uv, FLAT, radius_mm=radius))
+    ours = indentation_loads(TUBE_MESH, TUBE, make_touches(uv, FLAT, radius_mm=radius))
     theirs = patch_loads(TUBE_MESH, TUBE, uv, radius)
     assert abs(ours - theirs).max() < 1e-15
 
@@ -218,9 +218,9 @@ def test_friction_that_wraps_around_an_edge_is_refused() -> None:
     mesh = plain_mesh(box, thickness_mm=WALL_MM, size_mm=4.0)
     strip = {"radius_mm": 3.0, "length_mm": 20.0, "turn_rad": np.pi / 2.0}
     uv = np.array([[30.0, 14.0]])
-    touch_loads(mesh, box, make_touches(uv, CYLINDER, friction=(0.0, -0.2), **strip))
+    indentation_loads(mesh, box, make_touches(uv, CYLINDER, friction=(0.0, -0.2), **strip))
     with pytest.raises(NumericalError, match="reaches around an edge"):
-        touch_loads(mesh, box, make_touches(uv, CYLINDER, friction=(0.0, -4.0), **strip))
+        indentation_loads(mesh, box, make_touches(uv, CYLINDER, friction=(0.0, -4.0), **strip))
 
 
 def navier(touches: object, at: FloatArray) -> FloatArray:
@@ -281,7 +281,7 @@ def test_a_plate_bends_as_the_series_says() -> None:
     )
     touches.indenter[:] = [FLAT, SPHERE, CYLINDER, CYLINDER]
     nodes = np.array([int(np.argmin(np.abs(SHEET_MESH.uv - p).sum(1))) for p in uv[[0, 3]]])
-    moved = model.solve(touch_loads(SHEET_MESH, SHEET, touches)).motion[nodes, :3]
+    moved = model.solve(indentation_loads(SHEET_MESH, SHEET, touches)).motion[nodes, :3]
     got = -np.einsum("nkc,k->cn", moved, normal)
     want = navier(touches, SHEET_MESH.uv[nodes])
     np.testing.assert_allclose(got, want, rtol=0.003)
@@ -306,7 +306,7 @@ def test_touches_without_sense_are_refused(change: dict[str, float], match: str)
     uv = np.array([[10.0, 1.0]])
     refuse_touches(TUBE, make_touches(uv, CYLINDER, **good))
     with pytest.raises(DesignError, match=match):
-        touch_loads(TUBE_MESH, TUBE, make_touches(uv, CYLINDER, **(good | change)))
+        indentation_loads(TUBE_MESH, TUBE, make_touches(uv, CYLINDER, **(good | change)))
 
 
 def test_places_and_kinds_without_sense_are_refused() -> None:
@@ -327,12 +327,14 @@ def test_loads_do_not_depend_on_what_else_is_asked_for() -> None:
     uv = rng.uniform(*DOME.domain.T, (60, 2))
     touches = make_touches(uv, SPHERE, radius_mm=rng.uniform(2.1, 3.9, 60), friction=(0.1, 0.2))
     touches.indenter[:30], touches.length_mm[:30] = CYLINDER, 15.0
-    both = touch_loads(DOME_MESH, DOME, touches).toarray()
+    both = indentation_loads(DOME_MESH, DOME, touches).toarray()
     for k in range(20, 40):
         one = touches.pick(np.array([k]), [0])
-        np.testing.assert_array_equal(touch_loads(DOME_MESH, DOME, one).toarray()[:, 0], both[:, k])
+        np.testing.assert_array_equal(
+            indentation_loads(DOME_MESH, DOME, one).toarray()[:, 0], both[:, k]
+        )
     none = touches.pick(np.zeros(0, dtype=np.int64), [])
-    assert touch_loads(DOME_MESH, DOME, none).shape == (len(both), 0)
+    assert indentation_loads(DOME_MESH, DOME, none).shape == (len(both), 0)
 
 
 def test_pairs_are_all_those_near_and_in_order() -> None:
@@ -364,7 +366,8 @@ def test_nothing_presses_on_a_hole(kind: int) -> None:
     assert whole.min() > 0.5
     # 1 N all the same; the touch beside it is as it was.
     open_, plain = (
-        touch_loads(SHEET_MESH, SHEET, touches, holes=given).toarray() for given in (holes, None)
+        indentation_loads(SHEET_MESH, SHEET, touches, holes=given).toarray()
+        for given in (holes, None)
     )
     np.testing.assert_array_equal(open_[:, 1], plain[:, 1])
     for load in (open_, plain):
@@ -384,8 +387,8 @@ def test_nothing_presses_on_a_hole(kind: int) -> None:
 def test_a_touch_on_nothing_but_a_hole_is_a_point_force() -> None:
     at = np.array([[0.3, 0.2]])
     touches = make_touches(at, FLAT, radius_mm=1.0)
-    load = touch_loads(SHEET_MESH, SHEET, touches, holes=Holes.of(SHEET, at, 1.5))
-    point = touch_loads(SHEET_MESH, SHEET, make_touches(at, FLAT, radius_mm=0.0))
+    load = indentation_loads(SHEET_MESH, SHEET, touches, holes=Holes.of(SHEET, at, 1.5))
+    point = indentation_loads(SHEET_MESH, SHEET, make_touches(at, FLAT, radius_mm=0.0))
     assert abs(load - point).max() < 1e-15
     assert Holes.of(SHEET, at, 0.0) is None
     assert Holes.of(SHEET, at[:0], 1.0) is None

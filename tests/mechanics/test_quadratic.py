@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phytac_design.mechanics.large.graded import contact_mesh
+from phytac_design.mechanics.large.contact_mesh import contact_mesh
+from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Loading
-from phytac_design.mechanics.large.path import solve_large
 from phytac_design.mechanics.large.quadratic import (
     _serendipity,
     quadratic_mesh,

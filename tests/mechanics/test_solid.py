@@ -16,7 +16,7 @@ from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import clamped_model
 from phytac_design.mechanics.solid import solid_writers as solid_export
-from phytac_design.mechanics.solid import tets as solid_tets
+from phytac_design.mechanics.solid import tetrahedra as solid_tets
 from phytac_design.mechanics.solid.load import solid_patch_load, tip_means
 from phytac_design.mechanics.solid.solid_mesh_tets import (
     COARSEST,
@@ -28,7 +28,7 @@ from phytac_design.mechanics.solid.solid_mesh_tets import (
     expected_nodes,
     solid_mesh,
 )
-from phytac_design.mechanics.solid.tets import Tetrahedra, jacobian_ratio, shape_tet
+from phytac_design.mechanics.solid.tetrahedra import Tetrahedra, jacobian_ratio, shape_tet
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError, MissingPartError, NumericalError

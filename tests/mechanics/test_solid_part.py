@@ -14,10 +14,16 @@ from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.shell import receptor_stiffness as rc
 from phytac_design.mechanics.solid import solid_writers as solid_export
 from phytac_design.mechanics.solid.load import solid_patch_load
-from phytac_design.mechanics.solid.part import PartMesh, PartSizes, part_mesh, smeared, subset
+from phytac_design.mechanics.solid.partial_solid import (
+    PartMesh,
+    PartSizes,
+    part_mesh,
+    smeared,
+    subset,
+)
 from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes
-from phytac_design.mechanics.solid.tets import jacobian_ratio
-from phytac_design.mechanics.solid.tips import tips_motion, tips_turn
+from phytac_design.mechanics.solid.tetrahedra import jacobian_ratio
+from phytac_design.mechanics.solid.tip_motion import tips_motion, tips_turn
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError, NumericalError

@@ -37,8 +37,8 @@ def test_ccx_steps_are_independent_linear_loads(tmp_path: Path) -> None:
 def test_the_cheapest_mesh_is_not_one_that_crosses_the_limit_by_chance() -> None:
     peaks = {(1, 1): 1.001, (2, 2): 1.2, (3, 3): 1.005, (4, 4): 1.002, (5, 5): 1.0}
 
-    def solve(size: tuple[int, int]) -> mechanics_speed.Outcome:
-        return mechanics_speed.Outcome(peak=peaks[size], seconds=1.0, unknowns=size[0])
+    def solve(size: tuple[int, int]) -> mechanics_speed.MeshSolution:
+        return mechanics_speed.MeshSolution(peak=peaks[size], seconds=1.0, unknowns=size[0])
 
     found = mechanics_speed._cheapest(solve, list(peaks), 1.0, 0.01)
     assert found is not None

@@ -7,9 +7,9 @@ import pytest
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
-from phytac_design.mechanics.large import path
+from phytac_design.mechanics.large import load_path
+from phytac_design.mechanics.large.load_path import solve_large, trace_arc, trace_displacement
 from phytac_design.mechanics.large.newton import Equilibrium, Loading, System
-from phytac_design.mechanics.large.path import solve_large, trace_arc, trace_displacement
 from phytac_design.mechanics.large.stability import negative_pivots, stray
 from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
 from phytac_design.mechanics.verification import large_cases
@@ -122,7 +122,7 @@ def test_without_the_guard_the_same_jump_is_silent(
     roof: tuple[ShellModel, np.ndarray, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     model, load, middle = roof
-    monkeypatch.setattr(path, "STRAY", np.inf)
+    monkeypatch.setattr(load_path, "STRAY", np.inf)
     end = solve_large(model, Loading(force=load), factors=[1.05 * LIMIT])[0]
     assert sag(end, middle) > 20.0
     assert not end.jumped
@@ -140,8 +140,8 @@ def test_the_guard_objects_to_a_changed_sign_and_to_a_control_that_stands_still(
     roof: tuple[ShellModel, np.ndarray, int],
 ) -> None:
     before, after = solve_large(roof[0], Loading(force=roof[1]), factors=[0.3, 0.33])
-    guard = path.Guard(pace=lambda _: 1.0, mark=lambda state: state.negative_pivots)
-    still = path.Guard(pace=lambda _: 0.0, mark=lambda state: state.negative_pivots)
+    guard = load_path.Guard(pace=lambda _: 1.0, mark=lambda state: state.negative_pivots)
+    still = load_path.Guard(pace=lambda _: 0.0, mark=lambda state: state.negative_pivots)
     assert not guard.left(before, after, 0.03)
     assert guard.left(before, replace(after, negative_pivots=1), 0.03)
     assert guard.left(before, after, 0.003)
@@ -151,7 +151,7 @@ def test_the_guard_objects_to_a_changed_sign_and_to_a_control_that_stands_still(
 def test_increments_do_not_go_on_for_ever(
     roof: tuple[ShellModel, np.ndarray, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(path, "MOST", 2)
+    monkeypatch.setattr(load_path, "MOST", 2)
     with pytest.raises(NumericalError, match="2 increments did not suffice"):
         solve_large(roof[0], Loading(force=roof[1]), factors=[0.99 * LIMIT])
 

@@ -12,19 +12,19 @@ from typer.testing import CliRunner
 
 from phytac_design.cli.switch_command import switch
 from phytac_design.design.design_file import to_toml
-from phytac_design.mechanics.switch import cases, fit
+from phytac_design.mechanics.switch import bowl_check, cases
 from phytac_design.mechanics.switch import design as inverse
 from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.mechanics.switch.buckling import first_buckling
 from phytac_design.mechanics.switch.curve import press_bowl, snap_of
 from phytac_design.mechanics.switch.design import SwitchDesign, design_switch
-from phytac_design.mechanics.switch.feasible import Feasible
+from phytac_design.mechanics.switch.feasible_range import Feasible
 from phytac_design.mechanics.switch.material_fit import fit_uniaxial, uniaxial_stress
 from phytac_design.mechanics.switch.materials import Ogden, Yeoh, neo_hookean
-from phytac_design.mechanics.switch.presets import rubber
-from phytac_design.mechanics.switch.receptor import space_of
 from phytac_design.mechanics.switch.report import curve_plot, range_over_modulus, range_plot
+from phytac_design.mechanics.switch.rubbers import rubber
 from phytac_design.mechanics.switch.space import Space, Tolerance
+from phytac_design.mechanics.switch.switch_inputs import space_of
 from phytac_design.mechanics.switch.tolerance import threshold_spread
 from phytac_shapes.errors import DesignError, InputError, OutputError
 from tests.designs import small
@@ -113,7 +113,7 @@ def test_thick_soft_bowls_stay_axisymmetric_and_thin_ones_do_not(made: SwitchDes
 
 
 def test_refusal_says_what_would_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fit, "FILLETS", fit.FILLETS[:1])
+    monkeypatch.setattr(bowl_check, "FILLETS", bowl_check.FILLETS[:1])
     with pytest.raises(DesignError, match=r"wall would be .* From .* N fit .* rubber of") as error:
         design_switch(0.1, TPU, Space())
     low, high = (float(x) for x in str(error.value).split("rubber of ")[1].split()[:3:2])
@@ -121,15 +121,15 @@ def test_refusal_says_what_would_fit(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_hopeless_requests_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fit, "FILLETS", fit.FILLETS[:1])
+    monkeypatch.setattr(bowl_check, "FILLETS", bowl_check.FILLETS[:1])
     known = Feasible(
         modulus_MPa=10.0, least_N=0.3, most_N=1.2, least_wall_mm=0.2, most_wall_mm=0.35
     )
-    monkeypatch.setattr(inverse, "feasible", lambda *_: known)
+    monkeypatch.setattr(inverse, "feasible_range", lambda *_: known)
     with pytest.raises(DesignError, match=r"1000 N does not fit .* no rubber's modulus"):
         design_switch(1000.0, TPU, Space())
     monkeypatch.setattr(
-        inverse, "feasible", lambda _, space: None if space.wall_min_mm > 0.3 else known
+        inverse, "feasible_range", lambda _, space: None if space.wall_min_mm > 0.3 else known
     )
     with pytest.raises(DesignError, match=r"No wall of 0.4 mm .* casts thinner"):
         design_switch(0.5, TPU, Space(wall_min_mm=0.4))

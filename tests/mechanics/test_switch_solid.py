@@ -10,7 +10,7 @@ from phytac_design.mechanics.switch import cases
 from phytac_design.mechanics.switch import mesh as meshes
 from phytac_design.mechanics.switch.bowl import Bowl, bowl_model
 from phytac_design.mechanics.switch.buckling import Waves
-from phytac_design.mechanics.switch.ccx import ccx_curve
+from phytac_design.mechanics.switch.calculix import ccx_curve
 from phytac_design.mechanics.switch.curve import press_bowl, snap_of
 from phytac_design.mechanics.switch.material_fit import uniaxial_stress
 from phytac_design.mechanics.switch.materials import (

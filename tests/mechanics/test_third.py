@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.large.compiled import Elastic
 from phytac_design.mechanics.large.corotational import Configuration
-from phytac_design.mechanics.large.cubic_stiffness import CHUNK, third_derivatives
+from phytac_design.mechanics.large.cubic_stiffness import CHUNK, cubic_stiffness
+from phytac_design.mechanics.large.element_forces import Elastic
 from phytac_design.mechanics.large.fast_newton import Rough
 from phytac_design.mechanics.large.reference_configuration import Resting
 from phytac_design.mechanics.large.rotations import exponential
@@ -30,7 +30,7 @@ def model(kind: str = "cylinder", refine: int = 2) -> ShellModel:
 
 @cache
 def whole(kind: str = "cylinder") -> FloatArray:
-    return np.concatenate([third for _, third in third_derivatives(model(kind))]).astype(float)
+    return np.concatenate([third for _, third in cubic_stiffness(model(kind))]).astype(float)
 
 
 def dofs(own: ShellModel) -> IntArray:
@@ -97,7 +97,7 @@ def test_a_shift_of_an_element_as_a_whole_changes_nothing() -> None:
 def test_chunks_are_all_the_elements_in_their_order() -> None:
     own = model(refine=6)
     assert len(own.quads) > CHUNK
-    slices = [some for some, _ in third_derivatives(own)]
+    slices = [some for some, _ in cubic_stiffness(own)]
     assert [some.stop for some in slices[:-1]] == [some.start for some in slices[1:]]
     assert (slices[0].start, slices[-1].stop) == (0, len(own.quads))
 

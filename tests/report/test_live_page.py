@@ -3,9 +3,9 @@
 import numpy as np
 from playwright.sync_api import Browser
 
-from phytac_decoder.estimation.frame_reading import Reading
+from phytac_decoder.pipeline.frame_reading import Reading
 from phytac_decoder.serving.live_view import LiveView
-from phytac_decoder.serving.wire_protocol import Messages
+from phytac_decoder.serving.wire_protocol import MessageBuilder
 from tests.decoder.test_reading import located, reading
 from tests.decoder.toy_sensor import toy_bundle
 from tests.report.conftest import WAIT_MS, Tab
@@ -13,7 +13,7 @@ from tests.report.conftest import WAIT_MS, Tab
 
 def test_contacts_of_every_kind_are_shown(browser: Browser) -> None:
     """Also one that was found by motion alone, and those of estimators that know no spread."""
-    make = Messages(bundle=toy_bundle(), estimator="auto")
+    make = MessageBuilder(bundle=toy_bundle(), estimator="auto")
     silent = located(2.5, (41.0, 39.0, 0.0))
     both = reading(located(4.0, (10.5, 10.0, 0.0), 7), silent)
     forces = np.zeros(30)

@@ -18,7 +18,7 @@ from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.optics.frame import render_frame
 from phytac_design.optics.loaded_visibility import UnderLoad
 from phytac_design.optics.scene import build_scene
-from phytac_design.report import changes, explorer, page, pressed
+from phytac_design.report import changes, explorer, page, press_pictures
 from phytac_design.stages.build import BuildResult
 from phytac_design.stages.loaded_views import Presses
 from tests.designs import small
@@ -47,13 +47,13 @@ def test_a_window_is_a_part_of_the_picture(bent: bool) -> None:
         bends = BrownConrady(**flat, **centre, distortion=(-0.1, 0.02, 0.001, -0.002))
         camera = replace(camera, lens=bends)
     low, width, out = np.array([300.0, 200.0]), 324.0, 648
-    part = pressed.window(camera, low, width, out)
+    part = press_pictures.window(camera, low, width, out)
     assert (part.width_px, part.height_px) == (648, 486)
     tips = context.markers.tip_mm
     # Edges of pictures lie half a pixel before the first pixel's centre.
     expected = (camera.project(tips) + 0.5 - low) * (out / width) - 0.5
     assert part.project(tips) == pytest.approx(expected, abs=1e-9)
-    near = pressed.close_to(camera, tips[20])
+    near = press_pictures.close_to(camera, tips[20])
     middle = near.project(tips[20][None])[0]
     assert (middle > 0.0).all()
     assert (middle < [near.width_px, near.height_px]).all()
@@ -68,24 +68,24 @@ def test_pictures_go_from_rest_to_the_full_force(tmp_path: Path) -> None:
         "views": {"camera": np.zeros(n, dtype=int)},
     }
     context = context_of(tmp_path, arrays)
-    assert pressed.press_pictures(context) is None
+    assert press_pictures.press_pictures(context) is None
     uv = context.markers.uv[9:10]
     write_arrays(tmp_path / "underload", {"shown_uv": uv, "shown_motion": motion})
-    made = pressed.press_pictures(context)
+    made = press_pictures.press_pictures(context)
     assert made is not None
     assert (made.marker, made.camera) == (9, 0)
     top = context.design.training.force_max_N
-    assert made.force_N == pytest.approx(np.linspace(0.0, top, pressed.STEPS))
+    assert made.force_N == pytest.approx(np.linspace(0.0, top, press_pictures.STEPS))
     assert made.on[0] == 0
     assert (np.diff(made.on) >= 0).all()
     assert made.on[-1] > 0
-    assert len(made.whole) == len(made.close) == pressed.STEPS
+    assert len(made.whole) == len(made.close) == press_pictures.STEPS
     frames = [cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) for data in made.whole]
     camera = cameras_of(context.design, context.surface)[0]
-    camera = pressed.window(camera, np.zeros(2), camera.width_px, pressed.WIDTH_PX)
+    camera = press_pictures.window(camera, np.zeros(2), camera.width_px, press_pictures.WIDTH_PX)
     tolerance = tolerance_mm(camera, context.markers)
     scene = build_scene(context.design, context.surface, context.markers, tolerance_mm=tolerance)
-    rest = render_frame(scene, camera, samples=pressed.SAMPLES)
+    rest = render_frame(scene, camera, samples=press_pictures.SAMPLES)
     assert np.abs(np.asarray(frames[0]).astype(int) - rest).mean() < 3.0  # but for JPEG
     # The pressed receptor moves: its surroundings change, step by step.
     changed = [
@@ -103,8 +103,8 @@ def test_pictures_go_from_rest_to_the_full_force(tmp_path: Path) -> None:
 
     tips = [red(data) for data in made.close]
     assert tips[-1] > 1.2 * tips[0] > 0  # switches that are on show their red sides too
-    html = pressed.press_slider(made, "(row 1, column 1)", "")
-    assert html.count("<img ") == 2 * pressed.STEPS
+    html = press_pictures.press_slider(made, "(row 1, column 1)", "")
+    assert html.count("<img ") == 2 * press_pictures.STEPS
     assert html.count(" class=&quot;ends&quot;") == 0
     assert html.count('class="ends"') == 4
 

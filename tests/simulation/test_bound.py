@@ -3,15 +3,20 @@
 import numpy as np
 import pytest
 
-from phytac_design.simulation.bound import Bound, Prior, cell_prior, contact_signals
+from phytac_design.simulation.cramer_rao import (
+    CramerRaoBound,
+    PositionPrior,
+    cell_prior,
+    contact_signals,
+)
 from phytac_shapes import Cylinder, Hemisphere, Plane, Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 
 PAD = Plane(width_mm=60.0, height_mm=60.0)
 GRID = np.stack(np.meshgrid(*2 * [np.linspace(-24.0, 24.0, 7)]), axis=-1).reshape(-1, 2)
-FREE = Prior(place_mm=1e6, radius_mm=1e6)
-TIGHT = Prior(place_mm=1e-6, radius_mm=1e-6)
+FREE = PositionPrior(place_mm=1e6, radius_mm=1e6)
+TIGHT = PositionPrior(place_mm=1e-6, radius_mm=1e-6)
 
 
 def dents(uv: FloatArray, radius: FloatArray) -> FloatArray:
@@ -23,8 +28,8 @@ def dents(uv: FloatArray, radius: FloatArray) -> FloatArray:
 
 
 def bound(
-    prior: Prior, *, noise: float = 0.05, force: float = 5.0, surface: Surface = PAD
-) -> Bound:
+    prior: PositionPrior, *, noise: float = 0.05, force: float = 5.0, surface: Surface = PAD
+) -> CramerRaoBound:
     signals = contact_signals(
         surface, dents, uv=np.array([[1.0, 2.0], [10.0, -7.0]]), radius_mm=np.array([5.0, 4.0])
     )
@@ -43,7 +48,7 @@ def test_known_position_is_one_over_the_signal() -> None:
 def test_unknown_position_and_size_cost() -> None:
     found = bound(FREE)
     assert (found.force_N > 1.02 * found.force_known_N).all()
-    between = bound(Prior(place_mm=0.02, radius_mm=0.05))
+    between = bound(PositionPrior(place_mm=0.02, radius_mm=0.05))
     assert (between.force_N < found.force_N).all()
     assert (between.force_N > found.force_known_N).all()
 
@@ -61,7 +66,7 @@ def test_scaling_laws() -> None:
 def test_the_best_estimator_attains_it() -> None:
     rng = np.random.default_rng(3)
     at, radius, force, noise = np.array([[1.0, 2.0]]), 5.0, 5.0, 0.01
-    prior = Prior(place_mm=1.0, radius_mm=1.0)
+    prior = PositionPrior(place_mm=1.0, radius_mm=1.0)
     signals = contact_signals(PAD, dents, uv=at, radius_mm=radius)
     found = signals.bound(force, noise_px=noise, prior=prior)
     weight = np.array([0.0, 1.0, 1.0, 1.0])

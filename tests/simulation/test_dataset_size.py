@@ -7,7 +7,7 @@ import pytest
 
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_design.datasets.samples import (
-    Meta,
+    DataSetInfo,
     Samples,
     TouchRows,
     inputs_alone,
@@ -23,7 +23,9 @@ from phytac_design.simulation.dataset import Dataset, key_node_data
 from phytac_shapes.arrays import FloatArray
 
 NOISE_PX = 0.04
-META = Meta(simulated=True, what="A test.", design="c", design_hash="0", route="points", seed=0)
+META = DataSetInfo(
+    simulated=True, what="A test.", design="c", design_hash="0", route="points", seed=0
+)
 Made = tuple[Samples, ForceModel, Contacts, Markers]
 
 

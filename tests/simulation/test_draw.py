@@ -9,27 +9,31 @@ import pytest
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.shell.footprints import touch_shares
-from phytac_design.simulation.contacts import JITTER_MM, share_out, switch_states
+from phytac_design.mechanics.shell.footprints import footprint_shares
+from phytac_design.simulation.contacts import JITTER_MM, assign_forces, switch_states
 from phytac_design.simulation.indenters import INDENTERS, Touches
-from phytac_design.simulation.sample_plan import Plan, Region
-from phytac_design.simulation.scenario import draw
-from phytac_design.simulation.scenario.bodies import reach_mm
-from phytac_design.simulation.scenario.draw import make_plan
-from phytac_design.simulation.scenario.file import (
+from phytac_design.simulation.sample_plan import ChartBox, SamplePlan
+from phytac_design.simulation.scenario import draw_plan
+from phytac_design.simulation.scenario.draw_plan import draw_plan
+from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
+from phytac_design.simulation.scenario.presses import reach_mm
+from phytac_design.simulation.scenario.scenario_file import (
     Scenario,
-    UnitSection,
+    SensorInstanceSection,
     load_scenario,
     parse_scenario,
     shipped_scenarios,
 )
-from phytac_design.simulation.scenario.history import Relaxation, felt_force, held_depth
-from phytac_design.simulation.scenario.scatter import draw_unit
-from phytac_design.simulation.sensor_instance import Unit
+from phytac_design.simulation.scenario.viscoelasticity import (
+    Relaxation,
+    felt_force,
+    force_under_depth,
+)
+from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 
-Sensor = tuple[Design, Surface, Unit]
+Sensor = tuple[Design, Surface, SensorInstance]
 WALL = {"relax_share": [0.1, 0.05], "relax_s": [0.7, 20.0]}
 SERIES = Relaxation(share=np.array([0.1, 0.05]), time_s=np.array([0.7, 20.0]))
 
@@ -38,17 +42,21 @@ SERIES = Relaxation(share=np.array([0.1, 0.05]), time_s=np.array([0.7, 20.0]))
 def sensor(name: str = "cylinder40", number: int = 0) -> Sensor:
     design = load_design(name)
     surface = design.surface()
-    section = UnitSection(number=number)
-    return design, surface, draw_unit(design, surface, make_markers(design, surface), section, 1)
+    section = SensorInstanceSection(number=number)
+    return (
+        design,
+        surface,
+        draw_sensor_instance(design, surface, make_markers(design, surface), section, 1),
+    )
 
 
 def scenario(kind: str = "presses", **tables: Any) -> Scenario:
     return parse_scenario({"name": "t", "kind": kind, **tables}, "t")
 
 
-def plan(own: Scenario, of: Sensor | None = None, seed: int = 5) -> Plan:
+def plan(own: Scenario, of: Sensor | None = None, seed: int = 5) -> SamplePlan:
     design, surface, unit = of or sensor()
-    return make_plan(design, surface, unit, own, seed=seed)
+    return draw_plan(design, surface, unit, own, seed=seed)
 
 
 def columns(touches: Touches) -> dict[str, Any]:
@@ -62,7 +70,7 @@ def test_every_scenario_runs_on_every_design(shape: str, name: str) -> None:
     if name in {"platform", "grips"} and shape != "cylinder60":
         own = _asked(own, 80)  # samples do not depend on how many there are
     design, surface, unit = sensor(shape)
-    got = make_plan(design, surface, unit, own, seed=1)
+    got = draw_plan(design, surface, unit, own, seed=1)
     touches, samples = got.touches, got.touches.samples
     assert samples == (own.touch.samples or {"platform": 598, "cycles": 140}[name])
     for array in (got.time_s, got.sequence, got.light, got.switching.bits):
@@ -128,8 +136,8 @@ def test_the_seed_is_all_that_draws(name: str) -> None:
 def test_chunks_of_samples_are_one(monkeypatch: pytest.MonkeyPatch) -> None:
     own = _asked(DRAWN["anywhere"], 30)
     whole = plan(own)
-    monkeypatch.setattr(draw, "BLOCK", 7)
-    monkeypatch.setattr("phytac_design.simulation.scenario.bodies.CHUNK", 11)
+    monkeypatch.setattr(draw_plan, "BLOCK", 7)
+    monkeypatch.setattr("phytac_design.simulation.scenario.presses.CHUNK", 11)
     parts = plan(own)
     for name, array in vars(whole.switching).items():
         assert (array == getattr(parts.switching, name)).all(), name
@@ -173,7 +181,7 @@ def test_contacts_of_a_sample_keep_apart() -> None:
     assert (apart[pairs] > room[pairs]).all()
 
 
-def _inside(region: Region, surface: Surface, uv: FloatArray) -> BoolArray:
+def _inside(region: ChartBox, surface: Surface, uv: FloatArray) -> BoolArray:
     span = np.ptp(surface.domain, axis=1)
     turned = np.where(surface.periodic, np.mod(uv - region.low, span), uv - region.low)
     size = region.high - region.low
@@ -253,7 +261,7 @@ def test_presses_creep_or_relax_until_they_are_sampled(control: str) -> None:
         assert (got.touches.force_N == still.touches.force_N).all()
         assert got.felt_N == pytest.approx(felt * still.touches.force_N, rel=1e-12)
     else:
-        left = held_depth(SERIES, times, ramp).force_N[-1]
+        left = force_under_depth(SERIES, times, ramp).force_N[-1]
         assert left < 0.95
         assert (got.felt_N == still.touches.force_N).all()
         assert got.touches.force_N == pytest.approx(left * still.touches.force_N, rel=1e-12)
@@ -274,11 +282,11 @@ def test_switches_are_those_of_the_print_the_places_those_of_the_design() -> Non
     design, surface, unit = sensor(number=1)
     first, other = plan(own), plan(own, sensor(number=1))
     assert (first.touches.uv == other.touches.uv).all()
-    share = touch_shares(
+    share = footprint_shares(
         surface, other.touches, unit.markers.uv, design.switch.footprint_diameter_mm / 2.0
     )
     assert (other.switching.bits == (share * other.touches.force_N[:, None] > unit.on_N)).all()
-    known = share_out(other.touches, share, other.switching.bits)
+    known = assign_forces(other.touches, share, other.switching.bits)
     assert other.switching.receptor_force_N == pytest.approx(known.receptor_force_N, abs=1e-9)
     assert (first.switching.bits != other.switching.bits).any()
 

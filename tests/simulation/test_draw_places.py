@@ -7,9 +7,9 @@ import pytest
 
 from phytac_design.layout import make_markers
 from phytac_design.simulation.indenters import INDENTERS
-from phytac_design.simulation.scenario.draw import make_plan
-from phytac_design.simulation.scenario.file import UnitSection
-from phytac_design.simulation.scenario.scatter import draw_unit
+from phytac_design.simulation.scenario.draw_plan import draw_plan
+from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
+from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_shapes.errors import DesignError
 from tests.designs import changed
 from tests.simulation.test_draw import AT, plan, scenario, sensor
@@ -155,14 +155,16 @@ def test_no_room_and_nothing_there_are_refused() -> None:
 def test_faces_that_do_not_sense_are_not_touched() -> None:
     design = changed("cuboid", shape={"faces": ["+y"]})
     surface = design.surface()
-    unit = draw_unit(design, surface, make_markers(design, surface), UnitSection(), 0)
+    unit = draw_sensor_instance(
+        design, surface, make_markers(design, surface), SensorInstanceSection(), 0
+    )
     for placement in ("anywhere", "rims"):
         touch = {"samples": 40, "multi_share": 0.0, "placement": placement}
-        got = make_plan(design, surface, unit, scenario(touch=touch), seed=0)
+        got = draw_plan(design, surface, unit, scenario(touch=touch), seed=0)
         assert surface.sensing(got.touches.uv).all()
     blind = {"placement": "anywhere", "around": [0.5, 0.9]}
     with pytest.raises(DesignError, match="holds no area that senses"):
-        make_plan(design, surface, unit, scenario(touch=blind), seed=0)
+        draw_plan(design, surface, unit, scenario(touch=blind), seed=0)
 
 
 WRONG_AT: list[tuple[str, dict[str, Any], str]] = [

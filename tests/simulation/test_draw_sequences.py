@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phytac_design.simulation.scenario.bodies import reach_mm
-from phytac_design.simulation.scenario.file import load_scenario
-from phytac_design.simulation.scenario.hands import capped
-from phytac_design.simulation.scenario.history import felt_force
+from phytac_design.simulation.scenario.grips import cap_forces
+from phytac_design.simulation.scenario.presses import reach_mm
+from phytac_design.simulation.scenario.scenario_file import load_scenario
+from phytac_design.simulation.scenario.viscoelasticity import felt_force
 from phytac_shapes.errors import DesignError
 from tests.simulation.test_draw import AT, SERIES, WALL, plan, scenario, sensor
 
@@ -82,7 +82,7 @@ def test_capped_forces_sum_to_what_is_asked() -> None:
     parts = rng.random((500, 9)) ** 3
     parts /= parts.sum(axis=1, keepdims=True)
     total = rng.uniform(1.0, 225.0, 500)
-    force = capped(parts, total, 25.0)
+    force = cap_forces(parts, total, 25.0)
     assert force.sum(axis=1) == pytest.approx(total, rel=1e-9)
     assert force.max() <= 25.0
     # Those below the cap keep their proportions.

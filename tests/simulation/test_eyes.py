@@ -16,13 +16,17 @@ from phytac_design.optics.scene import SHELL, build_scene
 from phytac_design.optics.visibility import see
 from phytac_design.simulation.contacts import draw_contacts, switch_states
 from phytac_design.simulation.imaging.carried_wall import WallMotion
-from phytac_design.simulation.imaging.grid import CELL_px, grid_error
-from phytac_design.simulation.imaging.imaging_model import AtRest, Eyes, Seen
-from phytac_design.simulation.imaging.nominal import expected_views, paint_slope
+from phytac_design.simulation.imaging.imaging_model import (
+    ImagingModel,
+    MarkerReading,
+    RestObservation,
+)
+from phytac_design.simulation.imaging.nominal_view import expected_views, paint_slope
+from phytac_design.simulation.imaging.pixel_phase import CELL_px, pixel_phase_error
 from phytac_design.simulation.instance_shell import truth_shell
-from phytac_design.simulation.pressed_series import Seen as Watched
+from phytac_design.simulation.pressed_series import ImageResponse as Watched
 from phytac_design.simulation.response import motion_responses, rigid_slope, superpose
-from phytac_design.simulation.sensor_instance import Unit, WallField
+from phytac_design.simulation.sensor_instance import SensorInstance, ThicknessField
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError
 from tests.designs import changed, of_shape
@@ -43,14 +47,14 @@ def design(ends: str = "near") -> Design:
     )
 
 
-def unit_of(design: Design) -> Unit:
+def unit_of(design: Design) -> SensorInstance:
     surface = design.surface()
     markers = make_markers(design, surface)
     threshold = thresholds_N(design, markers) * np.ones(markers.count)
-    return Unit(
+    return SensorInstance(
         number=0,
         markers=markers,
-        wall=WallField(mean=1.0, waves=np.zeros((0, 4)), domain=surface.domain),
+        wall=ThicknessField(mean=1.0, waves=np.zeros((0, 4)), domain=surface.domain),
         modulus=1.0,
         on_N=threshold,
         off_N=0.7 * threshold,
@@ -62,7 +66,7 @@ def unit_of(design: Design) -> Unit:
 class Rig:
     """A unit with its eyes, pressed a few times with 25 N."""
 
-    def __init__(self, design: Design, unit: Unit | None = None) -> None:
+    def __init__(self, design: Design, unit: SensorInstance | None = None) -> None:
         self.design, self.surface = design, design.surface()
         self.unit = unit or unit_of(design)
         markers = make_markers(design, self.surface)
@@ -81,10 +85,12 @@ class Rig:
         self.still = np.zeros((markers.count, 6))
         self.off = np.zeros(markers.count, dtype=np.bool_)
 
-    def make(self, unit: Unit, **options: Any) -> Eyes:
-        return Eyes(self.design, self.surface, unit, exposure=EXPOSURE, views=self.views, **options)
+    def make(self, unit: SensorInstance, **options: Any) -> ImagingModel:
+        return ImagingModel(
+            self.design, self.surface, unit, exposure=EXPOSURE, views=self.views, **options
+        )
 
-    def errors(self, eyes: Eyes | None = None) -> tuple[FloatArray, FloatArray]:
+    def errors(self, eyes: ImagingModel | None = None) -> tuple[FloatArray, FloatArray]:
         """Points less frames without noise, and those shifts, (samples, n, 2) px."""
         eyes = eyes or self.eyes
         zero = eyes.read(eyes.frame(self.still, self.off)).shift_px
@@ -201,7 +207,7 @@ def test_same_generator_same_sample(rig: Rig) -> None:
     again = rig.make(rig.unit)
     a, b = (e.frame(motion, bits, 1.0, np.random.default_rng(4))[0] for e in (rig.eyes, again))
     np.testing.assert_array_equal(a, b)
-    assert isinstance(again.rest, AtRest)
+    assert isinstance(again.rest, RestObservation)
     np.testing.assert_array_equal(again.rest.noise_px, rig.eyes.at_rest.noise_px)
 
 
@@ -275,15 +281,19 @@ def test_two_cameras_read_each_their_own() -> None:
 def test_grid_error_belongs_to_a_place() -> None:
     rng = np.random.default_rng(0)
     place = rng.uniform(0.0, 500.0, (20_000, 2))
-    one = grid_error(place, 3)
+    one = pixel_phase_error(place, 3)
     np.testing.assert_allclose(one.std(axis=0), 1.0, rtol=0.02)
     np.testing.assert_allclose(one.mean(axis=0), 0.0, atol=0.03)
     assert abs(np.mean(one[:, 0] * one[:, 1])) < 0.03
-    np.testing.assert_array_equal(one, grid_error(place, 3))
+    np.testing.assert_array_equal(one, pixel_phase_error(place, 3))
     same = np.floor(place / CELL_px) == np.floor((place + 1e-4) / CELL_px)
     near = same.all(axis=1)
-    np.testing.assert_array_equal(grid_error(place + 1e-4, 3)[near], one[near])
-    for other in (grid_error(place + 1.0, 3), grid_error(place, 4), np.roll(one, 1, axis=0)):
+    np.testing.assert_array_equal(pixel_phase_error(place + 1e-4, 3)[near], one[near])
+    for other in (
+        pixel_phase_error(place + 1.0, 3),
+        pixel_phase_error(place, 4),
+        np.roll(one, 1, axis=0),
+    ):
         assert abs(np.mean(other * one)) < 0.03
 
 
@@ -311,7 +321,7 @@ def test_the_wall_goes_with_its_receptors(rig: Rig) -> None:
 
 
 def test_seen_of_nothing() -> None:
-    seen = Seen.nothing(3, "dark")
+    seen = MarkerReading.nothing(3, "dark")
     assert (seen.status, seen.bits.sum(), seen.found.sum()) == ("dark", 0, 0)
 
 
@@ -340,7 +350,7 @@ def test_paint_slopes_are_how_frames_show_a_receptor_that_turns() -> None:
     slope = paint_slope(flat, surface, markers, camera, rest=rest, seen=seen)
     readers = Readers(cameras=(camera,), read_by=np.zeros(markers.count, dtype=np.int64))
     arm = seen.paint_point_mm - markers.mid_mm
-    eyes = Eyes(flat, surface, unit_of(flat), exposure=EXPOSURE)
+    eyes = ImagingModel(flat, surface, unit_of(flat), exposure=EXPOSURE)
     still, off = np.zeros((markers.count, 6)), np.zeros(markers.count, dtype=np.bool_)
     zero = eyes.read(eyes.frame(still, off)).shift_px
     # Tilts alone: motion moves a centroid as it moves any point.

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from phytac_design.mechanics.meshing.grid import product_grid
 from phytac_design.mechanics.meshing.mesh import ShellMesh, _shell, plain_mesh
-from phytac_design.simulation.receptor_kinematics import Feet
+from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_shapes import Plane, Surface
 from phytac_shapes.arrays import FloatArray
 from tests.mechanics.families import FAMILIES, WALL_MM
@@ -26,7 +26,7 @@ def test_rigid_motion_is_exact(name: str) -> None:
     surface = FAMILIES[name]
     mesh = plain_mesh(surface, thickness_mm=WALL_MM, size_mm=3.0)
     uv = places(surface)
-    feet = Feet(mesh, surface, uv, RADIUS)
+    feet = ReceptorKinematics(mesh, surface, uv, RADIUS)
     where = np.asarray(feet.linear(np.column_stack([mesh.nodes_mm, 0 * mesh.nodes_mm]).ravel()))
     for angle in (1e-6, 0.7):
         spin = angle * np.array([2.0, -1.0, 2.0]) / 3.0
@@ -62,7 +62,7 @@ def test_the_face_leans_by_the_shear_as_well(graded: bool) -> None:
         lines = np.sort(np.concatenate([fine, (fine[:-1] + fine[1:])[::3] / 2.0]))
         mesh = _shell(SHEET, product_grid(SHEET, np.unique(mesh.uv[:, 0]), lines), WALL_MM)
     uv = np.array([[0.0, 0.0], [7.3, 2.0], [-20.2, 11.0]])
-    feet = Feet(mesh, SHEET, uv, RADIUS)
+    feet = ReceptorKinematics(mesh, SHEET, uv, RADIUS)
     field, sheared = bent(mesh, 0.01), bent(mesh, 1.0)
     x = SHEET.point(uv)[:, 0]
     slope = 3e-5 * (x**2 + (0.5 * RADIUS) ** 2 / 2.0)
@@ -77,7 +77,7 @@ def test_the_face_leans_by_the_shear_as_well(graded: bool) -> None:
 def test_large_is_linear_where_small_and_shear_turns_with_the_wall() -> None:
     mesh = plain_mesh(SHEET, thickness_mm=WALL_MM, size_mm=1.5)
     uv = np.array([[7.3, 2.0], [-20.2, 11.0]])
-    feet = Feet(mesh, SHEET, uv, RADIUS)
+    feet = ReceptorKinematics(mesh, SHEET, uv, RADIUS)
     field = bent(mesh, 0.01)
     tiny = 1e-4 * field.ravel()
     np.testing.assert_allclose(feet.large(tiny), feet.linear(tiny), atol=1e-10)

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from phytac_design.simulation.scenario.history import (
+from phytac_design.simulation.scenario.viscoelasticity import (
     Creep,
     Relaxation,
     felt_cycles,
     felt_force,
-    held_cycles,
-    held_depth,
+    force_under_cycles,
+    force_under_depth,
     light_at,
-    switch_through,
+    switch_step,
 )
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
@@ -41,7 +41,7 @@ def test_a_ramp_on_the_standard_linear_solid() -> None:
 
 
 def test_a_step_of_depth_relaxes_as_the_modulus() -> None:
-    held = held_depth(MANY, TIMES, np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0]))
+    held = force_under_depth(MANY, TIMES, np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0]))
     assert held.force_N[1:] == pytest.approx(MANY.modulus(TIMES[1:]), rel=ROUNDING)
     known = 1.0 - G * (1.0 - np.exp(-TIMES / TAU))
     assert SOLID.modulus(TIMES) == pytest.approx(known, rel=ROUNDING)
@@ -50,7 +50,7 @@ def test_a_step_of_depth_relaxes_as_the_modulus() -> None:
 def test_a_ramp_of_depth_on_the_standard_linear_solid() -> None:
     t = TIMES[1:]
     known = t - G * (t - TAU * (1.0 - np.exp(-t / TAU)))
-    assert held_depth(SOLID, t, t).force_N == pytest.approx(known, rel=1e-11)
+    assert force_under_depth(SOLID, t, t).force_N == pytest.approx(known, rel=1e-11)
 
 
 @pytest.mark.parametrize("s", [1e-4, 0.03, 1.0, 40.0, 1e4])
@@ -76,7 +76,7 @@ def test_creep_and_relaxation_undo_each_other() -> None:
     for count in (101, 201, 401):
         t, force = _wobble(count)
         felt = felt_force(MANY.creep(), t, force)
-        errors.append(float(np.abs(held_depth(MANY, t, felt).force_N - force).max()))
+        errors.append(float(np.abs(force_under_depth(MANY, t, felt).force_N - force).max()))
     rates = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     assert errors[-1] < 1e-2
     assert (rates > 1.7).all()
@@ -89,8 +89,8 @@ def test_more_times_on_straight_pieces_change_nothing() -> None:
     creep = MANY.creep()
     coarse = felt_force(creep, t, force)
     assert felt_force(creep, fine, drawn)[::20] == pytest.approx(coarse, rel=1e-11)
-    held = held_depth(MANY, t, force).force_N
-    assert held_depth(MANY, fine, drawn).force_N[::20] == pytest.approx(held, rel=1e-11)
+    held = force_under_depth(MANY, t, force).force_N
+    assert force_under_depth(MANY, fine, drawn).force_N[::20] == pytest.approx(held, rel=1e-11)
 
 
 @pytest.mark.parametrize("span", [1e-9, 1e9])
@@ -101,14 +101,14 @@ def test_steps_far_shorter_and_longer_than_every_time(span: float) -> None:
     times = span * np.array([0.0, 0.5, 1.0])
     felt = felt_force(creep, times, np.array([0.0, 1.0, 1.0]))
     assert felt[-1] == pytest.approx(1.0 / stiffness, rel=1e-5)
-    held = held_depth(MANY, times, np.array([0.0, 1.0, 1.0]))
+    held = force_under_depth(MANY, times, np.array([0.0, 1.0, 1.0]))
     assert held.force_N[-1] == pytest.approx(stiffness, rel=1e-5)
 
 
 def test_an_elastic_wall_remembers_nothing() -> None:
     t, force = _wobble(9)
     assert (felt_force(NONE.creep(), t, force) == force).all()
-    held = held_depth(NONE, t, force)
+    held = force_under_depth(NONE, t, force)
     assert (held.force_N == force).all()
     assert (held.felt_N == force).all()
     cycles = felt_cycles(NONE.creep(), t, force[:, 0], np.array([0, 7]))
@@ -134,8 +134,8 @@ def test_chosen_cycles_are_those_of_the_whole_history() -> None:
     whole = felt_force(MANY.creep(), times, force).reshape(41, -1)
     found = felt_cycles(MANY.creep(), one, force[: len(one)], CHOSEN)
     assert found == pytest.approx(whole[CHOSEN], rel=1e-11, abs=1e-13)
-    held = held_depth(MANY, times, force)
-    some = held_cycles(MANY, one, force[: len(one)], CHOSEN)
+    held = force_under_depth(MANY, times, force)
+    some = force_under_cycles(MANY, one, force[: len(one)], CHOSEN)
     assert some.felt_N == pytest.approx(held.felt_N.reshape(41, -1)[CHOSEN], rel=1e-11)
     assert some.force_N == pytest.approx(held.force_N.reshape(41, -1)[CHOSEN], rel=1e-9, abs=1e-13)
 
@@ -143,7 +143,7 @@ def test_chosen_cycles_are_those_of_the_whole_history() -> None:
 def test_an_indenter_drawn_back_fast_leaves_a_wall_that_recovers_freely() -> None:
     """Its own force history, put through the hereditary integral, gives the felt force again."""
     _, times, depth = _unrolled(3, 256)
-    held = held_depth(MANY, times, depth)
+    held = force_under_depth(MANY, times, depth)
     assert (held.force_N >= 0.0).all()
     assert (held.felt_N >= depth).all()
     free = held.felt_N > depth
@@ -162,7 +162,7 @@ def test_switches_remember() -> None:
     state = np.zeros(2, dtype=np.bool_)
     seen = []
     for force in (0.45, 0.5, 0.51, 0.45, 0.4, 0.39, 0.45, 0.6, 0.0, 0.3):
-        state = switch_through(state, np.full(2, force), on, off)
+        state = switch_step(state, np.full(2, force), on, off)
         seen.append(state.tolist())
     assert [first for first, _ in seen] == [0, 0, 1, 1, 1, 0, 0, 1, 0, 0]
     # A bowl without release force still springs back when nothing presses it.
@@ -187,4 +187,4 @@ def test_times_must_grow() -> None:
     with pytest.raises(NumericalError, match=r"got 2 s before 1 s"):
         felt_force(creep, np.array([0.0, 2.0, 1.0]), np.zeros(3))
     with pytest.raises(NumericalError, match=r"got 2 s before 1 s"):
-        held_depth(SOLID, np.array([0.0, 2.0, 1.0]), np.zeros(3))
+        force_under_depth(SOLID, np.array([0.0, 2.0, 1.0]), np.zeros(3))

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from phytac_decoder.camera.camera import Camera
-from phytac_decoder.estimation.decode import Measured, confirmed
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
+from phytac_decoder.pipeline.decode import Measured, confirmed_switches
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_design.simulation.condense import Condensed, condense
-from phytac_design.stages.decoder import limits_of
+from phytac_design.stages.decoder import limit_facts
 from phytac_shapes.errors import NumericalError
 from tests.decoder.test_forces import N, force_model, make_bundle
 
@@ -119,7 +119,7 @@ def blind(bundle: Bundle, marker: int) -> Bundle:
 def test_a_sound_sensor_has_no_limits() -> None:
     bundle = sound()
     assert bundle.limits() == []
-    assert limits_of(bundle)["fem_unusable_count"] == 0
+    assert limit_facts(bundle)["fem_unusable_count"] == 0
 
 
 def test_hidden_tips_are_told_from_tips_that_look_alike() -> None:
@@ -143,7 +143,7 @@ def test_limits_name_markers_and_switches() -> None:
     switches, markers = bundle.limits()
     assert "1 of 12 switches cannot be read well (8)" in switches
     assert f"cannot be used at {len(useless)} of 12 markers" in markers
-    facts = limits_of(bundle)
+    facts = limit_facts(bundle)
     assert facts["switches_unreadable"] == [8]
     assert facts["fem_unusable"] == useless.tolist()
     assert facts["not_observable"] == []
@@ -158,7 +158,7 @@ def test_limits_name_forces_that_nothing_can_read() -> None:
     assert np.flatnonzero(~weak.force_readable).tolist() == [7]
     (text,) = weak.limits()
     assert "1 of 12 markers cannot be read by any estimator (7)" in text
-    assert limits_of(weak)["force_unreadable"] == [7]
+    assert limit_facts(weak)["force_unreadable"] == [7]
 
 
 def test_limits_survive_the_bundle_and_old_bundles_have_defaults(tmp_path: Path) -> None:
@@ -178,10 +178,10 @@ def test_a_doubtful_switch_is_on_only_where_markers_moved() -> None:
     assert np.flatnonzero(~bundle.tips.readable).tolist() == [5, 9]
     seems_on = np.isin(np.arange(N), [2, 5, 9])
     shift = pressed(bundle, {2: 4.0, 5: 3.0}, []).shift_px
-    assert np.flatnonzero(confirmed(bundle, seems_on, shift)).tolist() == [2, 5]
+    assert np.flatnonzero(confirmed_switches(bundle, seems_on, shift)).tolist() == [2, 5]
     # A switch that can be read is believed, whatever moved.
     still = np.zeros((N, 2))
-    assert np.flatnonzero(confirmed(bundle, seems_on, still)).tolist() == [2]
+    assert np.flatnonzero(confirmed_switches(bundle, seems_on, still)).tolist() == [2]
 
 
 def pressed(bundle: Bundle, forces: dict[int, float], koi: list[int]) -> Measured:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phytac_decoder.mechanics.response_table import Places
+from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import Readers, cameras_of
@@ -15,18 +15,18 @@ from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.indenters import flat_touches
-from phytac_design.simulation.interaction_tables import Mixed, bend_of
-from phytac_design.simulation.pressed_series import Pressed, Seen
+from phytac_design.simulation.interaction_tables import InteractionSolver, image_curvature
+from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
 from phytac_design.simulation.response import turned_points
 from phytac_design.simulation.response_tables import (
-    Tabulated,
-    between,
-    make_places,
+    TabulatedResponse,
+    interpolate_responses,
     place_spacing_mm,
     rings,
+    tabulate_responses,
 )
-from phytac_design.simulation.scenario.scatter import draw_unit
-from phytac_design.simulation.scenario.tables import UnitSection
+from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
+from phytac_design.simulation.scenario.sections import SensorInstanceSection
 from phytac_design.simulation.solver import Solver
 from phytac_shapes.arrays import BoolArray, FloatArray
 from tests.designs import drawn, of_shape, small
@@ -38,13 +38,13 @@ READERS = Readers(
     cameras=cameras_of(DESIGN, SURFACE), read_by=np.zeros(MARKERS.count, dtype=np.int64)
 )
 ARM = MARKERS.tip_mm - MARKERS.mid_mm
-SEE = Seen(READERS, MARKERS.mid_mm, ARM)
+SEE = ImageResponse(READERS, MARKERS.mid_mm, ARM)
 
 
-def made(refine: int, **how: Any) -> Tabulated:
+def made(refine: int, **how: Any) -> TabulatedResponse:
     """Tables by a mesh of its own."""
     mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=refine)
-    return make_places(
+    return tabulate_responses(
         DESIGN,
         SURFACE,
         MARKERS,
@@ -56,18 +56,18 @@ def made(refine: int, **how: Any) -> Tabulated:
 
 
 @cache
-def tabulated(orders: int = 3, spacing_mm: float = 3.0, refine: int = 4) -> Tabulated:
+def tabulated(orders: int = 3, spacing_mm: float = 3.0, refine: int = 4) -> TabulatedResponse:
     return made(refine, spacing_mm=spacing_mm, orders=orders)
 
 
-def truth(place: int, places: Places, force_N: float) -> FloatArray:
+def truth(place: int, places: ResponseTable, force_N: float) -> FloatArray:
     """Shifts (2n,) px of a disc there, by the simulated sensor."""
     return true_shifts(SURFACE.chart(places.point_mm[[place]]), places.radius_mm, force_N)
 
 
 @cache
 def solver() -> Solver:
-    unit = draw_unit(DESIGN, SURFACE, MARKERS, UnitSection(), 0)
+    unit = draw_sensor_instance(DESIGN, SURFACE, MARKERS, SensorInstanceSection(), 0)
     return Solver(DESIGN, SURFACE, unit, refine=9, displacement="large")
 
 
@@ -90,7 +90,7 @@ def true_shifts(uv: FloatArray, radius_mm: float, force_N: float) -> FloatArray:
     return np.asarray(moved - READERS.project(watched)).ravel()
 
 
-def told(places: Places, place: int, force_N: float) -> FloatArray:
+def told(places: ResponseTable, place: int, force_N: float) -> FloatArray:
     powers = force_N ** np.arange(1.0, places.orders + 1.0)
     return np.asarray(powers @ places.shift_px[place])
 
@@ -144,8 +144,8 @@ def test_a_square_box_is_solved_on_one_side_in_four() -> None:
     )
     mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=3)
     model = sensor_model(design, markers, mesh, receptors=True)
-    see = Seen(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
-    done = make_places(
+    see = ImageResponse(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
+    done = tabulate_responses(
         design,
         surface,
         markers,
@@ -158,7 +158,7 @@ def test_a_square_box_is_solved_on_one_side_in_four() -> None:
     assert done.solves * 4 <= len(done.places.point_mm) + 4
     assert done.bent < done.solves
     ring = rings(surface, done.spacing_mm, 4)
-    shell = Pressed(design, surface, markers, mesh=mesh, model=model, orders=1)
+    shell = DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=1)
     for turns in (1, 3):
         place = int(np.flatnonzero(ring.turns == turns)[7])
         ((own,),) = shell.motions(ring.uv[[place]], done.places.radius_mm)
@@ -172,14 +172,14 @@ def test_higher_powers_between_places_are_those_that_would_be_solved() -> None:
     assert 2 * done.bent < done.solves
     mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=4)
     model = sensor_model(DESIGN, MARKERS, mesh, receptors=True)
-    shell = Pressed(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=3)
+    shell = DiscResponse(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=3)
     columns = MARKERS.lattice.columns if MARKERS.lattice else 1
     ring = rings(SURFACE, 3.0, columns)
     force = DESIGN.training.force_max_N
     gaps = []
     for place in np.arange(0, len(ring.uv), len(ring.uv) // 12).tolist():
         (motions,) = shell.motions(ring.uv[[place]], done.places.radius_mm)
-        rows = Seen(READERS, MARKERS.mid_mm, ARM).powers(motions, shell.forces)
+        rows = ImageResponse(READERS, MARKERS.mid_mm, ARM).powers(motions, shell.forces)
         gaps.append(off(told(done.places, place, force), force ** np.arange(1.0, 4.0) @ rows))
     assert max(gaps) < 0.05
     assert float(np.median(gaps)) < 0.01
@@ -206,12 +206,12 @@ def test_coordinates_of_pairs_are_those_of_their_own_images(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Along axes by the third derivative, and each solved for itself: two ways to one image."""
-    monkeypatch.setattr("phytac_design.simulation.interaction_tables.AXES", 12)
+    monkeypatch.setattr("phytac_design.simulation.interaction_tables.AXES_MAX", 12)
     mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=3)
     model = sensor_model(DESIGN, MARKERS, mesh, receptors=True)
-    shell = Pressed(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=1)
+    shell = DiscResponse(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=1)
     uv, radius = rings(SURFACE, 9.0, 1).uv, 4.0
-    mixed = Mixed(shell, SEE, uv, radius)
+    mixed = InteractionSolver(shell, SEE, uv, radius)
     made = mixed.pairs()
     axes = made.axes_px.astype(float)
     np.testing.assert_allclose(axes @ axes.T, np.eye(len(axes)), atol=1e-5)
@@ -231,8 +231,8 @@ def test_shells_of_too_many_elements_have_no_tables_of_pairs(
     mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=2)
     has_pairs = []
     for most in (len(mesh.quads), len(mesh.quads) - 1):
-        monkeypatch.setattr("phytac_design.simulation.response_tables.ELEMENTS_MOST", most)
-        monkeypatch.setattr("phytac_design.simulation.interaction_tables.AXES", 2)
+        monkeypatch.setattr("phytac_design.simulation.response_tables.ELEMENTS_MAX", most)
+        monkeypatch.setattr("phytac_design.simulation.interaction_tables.AXES_MAX", 2)
         done = made(2, spacing_mm=8.0, orders=3)
         has_pairs.append(done.places.pairs is not None)
     assert has_pairs == [True, False]
@@ -241,7 +241,7 @@ def test_shells_of_too_many_elements_have_no_tables_of_pairs(
 def test_images_bend_as_the_lens_and_the_arms_do() -> None:
     rng = np.random.default_rng(4)
     one, two = 1e-2 * rng.normal(size=(2, MARKERS.count, 6))
-    bend = bend_of(SEE, MARKERS.count)
+    bend = image_curvature(SEE, MARKERS.count)
     told = np.einsum("nj,nijk,nk->ni", one, bend, two)
     ends = [SEE.shift(a * one + b * two) for a, b in ((1, 1), (-1, -1), (1, -1), (-1, 1))]
     np.testing.assert_allclose(told, (ends[0] + ends[1] - ends[2] - ends[3]) / 4.0, atol=2e-4)
@@ -302,19 +302,19 @@ def test_places_stand_closer_on_flat_walls() -> None:
     readers = Readers(
         cameras=cameras_of(design, surface), read_by=np.zeros(markers.count, dtype=np.int64)
     )
-    see = Seen(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
+    see = ImageResponse(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
     mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=4)
     model = sensor_model(design, markers, mesh, receptors=True)
     at = surface.point(np.random.default_rng(1).uniform(*surface.domain.T, (20, 2)))
-    shell = Pressed(design, surface, markers, mesh=mesh, model=model, orders=1)
+    shell = DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=1)
     error = {}
     for spacing in (4.0, 2.0):
-        places = make_places(
+        places = tabulate_responses(
             design, surface, markers, mesh=mesh, model=model, see=see, spacing_mm=spacing, orders=1
         ).places
         motions = shell.motions(surface.chart(at), places.radius_mm)
         wanted = np.stack([see.powers(own, shell.forces)[0] for own in motions])
-        found = between(places, at)[:, 0]
+        found = interpolate_responses(places, at)[:, 0]
         error[spacing] = np.median([off(a, b) for a, b in zip(found, wanted, strict=True)])
     assert error[4.0] > 0.02
     assert error[2.0] < 0.01

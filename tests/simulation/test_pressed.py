@@ -7,14 +7,14 @@ import pytest
 
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import Readers, cameras_of
+from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Loading
-from phytac_design.mechanics.large.path import solve_large
 from phytac_design.mechanics.meshing.mesh import marker_mesh
-from phytac_design.mechanics.shell.pressure import touch_loads
+from phytac_design.mechanics.shell.pressure import indentation_loads
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.indenters import flat_touches
-from phytac_design.simulation.pressed_series import SOLVED_AT, Pressed, Seen
+from phytac_design.simulation.pressed_series import LARGE_SOLVED_ABOVE, DiscResponse, ImageResponse
 from phytac_design.simulation.response import turned_points
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
@@ -23,7 +23,7 @@ from tests.designs import changed, drawn
 DESIGN = drawn("plane", 3)
 SURFACE = DESIGN.surface()
 MARKERS = make_markers(DESIGN, SURFACE)
-SEE = Seen(
+SEE = ImageResponse(
     Readers(cameras=cameras_of(DESIGN, SURFACE), read_by=np.zeros(MARKERS.count, dtype=np.int64)),
     MARKERS.mid_mm,
     MARKERS.tip_mm - MARKERS.mid_mm,
@@ -33,10 +33,10 @@ RADIUS_mm = 4.0
 
 
 @cache
-def pressed(orders: int) -> Pressed:
+def pressed(orders: int) -> DiscResponse:
     mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=3)
     model = sensor_model(DESIGN, MARKERS, mesh, receptors=True)
-    return Pressed(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=orders)
+    return DiscResponse(DESIGN, SURFACE, MARKERS, mesh=mesh, model=model, orders=orders)
 
 
 def told(orders: int, force_N: float) -> FloatArray:
@@ -62,7 +62,9 @@ def one_newton() -> FloatArray:
             samples=1,
         )
     )
-    return np.asarray(touch_loads(shell.mesh, SURFACE, touch, holes=shell.holes).toarray()[:, 0])
+    return np.asarray(
+        indentation_loads(shell.mesh, SURFACE, touch, holes=shell.holes).toarray()[:, 0]
+    )
 
 
 @cache
@@ -97,14 +99,14 @@ def test_a_series_that_holds_is_not_solved() -> None:
     markers = make_markers(stiff, surface)
     mesh = marker_mesh(surface, markers, thickness_mm=stiff.wall.thickness_mm, refine=2)
     model = sensor_model(stiff, markers, mesh, receptors=True)
-    shell = Pressed(stiff, surface, markers, mesh=mesh, model=model, orders=5)
+    shell = DiscResponse(stiff, surface, markers, mesh=mesh, model=model, orders=5)
     (motions,) = shell.motions(np.array([surface.domain.mean(axis=1)]), RADIUS_mm)
     assert shell.solved == 0
     assert len(motions) == 5
 
 
 def test_what_cannot_be_solved_is_left_to_the_series(monkeypatch: pytest.MonkeyPatch) -> None:
-    shell = Pressed(
+    shell = DiscResponse(
         DESIGN, SURFACE, MARKERS, mesh=pressed(4).mesh, model=pressed(4).model, orders=4
     )
 
@@ -119,7 +121,7 @@ def test_what_cannot_be_solved_is_left_to_the_series(monkeypatch: pytest.MonkeyP
 
 
 def test_a_gap_that_is_no_number_holds_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    shell = Pressed(
+    shell = DiscResponse(
         DESIGN, SURFACE, MARKERS, mesh=pressed(4).mesh, model=pressed(4).model, orders=4
     )
     monkeypatch.setattr(shell.shell, "gap", lambda *_: float("nan"))
@@ -136,7 +138,7 @@ def test_gap_is_about_the_error_of_the_motion() -> None:
     true = newton_motion(load)
     assert shell.shell.gap(load, true, linear) < 1e-3
     assert shell.shell.gap(load, 1.1 * true, linear) == pytest.approx(0.1, rel=0.9)
-    assert set(SOLVED_AT) == {4, 5}
+    assert set(LARGE_SOLVED_ABOVE) == {4, 5}
 
 
 @pytest.mark.parametrize(
@@ -145,7 +147,7 @@ def test_gap_is_about_the_error_of_the_motion() -> None:
 def test_more_powers_trust_a_series_less(most_N: float, orders: int, solved: int) -> None:
     """The series is off by 0.03 % at 1 N, 0.8 % at 3 N and 9 % at 6 N."""
     own = pressed(orders)
-    shell = Pressed(DESIGN, SURFACE, MARKERS, mesh=own.mesh, model=own.model, orders=orders)
+    shell = DiscResponse(DESIGN, SURFACE, MARKERS, mesh=own.mesh, model=own.model, orders=orders)
     shell.forces = most_N * np.arange(1, orders) / (orders - 1)
     (motions,) = shell.motions(MIDDLE, RADIUS_mm)
     assert shell.solved == solved

@@ -20,13 +20,18 @@ from phytac_design.design.camera_files import write_lens
 from phytac_design.design.design_file import design_hash, load_design
 from phytac_design.layout import make_markers
 from phytac_design.simulation.contacts import Contacts, switch_states
-from phytac_design.simulation.rig_import.seen import REASONS
+from phytac_design.simulation.rig_import.rig_samples import REASONS
 from phytac_design.stages import views
 from phytac_design.stages.build import build
 from phytac_design.training import levenberg_marquardt
-from phytac_design.training.levenberg_marquardt import Trained
+from phytac_design.training.levenberg_marquardt import TrainedNetwork
 from phytac_design.training.training_data import DataSet, check_inputs
-from phytac_design.workflows.import_rig import Imported, Settings, import_rig, lens_difference_px
+from phytac_design.workflows.import_rig import (
+    ImportResult,
+    ImportSettings,
+    import_rig,
+    lens_difference_px,
+)
 from phytac_shapes.errors import InputError, OutputError, PhytacError
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "rig"
@@ -34,7 +39,7 @@ DESIGN = load_design(str(EXAMPLE / "rig.toml"))
 LOG = (EXAMPLE / "log.csv").read_text()
 HEAD = LOG.splitlines()[2]
 ROWS = LOG.splitlines()[3:]
-Import = Callable[..., Imported]
+Import = Callable[..., ImportResult]
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +47,7 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The example's decoder, without what takes long and is not used here: pictures, training."""
     out = tmp_path_factory.mktemp("rig") / "rig"
     blank = np.zeros((480, 640, 3), dtype=np.uint8)
-    nothing = Trained(
+    nothing = TrainedNetwork(
         network=CascadeNetwork(
             parameters=np.zeros(parameter_count()),
             activation="identity",
@@ -73,7 +78,7 @@ def bring(bundle: Path, tmp_path: Path) -> Import:
         cameras: tuple[Path, ...] = (),
         said: list[str] | None = None,
         **settings: object,
-    ) -> Imported:
+    ) -> ImportResult:
         path = tmp_path / "log.csv"
         path.write_text(log)
         return import_rig(
@@ -84,7 +89,7 @@ def bring(bundle: Path, tmp_path: Path) -> Import:
             out=tmp_path / "data",
             rest=[rest],
             cameras=cameras,
-            settings=Settings(**settings),
+            settings=ImportSettings(**settings),
             progress=(said if said is not None else []).append,
         )
 
@@ -217,7 +222,7 @@ def test_a_video_gives_what_its_images_give(bring: Import, tmp_path: Path) -> No
         import_again(bring, tmp_path, log, video)
 
 
-def import_again(bring: Import, folder: Path, *words: object, **settings: object) -> Imported:
+def import_again(bring: Import, folder: Path, *words: object, **settings: object) -> ImportResult:
     shutil.rmtree(folder / "data", ignore_errors=True)
     return bring(*words, **settings)
 

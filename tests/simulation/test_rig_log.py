@@ -10,8 +10,13 @@ from phytac_design.fabrication.calibration_rig.log import Log, log_text
 from phytac_design.layout import make_markers
 from phytac_design.simulation.indenters import INDENTERS, Touches
 from phytac_design.simulation.rig_import.contacts import contacts_of, sequences_of
-from phytac_design.simulation.rig_import.frames import Folder, Source, match, open_source
-from phytac_design.simulation.rig_import.log import Problems, RigLog, read_rig_log
+from phytac_design.simulation.rig_import.frames import (
+    FrameFolder,
+    FrameSource,
+    match_frames,
+    open_source,
+)
+from phytac_design.simulation.rig_import.log import RigLog, RowProblems, read_rig_log
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError
 from tests.designs import drawn
@@ -21,14 +26,14 @@ SURFACE = DESIGN.surface()
 MARKERS = make_markers(DESIGN, SURFACE)
 
 
-def read(folder: Path, *lines: str) -> tuple[RigLog, Problems]:
+def read(folder: Path, *lines: str) -> tuple[RigLog, RowProblems]:
     path = folder / "log.csv"
     path.write_text("\n".join(lines) + "\n")
-    problems = Problems(where="log")
+    problems = RowProblems(where="log")
     return read_rig_log(path, problems), problems
 
 
-def touched(folder: Path, *lines: str, off_mm: float = 2.0) -> tuple[Touches, Problems]:
+def touched(folder: Path, *lines: str, off_mm: float = 2.0) -> tuple[Touches, RowProblems]:
     log, problems = read(folder, *lines)
     touches = contacts_of(
         log, DESIGN, SURFACE, MARKERS, off_mm=off_mm, radius_mm=4.0, problems=problems
@@ -63,10 +68,10 @@ def test_files_that_are_no_log(tmp_path: Path, case: str) -> None:
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no log at"):
-        read_rig_log(tmp_path / "none.csv", Problems(where=""))
+        read_rig_log(tmp_path / "none.csv", RowProblems(where=""))
     (tmp_path / "log.csv").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="not even text"):
-        read_rig_log(tmp_path / "log.csv", Problems(where=""))
+        read_rig_log(tmp_path / "log.csv", RowProblems(where=""))
 
 
 BAD_ROWS = {
@@ -238,7 +243,7 @@ def test_the_log_of_the_bench(tmp_path: Path) -> None:
         displacement_mm=np.zeros(3),
     )
     (tmp_path / "bench.csv").write_text(log_text(log, name="rig"))
-    problems = Problems(where="log")
+    problems = RowProblems(where="log")
     got = read_rig_log(tmp_path / "bench.csv", problems)
     assert problems.found == []
     assert got.frame == ("10", "11")
@@ -251,10 +256,10 @@ def test_the_log_of_the_bench(tmp_path: Path) -> None:
 # Which picture is whose.
 
 
-def folder_of(path: Path, names: list[str]) -> Folder:
+def folder_of(path: Path, names: list[str]) -> FrameFolder:
     for name in names:
         (path / name).write_bytes(b"")
-    return Folder(path, None)
+    return FrameFolder(path, None)
 
 
 def test_pictures_are_found_by_name_or_number(tmp_path: Path) -> None:
@@ -269,11 +274,11 @@ def test_pictures_are_found_by_name_or_number(tmp_path: Path) -> None:
     for text in ("b_001", "1", "", "b_0010.jpg", "-1"):
         assert folder.find(text) is None, text
     (tmp_path / "c_0010.png").write_bytes(b"")
-    assert Folder(tmp_path, None).find("10") is None
-    assert Folder(tmp_path, None).find("c_0010") is not None
+    assert FrameFolder(tmp_path, None).find("10") is None
+    assert FrameFolder(tmp_path, None).find("c_0010") is not None
 
 
-class Named(Source):
+class Named(FrameSource):
     """Pictures with times alone."""
 
     def __init__(self, times: list[float] | None) -> None:
@@ -297,7 +302,9 @@ def matched(
     tolerance_s: float | None = None,
 ) -> tuple[list[int], str]:
     log, problems = read(folder, "timestamp_s,marker,force_N", *(f"{t},3,1" for t in stamps))
-    out = match(log, Named(times), offset_s=offset_s, tolerance_s=tolerance_s, problems=problems)
+    out = match_frames(
+        log, Named(times), offset_s=offset_s, tolerance_s=tolerance_s, problems=problems
+    )
     return out.tolist(), problems.text() if problems.found else ""
 
 
@@ -326,7 +333,7 @@ def test_times_in_file_names(tmp_path: Path) -> None:
     assert times is not None
     np.testing.assert_allclose(np.sort(times), [9.5, 12.25])
     # A rate is for names that say nothing.
-    np.testing.assert_array_equal(Folder(seconds, 20.0).time_s, times)
+    np.testing.assert_array_equal(FrameFolder(seconds, 20.0).time_s, times)
     ns = tmp_path / "ns"
     ns.mkdir()
     made = folder_of(ns, ["1700000000250000000.png", "1700000000500000000.png"])
@@ -334,7 +341,7 @@ def test_times_in_file_names(tmp_path: Path) -> None:
     counted = tmp_path / "n"
     counted.mkdir()
     assert folder_of(counted, ["a1.png", "a2.png"]).time_s is None
-    np.testing.assert_allclose(Folder(counted, 20.0).time_s, [0.0, 0.05])
+    np.testing.assert_allclose(FrameFolder(counted, 20.0).time_s, [0.0, 0.05])
 
 
 def test_a_contact_that_stands_twice_counts_once(tmp_path: Path) -> None:

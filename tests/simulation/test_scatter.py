@@ -9,17 +9,17 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.layout.thresholds import thresholds_N
-from phytac_design.simulation.scenario import scatter
-from phytac_design.simulation.scenario.file import UnitSection
-from phytac_design.simulation.scenario.scatter import (
-    CUT,
-    LEAST_HEIGHT,
+from phytac_design.simulation.scenario import instance_scatter
+from phytac_design.simulation.scenario.instance_scatter import (
+    CUT_SD,
+    HEIGHT_SHARE_MIN,
     _wall,
     cut_normal,
-    draw_unit,
-    wall_factor,
+    draw_sensor_instance,
+    thickness_factor,
 )
-from phytac_design.simulation.sensor_instance import Unit
+from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
+from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes.arrays import FloatArray
 from tests.designs import changed
 from tests.test_layout_shapes import designed
@@ -34,11 +34,13 @@ SDS = (
 )  # fmt: skip
 
 
-def unit(number: int = 1, seed: int = 4, **section: Any) -> Unit:
-    return draw_unit(DESIGN, SURFACE, MARKERS, UnitSection(number=number, **section), seed)
+def unit(number: int = 1, seed: int = 4, **section: Any) -> SensorInstance:
+    return draw_sensor_instance(
+        DESIGN, SURFACE, MARKERS, SensorInstanceSection(number=number, **section), seed
+    )
 
 
-def arrays(print_: Unit) -> dict[str, FloatArray]:
+def arrays(print_: SensorInstance) -> dict[str, FloatArray]:
     """Everything that scatters, by the standard deviation that rules it."""
     camera = print_.cameras[0]
     return {
@@ -67,7 +69,7 @@ def test_number_zero_is_the_design_itself() -> None:
     assert own.markers is MARKERS
     assert (own.on_N == thresholds_N(DESIGN, MARKERS)).all()
     assert own.off_N == pytest.approx(own.on_N * 0.4 / 0.5, rel=1e-12)
-    assert (wall_factor(own.wall, grid()) == 1.0).all()
+    assert (thickness_factor(own.wall, grid()) == 1.0).all()
     assert own.modulus == 1.0
     assert (own.paint == 1.0).all()
     assert own.paint.shape == (len(DESIGN.layout.colours) + 1, 3)
@@ -101,8 +103,10 @@ def test_each_deviation_has_numbers_of_its_own(name: str) -> None:
 
 def test_deviations_are_those_of_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
     """Over 100 prints; the standard error of a standard deviation is 7 %, cut ones are 1 % low."""
-    monkeypatch.setattr(scatter, "cameras_of", lambda *_: CAMERAS)  # the same for every print
-    section = UnitSection()
+    monkeypatch.setattr(
+        instance_scatter, "cameras_of", lambda *_: CAMERAS
+    )  # the same for every print
+    section = SensorInstanceSection()
     prints = [unit(k) for k in range(1, 101)]
     camera = CAMERAS[0]
     seen = {
@@ -122,7 +126,7 @@ def test_deviations_are_those_of_the_file(monkeypatch: pytest.MonkeyPatch) -> No
         z = np.array(values) / size
         assert z.std() == pytest.approx(0.987, rel=0.28), name
         assert abs(float(z.mean())) < 4.0 / np.sqrt(100), name
-        assert np.abs(z).max() <= CUT + 1e-6, name
+        assert np.abs(z).max() <= CUT_SD + 1e-6, name
         assert np.abs(z).max() > 1.9, name
 
 
@@ -134,7 +138,7 @@ def _vector(turn: FloatArray) -> FloatArray:
 
 def test_cut_normals_have_no_outliers() -> None:
     z = cut_normal(np.random.default_rng(0), 200_000)
-    assert np.abs(z).max() <= CUT
+    assert np.abs(z).max() <= CUT_SD
     # Variance of a normal cut at ±3: 1 - 2·3·φ(3)/(2Φ(3) - 1).
     assert z.var() == pytest.approx(0.9733, abs=0.01)
 
@@ -147,15 +151,15 @@ def test_receptors_move_by_lengths_within_the_edges(kind: str) -> None:
     design = designed(kind, "phyllotaxis")
     surface = design.surface()
     markers = make_markers(design, surface)
-    section = UnitSection(number=1, marker_mm=0.2)
-    moved = draw_unit(design, surface, markers, section, 0).markers
+    section = SensorInstanceSection(number=1, marker_mm=0.2)
+    moved = draw_sensor_instance(design, surface, markers, section, 0).markers
     low, high = surface.domain.T
     inside = (moved.uv >= low) & (moved.uv <= high)
     assert (inside | np.array(surface.periodic)).all()
     step = surface.point(moved.uv) - surface.point(markers.uv)
     size = np.linalg.norm(step, axis=1) / 0.2
     # Two normals cut at 3: a root mean square of 0.987·√2, at most 3√2.
-    assert size.max() <= CUT * np.sqrt(2.0) + 1e-3
+    assert size.max() <= CUT_SD * np.sqrt(2.0) + 1e-3
     rms = float(np.sqrt((size**2).mean()))
     assert rms == pytest.approx(1.39, rel=5.0 / np.sqrt(4 * markers.count))
     assert np.abs(np.sum(step * markers.normal, axis=1)).max() < 0.1
@@ -175,7 +179,9 @@ def test_a_printed_receptor_is_that_of_a_layout_with_its_place_and_height(
     design = changed("cone", receptor=lean)
     surface = design.surface()
     markers = make_markers(design, surface)
-    moved = draw_unit(design, surface, markers, UnitSection(number=2), 0).markers
+    moved = draw_sensor_instance(
+        design, surface, markers, SensorInstanceSection(number=2), 0
+    ).markers
     # The explicit layout numbers along u: hand it the receptors in that order.
     order = np.argsort(moved.uv[:, 0], kind="stable")
     layout = {
@@ -207,7 +213,7 @@ def test_a_lattice_stays_where_receptors_stay() -> None:
 
 def test_receptors_keep_some_height_and_switches_their_order() -> None:
     rough = unit(height_mm=10.0, threshold_share=0.3, release_share=0.95, release_scatter=0.3)
-    assert (rough.markers.height_mm >= LEAST_HEIGHT * MARKERS.height_mm - 1e-12).all()
+    assert (rough.markers.height_mm >= HEIGHT_SHARE_MIN * MARKERS.height_mm - 1e-12).all()
     assert (rough.on_N > 0.0).all()
     assert (rough.off_N <= rough.on_N).all()
     assert (rough.off_N == rough.on_N).any()
@@ -220,21 +226,23 @@ def test_a_release_share_of_the_file_counts_for_the_design_too() -> None:
 
 def test_walls_wave_as_much_as_asked_and_close_at_the_seam() -> None:
     for number in range(1, 20):
-        field = _wall(SURFACE, UnitSection(number=number), 4)
-        factor = wall_factor(field, grid())
+        field = _wall(SURFACE, SensorInstanceSection(number=number), 4)
+        factor = thickness_factor(field, grid())
         # Waves of half cycles are not quite square to each other.
         assert (factor / field.mean).std() == pytest.approx(0.03, rel=0.35)
         edge = np.column_stack([np.linspace(0.0, 80.0, 50), np.zeros(50)])
         turned = edge + np.array([0.0, float(np.ptp(SURFACE.domain[1]))])
-        assert wall_factor(field, edge) == pytest.approx(wall_factor(field, turned), rel=1e-12)
+        assert thickness_factor(field, edge) == pytest.approx(
+            thickness_factor(field, turned), rel=1e-12
+        )
 
 
 def test_the_wildest_wall_is_still_a_wall() -> None:
     wild = [
-        UnitSection(number=k, thickness_share=0.15, thickness_wave_share=0.15)
+        SensorInstanceSection(number=k, thickness_share=0.15, thickness_wave_share=0.15)
         for k in range(1, 100)
     ]
-    least = min(wall_factor(_wall(SURFACE, section, 4), grid(30)).min() for section in wild)
+    least = min(thickness_factor(_wall(SURFACE, section, 4), grid(30)).min() for section in wild)
     assert 0.2 < least < 0.6
 
 
@@ -243,14 +251,14 @@ def test_a_wall_is_smooth_at_a_pole() -> None:
     surface = changed("hemisphere").surface()
     (u0, u1), (v0, v1) = surface.domain
     for number in range(1, 10):
-        field = _wall(surface, UnitSection(number=number), 0)
+        field = _wall(surface, SensorInstanceSection(number=number), 0)
         v = np.linspace(v0, v1, 20)
-        pole = wall_factor(field, np.column_stack([np.full(20, u1), v]))
+        pole = thickness_factor(field, np.column_stack([np.full(20, u1), v]))
         assert np.ptp(pole) < 1e-12
         step = 1e-4 * (u1 - u0)
-        near = wall_factor(field, np.array([[u1 - step, 0.0]]))[0]
+        near = thickness_factor(field, np.array([[u1 - step, 0.0]]))[0]
         assert abs(near - pole[0]) < 1e-6
-        assert np.ptp(wall_factor(field, np.column_stack([np.linspace(u0, u1, 20), v]))) > 1e-3
+        assert np.ptp(thickness_factor(field, np.column_stack([np.linspace(u0, u1, 20), v]))) > 1e-3
 
 
 def test_cameras_turn_and_focus() -> None:
@@ -267,7 +275,9 @@ def test_two_cameras_move_apart() -> None:
     design = changed("cylinder40", camera={"ends": "both"})
     surface = design.surface()
     markers = make_markers(design, surface)
-    near, far = draw_unit(design, surface, markers, UnitSection(number=1), 0).cameras
+    near, far = draw_sensor_instance(
+        design, surface, markers, SensorInstanceSection(number=1), 0
+    ).cameras
     first, last = cameras_of(design, surface)
     assert not np.allclose(near.position_mm - first.position_mm, far.position_mm - last.position_mm)
     assert _vector(near.rotation @ first.rotation.T) != pytest.approx(
@@ -289,8 +299,8 @@ def test_receptors_stay_on_faces_that_sense() -> None:
     design = changed("cuboid", shape={"faces": ["+y"]})
     surface = design.surface()
     markers = make_markers(design, surface)
-    section = UnitSection(number=1, marker_mm=5.0)
-    moved = draw_unit(design, surface, markers, section, 0).markers
+    section = SensorInstanceSection(number=1, marker_mm=5.0)
+    moved = draw_sensor_instance(design, surface, markers, section, 0).markers
     assert surface.sensing(moved.uv).all()
     stayed = (moved.uv == markers.uv).all(axis=1)
     assert 0 < stayed.sum() < markers.count

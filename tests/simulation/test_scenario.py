@@ -9,7 +9,7 @@ import pytest
 from pydantic import BaseModel
 
 from phytac_design.simulation.scenario.docs import TABLES, renewed
-from phytac_design.simulation.scenario.file import (
+from phytac_design.simulation.scenario.scenario_file import (
     Scenario,
     load_scenario,
     parse_scenario,

@@ -11,26 +11,29 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.meshing.locate import element_uv
 from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.shell.pressure import Holes, touch_loads
+from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.receptor_stiffness import unknown_receptors
 from phytac_design.simulation import solver as solver_module
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.indenters import Touches, flat_touches
 from phytac_design.simulation.instance_shell import (
+    instance_model,
+    instance_shell,
     local_mesh,
     truth_mesh,
     truth_shell,
-    unit_model,
-    unit_shell,
 )
-from phytac_design.simulation.receptor_kinematics import Feet
+from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.response import point_motions, turned_points
-from phytac_design.simulation.sample_plan import Region
-from phytac_design.simulation.scenario.file import UnitSection
-from phytac_design.simulation.scenario.region import touched_region
-from phytac_design.simulation.scenario.scatter import draw_unit, wall_factor
-from phytac_design.simulation.sensor_instance import Unit
-from phytac_design.simulation.solver import Motion, Solver
+from phytac_design.simulation.sample_plan import ChartBox
+from phytac_design.simulation.scenario.contact_box import contact_box
+from phytac_design.simulation.scenario.instance_scatter import (
+    draw_sensor_instance,
+    thickness_factor,
+)
+from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
+from phytac_design.simulation.sensor_instance import SensorInstance
+from phytac_design.simulation.solver import SampleMotion, Solver
 from phytac_shapes.errors import NumericalError
 from tests.designs import small
 
@@ -40,10 +43,10 @@ REFINE = 3
 MIDDLE = (30.0, np.pi)
 
 
-def unit_of(design: Design, number: int = 0, **changes: Any) -> Unit:
+def unit_of(design: Design, number: int = 0, **changes: Any) -> SensorInstance:
     surface = design.surface()
-    section = UnitSection(number=number, **changes)
-    return draw_unit(design, surface, make_markers(design, surface), section, seed=5)
+    section = SensorInstanceSection(number=number, **changes)
+    return draw_sensor_instance(design, surface, make_markers(design, surface), section, seed=5)
 
 
 def touching(*rows: tuple[float, float, float, float]) -> Touches:
@@ -60,12 +63,12 @@ def touching(*rows: tuple[float, float, float, float]) -> Touches:
     )
 
 
-def solved(solver: Solver, *rows: tuple[float, float, float, float]) -> Motion:
+def solved(solver: Solver, *rows: tuple[float, float, float, float]) -> SampleMotion:
     touches = touching(*rows)
     return solver.solve(touches, touches.force_N)
 
 
-def got(motion: Motion) -> np.ndarray:
+def got(motion: SampleMotion) -> np.ndarray:
     assert motion.motion is not None, motion.reason
     return motion.motion
 
@@ -80,7 +83,7 @@ def test_unit_zero_is_the_design(name: str) -> None:
     design = DESIGN if name == "small" else load_design(name)
     surface = design.surface()
     mesh, model = truth_shell(design, surface, 2)
-    mine = unit_shell(design, surface, unit_of(design), 2)
+    mine = instance_shell(design, surface, unit_of(design), 2)
     np.testing.assert_array_equal(mine.mesh.nodes_mm, mesh.nodes_mm)
     np.testing.assert_array_equal(mine.mesh.quads, mesh.quads)
     np.testing.assert_array_equal(mine.model.stiffness.data, model.stiffness.data)
@@ -90,17 +93,17 @@ def test_unit_zero_is_the_design(name: str) -> None:
 def test_a_print_has_its_own_wall_material_and_receptors() -> None:
     unit = unit_of(DESIGN)
     mesh = truth_mesh(DESIGN, SURFACE, REFINE)
-    plain = unit_model(DESIGN, SURFACE, unit, mesh)
-    soft = unit_model(DESIGN, SURFACE, replace(unit, modulus=0.8), mesh)
+    plain = instance_model(DESIGN, SURFACE, unit, mesh)
+    soft = instance_model(DESIGN, SURFACE, replace(unit, modulus=0.8), mesh)
     np.testing.assert_allclose(soft.stiffness.data, 0.8 * plain.stiffness.data, atol=1e-9)
-    thick = unit_model(DESIGN, SURFACE, replace(unit, wall=replace(unit.wall, mean=1.1)), mesh)
+    thick = instance_model(DESIGN, SURFACE, replace(unit, wall=replace(unit.wall, mean=1.1)), mesh)
     np.testing.assert_allclose(thick.thickness_mm, 1.1 * np.asarray(plain.thickness_mm))
     # Uneven walls: each element has the thickness of its own place, also over the seam.
     uneven = unit_of(DESIGN, 3, marker_mm=0.0, height_mm=0.0, thickness_wave_share=0.05).wall
-    wavy = unit_model(DESIGN, SURFACE, replace(unit, wall=uneven), mesh)
+    wavy = instance_model(DESIGN, SURFACE, replace(unit, wall=uneven), mesh)
     ratio = np.asarray(wavy.thickness_mm) / np.asarray(plain.thickness_mm)
     centre = element_uv(mesh).mean(axis=1)
-    np.testing.assert_allclose(ratio, wall_factor(uneven, centre), atol=1e-9)
+    np.testing.assert_allclose(ratio, thickness_factor(uneven, centre), atol=1e-9)
     assert np.ptp(ratio) > 0.05
     # Receptors stiffen the wall where they are printed, and are read there.
     assert not unknown_receptors(DESIGN)
@@ -112,9 +115,11 @@ def test_a_print_has_its_own_wall_material_and_receptors() -> None:
     touches = touching((*MIDDLE, 4.0, 5.0))
     receptor = DESIGN.receptor
     holes = Holes.of(SURFACE, moved.markers.uv, receptor.diameter_hole_mm / 2.0)
-    load = touch_loads(there.mesh, SURFACE, touches, holes=holes) @ touches.force_N
+    load = indentation_loads(there.mesh, SURFACE, touches, holes=holes) @ touches.force_N
     field = there.model.solve(load).motion.ravel()
-    feet = Feet(there.mesh, SURFACE, moved.markers.uv, receptor.diameter_outer_mm / 2.0)
+    feet = ReceptorKinematics(
+        there.mesh, SURFACE, moved.markers.uv, receptor.diameter_outer_mm / 2.0
+    )
     at = feet.linear(field)
     np.testing.assert_allclose(got(there.solve(touches, touches.force_N)), at, atol=1e-12)
 
@@ -191,7 +196,7 @@ def test_what_cannot_be_solved_says_why(large: Solver, monkeypatch: pytest.Monke
     def broken(*_: Any, **__: Any) -> None:
         raise NumericalError("no such luck")
 
-    monkeypatch.setattr(solver_module, "touch_loads", broken)
+    monkeypatch.setattr(solver_module, "indentation_loads", broken)
     assert solved(large, (*MIDDLE, 4.0, 5.0)).reason == "no such luck"
 
 
@@ -218,7 +223,7 @@ def finest() -> Solver:
 @pytest.mark.parametrize("where", TOUCHED)
 def test_only_the_touched_part_is_fine(where: str, finest: Solver) -> None:
     touches, refine = TOUCHED[where], 5
-    region = touched_region(SURFACE, touches.uv, touches.radius_mm)
+    region = contact_box(SURFACE, touches.uv, touches.radius_mm)
     unit = unit_of(DESIGN)
     both = [
         Solver(DESIGN, SURFACE, unit, refine=refine, displacement="linear", region=part)
@@ -248,7 +253,7 @@ def test_only_the_touched_part_is_fine(where: str, finest: Solver) -> None:
 
 def test_where_a_local_mesh_is_none() -> None:
     mesh = truth_mesh(DESIGN, SURFACE, REFINE)
-    all_over = Region(low=SURFACE.domain[:, 0], high=SURFACE.domain[:, 1], whole=np.ones(2, bool))
+    all_over = ChartBox(low=SURFACE.domain[:, 0], high=SURFACE.domain[:, 1], whole=np.ones(2, bool))
     nearly = replace(all_over, low=np.array([2.0, 0.0]), whole=np.array([False, True]))
     for region, why in ((all_over, "all of the wall"), (nearly, "nearly all")):
         same, because = local_mesh(DESIGN, SURFACE, mesh, region)
@@ -257,13 +262,13 @@ def test_where_a_local_mesh_is_none() -> None:
     dome = load_design("hemisphere")
     surface = dome.surface()
     small_part = replace(all_over, high=all_over.low + 0.1, whole=np.zeros(2, bool))
-    shell = unit_shell(dome, surface, unit_of(dome), 2, small_part)
+    shell = instance_shell(dome, surface, unit_of(dome), 2, small_part)
     assert "pole" in shell.whole_because
     assert len(shell.mesh.nodes_mm) == shell.whole_nodes
     sheet = load_design("patch")
     face = sheet.surface()
-    spot = touched_region(face, face.domain.mean(axis=1)[None], np.array([4.0]))
-    shell = unit_shell(sheet, face, unit_of(sheet), 4, spot)
+    spot = contact_box(face, face.domain.mean(axis=1)[None], np.array([4.0]))
+    shell = instance_shell(sheet, face, unit_of(sheet), 4, spot)
     assert shell.whole_because == ""
     assert len(shell.mesh.nodes_mm) < 0.8 * shell.whole_nodes
 

@@ -14,7 +14,7 @@ from phytac_design.simulation import response as response_module
 from phytac_design.simulation.condense import condense
 from phytac_design.simulation.contacts import Contacts, draw_contacts, switch_states
 from phytac_design.simulation.dataset import Dataset, decode_points, key_node_data
-from phytac_design.simulation.force_errors import contact_forces, score
+from phytac_design.simulation.force_errors import contact_forces, force_score
 from phytac_design.simulation.instance_shell import truth_shell
 from phytac_design.simulation.response import (
     motion_responses,
@@ -191,7 +191,7 @@ def test_decoding_another_mesh_is_close_but_not_exact() -> None:
     data = Dataset(contacts=drawn, switching=state, shift_px=image - at_rest)
     seen = state.tripped
     estimate = contact_forces(decode_points(model, data, "koi_inverse"), drawn, state)
-    result = score(estimate[seen], drawn.force_N[seen])
+    result = force_score(estimate[seen], drawn.force_N[seen])
     assert 0.005 < result.relative_error < 0.2
     rows = key_node_data(model, data)
     assert len(rows.force_N) == state.bits.sum()
@@ -199,8 +199,8 @@ def test_decoding_another_mesh_is_close_but_not_exact() -> None:
 
 
 def test_scores_are_what_they_say() -> None:
-    result = score(np.array([1.1, 1.8, 3.0]), np.array([1.0, 2.0, 3.0]))
+    result = force_score(np.array([1.1, 1.8, 3.0]), np.array([1.0, 2.0, 3.0]))
     assert result.mae_N == pytest.approx(0.1)
     assert result.bias_N == pytest.approx(-0.1 / 3)
     assert result.relative_error == pytest.approx((0.1 + 0.1) / 3)
-    assert np.isnan(score(np.array([]), np.array([])).mae_N)
+    assert np.isnan(force_score(np.array([]), np.array([])).mae_N)

@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.contact_fit import Prior, start
-from phytac_decoder.estimation.contact_shifts import explained
-from phytac_decoder.mechanics.response_table import Places
+from phytac_decoder.estimation.contact_fit import ContactPrior, initial_state
+from phytac_decoder.estimation.contact_shifts import predicted_shifts
+from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import Readers, cameras_of
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
-from phytac_design.simulation.flat_walls import Wall, flat_walls
-from phytac_design.simulation.pressed_series import Pressed, Seen
-from phytac_design.simulation.response_tables import Tabulated, make_places
+from phytac_design.simulation.flat_walls import StretchedWall, flat_walls
+from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
+from phytac_design.simulation.response_tables import TabulatedResponse, tabulate_responses
 from phytac_shapes.arrays import FloatArray
 from tests.designs import of_shape
 
@@ -27,12 +27,12 @@ STRAIGHT = {"kind": "straight", "rows": 5, "columns": 7}
 class Bench:
     """A small sensor, its shell and its tables."""
 
-    pressed: Pressed
-    see: Seen
-    made: Tabulated
+    pressed: DiscResponse
+    see: ImageResponse
+    made: TabulatedResponse
 
     @property
-    def places(self) -> Places:
+    def places(self) -> ResponseTable:
         return self.made.places
 
 
@@ -49,10 +49,10 @@ def bench(shape: str = "plane", orders: int = 4) -> Bench:
     readers = Readers(
         cameras=cameras_of(design, surface), read_by=np.zeros(markers.count, dtype=np.int64)
     )
-    see = Seen(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
+    see = ImageResponse(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
     mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=refine)
     model = sensor_model(design, markers, mesh, receptors=False)
-    made = make_places(
+    made = tabulate_responses(
         design,
         surface,
         markers,
@@ -62,13 +62,13 @@ def bench(shape: str = "plane", orders: int = 4) -> Bench:
         spacing_mm=spacing_mm,
         orders=orders,
     )
-    pressed = Pressed(design, surface, markers, mesh=mesh, model=model, orders=orders)
+    pressed = DiscResponse(design, surface, markers, mesh=mesh, model=model, orders=orders)
     return Bench(pressed=pressed, see=see, made=made)
 
 
-def wall_of(one: Bench) -> Wall:
+def wall_of(one: Bench) -> StretchedWall:
     ((_, elements),) = flat_walls(one.pressed.model, one.places)
-    return Wall(one.pressed.model, elements)
+    return StretchedWall(one.pressed.model, elements)
 
 
 def test_an_even_stretch_stiffens_a_plate_by_its_tension() -> None:
@@ -120,13 +120,14 @@ def seen_and_told(one: Bench, forces: list[float]) -> tuple[FloatArray, FloatArr
     told = []
     for places in (one.places, replace(one.places, walls=None, shift_px=powers(one.places))):
         states = [
-            start(places, Prior(place_mm=1.0), p, f) for p, f in zip(points, forces, strict=True)
+            initial_state(places, ContactPrior(place_mm=1.0), p, f)
+            for p, f in zip(points, forces, strict=True)
         ]
-        told.append(np.sum([shifts for shifts, _ in explained(places, states)], axis=0))
+        told.append(np.sum([shifts for shifts, _ in predicted_shifts(places, states)], axis=0))
     return seen, told[0], told[1]
 
 
-def powers(places: Places) -> Any:
+def powers(places: ResponseTable) -> Any:
     return places.shift_px[:, : places.orders]
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from phytac_design.studio.server import Running
+from phytac_design.studio.server import StudioServer
 from tests.studio.place import DESIGN, Client, studio
 
 
@@ -17,13 +17,13 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="package")
-def running(place: Path) -> Iterator[Running]:
+def running(place: Path) -> Iterator[StudioServer]:
     with studio(place) as own:
         yield own
 
 
 @pytest.fixture(scope="package")
-def client(running: Running) -> Client:
+def client(running: StudioServer) -> Client:
     return Client(running)
 
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from phytac_design.studio.server import Running
+from phytac_design.studio.server import StudioServer
 
 DESIGN = """# A short sensor.
 name = "short"        # in exports
@@ -70,12 +70,12 @@ def stand_in(root: Path, mode: str) -> Path:
 
 
 @contextmanager
-def studio(root: Path, design: str = "", *, patience_s: float = 10.0) -> Iterator[Running]:
+def studio(root: Path, design: str = "", *, patience_s: float = 10.0) -> Iterator[StudioServer]:
     """Run a studio while the block lasts."""
     path = root / "short.toml"
     if not path.exists():
         path.write_text(DESIGN, encoding="utf-8")
-    running = Running(root, design or str(path), patience_s=patience_s)
+    running = StudioServer(root, design or str(path), patience_s=patience_s)
     ready = threading.Event()
     thread = threading.Thread(target=lambda: running.run(ready=lambda _: ready.set()))
     thread.start()
@@ -91,7 +91,7 @@ def studio(root: Path, design: str = "", *, patience_s: float = 10.0) -> Iterato
 class Client:
     """Requests as the page makes them, or with other headers."""
 
-    def __init__(self, running: Running) -> None:
+    def __init__(self, running: StudioServer) -> None:
         self.port, self.token = running.port, running.token
 
     def ask(

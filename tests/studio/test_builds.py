@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from phytac_design.studio.studies import studies, study_table
-from phytac_design.study.search.drive import run_study
-from phytac_design.study.search.file import Study
+from phytac_design.study.search.driver import run_study
 from phytac_design.study.search.space import make_space
+from phytac_design.study.search.study_file import Study
 from phytac_shapes.errors import InputError
 from tests.studio.place import DESIGN, Client, stand_in
 

@@ -17,7 +17,7 @@ from phytac_design.rules.design_review import checkup
 from phytac_design.studio.draft import Asked, draft, id_image, small_camera
 from phytac_design.studio.errors import error_body
 from phytac_design.studio.form import WHEN, field_paths, form
-from phytac_design.studio.turns import StaleError, Turn, Turns
+from phytac_design.studio.latest_only import StaleError, Turn, Turns
 from phytac_shapes.errors import DesignError
 from tests.studio.place import Client
 

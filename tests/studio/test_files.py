@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.page_fuzz import little_time
 from phytac_design.design.design_file import load_design, parse_design, shipped_designs
-from phytac_design.studio.files import AskError, Workplace, edited
+from phytac_design.studio.files import AskError, ProjectFolder, edited
 from phytac_shapes.errors import DesignError, InputError, OutputError
 from tests.studio.place import DESIGN, Client
 
@@ -18,12 +18,12 @@ Json = dict[str, Any]
 
 
 @pytest.fixture
-def workplace(tmp_path: Path) -> Workplace:
+def workplace(tmp_path: Path) -> ProjectFolder:
     (tmp_path / "short.toml").write_text(DESIGN)
-    return Workplace(tmp_path)
+    return ProjectFolder(tmp_path)
 
 
-def test_comments_stay_where_fields_stay(workplace: Workplace, data: Json) -> None:
+def test_comments_stay_where_fields_stay(workplace: ProjectFolder, data: Json) -> None:
     data["layout"]["spiral_angle_deg"] = 44.5
     data["layout"]["rows"] = 9
     data["shape"]["diameter_outer_mm"] = 58.0
@@ -45,7 +45,7 @@ def test_comments_stay_where_fields_stay(workplace: Workplace, data: Json) -> No
 
 
 @pytest.mark.parametrize("name", shipped_designs())
-def test_every_shipped_design_can_be_changed_and_saved(workplace: Workplace, name: str) -> None:
+def test_every_shipped_design_can_be_changed_and_saved(workplace: ProjectFolder, name: str) -> None:
     opened = workplace.open(name)
     data = {**opened.data, "name": "mine", "wall": {"thickness_mm": 0.9}}
     saved = workplace.save("mine.toml", data, source=name)
@@ -54,14 +54,14 @@ def test_every_shipped_design_can_be_changed_and_saved(workplace: Workplace, nam
     assert saved.text.count("#") >= opened.text.count("#")
 
 
-def test_another_family_takes_the_whole_table(workplace: Workplace, data: Json) -> None:
+def test_another_family_takes_the_whole_table(workplace: ProjectFolder, data: Json) -> None:
     data["shape"] = load_design("plane").shape.model_dump(mode="json")
     text = edited(DESIGN, data)
     assert tomllib.loads(text) == data
     assert "length_mm" not in text
 
 
-def test_text_that_cannot_be_kept_is_written_anew(workplace: Workplace, data: Json) -> None:
+def test_text_that_cannot_be_kept_is_written_anew(workplace: ProjectFolder, data: Json) -> None:
     (workplace.root / "dotted.toml").write_text(
         'name = "a"\nshape.kind = "cylinder"\nshape.diameter_outer_mm = 60\nshape.length_mm = 60\n'
     )
@@ -79,7 +79,7 @@ def test_text_that_cannot_be_kept_is_written_anew(workplace: Workplace, data: Js
     ],
 )
 def test_text_that_cannot_be_edited_is_written_anew(
-    workplace: Workplace, data: Json, text: str
+    workplace: ProjectFolder, data: Json, text: str
 ) -> None:
     """Read as TOML, but more than its editor holds."""
     (workplace.root / "odd.toml").write_text(text)
@@ -88,7 +88,7 @@ def test_text_that_cannot_be_edited_is_written_anew(
     assert parse_design(saved.data, "") == parse_design(data, "")
 
 
-def test_a_pipe_among_the_designs_stops_nobody(workplace: Workplace, data: Json) -> None:
+def test_a_pipe_among_the_designs_stops_nobody(workplace: ProjectFolder, data: Json) -> None:
     os.mkfifo(workplace.root / "pipe.toml")
     with little_time(5.0):
         assert workplace.designs() == ["short.toml"]
@@ -97,14 +97,14 @@ def test_a_pipe_among_the_designs_stops_nobody(workplace: Workplace, data: Json)
 
 
 def test_a_design_from_nowhere_gets_the_comments_of_the_model(
-    workplace: Workplace, data: Json
+    workplace: ProjectFolder, data: Json
 ) -> None:
     saved = workplace.save("new.toml", data, source="")
     assert parse_design(saved.data, "") == parse_design(data, "")
     assert "# Angle α of a spiral" in saved.text
 
 
-def test_what_is_there_is_not_written_over_unasked(workplace: Workplace, data: Json) -> None:
+def test_what_is_there_is_not_written_over_unasked(workplace: ProjectFolder, data: Json) -> None:
     path = workplace.root / "short.toml"
     with pytest.raises(AskError, match="exists already"):
         workplace.save("short.toml", data, source="short.toml")
@@ -125,7 +125,7 @@ def test_what_is_there_is_not_written_over_unasked(workplace: Workplace, data: J
     ["../out.toml", "/etc/out.toml", "link/out.toml", "a/../../out.toml", "a\x00.toml", "x.txt",
      "", ".toml", "folder.toml", "a\n.toml", "x" * 5000 + ".toml"],
 )  # fmt: skip
-def test_nothing_is_written_elsewhere(workplace: Workplace, data: Json, name: str) -> None:
+def test_nothing_is_written_elsewhere(workplace: ProjectFolder, data: Json, name: str) -> None:
     (workplace.root / "folder.toml").mkdir()
     outside = workplace.root.parent / "outside"
     outside.mkdir(exist_ok=True)
@@ -136,7 +136,7 @@ def test_nothing_is_written_elsewhere(workplace: Workplace, data: Json, name: st
     assert not (workplace.root.parent / "out.toml").exists()
 
 
-def test_a_link_that_leads_out_is_not_followed(workplace: Workplace, data: Json) -> None:
+def test_a_link_that_leads_out_is_not_followed(workplace: ProjectFolder, data: Json) -> None:
     target = workplace.root.parent / "target.toml"
     target.write_text(DESIGN)
     (workplace.root / "way.toml").symlink_to(target)
@@ -147,7 +147,7 @@ def test_a_link_that_leads_out_is_not_followed(workplace: Workplace, data: Json)
     assert target.read_text() == DESIGN
 
 
-def test_a_design_that_is_none_is_not_saved(workplace: Workplace, data: Json) -> None:
+def test_a_design_that_is_none_is_not_saved(workplace: ProjectFolder, data: Json) -> None:
     data["layout"]["rows"] = -1
     with pytest.raises(DesignError, match=r"layout\.rows"):
         workplace.save("short.toml", data, source="short.toml", force=True)
@@ -155,7 +155,7 @@ def test_a_design_that_is_none_is_not_saved(workplace: Workplace, data: Json) ->
 
 
 def test_files_that_it_names_must_be_found_at_the_new_place(
-    workplace: Workplace, data: Json
+    workplace: ProjectFolder, data: Json
 ) -> None:
     (workplace.root / "points.csv").write_text(
         "u,v\n" + "\n".join(f"{k}.0,0.5" for k in range(5, 50))
@@ -169,7 +169,7 @@ def test_files_that_it_names_must_be_found_at_the_new_place(
 
 
 def test_a_folder_that_cannot_be_written_is_told(
-    workplace: Workplace, data: Json, monkeypatch: pytest.MonkeyPatch
+    workplace: ProjectFolder, data: Json, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
@@ -181,7 +181,7 @@ def test_a_folder_that_cannot_be_written_is_told(
     assert [path.name for path in workplace.root.iterdir()] == ["short.toml"]
 
 
-def test_a_file_keeps_its_rights(workplace: Workplace, data: Json) -> None:
+def test_a_file_keeps_its_rights(workplace: ProjectFolder, data: Json) -> None:
     path = workplace.root / "short.toml"
     path.chmod(0o640)
     workplace.save("short.toml", data, source="short.toml", force=True)
@@ -192,7 +192,7 @@ def test_a_file_keeps_its_rights(workplace: Workplace, data: Json) -> None:
     assert stat.S_IMODE((workplace.root / "other.toml").stat().st_mode) == 0o666 & ~mask
 
 
-def test_designs_of_the_folder_are_found(workplace: Workplace, data: Json) -> None:
+def test_designs_of_the_folder_are_found(workplace: ProjectFolder, data: Json) -> None:
     root = workplace.root
     for name in ("b/c.toml", ".hidden/d.toml", "exports/x/design.toml", "1/2/3/4/5/deep.toml"):
         (root / name).parent.mkdir(parents=True)

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from phytac_design.studio.guard import BODY_MAX
-from phytac_design.studio.server import Running
+from phytac_design.studio.access_control import BODY_MAX
+from phytac_design.studio.server import StudioServer
 from tests.studio.place import Client, studio
 
 
@@ -18,7 +18,7 @@ def alive(client: Client) -> bool:
     return client.get("api/build")[0] == 200
 
 
-def test_it_listens_on_this_machine_alone(running: Running) -> None:
+def test_it_listens_on_this_machine_alone(running: StudioServer) -> None:
     assert running.server.servers[0].sockets[0].getsockname()[0] == "127.0.0.1"
 
 

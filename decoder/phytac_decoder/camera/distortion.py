@@ -25,7 +25,7 @@ def _radial(r2: FloatArray, k: FloatArray) -> tuple[FloatArray, FloatArray]:
     return factor, (top_slope - factor * bottom_slope) / bottom
 
 
-def bend(plane: FloatArray, k: FloatArray) -> FloatArray:
+def distort(plane: FloatArray, k: FloatArray) -> FloatArray:
     """Distorted points (n, 2) of points (n, 2) on the undistorted plane."""
     x, y = plane[:, 0], plane[:, 1]
     r2 = x * x + y * y
@@ -39,8 +39,8 @@ def bend(plane: FloatArray, k: FloatArray) -> FloatArray:
     )
 
 
-def bend_slope(plane: FloatArray, k: FloatArray) -> FloatArray:
-    """Derivative of :func:`bend`, (n, 2, 2)."""
+def distort_jacobian(plane: FloatArray, k: FloatArray) -> FloatArray:
+    """Derivative of :func:`distort`, (n, 2, 2)."""
     x, y = plane[:, 0], plane[:, 1]
     factor, slope = _radial(x * x + y * y, k)
     p1, p2 = k[2], k[3]
@@ -51,10 +51,10 @@ def bend_slope(plane: FloatArray, k: FloatArray) -> FloatArray:
     return out
 
 
-def unbend(
+def undistort(
     bent: FloatArray, k: FloatArray, radius: FloatArray, distorted: FloatArray
 ) -> FloatArray:
-    """Inverse of :func:`bend`: Newton from the radial table; NaN where it does not converge.
+    """Inverse of :func:`distort`: Newton from the radial table; NaN where it does not converge.
 
     Parameters
     ----------
@@ -74,12 +74,12 @@ def unbend(
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         for _ in range(NEWTON_STEPS):
             here, wanted = plane[left], bent[left]
-            error = bend(here, k) - wanted
+            error = distort(here, k) - wanted
             open_ = ~(np.abs(error).max(axis=1) <= RESIDUAL_MAX * np.maximum(1.0, size[left]))
             left, here, error = left[open_], here[open_], error[open_]
             if not len(left):
                 break
-            slope = bend_slope(here, k)
+            slope = distort_jacobian(here, k)
             a, b, c, d = slope[:, 0, 0], slope[:, 0, 1], slope[:, 1, 0], slope[:, 1, 1]
             step = np.column_stack(
                 [d * error[:, 0] - b * error[:, 1], a * error[:, 1] - c * error[:, 0]]

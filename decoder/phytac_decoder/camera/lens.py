@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from phytac_decoder.camera.distortion import bend, bend_slope, unbend
+from phytac_decoder.camera.distortion import distort, distort_jacobian, undistort
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import DesignError
 
@@ -117,7 +117,7 @@ class Lens(ABC):
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             radius, slope = self.radius(theta)
             radial, stretch = _least_stretch(radius, k)
-            bent = bend(np.column_stack([radius, np.zeros_like(radius)]), k * RADIAL)[:, 0]
+            bent = distort(np.column_stack([radius, np.zeros_like(radius)]), k * RADIAL)[:, 0]
             good = (slope * radial >= SLOPE_MIN * slope[0]) & (slope > 0.0) & (stretch > 0.0)
             good &= np.isfinite(radius * bent)
             good[1:] &= np.diff(bent) > 0.0
@@ -152,7 +152,7 @@ class Lens(ABC):
         slope[:, 1, 1] += s
         k = self.plane_coefficients
         if k.any():
-            slope = bend_slope(s[:, None] * p[:, :2], k) @ slope
+            slope = distort_jacobian(s[:, None] * p[:, :2], k) @ slope
         return np.asarray(slope * self.focal_px[:, None])
 
     def unproject(self, pixels: FloatArray) -> FloatArray:
@@ -162,14 +162,14 @@ class Lens(ABC):
         plane = bent
         if k.any():
             _, radius, distorted = self._profile
-            plane = unbend(bent, k, radius, distorted)
+            plane = undistort(bent, k, radius, distorted)
         directions = self.directions(plane)
         directions[~self.in_field(directions)] = np.nan
         return directions
 
     def _bend(self, plane: FloatArray) -> FloatArray:
         k = self.plane_coefficients
-        return bend(plane, k) if k.any() else plane
+        return distort(plane, k) if k.any() else plane
 
     def _kept(self, points: FloatArray) -> FloatArray:
         """Points with those outside of the field set to NaN."""
@@ -183,7 +183,7 @@ def _least_stretch(radius: FloatArray, k: FloatArray) -> tuple[FloatArray, Float
         return np.ones_like(radius), np.ones_like(radius)
     turn = 2.0 * np.pi * np.arange(FIELD_TURNS) / FIELD_TURNS
     around = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    slope = bend_slope((radius[:, None, None] * around).reshape(-1, 2), k)
+    slope = distort_jacobian((radius[:, None, None] * around).reshape(-1, 2), k)
     slope = slope.reshape(len(radius), FIELD_TURNS, 2, 2)
     radial = np.einsum("ai,naij,aj->na", around, slope, around)
     return radial.min(axis=1), np.linalg.det(slope).min(axis=1)

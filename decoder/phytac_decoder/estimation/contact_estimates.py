@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phytac_decoder.estimation.contact_fit import Fit
+from phytac_decoder.estimation.contact_fit import ContactFit
 from phytac_shapes.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)
-class Located:
+class LocatedContact:
     """One contact.
 
     Attributes
@@ -49,7 +49,7 @@ class Located:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stand:
+class FitState:
     """How the fit of a frame stands.
 
     Attributes
@@ -62,13 +62,13 @@ class Stand:
         Frames since that one.
     """
 
-    fit: Fit
+    fit: ContactFit
     misfit: float
     age: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class ContactDetection:
     """What one frame tells.
 
     Attributes
@@ -83,10 +83,10 @@ class Found:
         To go on from in the next frame.
     """
 
-    contacts: list[Located]
+    contacts: list[LocatedContact]
     misfit: float
     shift_px: FloatArray
-    stand: Stand | None = None
+    stand: FitState | None = None
 
     def receptor_forces_N(self, count: int) -> FloatArray:
         """Force (n,) N on each marker: contacts' forces shared among their switches."""

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phytac_decoder.estimation.contact_shifts import UNKNOWNS, State, explained
-from phytac_decoder.mechanics.interaction_table import Images
-from phytac_decoder.mechanics.response_table import Places
+from phytac_decoder.estimation.contact_shifts import UNKNOWNS, ContactState, predicted_shifts
+from phytac_decoder.mechanics.interaction_table import InteractionCache
+from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDS = 8
@@ -33,7 +33,7 @@ FORCE_SD_N = 1e3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prior:
+class ContactPrior:
     """What is known of a contact before shifts are looked at.
 
     Attributes
@@ -52,7 +52,7 @@ class Prior:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Noise:
+class ShiftNoise:
     """How far measured shifts are from those of the tables; standard deviations.
 
     Attributes
@@ -79,7 +79,7 @@ class Noise:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seen:
+class ShiftObservation:
     """Shifts of one frame.
 
     Attributes
@@ -98,7 +98,7 @@ class Seen:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit:
+class ContactFit:
     """Fitted contacts.
 
     Attributes
@@ -119,7 +119,7 @@ class Fit:
         The first part per number: 1 where noise is as expected.
     """
 
-    states: list[State]
+    states: list[ContactState]
     explained: FloatArray
     inverse: FloatArray
     covariance: FloatArray
@@ -127,7 +127,7 @@ class Fit:
     misfit: float
 
 
-def signal_of(state: State) -> float:
+def contact_signal_px(state: ContactState) -> float:
     """Shift of all markers together by the first newton, px."""
     t = np.zeros(10)
     x, y = state.x[1:3]
@@ -135,19 +135,19 @@ def signal_of(state: State) -> float:
     return float(np.linalg.norm(t.astype(np.float32) @ state.tables[:, 0]))
 
 
-def start(
-    places: Places,
-    prior: Prior,
+def initial_state(
+    places: ResponseTable,
+    prior: ContactPrior,
     point_mm: FloatArray,
     force_N: float,
     *,
     markers: IntArray | None = None,
     place_sd_mm: float | None = None,
-) -> State:
+) -> ContactState:
     """A contact to begin with."""
     place = int(places.nearest(point_mm[None])[0])
     xy = places.beside([place], point_mm[None])[0]
-    return State(
+    return ContactState(
         place=place,
         x=np.array([force_N, *xy, *prior.moments_mm2]),
         start_mm=point_mm,
@@ -157,16 +157,16 @@ def start(
     )
 
 
-def fit(
-    places: Places,
-    states: list[State],
-    seen: Seen,
+def fit_contacts(
+    places: ResponseTable,
+    states: list[ContactState],
+    seen: ShiftObservation,
     *,
-    prior: Prior,
-    noise: Noise,
+    prior: ContactPrior,
+    noise: ShiftNoise,
     firm: int = FIRM,
     rounds: int = ROUNDS,
-) -> Fit:
+) -> ContactFit:
     """Move contacts to where they are most likely; changes ``states``.
 
     All markers count in the first ``firm`` rounds; none need if the contacts begin where they were
@@ -179,10 +179,10 @@ def fit(
         ]
     )
     switched = np.concatenate([2 * seen.koi, 2 * seen.koi + 1])
-    images = Images(pairs=places.pairs) if places.pairs else None
+    images = InteractionCache(pairs=places.pairs) if places.pairs else None
     moved, doubting = np.inf, False
     for number in range(rounds + 1):
-        parts = explained(places, states, images)
+        parts = predicted_shifts(places, states, images)
         total = np.sum([part[0] for part in parts], axis=0)
         slope = np.concatenate([part[1] for part in parts])
         spread = noise.each_px**2 + (noise.share * total) ** 2
@@ -192,7 +192,7 @@ def fit(
         off = _off(places, states, prior)
         square, settled = float(left @ (inverse * left)), False
         if doubting or number >= firm or moved < STILL:
-            square, share = _doubted(left, inverse)
+            square, share = robust_cost(left, inverse)
             inverse = inverse * share
             settled = moved < STILL and (doubting or bool((share == 1.0).all()))
             doubting = True
@@ -202,7 +202,7 @@ def fit(
             break
         step = np.linalg.solve(hessian, slope @ (inverse * left) - weight * off)
         moved = _moved(places, states, step)
-    return Fit(
+    return ContactFit(
         states=states,
         explained=total,
         inverse=inverse,
@@ -212,20 +212,20 @@ def fit(
     )
 
 
-def nothing(seen: Seen, noise: Noise) -> Fit:
+def fit_without_contacts(seen: ShiftObservation, noise: ShiftNoise) -> ContactFit:
     """The fit of no contact at all."""
     inverse = np.where(seen.found, 1.0 / np.square(noise.each_px), 0.0)
-    return Fit(
+    return ContactFit(
         states=[],
         explained=np.zeros(len(seen.shift_px)),
         inverse=inverse,
         covariance=np.zeros((0, 0)),
-        cost=_doubted(seen.shift_px, inverse)[0],
+        cost=robust_cost(seen.shift_px, inverse)[0],
         misfit=float(inverse @ seen.shift_px**2) / max(int(seen.found.sum()), 1),
     )
 
 
-def _doubted(left: FloatArray, inverse: FloatArray) -> tuple[float, FloatArray]:
+def robust_cost(left: FloatArray, inverse: FloatArray) -> tuple[float, FloatArray]:
     """Sum of squares in which markers far off count for less, and the share (2n,) that they keep.
 
     Parameters
@@ -244,7 +244,7 @@ def _doubted(left: FloatArray, inverse: FloatArray) -> tuple[float, FloatArray]:
     return total, np.repeat(1.0 / over, 2)
 
 
-def _off(places: Places, states: Sequence[State], prior: Prior) -> FloatArray:
+def _off(places: ResponseTable, states: Sequence[ContactState], prior: ContactPrior) -> FloatArray:
     """How far contacts are from what is known beforehand, (6c,)."""
     x = np.array([state.x for state in states])
     starts = np.array([state.start_mm for state in states])
@@ -257,7 +257,7 @@ def _off(places: Places, states: Sequence[State], prior: Prior) -> FloatArray:
 _LONGEST = np.array([np.inf, STEP_MM, STEP_MM, STEP_MM2, STEP_MM2, STEP_MM2])
 
 
-def _moved(places: Places, states: Sequence[State], step: FloatArray) -> float:
+def _moved(places: ResponseTable, states: Sequence[ContactState], step: FloatArray) -> float:
     """Take a step, bounded; its size, see :data:`STILL`."""
     old = np.array([state.x for state in states])
     new = old + np.clip(step.reshape(-1, UNKNOWNS), -_LONGEST, _LONGEST)

@@ -55,7 +55,7 @@ class Contact:
     sd_N: float | None = None
 
 
-def contact_groups(koi: IntArray, neighbours: IntArray) -> list[list[int]]:
+def group_key_nodes(koi: IntArray, neighbours: IntArray) -> list[list[int]]:
     """Key nodes in groups that hang together, as rows of ``koi``, in growing order.
 
     Parameters
@@ -84,7 +84,7 @@ def contact_groups(koi: IntArray, neighbours: IntArray) -> list[list[int]]:
     return list(groups.values())
 
 
-def rows_of(
+def assign_to_contacts(
     markers: Sequence[IntArray], koi: IntArray, neighbours: IntArray
 ) -> list[IntArray] | None:
     """Rows of ``koi`` that are each contact's, by those that were its own a frame ago.
@@ -115,7 +115,7 @@ def rows_of(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Skin:
+class QuadricPatches:
     """The outer face around each of n markers: p + x·a + y·b + (c · [x, y, x², xy, y²])·normal.
 
     Attributes
@@ -136,7 +136,7 @@ class Skin:
     spacing_mm: FloatArray
 
     @classmethod
-    def through(cls, position_mm: FloatArray) -> "Skin":
+    def through(cls, position_mm: FloatArray) -> "QuadricPatches":
         """Fit it to markers (n, 3), each weighted by a Gaussian of its distance."""
         count = len(position_mm)
         gap = np.linalg.norm(position_mm[:, None] - position_mm[None], axis=2)
@@ -194,7 +194,7 @@ class Skin:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContactFinder:
+class ContactGrouper:
     """Finds the contacts of a frame.
 
     Attributes
@@ -209,9 +209,9 @@ class ContactFinder:
     neighbours: IntArray
 
     @cached_property
-    def skin(self) -> Skin:
+    def skin(self) -> QuadricPatches:
         """The outer face between the markers."""
-        return Skin.through(self.position_mm)
+        return QuadricPatches.through(self.position_mm)
 
     @cached_property
     def spacing_mm(self) -> float:
@@ -232,7 +232,7 @@ class ContactFinder:
         markers, forces = koi.tolist(), forces_N[koi].tolist()
         out = [
             self._contact([markers[row] for row in group], [forces[row] for row in group])
-            for group in contact_groups(koi, self.neighbours)
+            for group in group_key_nodes(koi, self.neighbours)
         ]
         return sorted(out, key=lambda contact: -contact.force_N)
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_decoder.mechanics.interaction_table import Images, with_mixed
-from phytac_decoder.mechanics.membrane_stretching import lost_share, powers_of
-from phytac_decoder.mechanics.response_table import Places
+from phytac_decoder.mechanics.interaction_table import InteractionCache, add_interactions
+from phytac_decoder.mechanics.membrane_stretching import lost_softness, order_factors
+from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray, IntArray
 
 UNKNOWNS = 6
@@ -16,7 +16,7 @@ UNKNOWNS = 6
 
 
 @dataclass(kw_only=True)
-class State:
+class ContactState:
     """A contact being fitted.
 
     Attributes
@@ -45,15 +45,15 @@ class State:
     markers: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     suspected: bool = False
 
-    def copy(self) -> "State":
+    def copy(self) -> "ContactState":
         """One that can be fitted on its own."""
         return replace(self, x=self.x.copy())
 
 
-def explained(
-    places: Places, states: Sequence[State], images: Images | None = None
+def predicted_shifts(
+    places: ResponseTable, states: Sequence[ContactState], images: InteractionCache | None = None
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Shifts and slopes of each of all contacts at once, see :func:`explain`.
+    """Shifts and slopes of each of all contacts at once, see :func:`single_contact_shifts`.
 
     What a contact does to others, on its flat wall or by mixed terms, counts as its own slope; a
     mixed term's shifts count half as the one's and half as the other's. ``images`` are those of
@@ -63,26 +63,30 @@ def explained(
     wall = places.walls.wall[[state.place for state in states]] if places.walls else None
     for k, state in enumerate(states):
         if wall is None or wall[k] < 0:
-            out[k] = explain(state, places.orders, top_N=places.top_N)
+            out[k] = single_contact_shifts(state, places.orders, top_N=places.top_N)
         elif k not in out:
             own = np.flatnonzero(wall == wall[k]).tolist()
             out |= dict(zip(own, _on_wall(places, [states[i] for i in own]), strict=True))
     parts = [out[k] for k in range(len(states))]
     if places.pairs is None or len(states) == 1:
         return parts
-    images = images or Images(pairs=places.pairs)
-    points = np.stack([point_of(places, state) for state in states])
-    return with_mixed(images.between(points), np.array([state.x[0] for state in states]), parts)
+    images = images or InteractionCache(pairs=places.pairs)
+    points = np.stack([centre_of(places, state) for state in states])
+    return add_interactions(
+        images.between(points), np.array([state.x[0] for state in states]), parts
+    )
 
 
-def point_of(places: Places, state: State) -> FloatArray:
+def centre_of(places: ResponseTable, state: ContactState) -> FloatArray:
     """Centre (3,) mm of a contact."""
     x, y = state.x[1:3]
     along, around = places.along[state.place], places.around[state.place]
     return np.asarray(places.point_mm[state.place] + x * along + y * around)
 
 
-def explain(state: State, orders: int, *, top_N: float = np.inf) -> tuple[FloatArray, FloatArray]:
+def single_contact_shifts(
+    state: ContactState, orders: int, *, top_N: float = np.inf
+) -> tuple[FloatArray, FloatArray]:
     """Shifts (2n,) px of one contact alone, and their slopes (6, 2n) by its unknowns.
 
     Parameters
@@ -94,16 +98,18 @@ def explain(state: State, orders: int, *, top_N: float = np.inf) -> tuple[FloatA
     """
     f = float(state.x[0])
     rows = _rows(state, state.tables[:, :orders])
-    powers, change = powers_of(rows[0], f, top_N)
+    powers, change = order_factors(rows[0], f, top_N)
     slope = ((f * powers).astype(np.float32) @ rows).astype(np.float64)
     total = slope[0].copy()
     slope[0] = ((1.0 + change) * powers).astype(np.float32) @ rows[0]
     return total, slope
 
 
-def _on_wall(places: Places, states: Sequence[State]) -> list[tuple[FloatArray, FloatArray]]:
+def _on_wall(
+    places: ResponseTable, states: Sequence[ContactState]
+) -> list[tuple[FloatArray, FloatArray]]:
     """The same of contacts that share a flat wall: more of its softness is lost than by each."""
-    out = [explain(state, places.orders, top_N=places.top_N) for state in states]
+    out = [single_contact_shifts(state, places.orders, top_N=places.top_N) for state in states]
     if len(states) == 1 or places.walls is None:
         return out
     near, weights = places.fits
@@ -142,19 +148,19 @@ def _lost(
 
     Those are by the unknowns of contacts whose slopes (6, k, r) by theirs are ``stretch``.
     """
-    lost, grows = lost_share(whole, most)
+    lost, grows = lost_softness(whole, most)
     powers = lost ** np.arange(len(whole))
     now = powers @ whole
     return lost, [2.0 * grows * (np.einsum("k,ukr->ur", powers, one) @ now) for one in stretch]
 
 
-def _rows(state: State, tables: NDArray[np.float32]) -> NDArray[np.float32]:
+def _rows(state: ContactState, tables: NDArray[np.float32]) -> NDArray[np.float32]:
     """Rows (6, k, 2n) of shifts and their slopes, by derivatives (10, k, 2n) of tables."""
     rows = _terms(state) @ tables.reshape(10, -1)
     return np.asarray(rows.reshape(UNKNOWNS, *tables.shape[1:]))
 
 
-def _terms(state: State) -> NDArray[np.float32]:
+def _terms(state: ContactState) -> NDArray[np.float32]:
     """What derivatives (10,) of the tables count for in shifts, and in their slopes, (6, 10).
 
     Rows: value, d/dx, d/dy, then what the moments go with.

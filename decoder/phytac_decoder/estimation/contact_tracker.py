@@ -20,7 +20,7 @@ SPEED_KEPT = 0.5
 STILL: Place = (0.0, 0.0, 0.0)
 INSIDE_MAX = 8
 """Contacts that one may be made of."""
-FAR = 1e9
+UNPAIRED_COST = 1e9
 """Cost of a pair that does not go together: more than any that does."""
 
 
@@ -52,7 +52,7 @@ class _Track:
         return x, y, z
 
 
-def assign(cost: FloatArray) -> list[int]:
+def linear_assignment(cost: FloatArray) -> list[int]:
     """Columns of the rows of a cost matrix (r, c), r <= c, so that their sum is least.
 
     Shortest augmenting paths (Jonker and Volgenant 1987).
@@ -82,16 +82,16 @@ def assign(cost: FloatArray) -> list[int]:
     return [taken[row] for row in range(rows)]
 
 
-def pair(cost: Sequence[Sequence[float]]) -> list[tuple[int, int]]:
-    """Rows and columns that go together: as many as can be, at the least cost, none at ``FAR``."""
+def match_pairs(cost: Sequence[Sequence[float]]) -> list[tuple[int, int]]:
+    """Rows and columns that go together: as many as can be, at the least cost, none at ``UNPAIRED_COST``."""
     if not cost or not cost[0]:
         return []
     table = np.array(cost)
     if len(cost) <= len(cost[0]):
-        pairs = list(enumerate(assign(table)))
+        pairs = list(enumerate(linear_assignment(table)))
     else:
-        pairs = [(row, column) for column, row in enumerate(assign(table.T))]
-    return [(row, column) for row, column in pairs if cost[row][column] < FAR]
+        pairs = [(row, column) for column, row in enumerate(linear_assignment(table.T))]
+    return [(row, column) for row, column in pairs if cost[row][column] < UNPAIRED_COST]
 
 
 @dataclass(kw_only=True)
@@ -160,7 +160,7 @@ class ContactTracker:
         for track in tracks:
             expected = track.expected(time_s, GATE_SPACINGS * self.spacing_mm)
             cost.append([self._cost(track, expected, contact) for contact in contacts])
-        return {column: tracks[row] for row, column in pair(cost)}
+        return {column: tracks[row] for row, column in match_pairs(cost)}
 
     def _cost(self, track: _Track, expected: Place, contact: Contact) -> float:
         """Distance of a contact from where a track is expected, less for markers in common."""
@@ -168,7 +168,7 @@ class ContactTracker:
         shared = len(track.markers.intersection(contact.markers))
         reach = GATE_SPACINGS * self.spacing_mm + 0.5 * max(track.size_mm, contact.size_mm)
         if not shared and away > reach:
-            return FAR
+            return UNPAIRED_COST
         # One that tripped no switch has none.
         return away - self.spacing_mm * shared / max(len(track.markers), 1)
 
@@ -209,7 +209,7 @@ class ContactTracker:
         members, track.inside = track.inside, []
         # More pieces than members leave one without: it is a new contact.
         del self._tracks[track.id], found[row]
-        pairs = pair(cost)
+        pairs = match_pairs(cost)
         for member, piece in pairs:
             alone = members[member]
             found[pieces[piece]] = self._tracks[alone.id] = alone
@@ -222,7 +222,7 @@ class ContactTracker:
         """Whether a contact lay in another's switches a frame ago, and has not come beside it."""
         if contact.markers:
             return not track.markers.isdisjoint(contact.markers)
-        return self._cost(track, track.place, contact) < FAR
+        return self._cost(track, track.place, contact) < UNPAIRED_COST
 
     def _hand_over(
         self, found: dict[int, _Track], row: int, track: _Track, contact: Contact

@@ -6,8 +6,8 @@ from functools import cached_property
 import numpy as np
 
 from phytac_decoder.estimation.cascade_network import CascadeNetwork, network_features
-from phytac_decoder.estimation.contact_estimates import Found
-from phytac_decoder.estimation.locator import Locator
+from phytac_decoder.estimation.contact_estimates import ContactDetection
+from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError
@@ -47,7 +47,7 @@ class ForceModel:
     height_z_mm: FloatArray
     neighbours: IntArray
     networks: dict[str, CascadeNetwork]
-    locator: Locator | None = None
+    locator: ContactLocator | None = None
 
     @property
     def estimators(self) -> tuple[str, ...]:
@@ -68,8 +68,8 @@ class ForceModel:
         return "koi_inverse" if self.locator is None else "auto"
 
     def contacts(
-        self, shift_px: FloatArray, koi: IntArray, *, before: Found | None = None
-    ) -> Found:
+        self, shift_px: FloatArray, koi: IntArray, *, before: ContactDetection | None = None
+    ) -> ContactDetection:
         """Contacts behind shifts (n, 2) px: place, size, force and its standard deviation.
 
         ``before`` is what the frame before showed, if there was one: then it is much faster.

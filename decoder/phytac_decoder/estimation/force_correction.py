@@ -39,7 +39,7 @@ QUANTILE_90 = 1.6449
 
 
 @dataclass(frozen=True, kw_only=True)
-class Correction:
+class ForceCorrection:
     """Factor on forces by place and force; arrays run over m contacts that it was learnt from.
 
     Attributes
@@ -70,7 +70,7 @@ class Correction:
     lengths: Lengths = (LENGTH, LENGTH, LENGTH)
 
     @classmethod
-    def plain(cls, *, low_mm: FloatArray, size_mm: float, force_max_N: float) -> "Correction":
+    def plain(cls, *, low_mm: FloatArray, size_mm: float, force_max_N: float) -> "ForceCorrection":
         """One that has learnt nothing: all factors are 1."""
         return cls(
             centre=np.zeros((0, 5)),
@@ -115,8 +115,8 @@ def kernel(a: FloatArray, b: FloatArray, lengths: Lengths) -> FloatArray:
     return np.asarray(np.exp(-0.5 * np.maximum(gap, 0.0)))
 
 
-def learn_correction(
-    plain: Correction,
+def fit_correction(
+    plain: ForceCorrection,
     *,
     point_mm: FloatArray,
     force_N: FloatArray,
@@ -124,7 +124,7 @@ def learn_correction(
     sd_N: FloatArray,
     truth_N: FloatArray,
     block: IntArray | None = None,
-) -> Correction:
+) -> ForceCorrection:
     """Learn from c contacts: fitted places, forces, signals and spread, and the truth.
 
     The spread is set so that 90 % of the truths lie within the central 90 %, by residuals that
@@ -149,8 +149,8 @@ def learn_correction(
         weight = inverse @ log
         left = _left_out(inverse, weight, block)
         error = np.abs(truth_N - force_N * np.exp(log - left))
-        spread, share = calibrated_spread(error, sd_N, force_N)
-    return Correction(
+        spread, share = fit_spread(error, sd_N, force_N)
+    return ForceCorrection(
         centre=own,
         weight=size**2 * weight,
         low_mm=plain.low_mm,
@@ -195,9 +195,7 @@ def _likeliest(own: FloatArray, log: FloatArray, noise: FloatArray, size: float)
     return max(LENGTHS, key=evidence)
 
 
-def calibrated_spread(
-    error_N: FloatArray, sd_N: FloatArray, force_N: FloatArray
-) -> tuple[float, float]:
+def fit_spread(error_N: FloatArray, sd_N: FloatArray, force_N: FloatArray) -> tuple[float, float]:
     """Factor on standard deviations, and share of the force, for 90 % of errors within 90 %.
 
     Of all such pairs the likeliest, with errors as Laplace has them: some are far larger than

@@ -38,7 +38,7 @@ class Region:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Chart:
+class MarkerChart:
     """Where markers stand on the design's chart; arrays run over n markers.
 
     Attributes
@@ -97,7 +97,7 @@ class RegionForces:
 
 
 def load_regions(
-    path: Path, position_mm: FloatArray, chart: Chart | None = None
+    path: Path, position_mm: FloatArray, chart: MarkerChart | None = None
 ) -> tuple[Region, ...]:
     """Regions of a TOML or JSON file, as marker ids.
 
@@ -126,11 +126,11 @@ def load_regions(
     if unknown or not isinstance(tables, list) or not tables:
         got = f"unknown key {_short(unknown[0])}" if unknown else "no list of regions"
         raise InputError(f"{path}: {got}; write one or more [[regions]] and nothing else")
-    return regions_of(tables, f"{path}: ", position_mm, chart)
+    return resolve_regions(tables, f"{path}: ", position_mm, chart)
 
 
-def regions_of(
-    tables: Sequence[Any], where: str, position_mm: FloatArray, chart: Chart | None = None
+def resolve_regions(
+    tables: Sequence[Any], where: str, position_mm: FloatArray, chart: MarkerChart | None = None
 ) -> tuple[Region, ...]:
     """Regions of tables, as marker ids; see :func:`load_regions`.
 
@@ -158,13 +158,13 @@ def regions_of(
     return tuple(Region(name=name, markers=tuple(sorted(ids))) for name, ids in found.items())
 
 
-def regions_table(regions: Sequence[Region]) -> list[dict[str, Any]]:
+def regions_to_table(regions: Sequence[Region]) -> list[dict[str, Any]]:
     """Regions as plain values, for a bundle."""
     return [{"name": region.name, "markers": list(region.markers)} for region in regions]
 
 
-def regions_from(table: object, count: int) -> tuple[Region, ...]:
-    """Undo :func:`regions_table`, for a sensor of so many markers.
+def regions_from_table(table: object, count: int) -> tuple[Region, ...]:
+    """Undo :func:`regions_to_table`, for a sensor of so many markers.
 
     Raises
     ------
@@ -176,7 +176,7 @@ def regions_from(table: object, count: int) -> tuple[Region, ...]:
     ):
         raise ValueError(f"regions are a list of names with markers (got {_short(table)})")
     try:
-        return regions_of(table, "", np.zeros((count, 3)))
+        return resolve_regions(table, "", np.zeros((count, 3)))
     except InputError as error:
         raise ValueError(str(error)) from None
 
@@ -214,7 +214,7 @@ def _name(table: object, where: str) -> str:
 
 
 def _chosen(
-    table: Mapping[str, Any], where: str, position_mm: FloatArray, chart: Chart | None
+    table: Mapping[str, Any], where: str, position_mm: FloatArray, chart: MarkerChart | None
 ) -> IntArray:
     """Markers (m,) that meet everything a table asks for."""
     given = [key for key in SELECTORS if key in table]
@@ -288,7 +288,7 @@ def _share(value: object, label: str, of: FloatArray, *, closed: bool) -> BoolAr
     return np.asarray((of >= low) | (of <= high))
 
 
-CHARTED: dict[str, Callable[[object, str, Chart], BoolArray]] = {
+CHARTED: dict[str, Callable[[object, str, MarkerChart], BoolArray]] = {
     "rows": lambda value, label, chart: _between(value, label, chart.row),
     "columns": lambda value, label, chart: _between(value, label, chart.column),
     "along": lambda value, label, chart: _share(value, label, chart.along, closed=False),

@@ -15,24 +15,24 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_decoder.estimation.contact_estimates import Found, Located, Stand
+from phytac_decoder.estimation.contact_estimates import ContactDetection, FitState, LocatedContact
 from phytac_decoder.estimation.contact_fit import (
     FIRM,
     ROUNDS,
-    Fit,
-    Noise,
-    Prior,
-    Seen,
-    fit,
-    nothing,
-    signal_of,
-    start,
+    ContactFit,
+    ContactPrior,
+    ShiftNoise,
+    ShiftObservation,
+    contact_signal_px,
+    fit_contacts,
+    fit_without_contacts,
+    initial_state,
 )
-from phytac_decoder.estimation.contact_grouping import contact_groups, rows_of
-from phytac_decoder.estimation.contact_shifts import UNKNOWNS, State, point_of
-from phytac_decoder.estimation.force_correction import Correction
+from phytac_decoder.estimation.contact_grouping import assign_to_contacts, group_key_nodes
+from phytac_decoder.estimation.contact_shifts import UNKNOWNS, ContactState, centre_of
+from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
-from phytac_decoder.mechanics.response_table import Places
+from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.discs import disc_overlap_share
 
@@ -74,7 +74,7 @@ SPREAD_LEAST = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Locator:
+class ContactLocator:
     """Finds contacts of one sensor.
 
     Attributes
@@ -97,18 +97,18 @@ class Locator:
         Switches that the camera cannot read.
     """
 
-    places: Places
+    places: ResponseTable
     position_mm: FloatArray
     neighbours: IntArray
     footprint_mm: float
     threshold_N: FloatArray
-    prior: Prior
-    noise: Noise
-    correction: Correction | None = None
+    prior: ContactPrior
+    noise: ShiftNoise
+    correction: ForceCorrection | None = None
     blind: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
-    def linear(self) -> "Locator":
+    def linear(self) -> "ContactLocator":
         """The same with its tables' first power alone, for a shell that is linear."""
         first = np.ascontiguousarray(self.places.shift_px[:, :1])
         return replace(self, places=replace(self.places, shift_px=first, pairs=None, walls=None))
@@ -132,7 +132,9 @@ class Locator:
     def _squares(self) -> NDArray[np.float32]:
         return np.asarray(self._first**2)
 
-    def find(self, shift_px: FloatArray, koi: IntArray, *, before: Found | None = None) -> Found:
+    def find(
+        self, shift_px: FloatArray, koi: IntArray, *, before: ContactDetection | None = None
+    ) -> ContactDetection:
         """Contacts behind shifts (n, 2) px, NaN where a marker was not found.
 
         Without a switch that is on there is no contact, and nothing is solved, unless some switch
@@ -141,16 +143,16 @@ class Locator:
         """
         d = np.asarray(shift_px, dtype=np.float64).reshape(-1)
         found = np.isfinite(d)
-        seen = Seen(shift_px=np.where(found, d, 0.0), found=found, koi=koi)
+        seen = ShiftObservation(shift_px=np.where(found, d, 0.0), found=found, koi=koi)
         stand = self._gone_on(before.stand, seen) if before and before.stand else None
         if stand is None:
-            best = self._switched(seen) if len(koi) else nothing(seen, self.noise)
+            best = self._switched(seen) if len(koi) else fit_without_contacts(seen, self.noise)
             if len(koi) or len(self.blind):
                 best = self._searched(best, seen)
-            stand = Stand(fit=best, misfit=best.misfit)
+            stand = FitState(fit=best, misfit=best.misfit)
         return replace(self._told(stand.fit, koi), stand=stand)
 
-    def _gone_on(self, stand: Stand, seen: Seen) -> Stand | None:
+    def _gone_on(self, stand: FitState, seen: ShiftObservation) -> FitState | None:
         """Contacts of the frame before in this one; None where they have to be looked for."""
         states = stand.fit.states
         aside = [state for state in states if not len(state.markers)]
@@ -173,11 +175,13 @@ class Locator:
         look = age % LOOK == 0 and len(aside) < SILENT_MAX
         if look and len(self._searched(best, seen).states) > len(best.states):
             return None
-        return Stand(fit=best, misfit=stand.misfit, age=age)
+        return FitState(fit=best, misfit=stand.misfit, age=age)
 
-    def _again(self, states: Sequence[State], seen: Seen) -> list[State] | None:
+    def _again(
+        self, states: Sequence[ContactState], seen: ShiftObservation
+    ) -> list[ContactState] | None:
         """The same contacts, about where this frame's switches say that they are."""
-        rows = rows_of([state.markers for state in states], seen.koi, self.neighbours)
+        rows = assign_to_contacts([state.markers for state in states], seen.koi, self.neighbours)
         if rows is None:
             return None
         force = self._switch_forces(seen)
@@ -187,7 +191,7 @@ class Locator:
             out.append(replace(state, start_mm=point, markers=seen.koi[own]))
         return out
 
-    def _switched(self, seen: Seen) -> Fit:
+    def _switched(self, seen: ShiftObservation) -> ContactFit:
         """Contacts that the switches tell."""
         force = self._switch_forces(seen)
         starts = [self._start(seen.koi, force, rows) for rows in self._split(seen.koi, force)]
@@ -207,7 +211,7 @@ class Locator:
                 best, starts = more, [*starts, unread]
         return best
 
-    def _unread_starts(self, seen: Seen) -> list[State]:
+    def _unread_starts(self, seen: ShiftObservation) -> list[ContactState]:
         """Contacts on switches that cannot be read and that motion says are pressed."""
         if len(self.blind) == 0:
             return []
@@ -217,7 +221,7 @@ class Locator:
         parts = self._parts(asked, force, np.flatnonzero(pressed), self._reach_mm)
         return [replace(self._start(asked, force, rows), markers=NO_MARKERS) for rows in parts]
 
-    def _searched(self, best: Fit, seen: Seen) -> Fit:
+    def _searched(self, best: ContactFit, seen: ShiftObservation) -> ContactFit:
         """The same with contacts that no switch tells."""
         koi = seen.koi
         # Without them, what tables err by where contacts are at once looks like contacts.
@@ -243,10 +247,15 @@ class Locator:
         return best
 
     def _fit(
-        self, states: list[State], seen: Seen, *, firm: int = FIRM, rounds: int = ROUNDS
-    ) -> Fit:
+        self,
+        states: list[ContactState],
+        seen: ShiftObservation,
+        *,
+        firm: int = FIRM,
+        rounds: int = ROUNDS,
+    ) -> ContactFit:
         own = [state.copy() for state in states]
-        return fit(
+        return fit_contacts(
             self.places, own, seen, prior=self.prior, noise=self.noise, firm=firm, rounds=rounds
         )
 
@@ -255,7 +264,7 @@ class Locator:
         """Switches farther from a contact's hardest pressed one may be another's."""
         return REACH * self.places.radius_mm + self.footprint_mm
 
-    def _switch_forces(self, seen: Seen) -> FloatArray:
+    def _switch_forces(self, seen: ShiftObservation) -> FloatArray:
         """Force (m,) N on each switch that is on, by the compliance inverse."""
         gram = self._gram[np.ix_(seen.koi, seen.koi)]
         if not seen.found.all():
@@ -269,14 +278,14 @@ class Locator:
         """Rows of each group of neighbouring switches, and of each part that is within reach."""
         return [
             rows
-            for group in contact_groups(koi, self.neighbours)
+            for group in group_key_nodes(koi, self.neighbours)
             for rows in self._parts(koi, force_N, np.array(group), reach_mm)
         ]
 
-    def _start(self, koi: IntArray, force_N: FloatArray, rows: IntArray) -> State:
+    def _start(self, koi: IntArray, force_N: FloatArray, rows: IntArray) -> ContactState:
         """A contact on switches ``koi[rows]`` by the forces on all."""
         point, most = self._middle(koi, force_N, rows)
-        return start(self.places, self.prior, point, max(most, START_N), markers=koi[rows])
+        return initial_state(self.places, self.prior, point, max(most, START_N), markers=koi[rows])
 
     def _middle(
         self, koi: IntArray, force_N: FloatArray, rows: IntArray
@@ -299,7 +308,9 @@ class Locator:
             rows = rows[~mine]
         return parts
 
-    def _silent(self, best: Fit, seen: Seen, least: float) -> State | None:
+    def _silent(
+        self, best: ContactFit, seen: ShiftObservation, least: float
+    ) -> ContactState | None:
         """The contact that would explain most of what is left; None if none explains so much."""
         left = best.inverse * (seen.shift_px - best.explained)
         pull = self._first @ left.astype(np.float32)
@@ -308,7 +319,7 @@ class Locator:
         place = int(np.argmax(gain))
         if gain[place] < least:
             return None
-        return start(
+        return initial_state(
             self.places,
             self.prior,
             self.places.point_mm[place],
@@ -316,45 +327,45 @@ class Locator:
             place_sd_mm=2.0 * self.places.spacing_mm,
         )
 
-    def _carried(self, state: State) -> FloatArray:
+    def _carried(self, state: ContactState) -> FloatArray:
         """Force (n,) N of a contact on each switch."""
         radius = float(self._radii([state])[0])
-        gap = np.linalg.norm(point_of(self.places, state) - self.position_mm, axis=1)
+        gap = np.linalg.norm(centre_of(self.places, state) - self.position_mm, axis=1)
         share = disc_overlap_share(gap, radius, self.footprint_mm)
         return np.asarray(float(state.x[0]) * share)
 
-    def _unread(self, state: State) -> IntArray:
+    def _unread(self, state: ContactState) -> IntArray:
         """Switches (u,) that cannot be read and that a contact must have turned on."""
         on = self._carried(state)[self.blind] >= self.threshold_N[self.blind]
         return self.blind[on]
 
-    def _could_be_silent(self, found: Fit, koi: IntArray) -> bool:
+    def _could_be_silent(self, found: ContactFit, koi: IntArray) -> bool:
         """Whether the last contact would leave off all switches that are off."""
         carried = self._carried(found.states[-1])
         carried[koi] = carried[self.blind] = 0.0
         return bool((carried <= SILENT_OVER * self.threshold_N).all())
 
-    def _radii(self, states: Sequence[State]) -> FloatArray:
+    def _radii(self, states: Sequence[ContactState]) -> FloatArray:
         """Radius (c,) mm of the even disc with each contact's mean second moment."""
         disc = self.places.radius_mm**2 / 2.0
         spread = np.array([disc + state.x[3] + state.x[5] for state in states])
         return np.asarray(np.sqrt(2.0 * np.maximum(spread, SPREAD_LEAST * disc)))
 
-    def _told(self, best: Fit, koi: IntArray) -> Found:
+    def _told(self, best: ContactFit, koi: IntArray) -> ContactDetection:
         """Contacts in words of the user's: corrected, with their switches."""
         sure = [k for k, state in enumerate(best.states) if not state.suspected]
         if not sure:
-            return Found(contacts=[], misfit=best.misfit, shift_px=best.explained)
+            return ContactDetection(contacts=[], misfit=best.misfit, shift_px=best.explained)
         states = [best.states[k] for k in sure]
         sd = np.sqrt(np.diagonal(best.covariance)).reshape(-1, UNKNOWNS)[sure]
-        points = np.stack([point_of(self.places, state) for state in states])
+        points = np.stack([centre_of(self.places, state) for state in states])
         radius = self._radii(states)
         raw = np.array([state.x[0] for state in states])
         gap, covered = self._covered(points, radius, koi)
         # Where no disc reaches a switch, it belongs to the contact that it started.
         started = np.array([self._among(state.markers, koi) for state in states])
         owner = np.argmax(raw[:, None] * covered + 1e-6 * started - 1e-9 * gap, axis=0)
-        signal = np.array([signal_of(state) for state in states])
+        signal = np.array([contact_signal_px(state) for state in states])
         if self.correction is None:
             force, spread_N = raw, np.hypot(sd[:, 0], PRINT_SHARE * raw)
         else:
@@ -368,7 +379,7 @@ class Locator:
             tripped[k] = self._unread(states[k])
             share[k] = self._covered(points[k : k + 1], radius[k : k + 1], tripped[k])[1][0]
         contacts = [
-            Located(
+            LocatedContact(
                 markers=tripped[k],
                 share=(share[k] + 1e-6) / np.sum(share[k] + 1e-6),
                 force_N=float(force[k]),
@@ -384,7 +395,7 @@ class Locator:
             for k in told
         ]
         contacts.sort(key=lambda contact: len(contact.markers) == 0)
-        return Found(contacts=contacts, misfit=best.misfit, shift_px=best.explained)
+        return ContactDetection(contacts=contacts, misfit=best.misfit, shift_px=best.explained)
 
     def _covered(
         self, points_mm: FloatArray, radius_mm: FloatArray, markers: IntArray

@@ -18,9 +18,8 @@ from safetensors.numpy import load_file, save_file
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.cascade_network import ACTIVATIONS, INPUTS, CascadeNetwork
 from phytac_decoder.estimation.estimators import ForceModel
-from phytac_decoder.estimation.force_regions import Region, regions_from, regions_table
-from phytac_decoder.estimation.locator import Locator
-from phytac_decoder.estimation.sensor_limits import NOISE_SHARE_MAX, check_scene, in_play, limits_of
+from phytac_decoder.estimation.force_regions import Region, regions_from_table, regions_to_table
+from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle_camera import camera_from, camera_table
 from phytac_decoder.io.bundle_check import (
     above_zero,
@@ -34,6 +33,7 @@ from phytac_decoder.io.bundle_check import (
     positive,
 )
 from phytac_decoder.io.bundle_locator import locator_arrays, locator_from, locator_table
+from phytac_decoder.io.sensor_limits import NOISE_SHARE_MAX, check_scene, limits_of, markers_in_play
 from phytac_decoder.vision.segmentation import ColourModel
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
@@ -50,7 +50,7 @@ ARRAYS_BYTES_MAX = 1 << 33
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shown:
+class CameraView:
     """What one camera shows of the unloaded sensor, of markers that another one reads too.
 
     Attributes
@@ -121,7 +121,7 @@ class Bundle:
     threshold_N: FloatArray
     noise_centroid_px: float = 0.04
     force_max_N: float = 25.0
-    shown: tuple[Shown, ...] = ()
+    shown: tuple[CameraView, ...] = ()
     regions: tuple[Region, ...] = ()
     notes: dict[str, Any] = field(default_factory=dict)
 
@@ -130,9 +130,11 @@ class Bundle:
         """The camera; of two, the near end's."""
         return self.cameras[0]
 
-    def shown_by(self, number: int) -> Shown:
+    def shown_by(self, number: int) -> CameraView:
         """What a camera shows."""
-        return self.shown[number] if self.shown else Shown(rest_px=self.rest_px, tips=self.tips)
+        return (
+            self.shown[number] if self.shown else CameraView(rest_px=self.rest_px, tips=self.tips)
+        )
 
     def of_camera(self, number: int) -> str:
         """Which camera, in a sentence; "" if there is but one."""
@@ -191,7 +193,7 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
     if model.locator is not None:
         meta["auto"] = locator_table(model.locator)
     if bundle.regions:
-        meta["regions"] = regions_table(bundle.regions)
+        meta["regions"] = regions_to_table(bundle.regions)
     arrays = {
         "colour": bundle.colour,
         "position_mm": bundle.position_mm,
@@ -274,7 +276,7 @@ def load_bundle(folder: Path) -> Bundle:
         bundle = _assemble(meta, arrays, cameras, locator)
         check_scene(bundle)
         if locator is not None:
-            locator = replace(locator, blind=bundle.tips.blind(in_play(bundle)))
+            locator = replace(locator, blind=bundle.tips.blind(markers_in_play(bundle)))
             bundle = replace(bundle, model=replace(bundle.model, locator=locator))
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         raise InputError(
@@ -323,7 +325,7 @@ def _assemble(
     meta: dict[str, Any],
     arrays: dict[str, Any],
     cameras: tuple[Camera, ...],
-    locator: Locator | None,
+    locator: ContactLocator | None,
 ) -> Bundle:
     for name, item in meta["networks"].items():
         if item["activation"] not in ACTIVATIONS:
@@ -374,14 +376,14 @@ def _assemble(
         force_max_N=positive(meta.get("force_max_N", 25.0), "force_max_N"),
         shown=tuple(_shown(arrays, number) for number in range(len(cameras) if several else 0)),
         # Up to schema 1.4 there were none.
-        regions=regions_from(meta.get("regions", []), len(arrays["colour"])),
+        regions=regions_from_table(meta.get("regions", []), len(arrays["colour"])),
         notes=dict(meta["notes"]),
     )
 
 
-def _shown(arrays: dict[str, Any], number: int) -> Shown:
+def _shown(arrays: dict[str, Any], number: int) -> CameraView:
     """What one of several cameras shows."""
-    return Shown(
+    return CameraView(
         rest_px=arrays["shown_rest_px"][number],
         tips=TipModel(
             on_px=arrays["shown_tip_on_px"][number],

@@ -6,18 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from phytac_decoder.estimation.contact_fit import Noise, Prior
-from phytac_decoder.estimation.force_correction import LENGTH, Correction
-from phytac_decoder.estimation.locator import Locator
+from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
+from phytac_decoder.estimation.force_correction import LENGTH, ForceCorrection
+from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle_check import above_zero, numbers
-from phytac_decoder.mechanics.interaction_table import Pairs
-from phytac_decoder.mechanics.membrane_stretching import Walls
-from phytac_decoder.mechanics.response_table import Places
+from phytac_decoder.mechanics.interaction_table import InteractionTable
+from phytac_decoder.mechanics.membrane_stretching import BergerWall
+from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError
 
 PREFIX, PAIR, WALL, RATIO = "places.", "pair_", "wall_", "noise_ratio"
-LEAST_PLACES = 4
+PLACES_MIN = 4
 KINDS: dict[str, Any] = {
     "shift_px": np.float32,
     PAIR + "coordinates": np.float32,
@@ -28,7 +28,7 @@ KINDS: dict[str, Any] = {
 """Of numbers in arrays; float64 of all others."""
 
 
-def locator_table(locator: Locator) -> dict[str, Any]:
+def locator_table(locator: ContactLocator) -> dict[str, Any]:
     """What stands in ``bundle.json``."""
     prior, noise, learnt = locator.prior, locator.noise, locator.correction
     table: dict[str, Any] = {
@@ -58,7 +58,7 @@ def locator_table(locator: Locator) -> dict[str, Any]:
     return table
 
 
-def places_arrays(places: Places) -> dict[str, Any]:
+def response_arrays(places: ResponseTable) -> dict[str, Any]:
     """Arrays of tables, and of those of pairs and flat walls if there are any, by name."""
     arrays: dict[str, Any] = _arrays(places, "shift_px")
     if places.pairs is not None:
@@ -71,7 +71,7 @@ def places_arrays(places: Places) -> dict[str, Any]:
     return arrays
 
 
-def _arrays(places: Places, rows: str) -> dict[str, Any]:
+def _arrays(places: ResponseTable, rows: str) -> dict[str, Any]:
     return {
         "point_mm": places.point_mm,
         "along": places.along,
@@ -80,13 +80,18 @@ def _arrays(places: Places, rows: str) -> dict[str, Any]:
     }
 
 
-def places_from(arrays: Mapping[str, Any], radius_mm: float, top_N: float = np.inf) -> Places:
-    """Tables of :func:`places_arrays` for a disc of a radius and forces up to one."""
+def response_from_arrays(
+    arrays: Mapping[str, Any], radius_mm: float, top_N: float = np.inf
+) -> ResponseTable:
+    """Tables of :func:`response_arrays` for a disc of a radius and forces up to one."""
 
     def made(
-        prefix: str, rows: str, pairs: Pairs | None = None, walls: Walls | None = None
-    ) -> Places:
-        return Places(
+        prefix: str,
+        rows: str,
+        pairs: InteractionTable | None = None,
+        walls: BergerWall | None = None,
+    ) -> ResponseTable:
+        return ResponseTable(
             point_mm=arrays[prefix + "point_mm"],
             along=arrays[prefix + "along"],
             around=arrays[prefix + "around"],
@@ -100,9 +105,9 @@ def places_from(arrays: Mapping[str, Any], radius_mm: float, top_N: float = np.i
     pairs, walls = None, None
     # Up to schema 1.9 tables of pairs were of another kind, by rows.
     if PAIR + "coordinates" in arrays:
-        pairs = Pairs(grid=made(PAIR, "coordinates"), axes_px=arrays[PAIR + "axes_px"])
+        pairs = InteractionTable(grid=made(PAIR, "coordinates"), axes_px=arrays[PAIR + "axes_px"])
     if WALL + "slopes" in arrays:
-        walls = Walls(
+        walls = BergerWall(
             wall=arrays[WALL + "number"],
             slopes=arrays[WALL + "slopes"],
             most=float(arrays[WALL + "most"][0]),
@@ -110,10 +115,10 @@ def places_from(arrays: Mapping[str, Any], radius_mm: float, top_N: float = np.i
     return made("", "shift_px", pairs, walls)
 
 
-def locator_arrays(locator: Locator) -> dict[str, Any]:
+def locator_arrays(locator: ContactLocator) -> dict[str, Any]:
     """What stands in ``bundle.safetensors``."""
     places, learnt = locator.places, locator.correction
-    arrays = places_arrays(places)
+    arrays = response_arrays(places)
     if locator.noise.ratio is not None:
         arrays[RATIO] = locator.noise.ratio
     if learnt is not None:
@@ -129,7 +134,7 @@ def locator_from(
     neighbours: IntArray,
     threshold_N: FloatArray,
     folder: Path,
-) -> Locator:
+) -> ContactLocator:
     """Undo both.
 
     Raises
@@ -144,7 +149,7 @@ def locator_from(
         for name, value in arrays.items()
         if name.startswith(PREFIX)
     }
-    if PAIR + "rows" in own:  # of schema 1.9 and before, see places_from
+    if PAIR + "rows" in own:  # of schema 1.9 and before, see response_from_arrays
         own = {name: value for name, value in own.items() if not name.startswith(PAIR)}
     _check(own, 2 * len(position_mm), learnt="learnt" in table, folder=folder)
     correction = None
@@ -152,7 +157,7 @@ def locator_from(
         said = table["learnt"]
         # Up to schema 1.6 there was one for all.
         place, force, signal = said.get("lengths", (LENGTH, LENGTH, LENGTH))
-        correction = Correction(
+        correction = ForceCorrection(
             centre=own["centre"],
             weight=own["weight"],
             low_mm=numbers(said["low_mm"], 3),
@@ -165,21 +170,21 @@ def locator_from(
     radius_mm = above_zero(table["radius_mm"])
     prior, noise = table["prior"], table["noise"]
     mean, sd = numbers(prior["moments_mm2"], 3), numbers(prior["moments_sd_mm2"], 3)
-    return Locator(
+    return ContactLocator(
         # Up to schema 1.7 there was none.
-        places=places_from(
+        places=response_from_arrays(
             own, radius_mm, above_zero(table["top_N"]) if "top_N" in table else np.inf
         ),
         position_mm=position_mm,
         neighbours=neighbours,
         footprint_mm=above_zero(table["footprint_mm"]),
         threshold_N=threshold_N,
-        prior=Prior(
+        prior=ContactPrior(
             place_mm=above_zero(prior["place_mm"]),
             moments_mm2=(float(mean[0]), float(mean[1]), float(mean[2])),
             moments_sd_mm2=(above_zero(sd[0]), above_zero(sd[1]), above_zero(sd[2])),
         ),
-        noise=Noise(
+        noise=ShiftNoise(
             centroid_px=above_zero(noise["centroid_px"]),
             share=float(numbers([noise["share"]], 1)[0]),
             switched_px=float(numbers([noise["switched_px"]], 1)[0]),
@@ -205,7 +210,7 @@ def _check(own: Mapping[str, Any], columns: int, *, learnt: bool, folder: Path) 
         if not np.isfinite(value).all():
             raise InputError(f"{where}: {PREFIX}{name} holds numbers that are not finite")
     count = len(own["point_mm"])
-    if count < LEAST_PLACES:
+    if count < PLACES_MIN:
         raise InputError(f"{where}: {PREFIX}point_mm has {count} places; rebuild the decoder")
     if WALL + "most" in own and not 0.0 < float(own[WALL + "most"][0]) < 1.0:
         raise InputError(

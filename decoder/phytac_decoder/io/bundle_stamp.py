@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from phytac_decoder.estimation.force_regions import Region, regions_table
+from phytac_decoder.estimation.force_regions import Region, regions_to_table
 
 
 def stamp_bundle(
@@ -16,6 +16,6 @@ def stamp_bundle(
     meta |= {"design": design, "design_hash": design_hash}
     meta.pop("regions", None)
     if regions:
-        meta["regions"] = regions_table(regions)
+        meta["regions"] = regions_to_table(regions)
     text = json.dumps(meta, indent=1, sort_keys=True, ensure_ascii=False)
     path.write_text(text + "\n", encoding="utf-8")

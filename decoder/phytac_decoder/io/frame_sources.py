@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phytac_decoder.io.frame import Frame, Source
-from phytac_decoder.io.live_camera import Live
-from phytac_decoder.io.recorded_frames import SUFFIXES, Folder, Track, Video
+from phytac_decoder.io.live_camera import CameraSource
+from phytac_decoder.io.recorded_frames import SUFFIXES, ImageFolder, ImageSequence, VideoFile
 from phytac_decoder.io.synchronised_recordings import InStep
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
@@ -18,7 +18,7 @@ from phytac_shapes.errors import InputError
 CAMERAS_MAX = 2
 
 
-class Recording(Source):
+class RecordingSource(Source):
     """Recorded pictures of one camera or two, in step: see :class:`phytac_decoder.io.synchronised_recordings.InStep`.
 
     Parameters
@@ -50,7 +50,7 @@ class Recording(Source):
 
     def __init__(
         self,
-        tracks: Sequence[Track],
+        tracks: Sequence[ImageSequence],
         *,
         fps: float | None = None,
         every: bool = False,
@@ -168,7 +168,7 @@ def open_source(
         A path, a camera's number (``0``; a folder of that name is ``./0``), or an address
         (``rtsp://…``); for two cameras two of a kind, the near end's first.
     fps, every, loop
-        See :class:`Recording`.
+        See :class:`RecordingSource`.
     pace : bool
         Wait until each frame of a recording is due; otherwise ``fps`` only tells when it was taken,
         and no frame is left out.
@@ -189,15 +189,15 @@ def open_source(
     if len(devices) == len(wheres):
         if loop or every:
             raise InputError("a camera neither begins again nor waits; leave --loop, --every out")
-        return Live(devices, fps=fps, size_px=size_px, report=report)
+        return CameraSource(devices, fps=fps, size_px=size_px, report=report)
     if devices:
         raise InputError(
             f"a camera and a recording do not go together (got {' and '.join(wheres)})"
         )
     tracks = [_track(Path(where)) for where in wheres]
     if pace:
-        return Recording(tracks, fps=fps, every=every, loop=loop, report=report)
-    return Recording(
+        return RecordingSource(tracks, fps=fps, every=every, loop=loop, report=report)
+    return RecordingSource(
         tracks, fps=fps, every=True, loop=loop, report=report, sleep=lambda _seconds: None
     )
 
@@ -257,7 +257,7 @@ def _device(where: str) -> int | str | None:
         return None
 
 
-def _track(where: Path) -> Track:
+def _track(where: Path) -> ImageSequence:
     try:
         kind = where.stat().st_mode
     except (OSError, ValueError) as error:
@@ -267,5 +267,5 @@ def _track(where: Path) -> Track:
             "camera's number"
         ) from None
     if stat.S_ISDIR(kind) or where.suffix.lower() in SUFFIXES:
-        return Folder(where)
-    return Video(where)
+        return ImageFolder(where)
+    return VideoFile(where)

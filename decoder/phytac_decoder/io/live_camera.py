@@ -22,7 +22,7 @@ AGAIN_S = 0.005
 PERIOD_MAX_S = 0.5
 
 
-class Live(Source):
+class CameraSource(Source):
     """A camera, or two that are read together; always the newest frame.
 
     They are read by a thread of their own, so that a slow decoder gets no frame that waited in

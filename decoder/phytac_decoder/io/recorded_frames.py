@@ -22,7 +22,7 @@ COUNT_MAX = 10**9
 """Headers that speak of more pictures know of none."""
 
 
-class Track(ABC):
+class ImageSequence(ABC):
     """Pictures of one camera that were recorded.
 
     Attributes
@@ -77,7 +77,7 @@ class Track(ABC):
         """Let files go."""
 
 
-class Folder(Track):
+class ImageFolder(ImageSequence):
     """Image files, by their times where all names are times, else by the numbers in their names.
 
     Names are times if all are seconds with decimals (``12.350.png``) or nanoseconds, as ROS
@@ -138,7 +138,7 @@ class Folder(Track):
         self.at = 0
 
 
-class Video(Track):
+class VideoFile(ImageSequence):
     """A video that OpenCV reads, on beyond places that are damaged.
 
     Raises

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from phytac_decoder.io.recorded_frames import Track
+from phytac_decoder.io.recorded_frames import ImageSequence
 
 AGREE = 0.55
 """Pictures of one instant are at most so much of an interval apart. Any two are half of it apart or
@@ -37,7 +37,7 @@ class InStep:
         Whether times tell what belongs together.
     """
 
-    def __init__(self, tracks: Sequence[Track], report: Callable[[str], None]) -> None:
+    def __init__(self, tracks: Sequence[ImageSequence], report: Callable[[str], None]) -> None:
         self._tracks, self._report = tracks, report
         self._told: set[str] = set()
         self.by_time = len(tracks) > 1 and comparable(*tracks)
@@ -125,7 +125,7 @@ class InStep:
             self._report(f"{short} ends after {number} frames, before the other camera's")
 
 
-def comparable(near: Track, far: Track) -> bool:
+def comparable(near: ImageSequence, far: ImageSequence) -> bool:
     """Whether the times of two recordings are of one clock, as far as can be told."""
     rates = near.interval_s, far.interval_s
     if not (near.stamped and far.stamped and min(rates) > 0.0):

@@ -17,10 +17,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_decoder.mechanics.response_table import Places
+from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray
 
-MOST = 0.3
+INTERACTION_SHARE_MAX = 0.3
 """Largest mixed term over what each of the two does alone: contacts that all but cover each other
 are no pair."""
 
@@ -31,7 +31,7 @@ KEPT = 128
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pairs:
+class InteractionTable:
     """Mixed terms over each two of p places.
 
     Attributes
@@ -42,10 +42,10 @@ class Pairs:
         Images, px/N², that these count.
     """
 
-    grid: Places
+    grid: ResponseTable
     axes_px: NDArray[np.float32]
 
-    def scaled(self, stiffness: float) -> "Pairs":
+    def scaled(self, stiffness: float) -> "InteractionTable":
         """Those of a sensor that is stiffer by a factor."""
         return replace(self, axes_px=self.axes_px / np.float32(stiffness**2))
 
@@ -78,7 +78,7 @@ class Pairs:
 
 
 @dataclass(kw_only=True)
-class Images:
+class InteractionCache:
     """Mixed terms while one fit moves its contacts: made anew where they have moved.
 
     Attributes
@@ -87,7 +87,7 @@ class Images:
         Tables.
     """
 
-    pairs: Pairs
+    pairs: InteractionTable
     _points_mm: FloatArray | None = None
     _images: NDArray[np.float32] | None = None
 
@@ -99,7 +99,7 @@ class Images:
         return self._images
 
 
-def with_mixed(
+def add_interactions(
     images: NDArray[np.float32],
     force_N: FloatArray,
     parts: Sequence[tuple[FloatArray, FloatArray]],
@@ -109,7 +109,7 @@ def with_mixed(
     Parameters
     ----------
     images : (k, 2n) float32
-        M px/N² of each two, see :meth:`Pairs.between`.
+        M px/N² of each two, see :meth:`InteractionTable.between`.
     force_N : (c,) float
         Of the contacts.
     parts : sequence of ((2n,), (u, 2n)) float
@@ -121,7 +121,9 @@ def with_mixed(
     i, k = np.array(_each_two(len(parts))).T
     both = force_N[i] * force_N[k]
     much = both * np.linalg.norm(images, axis=1)
-    share = np.minimum(1.0, MOST * np.minimum(size[i], size[k]) / np.maximum(much, 1e-300))
+    share = np.minimum(
+        1.0, INTERACTION_SHARE_MAX * np.minimum(size[i], size[k]) / np.maximum(much, 1e-300)
+    )
     of, pair = np.zeros((2, len(parts), len(images))), np.arange(len(images))
     of[0, i, pair] = of[0, k, pair] = 0.5 * both * share
     of[1, i, pair], of[1, k, pair] = force_N[k] * share, force_N[i] * share

@@ -37,7 +37,7 @@ STEPS, STILL = 40, 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
-class Walls:
+class BergerWall:
     """Flat walls of a sensor whose tables hold p places.
 
     Attributes
@@ -59,7 +59,7 @@ class Walls:
         """Powers of v, from the first."""
         return int(self.slopes.shape[1]) - 1
 
-    def scaled(self, stiffness: float) -> "Walls":
+    def scaled(self, stiffness: float) -> "BergerWall":
         """Those of a sensor that is stiffer by a factor."""
         return replace(self, slopes=self.slopes / np.float32(stiffness))
 
@@ -69,7 +69,7 @@ class Walls:
         return np.asarray(np.tensordot(weights * mine, self.slopes[near], axes=1))
 
 
-def lost_share(slopes: FloatArray, most: float) -> tuple[float, float]:
+def lost_softness(slopes: FloatArray, most: float) -> tuple[float, float]:
     """Share v of its softness that a wall loses under slopes (k, r), and dv/d|slopes|².
 
     v is at most ``most``; there it no longer grows.
@@ -101,7 +101,7 @@ def lost_share(slopes: FloatArray, most: float) -> tuple[float, float]:
     return v, (1.0 - v) / -min(over(v)[1], -1e-9)
 
 
-def powers_of(
+def order_factors(
     rows: NDArray[np.float32], force_N: float, top_N: float
 ) -> tuple[FloatArray, FloatArray]:
     """What orders (k,) of the response per newton count for under a force, and how that grows.

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from phytac_decoder.mechanics.interaction_table import Pairs
-    from phytac_decoder.mechanics.membrane_stretching import Walls
+    from phytac_decoder.mechanics.interaction_table import InteractionTable
+    from phytac_decoder.mechanics.membrane_stretching import BergerWall
 
-NEAR = 20
+FIT_PLACES = 20
 """Places that a cubic is fitted to: twice its ten coefficients."""
 TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
 """Powers of x and y of the cubic."""
@@ -37,16 +37,16 @@ LOPSIDED = 1.5
 """Ratio of spreads of the places around from which on they are all on one side, as at a rim."""
 FADE = 4.0
 """Weight of the farthest place that a cubic is fitted to, as exp(-FADE)."""
-EVEN = 1e-4
+FLAT_COSINE_DROP = 1e-4
 """One less the cosine of the normals around a place on a flat wall: 0.8°."""
-AROUND = 8
+FLATNESS_NEIGHBOURS = 8
 """Places that are looked at for it."""
 CHUNK = 256
 """Places handled together: bounds the memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Places:
+class ResponseTable:
     """Tables over p places of a sensor with n markers.
 
     Attributes
@@ -74,8 +74,8 @@ class Places:
     shift_px: NDArray[np.float32]
     radius_mm: float
     top_N: float = np.inf
-    pairs: "Pairs | None" = None
-    walls: "Walls | None" = None
+    pairs: "InteractionTable | None" = None
+    walls: "BergerWall | None" = None
 
     @property
     def orders(self) -> int:
@@ -91,7 +91,7 @@ class Places:
         gap = self.point_mm - self.point_mm[near[:, 1]]
         return float(np.median(np.linalg.norm(gap, axis=1)))
 
-    def scaled(self, stiffness: float) -> "Places":
+    def scaled(self, stiffness: float) -> "ResponseTable":
         """Tables of a sensor that is stiffer by a factor: d(f) becomes d(f / stiffness)."""
         powers = np.ones(self.shift_px.shape[1])
         powers[: self.orders] = np.arange(1.0, self.orders + 1.0)
@@ -101,11 +101,13 @@ class Places:
         top_N = stiffness * self.top_N
         return self._like(replace(self, shift_px=rows, pairs=pairs, walls=walls, top_N=top_N))
 
-    def with_rows(self, shift_px: NDArray[np.float32], pairs: "Pairs | None") -> "Places":
+    def with_rows(
+        self, shift_px: NDArray[np.float32], pairs: "InteractionTable | None"
+    ) -> "ResponseTable":
         """Other tables over the same places."""
         return self._like(replace(self, shift_px=shift_px, pairs=pairs))
 
-    def _like(self, out: "Places") -> "Places":
+    def _like(self, out: "ResponseTable") -> "ResponseTable":
         # Depends on the places alone, and takes a third of a second.
         for known in ("fits", "flat"):
             if known in self.__dict__:
@@ -126,8 +128,10 @@ class Places:
     def flat(self) -> BoolArray:
         """Places (p,) on flat walls: those nearest to them look the same way."""
         normal = np.cross(self.along, self.around)
-        near = self.fits[0][:, :AROUND]
-        return np.asarray(np.einsum("pqi,pi->pq", normal[near], normal).min(axis=1) > 1.0 - EVEN)
+        near = self.fits[0][:, :FLATNESS_NEIGHBOURS]
+        return np.asarray(
+            np.einsum("pqi,pi->pq", normal[near], normal).min(axis=1) > 1.0 - FLAT_COSINE_DROP
+        )
 
     def laid(self, place: int, points_mm: FloatArray) -> FloatArray:
         """Tangent-plane coordinates (m, 2) of points (m, 3) about a place; chords keep lengths."""
@@ -157,13 +161,13 @@ class Places:
         gap[normal[own] @ normal.T <= 0.0] = np.inf
         # The place itself first, whatever rounding says.
         gap[np.arange(len(own)), own] = -np.inf
-        wanted = min(2 * NEAR, len(self.point_mm))
+        wanted = min(2 * FIT_PLACES, len(self.point_mm))
         near = np.argsort(gap, axis=1, kind="stable")[:, :wanted]
         far = np.isinf(np.take_along_axis(gap, near, axis=1))
         far[:, 0] = False
         arm = self.point_mm[near] - self.point_mm[own][:, None]
         xy = _laid(arm, self.along[own][:, None], self.around[own][:, None])
-        best = _balanced(xy, far)[:, :NEAR]
+        best = _balanced(xy, far)[:, :FIT_PLACES]
         near, far = np.take_along_axis(near, best, axis=1), np.take_along_axis(far, best, axis=1)
         xy = np.take_along_axis(xy, best[:, :, None], axis=1)
         size = np.linalg.norm(np.where(far[:, :, None], 0.0, xy), axis=2).max(axis=1)

@@ -40,7 +40,7 @@ SEND_BUFFER_BYTES = 1 << 17
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class ClientLimits:
     """What the server puts up with.
 
     Attributes
@@ -61,7 +61,7 @@ class Limits:
     received_bytes: int = 65536
 
 
-class Server:
+class StreamServer:
     """Sends the same messages to all who listen, from a thread of its own.
 
     :meth:`publish` costs the sensor one JSON text and a short lock, whatever clients do.
@@ -98,14 +98,14 @@ class Server:
         framing: str = "lines",
         serial: SerialPort | None = None,
         serial_hello: Message | None = None,
-        limits: Limits | None = None,
+        limits: ClientLimits | None = None,
         report: Callable[[str], None] = lambda _: None,
     ) -> None:
         check_framing(framing)
         self._hello = json_bytes(hello)
         self._framing, self._report = framing, report
         self._told: deque[float] = deque(maxlen=TOLD_MAX)
-        self._limits = limits or Limits()
+        self._limits = limits or ClientLimits()
         self._outlets: list[Outlet] = []
         self._inbox: deque[bytes] = deque()
         self._lock = threading.Lock()

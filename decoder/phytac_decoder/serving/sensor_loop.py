@@ -7,14 +7,14 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
-from phytac_decoder.estimation.decode import measure_frame
-from phytac_decoder.estimation.frame_reading import Reading, read
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.io.frame import Frame, Source
 from phytac_decoder.io.imu import Imu
+from phytac_decoder.pipeline.decode import measure_frame
+from phytac_decoder.pipeline.frame_reading import Reading, read
+from phytac_decoder.pipeline.tracker import Follower
 from phytac_decoder.serving.csv_recording import Recorder, RegionRecorder
-from phytac_decoder.serving.wire_protocol import Message, Messages
-from phytac_decoder.vision.tracker import Follower
+from phytac_decoder.serving.wire_protocol import Message, MessageBuilder
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError, OutputError, PhytacError
 
@@ -34,7 +34,7 @@ def frame_decoder(
     estimator : str
         One of :data:`phytac_decoder.estimation.estimators.ESTIMATORS`.
     rest_px : (n, 2) float, optional
-        From :func:`phytac_decoder.estimation.decode.rest_positions`.
+        From :func:`phytac_decoder.pipeline.decode.rest_positions`.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def follow_decoder(
     estimator : str
         One of :data:`phytac_decoder.estimation.estimators.ESTIMATORS`.
     stride : int
-        See :class:`phytac_decoder.vision.tracker.Follower`.
+        See :class:`phytac_decoder.pipeline.tracker.Follower`.
 
     Raises
     ------
@@ -176,7 +176,7 @@ class Stream:
 
     source: Source
     decode: Decode
-    messages: Messages
+    messages: MessageBuilder
     publish: Callable[[Message], None]
     started_s: float = field(default_factory=time.monotonic)
     imu: Imu | None = None

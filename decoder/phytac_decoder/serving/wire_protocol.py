@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from phytac_decoder.estimation.contact_estimates import Located
-from phytac_decoder.estimation.contact_grouping import Contact, ContactFinder
+from phytac_decoder.estimation.contact_estimates import LocatedContact
+from phytac_decoder.estimation.contact_grouping import Contact, ContactGrouper
 from phytac_decoder.estimation.contact_tracker import ContactTracker
 from phytac_decoder.estimation.force_regions import Region, RegionForces
-from phytac_decoder.estimation.frame_reading import Reading, nearest_marker, pushes
-from phytac_decoder.estimation.sensor_limits import named
 from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.io.sensor_limits import id_list
+from phytac_decoder.pipeline.frame_reading import Reading, marker_loads, nearest_marker
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError, cause_of
 
@@ -40,7 +40,7 @@ Message = dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Messages:
+class MessageBuilder:
     """Makes the messages of one sensor's stream, frame after frame: contacts keep their ids.
 
     Attributes
@@ -71,10 +71,10 @@ class Messages:
     regions: Sequence[Region] = ()
 
     @cached_property
-    def finder(self) -> ContactFinder:
+    def finder(self) -> ContactGrouper:
         """Finds contacts among key nodes."""
         bundle = self.bundle
-        return ContactFinder(position_mm=bundle.position_mm, neighbours=bundle.model.neighbours)
+        return ContactGrouper(position_mm=bundle.position_mm, neighbours=bundle.model.neighbours)
 
     @cached_property
     def tracker(self) -> ContactTracker:
@@ -155,14 +155,14 @@ class Messages:
         warnings, broken = list(reading.warnings), koi[~good]
         if len(broken):
             warnings.append(
-                f"the forces on {len(broken)} markers ({named(broken)}) came out as no numbers; "
+                f"the forces on {len(broken)} markers ({id_list(broken)}) came out as no numbers; "
                 "they are left out"
             )
         koi = koi[good]
         if reading.found is not None:
             sound = [one for one in reading.found.contacts if _is_sound(one)]
             reading = replace(reading, found=replace(reading.found, contacts=sound))
-        pressed = pushes(reading, koi, self.bundle.position_mm)
+        pressed = marker_loads(reading, koi, self.bundle.position_mm)
         out: Message = {
             "type": "frame",
             "sequence": sequence,
@@ -223,12 +223,12 @@ class Messages:
         return out
 
 
-def _is_sound(located: Located) -> bool:
+def _is_sound(located: LocatedContact) -> bool:
     told = [located.sd_N, located.radius_mm, *located.point_mm]
     return abs(located.force_N) <= FORCE_LIMIT_N and bool(np.isfinite(told).all())
 
 
-def _as_found(located: Located) -> Contact:
+def _as_found(located: LocatedContact) -> Contact:
     x, y, z = located.point_mm.tolist()
     return Contact(
         markers=tuple(sorted(located.markers.tolist())),
@@ -312,7 +312,7 @@ def check_framing(framing: str) -> None:
 ASK = "read it in the format that phytac serve was given (--format)"
 
 
-class Splitter:
+class MessageSplitter:
     """Bytes as they arrive, in pieces of any size, to messages.
 
     Parameters

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_decoder.vision.segmentation import COSINE_MIN, ColourModel
+from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel
 from phytac_shapes.arrays import ImageArray
 
 Floats32 = NDArray[np.float32]
@@ -27,7 +27,7 @@ def coverage_tables(model: ColourModel) -> Floats32:
     size = np.linalg.norm(plane, axis=1)
     best = np.argmax(along / np.maximum(size, 1e-9)[:, None], axis=1)
     picked = along[np.arange(COUNT), best]
-    painted = (picked >= COSINE_MIN * size) & (picked >= model.floor * full[best])
+    painted = (picked >= HUE_COSINE_MIN * size) & (picked >= model.floor * full[best])
     shares = [
         np.where(painted & (best == paint), model.coverage(flat, paint), 0.0)
         for paint in range(len(full))

@@ -40,7 +40,7 @@ def nearest_same_colour_px(rest_px: FloatArray, colour: IntArray) -> FloatArray:
     return np.asarray(distance.min(axis=1))
 
 
-def carried(motion: FloatArray, neighbours: IntArray) -> FloatArray:
+def fill_from_neighbours(motion: FloatArray, neighbours: IntArray) -> FloatArray:
     """Motion (n, 2) with that of markers that are not known (NaN) as their neighbours' median.
 
     0 where none of them is known.

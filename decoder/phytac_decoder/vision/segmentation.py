@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
 
-COSINE_MIN = 0.80
+HUE_COSINE_MIN = 0.80
 """Chroma within about 37 degrees of a paint's own hue belongs to that paint."""
 RAMP = 0.2
 """Chroma over the floor, as a fraction of the full one, from which on a pixel counts in full."""
@@ -72,7 +72,7 @@ class ColourModel:
         size = np.linalg.norm(plane, axis=1)
         best = np.argmax(along / np.maximum(size, 1e-9)[:, None], axis=1)
         picked = along[np.arange(len(best)), best]
-        ok = (picked >= COSINE_MIN * size) & (picked >= self.floor * full[best])
+        ok = (picked >= HUE_COSINE_MIN * size) & (picked >= self.floor * full[best])
         table = np.where(ok, best + 1, 0).astype(np.uint8)
         return table, self.counts(along / full)
 

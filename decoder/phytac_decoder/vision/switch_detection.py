@@ -8,9 +8,9 @@ import numpy as np
 from phytac_decoder.vision.segmentation import Blobs
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-RED_LEAST_PX = 4.0
+RED_AREA_MIN_px = 4.0
 """Least red that counts as a tip."""
-RED_RATIO = 1.3
+RED_RATIO_MIN = 1.3
 """A switch can be read if its tip, when out, shows this many times its red at rest and more: what
 tells is half way between, and tips as printed and as pressed show an eighth more or less."""
 
@@ -38,7 +38,7 @@ class TipModel:
         A camera that looks straight into a hole sees the resting tip too: such a switch tells
         little, whatever its threshold.
         """
-        return np.asarray(self.red_on_px > RED_RATIO * self.red_rest_px + RED_LEAST_PX)
+        return np.asarray(self.red_on_px > RED_RATIO_MIN * self.red_rest_px + RED_AREA_MIN_px)
 
     def blind(self, played: BoolArray) -> IntArray:
         """Switches (b,) among those that matter (n,) whose red does not tell."""
@@ -47,7 +47,7 @@ class TipModel:
     @property
     def threshold_px(self) -> FloatArray:
         """A switch is on when it shows more red than this: half way between off and on."""
-        return np.maximum(0.5 * (self.red_rest_px + self.red_on_px), RED_LEAST_PX)
+        return np.maximum(0.5 * (self.red_rest_px + self.red_on_px), RED_AREA_MIN_px)
 
 
 def read_switches(

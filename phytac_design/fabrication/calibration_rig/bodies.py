@@ -7,7 +7,7 @@ from phytac_design.design.spec import Design
 from phytac_design.fabrication.calibration_rig.grippers import jaw, palm
 from phytac_design.fabrication.calibration_rig.jigs import collar, has_rims, hole_plates, is_tube
 from phytac_design.fabrication.calibration_rig.regions import Regions
-from phytac_design.fabrication.calibration_rig.solids import (
+from phytac_design.fabrication.calibration_rig.tool_solids import (
     ball_indenter,
     cell_seat,
     fitted_indenter,
@@ -42,7 +42,7 @@ class Piece:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kit:
+class CalibrationKit:
     """Pieces of a kit, and what was left out, with the reason."""
 
     pieces: tuple[Piece, ...]
@@ -62,7 +62,7 @@ def kit_bodies(
     *,
     bowl_mm: float,
     tolerance_mm: float,
-) -> Kit:
+) -> CalibrationKit:
     """Make all pieces of a design's kit.
 
     Parameters
@@ -121,10 +121,10 @@ def kit_bodies(
         pieces.append(Piece(name="collar", body=body, note="jig: a notch for each column"))
     else:
         left["collar"] = "the wall has no rims for it to hold"
-    return Kit(pieces=tuple(pieces), left_out=left)
+    return CalibrationKit(pieces=tuple(pieces), left_out=left)
 
 
-def kit_parts(design: Design, kit: Kit) -> list[dict[str, Any]]:
+def kit_parts(design: Design, kit: CalibrationKit) -> list[dict[str, Any]]:
     """Parts list of the kit, for the bill of materials."""
     made: list[dict[str, Any]] = [
         {

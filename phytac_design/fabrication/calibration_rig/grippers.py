@@ -15,7 +15,7 @@ from phytac_design.fabrication.calibration_rig.regions import (
     clear_mm,
     frames_at,
 )
-from phytac_design.fabrication.calibration_rig.solids import (
+from phytac_design.fabrication.calibration_rig.tool_solids import (
     LIP_mm,
     OVER_mm,
     bolt_places,

@@ -1,7 +1,7 @@
 """The kit's README: what each piece is for, how the machine stands, what the rig must log."""
 
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.calibration_rig.bodies import Kit
+from phytac_design.fabrication.calibration_rig.bodies import CalibrationKit
 from phytac_design.fabrication.calibration_rig.program import Program
 from phytac_design.fabrication.calibration_rig.regions import Regions
 from phytac_design.layout import Markers
@@ -16,7 +16,7 @@ def _named(markers: Markers, ids: tuple[int, ...]) -> str:
 
 
 def guide_text(
-    design: Design, markers: Markers, regions: Regions, program: Program, kit: Kit
+    design: Design, markers: Markers, regions: Regions, program: Program, kit: CalibrationKit
 ) -> str:
     """Markdown page."""
     symmetry = regions.symmetry

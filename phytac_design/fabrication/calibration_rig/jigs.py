@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from phytac_design.design.spec import Design, WallSection
-from phytac_design.fabrication.calibration_rig.lifted import Lifted
+from phytac_design.fabrication.calibration_rig.offset_surface import OffsetSurface
 from phytac_design.fabrication.calibration_rig.regions import Regions
-from phytac_design.fabrication.calibration_rig.solids import OVER_mm, rod
+from phytac_design.fabrication.calibration_rig.tool_solids import OVER_mm, rod
 from phytac_design.geometry.boundary_loops import conormals
 from phytac_design.geometry.triangles import TriangleMesh, strip_triangles
 from phytac_design.layout import Markers
@@ -166,7 +166,7 @@ def _blank(design: Design, surface: Surface, bowl_mm: float, tolerance_mm: float
 
     def slab(low: float, high: float, extension: float) -> Any:
         section = WallSection(thickness_mm=high - low, rim_length_mm=extension, rim_flange_mm=0.0)
-        lifted = Lifted(base=surface, lift_mm=high)
+        lifted = OffsetSurface(base=surface, lift_mm=high)
         return to_manifold(wall_mesh(lifted, section, tolerance_mm=tolerance_mm))
 
     # A little beyond the ends: sides on lines of the other solids would leave slivers.

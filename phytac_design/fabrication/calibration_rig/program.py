@@ -20,11 +20,11 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.calibration_rig.regions import Regions, frames_at
 from phytac_design.layout import Markers
-from phytac_design.mechanics.calibration.calibration import LINEAR_SHARE
+from phytac_design.mechanics.calibration.calibration import MAX_DISPLACEMENT_OVER_WALL
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 
-Run = Literal["shell", "decoder"]
+ProgramRun = Literal["shell", "decoder"]
 SHELL_SHARE = 0.9
 """Largest displacement of the shell's run over the largest that calibration accepts."""
 COLUMNS = (
@@ -107,7 +107,7 @@ def make_program(
     reach = float(np.linalg.norm(np.abs(surface.bounds_mm()).max(axis=0)))
     reach += design.wall.rim_length_mm + design.wall.rim_flange_mm
     steps = np.geomspace(training.force_max_N, training.force_min_N, kit.force_steps)[::-1]
-    most = SHELL_SHARE * LINEAR_SHARE * design.wall.thickness_mm
+    most = SHELL_SHARE * MAX_DISPLACEMENT_OVER_WALL * design.wall.thickness_mm
     return Program(
         marker=regions.marker,
         tool=regions.face + 1,
@@ -129,10 +129,10 @@ def make_program(
     )
 
 
-def steps_of(program: Program) -> Iterator[tuple[int, Run, int, float]]:
+def steps_of(program: Program) -> Iterator[tuple[int, ProgramRun, int, float]]:
     """Number, run, index of the region and target of every step, the shell's run first."""
     number = 0
-    runs: tuple[tuple[Run, FloatArray], ...] = (
+    runs: tuple[tuple[ProgramRun, FloatArray], ...] = (
         ("shell", program.displacement_mm),
         ("decoder", program.force_N),
     )
@@ -163,7 +163,7 @@ def program_csv(program: Program, markers: Markers) -> str:
     return out.getvalue()
 
 
-def gcode(program: Program, run: Run, *, name: str) -> str:
+def gcode(program: Program, run: ProgramRun, *, name: str) -> str:
     """G-code of one run (RS-274, mm).
 
     ``M100 P<force> Q<step>`` and ``M101 P<travel> Q<step>`` are the rig's own macros: M100 presses

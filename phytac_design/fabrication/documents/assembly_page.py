@@ -7,7 +7,7 @@ from typing import Any
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.documents.recipe import Recipe
 from phytac_design.fabrication.switch_set import SwitchSet
-from phytac_design.report.page import drawing, figure, page, table
+from phytac_design.report.page import figure, page, svg_figure, table
 
 
 def switch_table(switches: SwitchSet) -> str:
@@ -118,7 +118,7 @@ def assembly_html(
         (
             "3 Switches: placing",
             switch_table(switches)
-            + drawing(section, "Section through one receptor with its switch.")
+            + svg_figure(section, "Section through one receptor with its switch.")
             + _listed(place),
         ),
         ("4 Camera, light, connectors", _listed(fixture_steps)),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.documents.materials import DENSITY_g_cm3
-from phytac_design.mechanics.switch.receptor import rubber_of
+from phytac_design.mechanics.switch.switch_inputs import rubber_of
 
 A_TO_C = 5.0
 AC_TO_B = 6.0

@@ -20,7 +20,7 @@ import numpy as np
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 
-Kind = Literal["exact", "gores", "flattened"]
+MapKind = Literal["exact", "gores", "flattened"]
 EXACT = 1e-6
 """Stretch off 1 that counts as none."""
 SHEAR_MAX = 0.2
@@ -60,7 +60,7 @@ class Unrolled:
     """
 
     surface: Surface
-    kind: Kind
+    kind: MapKind
     pieces: int
     outline: tuple[FloatArray, ...]
     seams: tuple[FloatArray, ...]
@@ -103,7 +103,7 @@ def unroll(surface: Surface) -> Unrolled:
     return _made(surface, unwrap, "flattened", 1, "pressed flat along its two middle lines")
 
 
-def _made(surface: Surface, flat: FlatMap, kind: Kind, pieces: int, note: str) -> Unrolled:
+def _made(surface: Surface, flat: FlatMap, kind: MapKind, pieces: int, note: str) -> Unrolled:
     (u0, u1), (v0, v1) = surface.domain
     u, width = np.linspace(u0, u1, BORDER), (v1 - v0) / pieces
     outline: list[FloatArray] = []

@@ -2,8 +2,8 @@
 
 from phytac_design.design.hardware_table import HardwareSection
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.hardware.ends import End, make_end
-from phytac_design.fabrication.hardware.parts import Kit
+from phytac_design.fabrication.hardware.parts import HardwareAssembly
+from phytac_design.fabrication.hardware.rim_ends import End, make_end
 from phytac_design.fabrication.hardware.sheet_parts import base_and_frame
 from phytac_design.fabrication.hardware.tube_parts import connector, mount
 from phytac_design.geometry.envelope import bar_span_mm
@@ -12,7 +12,7 @@ from phytac_shapes import Surface
 from phytac_shapes.errors import DesignError
 
 
-def make_hardware(design: Design, surface: Surface) -> Kit:
+def make_hardware(design: Design, surface: Surface) -> HardwareAssembly:
     """Parts and joints, with screws as parts, in the sensor's frame.
 
     Raises
@@ -21,9 +21,9 @@ def make_hardware(design: Design, surface: Surface) -> Kit:
         If something asked for does not fit.
     """
     if design.hardware.parts == "none":
-        return Kit(left_out={"hardware": 'hardware.parts = "none"'})
+        return HardwareAssembly(left_out={"hardware": 'hardware.parts = "none"'})
     kit = _tube(design, surface) if surface.periodic[1] else _sheet(design, surface)
-    return kit + Kit(parts=kit.screws())
+    return kit + HardwareAssembly(parts=kit.screws())
 
 
 def _has_bar(design: Design, surface: Surface) -> bool:
@@ -31,10 +31,10 @@ def _has_bar(design: Design, surface: Surface) -> bool:
     return design.light.bar_radius_mm > 0.0 and far > near
 
 
-def _tube(design: Design, surface: Surface) -> Kit:
+def _tube(design: Design, surface: Surface) -> HardwareAssembly:
     cameras = dict(zip(design.camera.end_numbers, cameras_of(design, surface), strict=True))
     bar = _has_bar(design, surface)
-    kit = Kit()
+    kit = HardwareAssembly()
     ends = [number for axis, number in surface.edges() if axis == 0]
     for number in ends:
         end = make_end(design, surface, number)
@@ -54,7 +54,7 @@ def _tube(design: Design, surface: Surface) -> Kit:
         why = "the bar would have to be held before a camera, where its arms hide markers"
         if len(ends) == 1:
             why = "no end of a dome is free to hold the bar; glue it to the dome's inside"
-        kit = kit + Kit(left_out={"light bar": why})
+        kit = kit + HardwareAssembly(left_out={"light bar": why})
     return kit
 
 
@@ -66,7 +66,7 @@ def _tip_mm(design: Design, surface: Surface, end: End, *, bar: bool) -> float:
     return end.root_z_mm - near if end.number else far - end.root_z_mm
 
 
-def _sheet(design: Design, surface: Surface) -> Kit:
+def _sheet(design: Design, surface: Surface) -> HardwareAssembly:
     if design.hardware.adapter == "handle":
         raise DesignError(
             'a sheet has no end for a shaft (got hardware.adapter = "handle"); set it to "none"'
@@ -75,7 +75,9 @@ def _sheet(design: Design, surface: Surface) -> Kit:
     bar = _has_bar(design, surface)
     kit = base_and_frame(design, surface, float(camera.position_mm[2]), ring=not bar)
     if bar:
-        kit = kit + Kit(left_out={"light bar": "it would stand before a sheet; use a ring"})
+        kit = kit + HardwareAssembly(
+            left_out={"light bar": "it would stand before a sheet; use a ring"}
+        )
     return kit
 
 

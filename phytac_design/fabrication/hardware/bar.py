@@ -13,12 +13,12 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.camera_unit import SKIN_mm, around_mm
-from phytac_design.fabrication.hardware.parts import Kit, Part
+from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part
 from phytac_design.fabrication.hardware.screws import SCREWS, END_mm, Joint, TOUCH_mm
-from phytac_design.fabrication.hardware.solids import (
+from phytac_design.fabrication.hardware.solid_nodes import (
     Circle,
-    Common,
-    Cut,
+    Difference,
+    Intersection,
     Node,
     Prism,
     Rect,
@@ -75,7 +75,7 @@ def foot_mm(design: Design, plate_mm: float) -> tuple[float, float]:
 
 def bar(
     design: Design, low_mm: float, limit_mm: float, *, plate_mm: float, tip_mm: float
-) -> tuple[Kit, tuple[Node, ...]]:
+) -> tuple[HardwareAssembly, tuple[Node, ...]]:
     """Bar on a connector, and what is cut out of that.
 
     Parameters
@@ -122,7 +122,7 @@ def bar(
     )
     inside = radius - WITHIN_mm
     flats = Rect(size_mm=(4.0 * inside, 2.0 * CORE * inside))
-    core = Common(
+    core = Intersection(
         first=Prism(outline=Circle(radius_mm=inside), low_mm=top - 0.5 * thick, high_mm=tip_mm),
         second=Prism(outline=flats, low_mm=top - thick, high_mm=tip_mm + 1.0),
     )
@@ -133,7 +133,7 @@ def bar(
         high_mm=top + 1.0,
     )
     disc = Prism(outline=Circle(radius_mm=foot), low_mm=top - thick, high_mm=top)
-    body = Union(parts=(Cut(body=disc, tools=(groove, *joint.passing())), core))
+    body = Union(parts=(Difference(body=disc, tools=(groove, *joint.passing())), core))
     strip_width, strip = strip_mm(design)
     middle = CORE * inside + TOUCH_mm / 2.0 + strip / 2.0
     strips = tuple(
@@ -172,7 +172,7 @@ def bar(
     gaps = around_mm(radius + 0.5 * clearance, middle_z)
     for share in (0.5, 0.75, 0.95):
         gaps += ((0.0, -share * radius, middle_z), (0.0, share * radius, middle_z))
-    kit = Kit(
+    kit = HardwareAssembly(
         parts=parts,
         joints=(joint,),
         clearances_mm={"bar in connector": clearance},

@@ -8,7 +8,7 @@ from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
 from phytac_design.fabrication.hardware.assembly import make_hardware
 from phytac_design.fabrication.hardware.by_mesh import MeshKernel
-from phytac_design.fabrication.hardware.parts import Kit
+from phytac_design.fabrication.hardware.parts import HardwareAssembly
 from phytac_design.fabrication.switch_set import SwitchSet, revolve
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import Markers
@@ -34,7 +34,7 @@ def mesh_tolerance_mm(design: Design, asked_mm: float) -> float:
 
 
 def hardware_solids(
-    design: Design, surface: Surface, kit: Kit, *, tolerance_mm: float
+    design: Design, surface: Surface, kit: HardwareAssembly, *, tolerance_mm: float
 ) -> dict[str, Any]:
     """All parts of a kit as manifolds, by name."""
     kernel = MeshKernel(surface, mesh_tolerance_mm(design, tolerance_mm))
@@ -120,7 +120,7 @@ def exploded_bodies(context: Context) -> dict[str, tuple[TriangleMesh, FloatArra
     return bodies
 
 
-def context_solids(context: Context, kit: Kit, switches: SwitchSet) -> dict[str, Any]:
+def context_solids(context: Context, kit: HardwareAssembly, switches: SwitchSet) -> dict[str, Any]:
     """Shell, switches and hardware of a design."""
     design, surface, markers = context.design, context.surface, context.markers
     tolerance = context.accuracy.cad_tolerance_mm

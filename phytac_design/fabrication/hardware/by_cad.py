@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.fabrication.hardware.solids import (
+from phytac_design.fabrication.hardware.solid_nodes import (
     Circle,
-    Common,
-    Cut,
+    Difference,
+    Intersection,
     Node,
     Outline,
     Prism,
@@ -51,9 +51,9 @@ class CadKernel:
         if isinstance(node, Union):
             first, *rest = [self._raw(part) for part in node.parts]
             return first.fuse(*rest) if rest else first
-        if isinstance(node, Cut):
+        if isinstance(node, Difference):
             return self._raw(node.body).cut(*(self._raw(tool) for tool in node.tools))
-        if isinstance(node, Common):
+        if isinstance(node, Intersection):
             return self._raw(node.first).intersect(self._raw(node.second))
         turned = self._raw(node.node).rotate(cq.Vector(0, 0, 0), cq.Vector(1, 0, 0), 180.0)
         return turned.translate(cq.Vector(0.0, 0.0, node.z_mm))

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.fabrication.hardware.solids import (
+from phytac_design.fabrication.hardware.solid_nodes import (
     Circle,
-    Common,
-    Cut,
+    Difference,
+    Intersection,
     Node,
     Outline,
     Prism,
@@ -39,9 +39,9 @@ class MeshKernel:
             return self._simple(node)
         if isinstance(node, Union):
             return united([self._raw(part) for part in node.parts])
-        if isinstance(node, Cut):
+        if isinstance(node, Difference):
             return self._raw(node.body) - united([self._raw(t) for t in node.tools])
-        if isinstance(node, Common):
+        if isinstance(node, Intersection):
             return self._raw(node.first) ^ self._raw(node.second)
         turned = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
         shift = np.array([[0.0], [0.0], [node.z_mm]])

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.hardware.extras import imu_seat
-from phytac_design.fabrication.hardware.parts import Kit, Part
+from phytac_design.fabrication.hardware.adapters import imu_seat
+from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part
 from phytac_design.fabrication.hardware.screws import SCREWS, Joint, TOUCH_mm, through
-from phytac_design.fabrication.hardware.solids import (
+from phytac_design.fabrication.hardware.solid_nodes import (
     Circle,
-    Cut,
+    Difference,
     Node,
     Point2,
     Point3,
@@ -63,7 +63,7 @@ class CameraUnit:
     plate: Rect
     added: tuple[Node, ...]
     removed: tuple[Node, ...]
-    kit: Kit
+    kit: HardwareAssembly
 
 
 def camera_unit(
@@ -110,13 +110,13 @@ def camera_unit(
     floor = board - hardware.board_thickness_mm - hardware.back_room_mm - wall - extra
     boss = max(joint.screw.hole_mm(hardware.thread) / 2.0 + BOSS_mm, BOSS_MIN_mm)
     added = _rods(design, boss, board + TOUCH_mm, back + 0.5 * wall)
-    kit = Kit()
+    kit = HardwareAssembly()
     bosses: tuple[Node, ...] = ()
     holes: tuple[Node, ...] = ()
     if hardware.imu == "seat" and label != "_far":
         kit, bosses, holes = imu_seat(design, floor, label=label)
     room, cover = _cover(design, joint, (floor, board, back), boss)
-    cover = Cut(body=Union(parts=(cover, *bosses)), tools=(*joint.passing(), *holes))
+    cover = Difference(body=Union(parts=(cover, *bosses)), tools=(*joint.passing(), *holes))
     lens_radius = hardware.lens_diameter_mm / 2.0
     opening = Prism(
         outline=Circle(radius_mm=lens_radius + clearance), low_mm=back - 1.0, high_mm=front + 1.0
@@ -168,7 +168,7 @@ def camera_unit(
         added=added,
         removed=tuple(removed),
         kit=kit
-        + Kit(
+        + HardwareAssembly(
             parts=tuple(parts),
             joints=(joint,),
             openings_mm=gaps,
@@ -212,7 +212,7 @@ def _cover(
         board - hardware.board_thickness_mm - TOUCH_mm,
     )
     block = Prism(outline=outside, low_mm=floor, high_mm=top)
-    return outside, Union(parts=(Cut(body=block, tools=tuple(tools)), *posts))
+    return outside, Union(parts=(Difference(body=block, tools=tuple(tools)), *posts))
 
 
 def _joint(
@@ -267,7 +267,7 @@ def _camera(design: Design, board: float, lens: float, joint: Joint) -> Node:
     hardware = design.hardware
     outline = Rect(size_mm=hardware.board_size_mm, centre_mm=hardware.board_offset_mm)
     low = board - hardware.board_thickness_mm
-    return Cut(
+    return Difference(
         body=Union(
             parts=(
                 Prism(outline=outline, low_mm=low, high_mm=board),

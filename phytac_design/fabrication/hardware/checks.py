@@ -9,7 +9,7 @@ import numpy as np
 
 from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.hardware.parts import Kit
+from phytac_design.fabrication.hardware.parts import HardwareAssembly
 from phytac_design.fabrication.hardware.screws import SCREWS, Joint
 from phytac_design.geometry.envelope import bar_mesh, shell_mesh
 from phytac_design.geometry.ray_tree import RayTree
@@ -48,7 +48,7 @@ def meets(solids: Mapping[str, Any]) -> dict[str, float]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sides:
+class JointHoles:
     """Screw of each hole on both sides of a joint, as measured in the parts' meshes.
 
     ``""`` where no standard hole fits, ``"M2.5 M3"`` where one hole serves two screws.
@@ -65,7 +65,7 @@ class Sides:
         return bool(fits) and bool(set.intersection(*fits))
 
 
-def sides_of_joint(joint: Joint, meshes: Mapping[str, TriangleMesh]) -> Sides:
+def sides_of_joint(joint: Joint, meshes: Mapping[str, TriangleMesh]) -> JointHoles:
     """Measure the holes of a joint in its parts' meshes and name the screw that each is for."""
     passing, holding = joint.probes()
     names = {screw.name: screw for screw in SCREWS.values()}
@@ -73,7 +73,7 @@ def sides_of_joint(joint: Joint, meshes: Mapping[str, TriangleMesh]) -> Sides:
     melted = joint.thread == "heat-set"
     hold = {name: screw.insert_mm if melted else screw.tap_mm for name, screw in names.items()}
     ways = np.array(joint.directions)
-    return Sides(
+    return JointHoles(
         joint=joint.name,
         passing=_sizes(meshes.get(joint.head_part), np.array(passing), ways, clear),
         holding=_sizes(meshes.get(joint.thread_part), np.array(holding), ways, hold),
@@ -134,7 +134,9 @@ def light_leaks(
     return int((RayTree(walls).cast(start, way).triangle < 0).sum()), len(start)
 
 
-def inside_places(design: Design, surface: Surface, kit: Kit, cameras: list[Camera]) -> FloatArray:
+def inside_places(
+    design: Design, surface: Surface, kit: HardwareAssembly, cameras: list[Camera]
+) -> FloatArray:
     """Places (n, 3) inside the sensor from which light is looked for.
 
     Before each camera, along the axis beside the bar, all around every edge of the sensing wall,

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from phytac_design.fabrication.hardware.screws import Joint
-from phytac_design.fabrication.hardware.solids import Far, Node, Point3, Union
+from phytac_design.fabrication.hardware.solid_nodes import Far, Node, Point3, Union
 from phytac_shapes.arrays import FloatArray
 
 COLOURS: dict[str, tuple[float, float, float]] = {
@@ -50,7 +50,7 @@ class Part:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kit:
+class HardwareAssembly:
     """Parts and joints together; ``left_out`` says what could not be made, and why.
 
     ``clearances_mm`` are gaps between parts that go together, by what they are between;
@@ -63,8 +63,8 @@ class Kit:
     clearances_mm: dict[str, float] = field(default_factory=dict)
     openings_mm: tuple[Point3, ...] = ()
 
-    def __add__(self, other: "Kit") -> "Kit":
-        return Kit(
+    def __add__(self, other: "HardwareAssembly") -> "HardwareAssembly":
+        return HardwareAssembly(
             parts=self.parts + other.parts,
             joints=self.joints + other.joints,
             left_out=self.left_out | other.left_out,
@@ -72,7 +72,7 @@ class Kit:
             openings_mm=self.openings_mm + other.openings_mm,
         )
 
-    def at_far(self, z_mm: float) -> "Kit":
+    def at_far(self, z_mm: float) -> "HardwareAssembly":
         """Return the kit at the far end whose rim's root lies at ``z_mm``."""
         turn = np.array([1.0, -1.0, -1.0])
 

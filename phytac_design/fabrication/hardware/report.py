@@ -8,7 +8,7 @@ from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.bodies import SHELL, SWITCHES
 from phytac_design.fabrication.hardware.checks import (
-    Sides,
+    JointHoles,
     hidden_rays,
     inside_places,
     joined_mesh,
@@ -17,7 +17,7 @@ from phytac_design.fabrication.hardware.checks import (
     meshes_of,
     sides_of_joint,
 )
-from phytac_design.fabrication.hardware.parts import Kit, Part, screw_name
+from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part, screw_name
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
 from phytac_design.solids.wall_mesh import wall_mesh
@@ -30,7 +30,7 @@ BOUGHT = {"electronics": "electronics", "light": "electronics", "steel": "steel"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Verdict:
+class AssemblyChecks:
     """Results of all checks of one assembly.
 
     Attributes
@@ -52,7 +52,7 @@ class Verdict:
     bodies: int
     pairs: int
     meets_mm3: dict[str, float]
-    sides: tuple[Sides, ...]
+    sides: tuple[JointHoles, ...]
     uncovered: int
     leaks: int
     looked: int
@@ -96,9 +96,9 @@ def verdict(
     markers: Markers,
     switches: SwitchSet,
     cameras: list[Camera],
-    kit: Kit,
+    kit: HardwareAssembly,
     solids: Mapping[str, Any],
-) -> Verdict:
+) -> AssemblyChecks:
     """Run all checks on an assembly of shell, switches and hardware."""
     hardware = {name: body for name, body in solids.items() if name not in (SHELL, SWITCHES)}
     meshes = meshes_of(hardware)
@@ -110,7 +110,7 @@ def verdict(
     hidden, lines = hidden_rays(design, surface, markers, cameras, joined_mesh(opaque))
     bowl = [switches.bowls[k].diameter_mm for k in switches.bowl]
     count = len(solids)
-    return Verdict(
+    return AssemblyChecks(
         bodies=count,
         pairs=count * (count - 1) // 2,
         meets_mm3=meets(solids),
@@ -124,7 +124,7 @@ def verdict(
 
 
 def hardware_facts(
-    design: Design, kit: Kit, found: Verdict, solids: Mapping[str, Any]
+    design: Design, kit: HardwareAssembly, found: AssemblyChecks, solids: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Figures of a finished assembly as plain values."""
     return {
@@ -162,7 +162,7 @@ def hardware_facts(
     }
 
 
-def parts_list(kit: Kit, solids: Mapping[str, Any]) -> list[dict[str, Any]]:
+def parts_list(kit: HardwareAssembly, solids: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Printed and bought parts with count, material and volume; equal bought ones are one entry."""
     groups: dict[str, list[Part]] = {}
     for part in kit.parts:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phytac_design.fabrication.hardware.solids import Node, Point3, Rod
+from phytac_design.fabrication.hardware.solid_nodes import Node, Point3, Rod
 from phytac_shapes.errors import DesignError
 
 ENGAGED = 1.5

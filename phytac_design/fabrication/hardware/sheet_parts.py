@@ -16,10 +16,10 @@ import numpy as np
 
 from phytac_design.design.spec import Design, WallSection
 from phytac_design.fabrication.hardware.camera_unit import camera_unit, ring_radii_mm
-from phytac_design.fabrication.hardware.parts import Kit, Part
+from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part
 from phytac_design.fabrication.hardware.screws import SCREWS, END_mm, Joint, TOUCH_mm
-from phytac_design.fabrication.hardware.solids import (
-    Cut,
+from phytac_design.fabrication.hardware.solid_nodes import (
+    Difference,
     Node,
     Outline,
     Point2,
@@ -65,7 +65,9 @@ class _Rim:
         return self.loop.points_mm(self.surface, offset_mm, extension_mm)[:, 2]
 
 
-def base_and_frame(design: Design, surface: Surface, camera_mm: float, *, ring: bool) -> Kit:
+def base_and_frame(
+    design: Design, surface: Surface, camera_mm: float, *, ring: bool
+) -> HardwareAssembly:
     """Base with the camera's plate, and frame, of a sheet before a camera at z = ``camera_mm``.
 
     Raises
@@ -115,12 +117,12 @@ def base_and_frame(design: Design, surface: Surface, camera_mm: float, *, ring: 
         low_mm=unit.back_mm,
         high_mm=step + 0.5 * hardware.wall_mm,
     )
-    body = Cut(
+    body = Difference(
         body=Union(parts=(Prism(outline=outer, low_mm=step, high_mm=high), thin)),
         tools=(Prism(outline=cavity, low_mm=unit.front_mm, high_mm=high + 1.0), above),
     )
     plate = Prism(outline=unit.plate, low_mm=unit.back_mm, high_mm=unit.front_mm)
-    base = Cut(
+    base = Difference(
         body=Union(parts=(body, plate, *unit.added)), tools=(*unit.removed, *joint.holding())
     )
     top = high + GRIP_mm + hardware.wall_mm
@@ -132,7 +134,9 @@ def base_and_frame(design: Design, surface: Surface, camera_mm: float, *, ring: 
     )
     cover = Prism(outline=outer, low_mm=high + GRIP_mm, high_mm=top)
     opening = Prism(outline=rim.outline(SHELF_mm, flange), low_mm=low - 1.0, high_mm=top + 1.0)
-    frame: Node = Cut(body=Union(parts=(tongue, cover)), tools=(opening, below, *joint.passing()))
+    frame: Node = Difference(
+        body=Union(parts=(tongue, cover)), tools=(opening, below, *joint.passing())
+    )
     refuse_large(design, (span_mm(outer), span_mm(unit.plate)), high - unit.back_mm, "base")
     parts = (
         Part(
@@ -150,7 +154,9 @@ def base_and_frame(design: Design, surface: Surface, camera_mm: float, *, ring: 
             note="holds the sheet's rim on the base",
         ),
     )
-    return unit.kit + Kit(parts=parts, joints=(joint,), clearances_mm={"rim in base": clearance})
+    return unit.kit + HardwareAssembly(
+        parts=parts, joints=(joint,), clearances_mm={"rim in base": clearance}
+    )
 
 
 def _rim(design: Design, surface: Surface) -> _Rim:

@@ -4,7 +4,7 @@ from typing import Any
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.bodies import SHELL, SWITCH_mm, switch_frames
-from phytac_design.fabrication.hardware.parts import COLOURS, Kit
+from phytac_design.fabrication.hardware.parts import COLOURS, HardwareAssembly
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
 from phytac_design.solids.cad import CadBody, revolved_cad, shell_cad, wall_cad
@@ -13,7 +13,7 @@ from phytac_shapes import Surface
 WALL = "shell_without_receptors"
 
 
-def hardware_bodies(kit: Kit, shapes: dict[str, Any]) -> list[CadBody]:
+def hardware_bodies(kit: HardwareAssembly, shapes: dict[str, Any]) -> list[CadBody]:
     """Parts of a kit with their colours."""
     return [
         CadBody(name=part.name, shape=shapes[part.name], colour=COLOURS[part.material])

@@ -12,17 +12,17 @@ A socket holds a rim on both sides, so that no light passes; set screws press on
 import numpy as np
 
 from phytac_design.design.spec import Design
+from phytac_design.fabrication.hardware.adapters import handle, handle_plate_mm
 from phytac_design.fabrication.hardware.bar import bar, foot_mm, foot_plate_mm
 from phytac_design.fabrication.hardware.camera_unit import (
     camera_unit,
     ring_radii_mm,
 )
-from phytac_design.fabrication.hardware.ends import End, rim_places
-from phytac_design.fabrication.hardware.extras import handle, handle_plate_mm
-from phytac_design.fabrication.hardware.parts import Kit, Part
+from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part
+from phytac_design.fabrication.hardware.rim_ends import End, rim_places
 from phytac_design.fabrication.hardware.screws import SCREWS, Joint, TOUCH_mm
-from phytac_design.fabrication.hardware.solids import (
-    Cut,
+from phytac_design.fabrication.hardware.solid_nodes import (
+    Difference,
     Node,
     Outline,
     Point3,
@@ -46,7 +46,7 @@ SPIGOT_MIN_mm = 1.0
 
 def mount(
     design: Design, surface: Surface, end: End, camera_mm: float, *, label: str, ring: bool
-) -> Kit:
+) -> HardwareAssembly:
     """Socket, tube and plate before a camera whose centre is at z = ``camera_mm`` of the end.
 
     Raises
@@ -75,8 +75,8 @@ def mount(
             Prism(outline=grown(cavity, wall), low_mm=unit.back_mm, high_mm=step + 0.5 * wall),
         )
     )
-    body = Cut(
-        body=Union(parts=(Cut(body=shaft, tools=(hollow, cuts)), plate, *unit.added)),
+    body = Difference(
+        body=Union(parts=(Difference(body=shaft, tools=(hollow, cuts)), plate, *unit.added)),
         tools=(*unit.removed, *joint.holding()),
     )
     refuse_large(design, (span_mm(socket), span_mm(unit.plate)), -unit.back_mm, name)
@@ -87,7 +87,7 @@ def mount(
         step_mm=(0.0, 0.0, -10.0),
         note="camera mount" if surface.periodic[1] and not any(surface.poles) else "base",
     )
-    return unit.kit + Kit(
+    return unit.kit + HardwareAssembly(
         parts=(part,),
         joints=(joint,),
         openings_mm=gaps,
@@ -95,7 +95,9 @@ def mount(
     )
 
 
-def connector(design: Design, surface: Surface, end: End, *, bar_mm: float = 0.0) -> Kit:
+def connector(
+    design: Design, surface: Surface, end: End, *, bar_mm: float = 0.0
+) -> HardwareAssembly:
     """Closed end of a tube without a camera; ``bar_mm`` is the length of the light bar on it.
 
     Raises
@@ -117,20 +119,20 @@ def connector(design: Design, surface: Surface, end: End, *, bar_mm: float = 0.0
     inset = clearance + hardware.wall_mm
     if half_mm(end.inner) > inset + hardware.wall_mm:
         tools.append(Prism(outline=grown(end.inner, -inset), low_mm=seat, high_mm=1.0))
-    body: Node = Cut(body=Prism(outline=socket, low_mm=low, high_mm=0.0), tools=tuple(tools))
-    kit = Kit(
+    body: Node = Difference(body=Prism(outline=socket, low_mm=low, high_mm=0.0), tools=tuple(tools))
+    kit = HardwareAssembly(
         joints=(clamp,),
         openings_mm=_gaps(design, surface, end, -VIEW_mm),
         clearances_mm={f"rim in {name}": clearance},
     )
     if bar_mm > 0.0:
         own, removed = bar(design, low, half_mm(socket), plate_mm=plate, tip_mm=bar_mm)
-        body = Cut(body=body, tools=removed)
+        body = Difference(body=body, tools=removed)
         kit = kit + own
     if hardware.adapter == "handle":
         foot = foot_mm(design, plate) if bar_mm > 0.0 else (0.0, 0.0)
         own, removed = handle(design, low, half_mm(socket), foot)
-        body = Cut(body=body, tools=removed)
+        body = Difference(body=body, tools=removed)
         kit = kit + own
     refuse_large(design, (span_mm(socket),), -low, name)
     part = Part(
@@ -140,7 +142,7 @@ def connector(design: Design, surface: Surface, end: End, *, bar_mm: float = 0.0
         step_mm=(0.0, 0.0, -20.0),
         note="closes the end without a camera",
     )
-    return kit + Kit(parts=(part,))
+    return kit + HardwareAssembly(parts=(part,))
 
 
 def _socket(
@@ -153,7 +155,7 @@ def _socket(
     cut: Node = Prism(outline=room, low_mm=seat, high_mm=1.0)
     if spigot_mm is not None:
         inside = Prism(outline=grown(end.inner, -clearance), low_mm=seat - 1.0, high_mm=spigot_mm)
-        cut = Cut(body=cut, tools=(inside,))
+        cut = Difference(body=cut, tools=(inside,))
     return grown(room, hardware.wall_mm), cut, _clamp(design, surface, end, name)
 
 

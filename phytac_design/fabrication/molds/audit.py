@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.fabrication.molds.closed import (
+from phytac_design.fabrication.molds.closed_mold import (
     Fit,
     cap_gap_mm,
     cavities_of,
@@ -15,7 +15,7 @@ from phytac_design.fabrication.molds.closed import (
     key_gap_mm,
     shared_mm3,
 )
-from phytac_design.fabrication.molds.grid import Kind
+from phytac_design.fabrication.molds.grid import SwitchKind
 from phytac_design.fabrication.molds.make import MoldSet
 from phytac_design.fabrication.molds.plates import dome_away_mm, dome_edge_mm
 from phytac_design.fabrication.molds.release import Bottom, Release, check_release
@@ -54,7 +54,7 @@ class Audit:
     shared_mm3: float
     key_gap_mm: float
     cap_gap_mm: float | None
-    fits: dict[Kind, Fit]
+    fits: dict[SwitchKind, Fit]
     dome_half_mm3: float
     core_half_mm3: float
 
@@ -79,7 +79,7 @@ class Audit:
         return max(fit.hausdorff_mm for fit in self.fits.values())
 
 
-def fine_sections(switches: SwitchSet) -> dict[Kind, FloatArray]:
+def fine_sections(switches: SwitchSet) -> dict[SwitchKind, FloatArray]:
     """Sections of all kinds of switches, as true as cavities are judged by."""
     return {kind: switches.profile(kind, FINE_mm) for kind in switches.kinds}
 
@@ -98,7 +98,7 @@ def releases_of(made: MoldSet) -> dict[str, Release]:
     }
 
 
-def audit_set(made: MoldSet, fine: Mapping[Kind, FloatArray]) -> Audit:
+def audit_set(made: MoldSet, fine: Mapping[SwitchKind, FloatArray]) -> Audit:
     """Look at one set from outside; ``fine`` are the switches' sections.
 
     Raises
@@ -134,7 +134,7 @@ def audit_set(made: MoldSet, fine: Mapping[Kind, FloatArray]) -> Audit:
     )
 
 
-def judge(made: MoldSet, audit: Audit) -> None:
+def check_mold(made: MoldSet, audit: Audit) -> None:
     """Stop where a mold would not work.
 
     Raises
@@ -162,7 +162,9 @@ def judge(made: MoldSet, audit: Audit) -> None:
         )
 
 
-def volumes_mm3(made: MoldSet, audit: Audit, fine: Mapping[Kind, FloatArray]) -> dict[str, float]:
+def volumes_mm3(
+    made: MoldSet, audit: Audit, fine: Mapping[SwitchKind, FloatArray]
+) -> dict[str, float]:
     """Rubber and silicone of one casting, as they are poured.
 
     ``switches`` is what stays in the cavities, ``rubber`` all that is poured: the dome half filled
@@ -193,7 +195,7 @@ def volumes_mm3(made: MoldSet, audit: Audit, fine: Mapping[Kind, FloatArray]) ->
     return found
 
 
-def _stem_mm3(made: MoldSet, kind: Kind) -> float:
+def _stem_mm3(made: MoldSet, kind: SwitchKind) -> float:
     """Stem below the parting plane."""
     under = made.sizes.cavities[kind].under
     (r1, z1), (r2, z2) = under[-2], under[-1]
@@ -201,7 +203,7 @@ def _stem_mm3(made: MoldSet, kind: Kind) -> float:
     return float(np.pi / 3.0 * -z2 * (r0**2 + r0 * r2 + r2**2))
 
 
-def _vent_mm3(made: MoldSet, kind: Kind) -> float:
+def _vent_mm3(made: MoldSet, kind: SwitchKind) -> float:
     """Rubber in a stem's vent, or its share of the film under the cap."""
     sizes = made.sizes
     cavity = sizes.cavities[kind]

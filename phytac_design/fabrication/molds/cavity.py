@@ -7,7 +7,7 @@ import numpy as np
 
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.design.switch_table import MoldSection
-from phytac_design.fabrication.molds.grid import Kind
+from phytac_design.fabrication.molds.grid import SwitchKind
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.geometry.triangles import sides_for, widening
 from phytac_shapes.arrays import FloatArray
@@ -50,7 +50,7 @@ class Cavity:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sizes:
+class MoldSizes:
     """Everything that the plates of one mold have in common; mm, before the print's shrinkage.
 
     Attributes
@@ -69,8 +69,8 @@ class Sizes:
 
     section: MoldSection
     rules: PrintSection
-    cavities: Mapping[Kind, Cavity]
-    labels: Mapping[Kind, str]
+    cavities: Mapping[SwitchKind, Cavity]
+    labels: Mapping[SwitchKind, str]
     sides: int
 
     @property
@@ -190,7 +190,7 @@ class Sizes:
 
 def make_sizes(
     section: MoldSection, rules: PrintSection, switches: SwitchSet, tolerance_mm: float
-) -> Sizes:
+) -> MoldSizes:
     """Sizes of the mold of a set of switches.
 
     Raises
@@ -204,7 +204,7 @@ def make_sizes(
         for kind in switches.kinds
     }
     widest = max(float(cavity.over[0, 0]) for cavity in cavities.values())
-    sizes = Sizes(
+    sizes = MoldSizes(
         section=section,
         rules=rules,
         cavities=cavities,

@@ -7,7 +7,7 @@ import numpy as np
 
 from phytac_shapes.arrays import FloatArray
 
-Kind = tuple[int, int]
+SwitchKind = tuple[int, int]
 LEAST = 3
 """Cells that a grid needs each way: its keys stand in the corners, one of them out of line."""
 
@@ -24,7 +24,7 @@ class Run:
         Line, first cell and cells.
     """
 
-    kind: Kind
+    kind: SwitchKind
     line: int
     start: int
     count: int
@@ -94,7 +94,7 @@ def _span(columns: int, lines: int, line: int) -> tuple[int, int]:
     return first, last
 
 
-def _fill(columns: int, lines: int, left: list[tuple[Kind, int]]) -> tuple[list[Run], int]:
+def _fill(columns: int, lines: int, left: list[tuple[SwitchKind, int]]) -> tuple[list[Run], int]:
     """Runs that fit one grid, taken off the list's front; and the lines that they use."""
     runs: list[Run] = []
     line = 0
@@ -116,7 +116,7 @@ def _fill(columns: int, lines: int, left: list[tuple[Kind, int]]) -> tuple[list[
     return runs, line
 
 
-def _sets(columns: int, lines: int, counts: Sequence[tuple[Kind, int]]) -> list[list[Run]]:
+def _sets(columns: int, lines: int, counts: Sequence[tuple[SwitchKind, int]]) -> list[list[Run]]:
     """All sets of a grid size."""
     left = list(counts)
     made = []
@@ -128,7 +128,9 @@ def _sets(columns: int, lines: int, counts: Sequence[tuple[Kind, int]]) -> list[
     return made
 
 
-def plan_sets(counts: Sequence[tuple[Kind, int]], columns_max: int, lines_max: int) -> list[Plan]:
+def plan_sets(
+    counts: Sequence[tuple[SwitchKind, int]], columns_max: int, lines_max: int
+) -> list[Plan]:
     """Fewest sets that hold all cavities, then the least and squarest grid for them.
 
     Parameters

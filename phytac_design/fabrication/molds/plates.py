@@ -17,21 +17,21 @@ In the frame of use z points to the domes, as in a switch.
 
 import numpy as np
 
-from phytac_design.fabrication.molds.cavity import KEY_SIDES, Cavity, EDGE_mm, Sizes
-from phytac_design.fabrication.molds.faces import Field, core_face, dome_face
+from phytac_design.fabrication.molds.cavity import KEY_SIDES, Cavity, EDGE_mm, MoldSizes
 from phytac_design.fabrication.molds.grid import Plan, Run
+from phytac_design.fabrication.molds.mold_faces import CellGrid, core_face, dome_face
 from phytac_design.fabrication.molds.sheet import Sheet
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
 
-def draft_of(sizes: Sizes) -> float:
+def draft_of(sizes: MoldSizes) -> float:
     """Tangent of the slope of a plate's outer walls."""
     return float(np.tan(np.radians(max(sizes.section.draft_deg, 1.0))))
 
 
-def dome_away_mm(sizes: Sizes) -> float:
+def dome_away_mm(sizes: MoldSizes) -> float:
     """Distance of the dome plate's edge on its fence from the grid."""
     section = sizes.section
     flank = float(np.tan(np.radians(sizes.flank_deg)))
@@ -39,12 +39,12 @@ def dome_away_mm(sizes: Sizes) -> float:
     return moat + (section.overflow_mm + section.fence_mm) * flank + section.wall_mm
 
 
-def dome_edge_mm(sizes: Sizes) -> float:
+def dome_edge_mm(sizes: MoldSizes) -> float:
     """Distance of the dome plate's widest edge from the grid."""
     return dome_away_mm(sizes) + (sizes.top_mm + sizes.section.fence_mm) * draft_of(sizes)
 
 
-def dome_plate(plan: Plan, sizes: Sizes) -> TriangleMesh:
+def dome_plate(plan: Plan, sizes: MoldSizes) -> TriangleMesh:
     """Plate above the domes' face, as thick as ``sizes.top_mm`` over the parting plane."""
     sheet, section = Sheet(), sizes.section
     sheet.up = False
@@ -59,14 +59,14 @@ def dome_plate(plan: Plan, sizes: Sizes) -> TriangleMesh:
     return sheet.mesh()
 
 
-def core_plate(plan: Plan, sizes: Sizes) -> TriangleMesh:
+def core_plate(plan: Plan, sizes: MoldSizes) -> TriangleMesh:
     """Plate below the cores' face; behind each run of stems a trough down to their ends."""
     sheet, depth = Sheet(), sizes.depth_mm
     field, edge, ends = core_face(sheet, plan, sizes, vent_level_mm=None)
     far = field.outline(sizes.section.wall_mm + depth * draft_of(sizes), -depth)
     sheet.strip(far, edge)
     sheet.up = False
-    back = Field(sheet, plan, sizes, -depth)
+    back = CellGrid(sheet, plan, sizes, -depth)
     sheet.strip(far, back.rim())
     for run in plan.runs:
         cavity = sizes.cavities[run.kind]
@@ -81,11 +81,11 @@ def core_plate(plan: Plan, sizes: Sizes) -> TriangleMesh:
     return sheet.mesh()
 
 
-def cap_plate(plan: Plan, sizes: Sizes) -> TriangleMesh:
+def cap_plate(plan: Plan, sizes: MoldSizes) -> TriangleMesh:
     """Cap behind the core plate: a boss in each trough, pads with keys, a gap everywhere else."""
     sheet, section = Sheet(), sizes.section
     level = -sizes.depth_mm - section.overflow_mm
-    field = Field(sheet, plan, sizes, level)
+    field = CellGrid(sheet, plan, sizes, level)
     for run in plan.runs:
         cavity = sizes.cavities[run.kind]
         gap = section.key_clearance_mm / np.cos(np.radians(sizes.trough_deg))
@@ -110,7 +110,7 @@ def cap_plate(plan: Plan, sizes: Sizes) -> TriangleMesh:
     return sheet.mesh()
 
 
-def check_troughs(sizes: Sizes) -> None:
+def check_troughs(sizes: MoldSizes) -> None:
     """Refuse troughs that leave no wall between them.
 
     Raises
@@ -126,7 +126,7 @@ def check_troughs(sizes: Sizes) -> None:
         )
 
 
-def _trough(field: Field, run: Run, cavity: Cavity, z_mm: float, gap_mm: float) -> IntArray:
+def _trough(field: CellGrid, run: Run, cavity: Cavity, z_mm: float, gap_mm: float) -> IntArray:
     """Ring of a run's trough at a height, or of the boss in it: a point for each of its cells'."""
     half = field.sizes.trough_mm(cavity, z_mm) - gap_mm
     centre = field.centres(run.cells)

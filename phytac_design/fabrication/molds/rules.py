@@ -4,15 +4,15 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.fabrication.molds.cavity import Cavity, Sizes
-from phytac_design.fabrication.molds.faces import label_sizes_mm
+from phytac_design.fabrication.molds.cavity import Cavity, MoldSizes
+from phytac_design.fabrication.molds.mold_faces import label_sizes_mm
 from phytac_design.fabrication.molds.trays import FREEBOARD_mm
 
 BELOW_mm = 0.2
 """Where the thickness of a core's ridge is taken, below its top."""
 
 
-def rule_rows(sizes: Sizes) -> list[dict[str, Any]]:
+def rule_rows(sizes: MoldSizes) -> list[dict[str, Any]]:
     """Each detail, the thinnest of its kind: what, got, needed (mm), and whether it holds."""
     section, rules = sizes.section, sizes.rules
     cavities = list(sizes.cavities.values())
@@ -51,7 +51,7 @@ def _ridge_mm(cavity: Cavity) -> float:
     return float(outer - inner)
 
 
-def _peg_mm(sizes: Sizes, cavity: Cavity) -> tuple[float, float]:
+def _peg_mm(sizes: MoldSizes, cavity: Cavity) -> tuple[float, float]:
     """Mean diameter of a stem's peg with its vent, and what its height needs."""
     level = sizes.depth_mm + FREEBOARD_mm
     foot = float(cavity.under[:, 1].max())

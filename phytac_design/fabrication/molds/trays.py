@@ -16,9 +16,9 @@ The trays have the same two faces as the plates of the rigid mold, seen from the
 
 import numpy as np
 
-from phytac_design.fabrication.molds.cavity import Sizes
-from phytac_design.fabrication.molds.faces import Field, core_face, dome_face
+from phytac_design.fabrication.molds.cavity import MoldSizes
 from phytac_design.fabrication.molds.grid import Plan
+from phytac_design.fabrication.molds.mold_faces import CellGrid, core_face, dome_face
 from phytac_design.fabrication.molds.plates import dome_away_mm, draft_of
 from phytac_design.fabrication.molds.sheet import Sheet
 from phytac_design.geometry.triangles import TriangleMesh
@@ -28,7 +28,7 @@ FREEBOARD_mm = 1.5
 """Height of the frame over the level of the silicone."""
 
 
-def tray_edge_mm(sizes: Sizes) -> float:
+def tray_edge_mm(sizes: MoldSizes) -> float:
     """Distance of a tray's widest edge from the grid."""
     section = sizes.section
     dome = (sizes.top_mm + section.fence_mm, sizes.top_mm + section.fence_mm + section.backing_mm)
@@ -39,7 +39,7 @@ def tray_edge_mm(sizes: Sizes) -> float:
     )
 
 
-def dome_tray(plan: Plan, sizes: Sizes) -> TriangleMesh:
+def dome_tray(plan: Plan, sizes: MoldSizes) -> TriangleMesh:
     """Tray below the domes' face."""
     sheet, section = Sheet(), sizes.section
     field, inner = dome_face(sheet, plan, sizes)
@@ -51,7 +51,7 @@ def dome_tray(plan: Plan, sizes: Sizes) -> TriangleMesh:
     return sheet.mesh()
 
 
-def core_tray(plan: Plan, sizes: Sizes) -> TriangleMesh:
+def core_tray(plan: Plan, sizes: MoldSizes) -> TriangleMesh:
     """Tray above the cores' face, stems down as in use; it is printed stems up."""
     sheet, section = Sheet(), sizes.section
     sheet.up = False
@@ -62,7 +62,7 @@ def core_tray(plan: Plan, sizes: Sizes) -> TriangleMesh:
 
 
 def _frame(
-    field: Field, foot: IntArray, away: float, levels_mm: tuple[float, float, float]
+    field: CellGrid, foot: IntArray, away: float, levels_mm: tuple[float, float, float]
 ) -> None:
     """Frame on a tray's floor, its lip, outer wall and underside.
 
@@ -84,7 +84,7 @@ def _frame(
     sheet.disc(under[None], np.array([[0.0, 0.0, bottom]]))
 
 
-def _lip(field: Field) -> IntArray:
+def _lip(field: CellGrid) -> IntArray:
     """Points of the frame's front side at which silicone runs over."""
     columns = field.plan.columns
     middle = columns // 2

@@ -7,10 +7,9 @@ import numpy as np
 
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.printing.findings import Violation, in_order, place
 from phytac_design.fabrication.printing.overhang import (
+    Orientation,
     Overhang,
-    Standing,
     overhangs,
     stand,
     suggest,
@@ -18,6 +17,7 @@ from phytac_design.fabrication.printing.overhang import (
 from phytac_design.fabrication.printing.receptors import check_receptors, owners
 from phytac_design.fabrication.printing.samples import sample_faces, welded
 from phytac_design.fabrication.printing.thickness import check_thickness
+from phytac_design.fabrication.printing.violations import Violation, in_order, place
 from phytac_design.fabrication.printing.voids import cups, sealed, undrained
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import TriangleMesh
@@ -52,7 +52,7 @@ class PrintReport:
     """
 
     violations: tuple[Violation, ...]
-    standing: Standing
+    standing: Orientation
     supports: tuple[Overhang, ...]
     wall_mm: float
     tried: int
@@ -203,7 +203,7 @@ def _overhang(item: Overhang, rules: PrintSection) -> Violation:
     )
 
 
-def _too_large(mesh: TriangleMesh, standing: Standing, rules: PrintSection) -> Violation:
+def _too_large(mesh: TriangleMesh, standing: Orientation, rules: PrintSection) -> Violation:
     size = np.array([*standing.footprint_mm, standing.height_mm])
     worst = int(np.argmax(size / np.array(rules.bed_mm)))
     middle = (mesh.vertices_mm.max(axis=0) + mesh.vertices_mm.min(axis=0)) / 2.0

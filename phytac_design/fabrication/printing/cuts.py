@@ -16,7 +16,7 @@ MORE = 6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cut:
+class CuttingPlane:
     """A cutting plane: points p with ``normal · p = offset_mm``; ``axis``: number of its frame."""
 
     axis: int
@@ -45,7 +45,7 @@ def plan_cuts(
     corners_mm: FloatArray,
     peg_mm: float,
     share: float = 0.5,
-) -> list[Cut]:
+) -> list[CuttingPlane]:
     """Planes that part a shell into the fewest pieces that fit the bed.
 
     Parameters
@@ -67,19 +67,19 @@ def plan_cuts(
     low, high = local.min(axis=0), local.max(axis=0)
     size = high - low
     bed = np.array(design.print_rules.bed_mm)
-    plans: list[tuple[int, int, list[Cut]]] = []
+    plans: list[tuple[int, int, list[CuttingPlane]]] = []
     for order in permutations(range(3)):
         room = bed[list(order)]
         fixed = [k for k in range(3) if k not in free]
         if np.any(size[fixed] > room[fixed]):
             continue
-        cuts: list[Cut] = []
+        cuts: list[CuttingPlane] = []
         for k in free:
             limits = (float(low[k]), float(high[k]), float(room[k]) - peg_mm)
             places = _places(gaps(design, markers, frame[k]), limits, share)
             if places is None:
                 break
-            cuts += [Cut(axis=k, normal=frame[k], offset_mm=place) for place in places]
+            cuts += [CuttingPlane(axis=k, normal=frame[k], offset_mm=place) for place in places]
         else:
             count = np.prod([1 + sum(cut.axis == k for cut in cuts) for k in free])
             plans.append((int(count), len(plans), cuts))

@@ -29,7 +29,7 @@ ON_BED_mm = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
-class Standing:
+class Orientation:
     """How a body stands when printed in a direction.
 
     Attributes
@@ -144,11 +144,11 @@ def support_volume_mm3(tree: RayTree, up: FloatArray, rules: PrintSection) -> fl
 
 def stand(
     mesh: TriangleMesh, tree: RayTree, up: FloatArray, rules: PrintSection, *, cost: float = 0.0
-) -> Standing:
+) -> Orientation:
     """Figures of one direction."""
     hull = mesh.vertices_mm[ConvexHull(mesh.vertices_mm).vertices]
     height, sides, fits = on_bed(hull, up, rules)
-    return Standing(
+    return Orientation(
         up=(float(up[0]), float(up[1]), float(up[2])),
         height_mm=height,
         footprint_mm=sides,
@@ -189,7 +189,7 @@ def on_bed(
     return height, (float(both[k, 0]), float(both[k, 1])), bool(fits)
 
 
-def suggest(mesh: TriangleMesh, tree: RayTree, rules: PrintSection) -> tuple[Standing, int]:
+def suggest(mesh: TriangleMesh, tree: RayTree, rules: PrintSection) -> tuple[Orientation, int]:
     """Return the direction with least overhang, supports and height, and how many were tried.
 
     Directions in which the body fits the bed come first, then those without cups, then the cost.

@@ -8,7 +8,7 @@ import numpy as np
 
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.design.spec import Design, WallSection
-from phytac_design.fabrication.printing.cuts import Cut, plan_cuts, receptor_spans
+from phytac_design.fabrication.printing.cuts import CuttingPlane, plan_cuts, receptor_spans
 from phytac_design.geometry.triangles import prisms
 from phytac_design.layout import Markers
 from phytac_design.layout.receptor_distances import segment_distance_mm
@@ -73,7 +73,7 @@ class Parting:
     """
 
     pieces: list[Any]
-    cuts: list[Cut]
+    cuts: list[CuttingPlane]
     keys_mm: FloatArray
     size: KeySize
     boss_volume_mm3: float
@@ -151,7 +151,9 @@ def part_shell(
     )
 
 
-def _parted(piece: Any, cut: Cut, at_mm: FloatArray, size: KeySize) -> tuple[list[Any], float]:
+def _parted(
+    piece: Any, cut: CuttingPlane, at_mm: FloatArray, size: KeySize
+) -> tuple[list[Any], float]:
     """Both sides of a cut, the lower one with pegs, the upper one with sockets; their clearance."""
     upper, lower = piece.split_by_plane(cut.normal.tolist(), cut.offset_mm)
     if upper.is_empty() or lower.is_empty():
@@ -186,8 +188,8 @@ def _keys(
     design: Design,
     surface: Surface,
     markers: Markers,
-    cut: Cut,
-    cuts: list[Cut],
+    cut: CuttingPlane,
+    cuts: list[CuttingPlane],
     size: KeySize,
 ) -> FloatArray:
     """Middles (k, 3) of the keys of a cut, clear of receptors and of other cuts; maybe none."""
@@ -226,7 +228,7 @@ def _keys(
     return np.asarray(point[chosen])
 
 
-def _beside(design: Design, markers: Markers, cut: Cut, size: KeySize) -> IntArray:
+def _beside(design: Design, markers: Markers, cut: CuttingPlane, size: KeySize) -> IntArray:
     """Receptors that reach between the ends of a cut's bosses, with the printer's gap."""
     low, high = receptor_spans(design, markers, cut.normal)
     gap = design.print_rules.gap_min_mm
@@ -234,7 +236,9 @@ def _beside(design: Design, markers: Markers, cut: Cut, size: KeySize) -> IntArr
     return np.flatnonzero((high > first + 1e-9) & (low < last - 1e-9))
 
 
-def _sheet_shares(point: FloatArray, cut: Cut, cuts: list[Cut]) -> tuple[float, ...]:
+def _sheet_shares(
+    point: FloatArray, cut: CuttingPlane, cuts: list[CuttingPlane]
+) -> tuple[float, ...]:
     """Places of keys along a sheet's cut: the same in each piece that other cuts leave of it."""
     limits = [0.0, 1.0]
     for other in cuts:
@@ -245,7 +249,7 @@ def _sheet_shares(point: FloatArray, cut: Cut, cuts: list[Cut]) -> tuple[float, 
     return tuple(a + share * (b - a) for a, b in pairwise(limits) for share in SHEET_KEYS)
 
 
-def _cut_line(surface: Surface, cut: Cut) -> FloatArray:
+def _cut_line(surface: Surface, cut: CuttingPlane) -> FloatArray:
     """Chart points (n, 2) where the outer face meets a cut, in order."""
     axis = cut.axis
     low, high = surface.domain[1 - axis]

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.printing.findings import Violation, place
+from phytac_design.fabrication.printing.violations import Violation, place
 from phytac_design.layout import Markers
 from phytac_design.layout.receptor_distances import segment_distance_mm
 from phytac_design.solids.receptor_tubes import receptor_axes

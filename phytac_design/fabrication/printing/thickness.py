@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from phytac_design.design.print_rules_table import PrintSection
-from phytac_design.fabrication.printing.findings import Violation, place
+from phytac_design.fabrication.printing.free_walls import free_walls
 from phytac_design.fabrication.printing.samples import Samples, frame, regions
-from phytac_design.fabrication.printing.walls import free_walls
+from phytac_design.fabrication.printing.violations import Violation, place
 from phytac_design.geometry.ray_tree import RayTree, START_mm
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 

@@ -13,8 +13,8 @@ from scipy import ndimage
 
 from phytac_design.core.kernels import kernel
 from phytac_design.design.print_rules_table import PrintSection
-from phytac_design.fabrication.printing.findings import Violation, place
 from phytac_design.fabrication.printing.samples import bodies
+from phytac_design.fabrication.printing.violations import Violation, place
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 

@@ -35,7 +35,7 @@ POISSON_LIMIT = 0.05
 """Widest half-interval of Poisson's ratio for it to be fitted; else it is held."""
 ROWS_EACH = 5
 """Fewest rows for each fitted parameter."""
-LINEAR_SHARE = 0.1
+MAX_DISPLACEMENT_OVER_WALL = 0.1
 """Largest displacement over wall thickness: beyond, linear theory is off by more than about 3 %."""
 UNIT_FACTOR = 30.0
 """Data this many times softer or stiffer than the design are in other units, not in error."""
@@ -280,10 +280,10 @@ def _refuse_absurd(data: _Data, value: FloatArray, start: Parameters) -> None:
             "forces in N: check units, or put a modulus nearer the truth into the design"
         )
     most = float(np.abs(data.measured).max())
-    if most > LINEAR_SHARE * start.thickness:
-        over = int(np.sum(np.abs(data.measured) > LINEAR_SHARE * start.thickness))
+    if most > MAX_DISPLACEMENT_OVER_WALL * start.thickness:
+        over = int(np.sum(np.abs(data.measured) > MAX_DISPLACEMENT_OVER_WALL * start.thickness))
         raise InputError(
-            f"calibration: {over} rows move by more than {LINEAR_SHARE:g} of the wall (up to "
+            f"calibration: {over} rows move by more than {MAX_DISPLACEMENT_OVER_WALL:g} of the wall (up to "
             f"{most:.3g} mm of {start.thickness:g} mm), where linear theory is off by more than "
             "about 3 %; press more gently, or remove the presses they belong to"
         )

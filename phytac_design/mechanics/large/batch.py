@@ -15,9 +15,9 @@ from typing import Any, Literal
 import numpy as np
 
 from phytac_design.core.threads import one_thread_each
-from phytac_design.mechanics.large.estimate import solve_auto
+from phytac_design.mechanics.large.linear_error import solve_auto
+from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Loading
-from phytac_design.mechanics.large.path import solve_large
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phytac_design.mechanics.large import rotations as rot
-from phytac_design.mechanics.large.compiled import Elastic
 from phytac_design.mechanics.large.corotational import Configuration
+from phytac_design.mechanics.large.element_forces import Elastic
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import FloatArray
 
@@ -26,7 +26,7 @@ CHUNK = 512
 """Elements looked at together: bounds the memory."""
 
 
-def third_derivatives(model: ShellModel) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+def cubic_stiffness(model: ShellModel) -> Iterator[tuple[slice, NDArray[np.float32]]]:
     """Elements, some at a time, and Π‴ (e, 24, 24, 24) of each, in N, mm and rad.
 
     DOFs of an element are motion (mm) and rotation vector (rad) of its corners in turn, along

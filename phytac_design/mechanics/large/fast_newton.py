@@ -6,8 +6,8 @@ snaps to; what does not converge is left to the caller.
 
 import numpy as np
 
-from phytac_design.mechanics.large.modified import Modified
 from phytac_design.mechanics.large.newton import NotConvergedError
+from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 
@@ -16,7 +16,7 @@ ROUGH, ROUGH_MOST = 1e-3, 5e-3
 still taken where it stalls."""
 
 
-class Rough(Modified):
+class Rough(QuasiNewtonSolver):
     """Large displacements of one shell for tables; built once."""
 
     def gap(self, load: FloatArray, motion: FloatArray, linear: FloatArray) -> float:

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from phytac_design.mechanics.large.corotational import Configuration, Corotational, Local
-from phytac_design.mechanics.large.follower import pressure_forces, pressure_stiffness
+from phytac_design.mechanics.large.pressure_load import pressure_forces, pressure_stiffness
 from phytac_design.mechanics.large.stability import negative_pivots
 from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
 from phytac_shapes.arrays import FloatArray

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from phytac_design.mechanics.large import rotations as rot
-from phytac_design.mechanics.large.compiled import Elastic
 from phytac_design.mechanics.large.corotational import Configuration
+from phytac_design.mechanics.large.element_forces import Elastic
 from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 

@@ -11,12 +11,12 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.mechanics.large import rotations as rot
-from phytac_design.mechanics.large.estimate import SAFETY, check_linear
+from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY, check_linear
+from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Equilibrium, Loading
-from phytac_design.mechanics.large.path import solve_large
 from phytac_design.mechanics.meshing.locate import locate
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
-from phytac_design.mechanics.pressing.place import Place
+from phytac_design.mechanics.pressing.contact_patch import ContactPatch
 from phytac_design.mechanics.shell.compliance import point_motion
 from phytac_design.mechanics.shell.discretisation import LEAST_RATIO, ProbedShell, estimate_error
 from phytac_design.mechanics.shell.loads import patch_loads
@@ -83,7 +83,7 @@ class Press:
         Wall time of mesh and solution.
     """
 
-    place: Place
+    place: ContactPatch
     mesh: ShellMesh
     motion: FloatArray
     tip_mm: FloatArray
@@ -111,7 +111,7 @@ def press(
     design: Design,
     surface: Surface,
     markers: Markers,
-    place: Place,
+    place: ContactPatch,
     *,
     theory: Theory = "auto",
     tolerance: float = 0.05,
@@ -158,7 +158,9 @@ def press(
     load = place.force_N * unit
     check = check_linear(model, load)
     motion, residual, end = check.motion, 0.0, None
-    large = theory == "large" or (theory == "auto" and SAFETY * check.error > tolerance)
+    large = theory == "large" or (
+        theory == "auto" and LINEAR_ERROR_SAFETY * check.error > tolerance
+    )
     if large:
         progress(f"press: linear is about {100 * check.error:.2g} % off; large displacements")
         end = _large_motion(model, load, place)
@@ -209,7 +211,7 @@ def press(
     )
 
 
-def _large_motion(model: ShellModel, load: Any, place: Place) -> Equilibrium:
+def _large_motion(model: ShellModel, load: Any, place: ContactPatch) -> Equilibrium:
     try:
         return solve_large(model, Loading(force=load))[0]
     except NumericalError as error:
@@ -223,7 +225,7 @@ class _Parts:
     design: Design
     surface: Surface
     markers: Markers
-    place: Place
+    place: ContactPatch
 
 
 def _mesh_error(
@@ -258,7 +260,7 @@ def _mesh_error(
     return float(found.relative[0]), bool(found.asymptotic[0])
 
 
-def _beyond(place: Place, what: str) -> str:
+def _beyond(place: ContactPatch, what: str) -> str:
     return (
         f"{place.force_N:g} N on a disc of {place.radius_mm:g} mm is more than this shell carries: "
         f"{what}; press with less force, on a wider disc, or make the wall thicker"

@@ -47,7 +47,7 @@ CHUNK = 500_000
 """Cells worked on at once, to bound the memory."""
 
 
-def touch_shares(
+def footprint_shares(
     surface: Surface,
     touches: "Touches",
     marker_uv: FloatArray,
@@ -113,9 +113,9 @@ def carried_N(
 ) -> FloatArray:
     """Force of each touch on each marker's footprint, (c, n) N, for normal forces (c,) N.
 
-    See :func:`touch_shares`; a switch feels the sum over the touches of its sample.
+    See :func:`footprint_shares`; a switch feels the sum over the touches of its sample.
     """
-    share = touch_shares(surface, touches, marker_uv, footprint_radius_mm)
+    share = footprint_shares(surface, touches, marker_uv, footprint_radius_mm)
     return share * np.asarray(force_N, dtype=np.float64)[:, None]
 
 

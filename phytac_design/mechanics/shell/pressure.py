@@ -207,7 +207,7 @@ def tangent_frame(surface: Surface, uv: FloatArray) -> tuple[FloatArray, FloatAr
     return along, np.cross(surface.normal(uv), along)
 
 
-def touch_loads(
+def indentation_loads(
     mesh: ShellMesh, surface: Surface, touches: "Touches", *, holes: Holes | None = None
 ) -> Any:
     """Nodal loads of touches, per newton of the normal force of each.

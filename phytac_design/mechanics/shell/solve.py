@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.mechanics.meshing.check import check_directors, check_quads
 from phytac_design.mechanics.meshing.mesh import ShellMesh
+from phytac_design.mechanics.meshing.mesh_check import check_directors, check_quads
 from phytac_design.mechanics.shell.assembly import assemble, make_pattern
 from phytac_design.mechanics.shell.element import DRILLING, element_stiffness
 from phytac_design.mechanics.shell.factor import SUPERLU, Factor

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.mechanics.solid.solid_writers import inp_material, inp_mesh, run_ccx, write_lines
-from phytac_design.mechanics.solid.tets import Tetrahedra, tetrahedra
+from phytac_design.mechanics.solid.tetrahedra import Tetrahedra, tetrahedra
 from phytac_shapes.arrays import FloatArray, IntArray
 
 CASES = ("ex", "ey", "kx", "ky", "gxy", "kxy")

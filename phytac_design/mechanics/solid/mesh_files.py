@@ -10,7 +10,7 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.mechanics.meshing.mesh import marker_mesh
-from phytac_design.mechanics.pressing.place import Place
+from phytac_design.mechanics.pressing.contact_patch import ContactPatch
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.mesh_writers import write_inp, write_msh, write_vtu
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
@@ -66,7 +66,7 @@ def write_shell_files(
     design: Design,
     surface: Surface,
     markers: Markers,
-    place: Place,
+    place: ContactPatch,
     *,
     refine: int,
     formats: Collection[str] = FORMATS,
@@ -110,7 +110,7 @@ def write_shell_files(
 
 
 def check_solid(
-    design: Design, surface: Surface, markers: Markers, place: Place, *, size: float | None
+    design: Design, surface: Surface, markers: Markers, place: ContactPatch, *, size: float | None
 ) -> tuple[float, SolidSizes, int]:
     """Factor, sizes and expected nodes of a solid (:func:`solid.mesh.coarsened`), before any work.
 
@@ -135,7 +135,7 @@ def write_solid_files(
     design: Design,
     surface: Surface,
     markers: Markers,
-    place: Place,
+    place: ContactPatch,
     *,
     size: float | None = None,
     formats: Collection[str] = FORMATS,

@@ -19,7 +19,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
-from phytac_design.mechanics.solid.tets import Tetrahedra, tetrahedra
+from phytac_design.mechanics.solid.tetrahedra import Tetrahedra, tetrahedra
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError, NumericalError

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from phytac_design.mechanics.solid.solid_mesh_tets import SolidMesh
-from phytac_design.mechanics.solid.tets import Tetrahedra
+from phytac_design.mechanics.solid.tetrahedra import Tetrahedra
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import MissingPartError, NumericalError
 

@@ -6,17 +6,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from phytac_design.mechanics.switch.bowl import Bowl
-from phytac_design.mechanics.switch.buckling import first_buckling
-from phytac_design.mechanics.switch.curve import Curve, Snap, press_bowl, snap_of
-from phytac_design.mechanics.switch.feasible import feasible
-from phytac_design.mechanics.switch.fit import (
+from phytac_design.mechanics.switch.bowl_check import (
     DEEPER_mm,
     MisfitError,
     fillets,
     judge,
     shape_of,
 )
-from phytac_design.mechanics.switch.presets import Rubber
+from phytac_design.mechanics.switch.buckling import first_buckling
+from phytac_design.mechanics.switch.curve import Curve, Snap, press_bowl, snap_of
+from phytac_design.mechanics.switch.feasible_range import feasible_range
+from phytac_design.mechanics.switch.rubbers import Rubber
 from phytac_design.mechanics.switch.space import Space, Tolerance
 from phytac_design.mechanics.switch.tolerance import Spread, limit_load, threshold_spread
 from phytac_shapes.errors import DesignError, NumericalError
@@ -243,10 +243,10 @@ def _refusal(threshold_N: float, rubber: Rubber, space: Space, reasons: list[str
         f"a switch of {threshold_N:g} N does not fit a bowl {space.diameter_mm:.3g} mm wide of "
         f"{rubber.name} at {modulus:.3g} MPa: "
     )
-    found = feasible(rubber, space)
+    found = feasible_range(rubber, space)
     why = "; ".join(reasons) or "no bowl fits"
     if found is None:
-        thinner = feasible(rubber, replace(space, wall_min_mm=0.5 * space.wall_min_mm))
+        thinner = feasible_range(rubber, replace(space, wall_min_mm=0.5 * space.wall_min_mm))
         if thinner is None:
             return f"{room}{why}. No wall fits: raise the footprint, or ask for less red"
         return (

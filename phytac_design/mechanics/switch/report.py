@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from phytac_design.mechanics.switch.design import SwitchDesign
-from phytac_design.mechanics.switch.feasible import Feasible
-from phytac_design.mechanics.switch.svg import line_plot
+from phytac_design.mechanics.switch.feasible_range import Feasible
+from phytac_design.mechanics.switch.line_plot import line_plot
 from phytac_shapes.arrays import FloatArray
 
 

@@ -8,37 +8,37 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_decoder.estimation.decode import confirmed, locate_in, locate_markers
 from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.pipeline.decode import confirmed_switches, locate_in, locate_markers
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.optics.exposure import Exposure, expose, lens_blur
 from phytac_design.optics.incremental_renderer import Watch
 from phytac_design.optics.loaded_visibility import WALL_BACK, sight_of
-from phytac_design.simulation.imaging.grid import grid_error
-from phytac_design.simulation.imaging.nominal import expected_views, seeing_bundle
-from phytac_design.simulation.imaging.paint import PaintPoints
-from phytac_design.simulation.imaging.tips import TipCover
-from phytac_design.simulation.imaging.virtual_camera import Eye, strip_of
-from phytac_design.simulation.sensor_instance import Unit
+from phytac_design.simulation.imaging.nominal_view import expected_views, vision_bundle
+from phytac_design.simulation.imaging.paint_centroids import PaintPoints
+from phytac_design.simulation.imaging.pixel_phase import pixel_phase_error
+from phytac_design.simulation.imaging.tip_cover import TipCover
+from phytac_design.simulation.imaging.virtual_camera import SimulatedCamera, bar_strip
+from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 from phytac_shapes.errors import InputError
 
 Centroids = Literal["paint", "pixels"]
-DRAWS = 8
+REST_FRAMES = 8
 """Noisy rest frames that a unit's rest positions and their noise are measured in."""
-UNSURE_px = 1.0
+REST_NOISE_MAX_px = 1.0
 """A marker at rest whose place scatters more from frame to frame is mistaken for others."""
-STREAM = 23
+REST_STREAM = 23
 """Of the generators of those frames."""
-GRID_px = ((0.25, 0.5), (0.5, -0.25), (-0.25, 0.25))
+PIXEL_SHIFTS_px = ((0.25, 0.5), (0.5, -0.25), (-0.25, 0.25))
 """Besides none, shifts of the image at which the error of placing markers on pixels is measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seen:
+class MarkerReading:
     """What was read of one sample; arrays over n markers.
 
     Attributes
@@ -59,14 +59,14 @@ class Seen:
     status: str = ""
 
     @classmethod
-    def nothing(cls, count: int, status: str) -> "Seen":
+    def nothing(cls, count: int, status: str) -> "MarkerReading":
         """Of a sample that cannot be read."""
         no = np.zeros(count, dtype=np.bool_)
         return cls(shift_px=np.full((count, 2), np.nan), bits=no, found=no.copy(), status=status)
 
 
 @dataclass(frozen=True, kw_only=True)
-class AtRest:
+class RestObservation:
     """What the unloaded unit shows, measured in its own frames; arrays over n markers.
 
     Attributes
@@ -74,7 +74,7 @@ class AtRest:
     bundle : Bundle
         The design's eyes, set to where this unit's markers are.
     rest_px : (n, 2) float
-        Rest positions: mean of ``DRAWS`` frames; NaN where not found.
+        Rest positions: mean of ``REST_FRAMES`` frames; NaN where not found.
     noise_px : (n, 2) float
         Standard deviation of one frame's positions.
     grid_px : (n, 2) float
@@ -90,7 +90,7 @@ class AtRest:
     tip_bias_px: FloatArray
 
 
-class Eyes:
+class ImagingModel:
     """All cameras of one unit.
 
     Parameters
@@ -113,7 +113,7 @@ class Eyes:
         Samples per pixel of frames.
     wall_follows : bool
         Whether the wall in the scene moves with its receptors.
-    at_rest : AtRest or str, optional
+    at_rest : RestObservation or str, optional
         :attr:`rest` of other eyes of the same unit and settings, so as not to measure it again.
     """
 
@@ -121,7 +121,7 @@ class Eyes:
         self,
         design: Design,
         surface: Surface,
-        unit: Unit,
+        unit: SensorInstance,
         *,
         exposure: Exposure,
         views: Mapping[str, Any] | None = None,
@@ -129,22 +129,22 @@ class Eyes:
         centroids: Centroids = "paint",
         samples: int = 8,
         wall_follows: bool = True,
-        at_rest: AtRest | str | None = None,
+        at_rest: RestObservation | str | None = None,
     ) -> None:
         nominal = make_markers(design, surface)
         self.unit, self.exposure, self.centroids = unit, exposure, centroids
         self._given = at_rest
         self.confirm = compliance_px is not None
-        self.nominal = seeing_bundle(
+        self.nominal = vision_bundle(
             design,
             surface,
             nominal,
             expected_views(design, surface, nominal) if views is None else views,
             compliance_px=compliance_px,
         )
-        strip = strip_of(design, surface, nominal) if exposure.fall_off else None
+        strip = bar_strip(design, surface, nominal) if exposure.fall_off else None
         self.eyes = [
-            Eye(
+            SimulatedCamera(
                 design,
                 surface,
                 unit,
@@ -163,7 +163,7 @@ class Eyes:
         return self.unit.markers.count
 
     @property
-    def rest(self) -> AtRest | str:
+    def rest(self) -> RestObservation | str:
         """What the unloaded unit shows, or why it cannot be read; can be pickled."""
         return self._rest
 
@@ -173,7 +173,7 @@ class Eyes:
         return self._rest if isinstance(self._rest, str) else ""
 
     @property
-    def at_rest(self) -> AtRest:
+    def at_rest(self) -> RestObservation:
         """What the unloaded unit shows.
 
         Raises
@@ -209,23 +209,23 @@ class Eyes:
             self._exposed(eye, eye.light(eye.scene(motion, bits)), light, rng) for eye in self.eyes
         )
 
-    def read(self, frames: tuple[ImageArray, ...]) -> Seen:
+    def read(self, frames: tuple[ImageArray, ...]) -> MarkerReading:
         """Read frames as the decoder does, against this unit's rest frames."""
         if self.status:
-            return Seen.nothing(self.count, self.status)
+            return MarkerReading.nothing(self.count, self.status)
         rest = self.at_rest
         bundle = rest.bundle
         try:
             matched, bits = locate_markers(bundle, frames)
         except InputError as error:
-            return Seen.nothing(self.count, str(error))
+            return MarkerReading.nothing(self.count, str(error))
         moved = matched.position_px - rest.rest_px
         if self.confirm:
             bias = np.where(bits[:, None], bundle.tip_bias_px, 0.0)
-            bits = confirmed(bundle, bits, moved - bias)
+            bits = confirmed_switches(bundle, bits, moved - bias)
         shift = moved - np.where(bits[:, None], bundle.tip_bias_px, 0.0)
         found = np.isfinite(shift[:, 0])
-        return Seen(shift_px=shift, bits=bits, found=found)
+        return MarkerReading(shift_px=shift, bits=bits, found=found)
 
     def points(
         self,
@@ -233,7 +233,7 @@ class Eyes:
         bits: BoolArray,
         light: float = 1.0,
         rng: np.random.Generator | None = None,
-    ) -> Seen:
+    ) -> MarkerReading:
         """What :meth:`read` would find in :meth:`frame`, without an image; parameters as there.
 
         Bits are taken as they are. Noise is that of each marker's centroid in this unit's frames,
@@ -241,17 +241,19 @@ class Eyes:
         the pixels a marker lies: the same for the same place, and none for a marker at rest.
         """
         if self.status:
-            return Seen.nothing(self.count, self.status)
+            return MarkerReading.nothing(self.count, self.status)
         rest = self.at_rest
         shift = self.exact(motion, bits, light)
         shift += self._covered(motion, bits) + np.where(bits[:, None], rest.tip_bias_px, 0.0)
         shift[~np.isfinite(rest.rest_px[:, 0])] = np.nan
         if rng is not None:
             place = self._places_at_rest
-            grid = grid_error(place + shift, self.unit.number) - grid_error(place, self.unit.number)
+            grid = pixel_phase_error(place + shift, self.unit.number) - pixel_phase_error(
+                place, self.unit.number
+            )
             noise = rng.standard_normal(shift.shape) * rest.noise_px / np.sqrt(light)
             shift += rest.grid_px * grid + noise
-        return Seen(shift_px=shift, bits=bits.copy(), found=np.isfinite(shift[:, 0]))
+        return MarkerReading(shift_px=shift, bits=bits.copy(), found=np.isfinite(shift[:, 0]))
 
     def exact(self, motion: FloatArray, bits: BoolArray, light: float = 1.0) -> FloatArray:
         """Shift (n, 2) px of each marker's paint, without noise and without what tips cover."""
@@ -318,7 +320,7 @@ class Eyes:
 
     def _exposed(
         self,
-        eye: Eye,
+        eye: SimulatedCamera,
         light: NDArray[np.float32],
         brightness: float,
         rng: np.random.Generator | None,
@@ -326,13 +328,13 @@ class Eyes:
         return expose(light, eye.camera, self.exposure, brightness=brightness, rng=rng)
 
     @cached_property
-    def _rest(self) -> AtRest | str:
+    def _rest(self) -> RestObservation | str:
         """Measure the unit at rest; a sentence if its frames cannot be read."""
         if self._given is not None:
             return self._given
         still, off = np.zeros((self.count, 6)), np.zeros(self.count, dtype=np.bool_)
         lights = [eye.light(eye.scene(still, off)) for eye in self.eyes]
-        rng = np.random.default_rng([STREAM, self.unit.number])
+        rng = np.random.default_rng([REST_STREAM, self.unit.number])
 
         def draw() -> tuple[ImageArray, ...]:
             return tuple(
@@ -342,7 +344,9 @@ class Eyes:
 
         try:
             bundle = self._set_to(draw())
-            found = np.stack([locate_markers(bundle, draw())[0].position_px for _ in range(DRAWS)])
+            found = np.stack(
+                [locate_markers(bundle, draw())[0].position_px for _ in range(REST_FRAMES)]
+            )
             clean = tuple(
                 self._exposed(eye, light, 1.0, None)
                 for eye, light in zip(self.eyes, lights, strict=True)
@@ -353,8 +357,8 @@ class Eyes:
         except InputError as error:
             return str(error)
         noise = found.std(axis=0, ddof=1)
-        sure = np.linalg.norm(noise, axis=1) <= UNSURE_px
-        return AtRest(
+        sure = np.linalg.norm(noise, axis=1) <= REST_NOISE_MAX_px
+        return RestObservation(
             bundle=bundle,
             rest_px=np.where(sure[:, None], found.mean(axis=0), np.nan),
             noise_px=noise,
@@ -367,7 +371,7 @@ class Eyes:
         still, off = np.zeros((self.count, 6)), np.zeros(self.count, dtype=np.bool_)
         scenes = [eye.scene(still, off) for eye in self.eyes]
         found = [before]
-        for shift in GRID_px:
+        for shift in PIXEL_SHIFTS_px:
             frames = tuple(
                 self._exposed(eye, eye.light(scene, shift), 1.0, None)
                 for eye, scene in zip(self.eyes, scenes, strict=True)

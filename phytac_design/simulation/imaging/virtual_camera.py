@@ -14,19 +14,19 @@ from phytac_design.optics.exposure import LensBlur, light_on_chip
 from phytac_design.optics.light import Strip, triangle_light
 from phytac_design.optics.scene import Scene, build_scene
 from phytac_design.simulation.imaging.carried_wall import WallMotion
-from phytac_design.simulation.sensor_instance import Unit
+from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 
 
-class Eye:
+class SimulatedCamera:
     """One camera of a unit: its scene, lens and light."""
 
     def __init__(
         self,
         design: Design,
         surface: Surface,
-        unit: Unit,
+        unit: SensorInstance,
         camera: Camera,
         blur: LensBlur | None,
         *,
@@ -67,7 +67,7 @@ class Eye:
         return light_on_chip(scene, camera, light=sent, blur=self.blur, samples=self.samples)
 
 
-def strip_of(design: Design, surface: Surface, markers: Markers) -> Strip | None:
+def bar_strip(design: Design, surface: Surface, markers: Markers) -> Strip | None:
     """Light bar of a design as a strip; None without one."""
     near, far = bar_span_mm(design, surface)
     if design.light.bar_radius_mm <= 0.0 or near >= far:

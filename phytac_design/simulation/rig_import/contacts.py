@@ -8,7 +8,7 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.simulation.indenters import INDENTERS, Touches
-from phytac_design.simulation.rig_import.log import Problems, RigLog
+from phytac_design.simulation.rig_import.log import RigLog, RowProblems
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import InputError
@@ -32,7 +32,7 @@ def contacts_of(
     *,
     off_mm: float,
     radius_mm: float,
-    problems: Problems,
+    problems: RowProblems,
 ) -> Touches:
     """Contacts of a log, in the order of its samples.
 
@@ -107,7 +107,7 @@ def sequences_of(
     return np.concatenate([[0], np.cumsum(new)]).astype(np.int64)
 
 
-def _note(log: RigLog, problems: Problems, bad: BoolArray, text: Callable[[int], str]) -> None:
+def _note(log: RigLog, problems: RowProblems, bad: BoolArray, text: Callable[[int], str]) -> None:
     """Note a problem of each bad row (r,)."""
     rows = np.flatnonzero(bad)
     problems.add(log.sample[rows], (f"line {log.line[k]}: {text(int(k))}" for k in rows))
@@ -119,7 +119,7 @@ def _places(
     surface: Surface,
     markers: Markers,
     off_mm: float,
-    problems: Problems,
+    problems: RowProblems,
 ) -> FloatArray:
     """Chart positions (r, 2) of all rows; NaN where there is none, or a bad one."""
     numbers = log.numbers
@@ -149,7 +149,7 @@ def _wrapped(uv: FloatArray, low: FloatArray, high: FloatArray, closed: BoolArra
     return np.where(closed, low + np.mod(uv - low, high - low), uv)
 
 
-def _marker_ids(log: RigLog, markers: Markers, problems: Problems) -> IntArray:
+def _marker_ids(log: RigLog, markers: Markers, problems: RowProblems) -> IntArray:
     """Markers (r,) that rows name; -1 where there is none, or no such one."""
     if "marker" in log.numbers:
         named = log.numbers["marker"]
@@ -191,7 +191,7 @@ def _on_surface(
     design: Design,
     surface: Surface,
     off_mm: float,
-    problems: Problems,
+    problems: RowProblems,
 ) -> FloatArray:
     """Feet (r, 2) of points (r, 3) on the outer face; NaN for those too far off."""
     given = np.isfinite(points_mm).all(axis=1)
@@ -234,7 +234,7 @@ def _feet(points_mm: FloatArray, design: Design, surface: Surface) -> tuple[Floa
 
 
 def _forces(
-    log: RigLog, design: Design, surface: Surface, uv: FloatArray, problems: Problems
+    log: RigLog, design: Design, surface: Surface, uv: FloatArray, problems: RowProblems
 ) -> tuple[FloatArray, FloatArray]:
     """Normal force (r,) N, positive inward, and tangential over normal force (r, 2)."""
     numbers = log.numbers

@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from phytac_decoder.estimation.decode import read_image
-from phytac_design.simulation.rig_import.log import Problems, RigLog
+from phytac_decoder.pipeline.decode import read_image
+from phytac_design.simulation.rig_import.log import RigLog, RowProblems
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
 
@@ -18,7 +18,7 @@ STAMP_S = re.compile(r"\d+\.\d+")
 NUMBER = re.compile(r"(\d+)$")
 
 
-class Source(ABC):
+class FrameSource(ABC):
     """Pictures of one camera.
 
     Attributes
@@ -44,7 +44,7 @@ class Source(ABC):
         """Number of the picture of a name or number; None if there is none, or several."""
 
 
-class Folder(Source):
+class FrameFolder(FrameSource):
     """Image files, in the order of their names.
 
     Their names are their times where all are seconds with decimals (``12.350.png``) or
@@ -93,7 +93,7 @@ class Folder(Source):
         return self._known.get(text, self._known.get(whole))
 
 
-class Video(Source):
+class FrameVideo(FrameSource):
     """A video that OpenCV reads; its pictures are numbered from 0.
 
     Raises
@@ -143,7 +143,7 @@ class Video(Source):
         return number if 0 <= number < len(self.names) else None
 
 
-def open_source(where: Path, *, fps: float | None) -> Source:
+def open_source(where: Path, *, fps: float | None) -> FrameSource:
     """Pictures of a folder or a video.
 
     Parameters
@@ -159,8 +159,8 @@ def open_source(where: Path, *, fps: float | None) -> Source:
         If there are none.
     """
     if where.is_file():
-        return Video(where, fps)
-    return Folder(where, fps)
+        return FrameVideo(where, fps)
+    return FrameFolder(where, fps)
 
 
 def _trailing(stem: str) -> int:
@@ -176,8 +176,13 @@ def _times(stems: tuple[str, ...], fps: float | None) -> FloatArray | None:
     return np.arange(len(stems)) / fps if fps else None
 
 
-def match(
-    log: RigLog, source: Source, *, offset_s: float, tolerance_s: float | None, problems: Problems
+def match_frames(
+    log: RigLog,
+    source: FrameSource,
+    *,
+    offset_s: float,
+    tolerance_s: float | None,
+    problems: RowProblems,
 ) -> IntArray:
     """Picture of each sample, (s,); -1 where there is none, which is noted.
 
@@ -222,7 +227,7 @@ def match(
 
 
 def _nearest(
-    log: RigLog, source: Source, offset_s: float, tolerance_s: float | None
+    log: RigLog, source: FrameSource, offset_s: float, tolerance_s: float | None
 ) -> tuple[IntArray, list[str]]:
     if source.time_s is None or log.time_s is None:
         raise InputError(

@@ -39,7 +39,7 @@ SPLIT = "fields are separated by commas, decimals by a point"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Problems:
+class RowProblems:
     """What is wrong with samples, collected to be told at once.
 
     Attributes
@@ -130,7 +130,7 @@ class RigLog:
         return len(self.first_line)
 
 
-def read_rig_log(path: Path, problems: Problems) -> RigLog:
+def read_rig_log(path: Path, problems: RowProblems) -> RigLog:
     """Read a log; what is wrong with single rows goes to ``problems``.
 
     Raises
@@ -248,7 +248,7 @@ def _check_samples(
     sample: IntArray,
     first: IntArray,
     line: IntArray,
-    problems: Problems,
+    problems: RowProblems,
 ) -> None:
     """Contacts of one sample share its picture, and no other sample has it."""
     for name in (*MATCHES, "sequence"):
@@ -275,7 +275,7 @@ def _check_samples(
 
 
 def _check_twice(
-    columns: dict[str, list[str]], sample: IntArray, line: IntArray, problems: Problems
+    columns: dict[str, list[str]], sample: IntArray, line: IntArray, problems: RowProblems
 ) -> None:
     """A contact that stands twice in a sample would count twice."""
     owner: dict[tuple[str, ...], int] = {}
@@ -290,7 +290,7 @@ def _check_twice(
 
 
 def _numbers(
-    columns: dict[str, list[str]], sample: IntArray, line: IntArray, problems: Problems
+    columns: dict[str, list[str]], sample: IntArray, line: IntArray, problems: RowProblems
 ) -> dict[str, FloatArray]:
     """Columns of numbers; a place may be left out where the force is zero."""
     out = {name: _floats(cells) for name, cells in columns.items() if name not in TEXTS}
@@ -338,7 +338,7 @@ def _floats(cells: list[str]) -> FloatArray:
 
 
 def _indenters(
-    columns: dict[str, list[str]], sample: IntArray, line: IntArray, problems: Problems
+    columns: dict[str, list[str]], sample: IntArray, line: IntArray, problems: RowProblems
 ) -> IntArray:
     cells = columns.get("indenter", [INDENTERS[0]] * len(sample))
     out = np.zeros(len(sample), dtype=np.int64)

@@ -11,11 +11,11 @@ from phytac_design.design.accuracy import PRESETS, Preset
 from phytac_design.design.spec import Design
 from phytac_design.engine.cache import code_hash
 from phytac_design.layout import Markers, make_markers
-from phytac_design.simulation.sample_plan import Plan
-from phytac_design.simulation.scenario.draw import make_plan
-from phytac_design.simulation.scenario.file import Scenario
-from phytac_design.simulation.scenario.scatter import draw_unit
-from phytac_design.simulation.sensor_instance import Unit
+from phytac_design.simulation.sample_plan import SamplePlan
+from phytac_design.simulation.scenario.draw_plan import draw_plan
+from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
+from phytac_design.simulation.scenario.scenario_file import Scenario
+from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes import Surface
 from phytac_shapes.errors import DesignError
 
@@ -112,14 +112,16 @@ class Job:
         return make_markers(self.design, self.surface)
 
     @cached_property
-    def unit(self) -> Unit:
+    def unit(self) -> SensorInstance:
         """The virtual sensor."""
-        return draw_unit(self.design, self.surface, self.markers, self.scenario.unit, self.seed)
+        return draw_sensor_instance(
+            self.design, self.surface, self.markers, self.scenario.unit, self.seed
+        )
 
     @cached_property
-    def plan(self) -> Plan:
+    def plan(self) -> SamplePlan:
         """All samples before they are solved."""
-        return make_plan(self.design, self.surface, self.unit, self.scenario, seed=self.seed)
+        return draw_plan(self.design, self.surface, self.unit, self.scenario, seed=self.seed)
 
     @property
     def refine(self) -> int:

@@ -11,33 +11,33 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from phytac_design.simulation.scenario.file import Scenario
-from phytac_design.simulation.scenario.tables import (
+from phytac_design.simulation.scenario.scenario_file import Scenario
+from phytac_design.simulation.scenario.sections import (
+    ContactsSection,
     CycleSection,
-    EyesSection,
+    GivenContact,
     GripSection,
+    ImagingSection,
     IndenterSection,
     LightSection,
     PadSection,
+    SensorInstanceSection,
     SolveSection,
     TimeSection,
-    TouchAt,
-    TouchSection,
-    UnitSection,
 )
 
 TABLES: dict[str, type[BaseModel]] = {
     "": Scenario,
-    "[touch]": TouchSection,
+    "[touch]": ContactsSection,
     "[[touch.indenters]]": IndenterSection,
-    "[[touch.at]]": TouchAt,
+    "[[touch.at]]": GivenContact,
     "[grip]": GripSection,
     "[[grip.pads]]": PadSection,
     "[cycle]": CycleSection,
     "[time]": TimeSection,
     "[light]": LightSection,
-    "[unit]": UnitSection,
-    "[eyes]": EyesSection,
+    "[unit]": SensorInstanceSection,
+    "[eyes]": ImagingSection,
     "[solve]": SolveSection,
 }
 BEGIN, END = "<!-- fields: begin -->", "<!-- fields: end -->"

@@ -8,16 +8,13 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of, stand_off_mm
 from phytac_design.rules.check import check_design
-from phytac_design.study.advice.judge import Judged, judge
-from phytac_design.study.advice.knobs import ROW, choose, knobs_of
-from phytac_design.study.advice.mend import mends_of, passes_of
-from phytac_design.study.advice.moves import (
+from phytac_design.study.advice.changes import (
     FAULTS,
     NOTHING,
     RULES,
-    Move,
+    Change,
     Trial,
-    broken,
+    broken_margin,
     costs_of,
     gain_of,
     gain_words,
@@ -27,17 +24,20 @@ from phytac_design.study.advice.moves import (
     rank_of,
     stand_off_of,
 )
-from phytac_design.study.advice.probe import Probe
+from phytac_design.study.advice.design_evaluation import EvaluatedDesign, evaluate_design
+from phytac_design.study.advice.design_variables import ROW, choose, variables_of
+from phytac_design.study.advice.local_model import LocalModel
+from phytac_design.study.advice.repair import mends_of, passes_of
 from phytac_design.study.advice.rows import (
     RowSlope,
     as_explicit,
     named_rows,
-    row_knobs,
-    row_slopes,
+    row_sensitivities,
+    row_variables,
     rows_of,
     suspects,
 )
-from phytac_design.study.advice.slopes import Slope, slopes_of
+from phytac_design.study.advice.sensitivity import Sensitivity, sensitivities
 from phytac_shapes.errors import DesignError, PhytacError
 
 CHECKS = 5
@@ -59,7 +59,7 @@ class Advice:
     design: Design
     figures: dict[str, float]
     refused: str
-    slopes: list[Slope]
+    slopes: list[Sensitivity]
     rows: list[RowSlope]
     pieces: list[Trial]
     tried: list[Trial]
@@ -94,24 +94,24 @@ def advise(
     except DesignError as error:
         return _mend_refused(design, str(error), accuracy, only, checks, seed, progress)
     progress("judging the design as it is")
-    base = judge(design, accuracy, seed=seed)
-    knobs = choose(knobs_of(design, base.markers, stand_off_of(base)), list(only))
+    base = evaluate_design(design, accuracy, seed=seed)
+    knobs = choose(variables_of(design, base.markers, stand_off_of(base)), list(only))
     row = rows_of(base.markers, float(base.surface.domain[0, 1] - base.surface.domain[0, 0]))
     wanted = named_rows(only, row)
     if not only or "rows" in only:
         wanted |= set(suspects(base, row))
-    single = row_knobs(base, row, sorted(wanted))
-    probe = Probe(base, accuracy)
-    slopes = slopes_of(probe, base, knobs, progress)
-    judged = Trials(base=base, accuracy=accuracy, seed=seed, progress=progress)
+    single = row_variables(base, row, sorted(wanted))
+    probe = LocalModel(base, accuracy)
+    slopes = sensitivities(probe, base, knobs, progress)
+    judged = ChangeTester(base=base, accuracy=accuracy, seed=seed, progress=progress)
     if base.faults:
         moves = [
-            Move(knob=knob, amount=amount, goal=FAULTS, predicted=found, gain=gain)
+            Change(knob=knob, amount=amount, goal=FAULTS, predicted=found, gain=gain)
             for knob, amount, found, gain in mends_of(probe, [*single, *knobs], progress)
         ]
         trials = judged.all(moves, checks)
     else:
-        slopes += slopes_of(probe, base, single, progress)
+        slopes += sensitivities(probe, base, single, progress)
         moves, refused = moves_of(base, slopes)
         trials = [*judged.all(moves, checks), *refused]
     pieces = [trial for trial in trials if not trial.reason]
@@ -120,23 +120,23 @@ def advise(
         figures=base.figures,
         refused="",
         slopes=slopes,
-        rows=row_slopes(probe, base, row),
+        rows=row_sensitivities(probe, base, row),
         pieces=sorted(pieces, key=lambda trial: -rank_of(trial.move.goal, trial.gain)),
         tried=[trial for trial in trials if trial.reason],
     )
 
 
 @dataclass(kw_only=True)
-class Trials:
+class ChangeTester:
     """Applies moves to a design and judges what comes of them."""
 
-    base: Judged
+    base: EvaluatedDesign
     accuracy: Accuracy
     seed: int = 0
     progress: Callable[[str], None] = lambda _: None
     listed: dict[str, float] = field(default_factory=dict)
 
-    def all(self, moves: Sequence[Move], checks: int) -> list[Trial]:
+    def all(self, moves: Sequence[Change], checks: int) -> list[Trial]:
         """Trials of the first moves; one that broke something is tried once more, by less."""
         out: list[Trial] = []
         for move in moves:
@@ -151,17 +151,17 @@ class Trials:
                     out.append(self.one(nearer))
         return out
 
-    def one(self, move: Move) -> Trial:
+    def one(self, move: Change) -> Trial:
         """One move, applied and judged."""
         self.progress(f"trying {move.knob.words(move.amount)}")
         try:
             design = move.knob.moved(self.base.design, move.amount)
-            after = judge(design, self.accuracy, seed=self.seed).figures
+            after = evaluate_design(design, self.accuracy, seed=self.seed).figures
         except PhytacError as error:
             return Trial(move=move, reason=f"breaks a rule: {error}")
         before = self._before(move)
         gain = gain_of(move.goal, before, after)
-        reason = broken(before, after)
+        reason = broken_margin(before, after)
         if not reason and gain < least_of(move.goal) / 2.0:
             reason = f"does not help ({gain_words(move.goal, gain)})"
         return Trial(
@@ -169,13 +169,13 @@ class Trials:
             design=design,
         )  # fmt: skip
 
-    def _before(self, move: Move) -> dict[str, float]:
+    def _before(self, move: Change) -> dict[str, float]:
         """Figures to compare with: of the same layout, listed, for moves of a row."""
         if move.knob.kind != ROW:
             return self.base.figures
         if not self.listed:
             same = as_explicit(self.base.design, self.base.markers)
-            self.listed = judge(same, self.accuracy, seed=self.seed).figures
+            self.listed = evaluate_design(same, self.accuracy, seed=self.seed).figures
         return self.listed
 
 
@@ -200,19 +200,19 @@ def _mend_refused(
     except DesignError:
         given = design.camera.stand_off_mm
         stand_off = None if given == "fit" else float(given)
-    knobs = choose(knobs_of(design, markers, stand_off), list(only))
+    knobs = choose(variables_of(design, markers, stand_off), list(only))
     pieces: list[Trial] = []
     tried: list[Trial] = []
     for knob, amount in passes_of(design, knobs)[:checks]:
         progress(f"trying {knob.words(amount)}")
-        move = Move(knob=knob, amount=amount, goal=RULES, predicted={}, gain=1.0)
+        move = Change(knob=knob, amount=amount, goal=RULES, predicted={}, gain=1.0)
         moved = knob.moved(design, amount)
         try:
-            after = judge(moved, accuracy, seed=seed).figures
+            after = evaluate_design(moved, accuracy, seed=seed).figures
         except PhytacError as error:
             tried.append(Trial(move=move, reason=f"breaks a rule: {error}"))
             continue
-        reason = broken(NOTHING, after)
+        reason = broken_margin(NOTHING, after)
         trial = Trial(
             move=move, gain=0.0 if reason else 1.0, achieved=after, reason=reason, design=moved
         )

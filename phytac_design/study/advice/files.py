@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from phytac_design.design.design_file import to_toml
+from phytac_design.study.advice.advice_report import as_dict, polished_dict
 from phytac_design.study.advice.advise import Advice
-from phytac_design.study.advice.words import as_dict, polished_dict
 from phytac_shapes.errors import OutputError
 
 if TYPE_CHECKING:
-    from phytac_design.study.advice.polish import Polished
+    from phytac_design.study.advice.refinement import RefinedDesign
 
 
 def write_advice(advice: Advice, folder: Path) -> Path:
@@ -28,7 +28,7 @@ def write_advice(advice: Advice, folder: Path) -> Path:
     return _write(texts, folder)
 
 
-def write_polished(done: "Polished", folder: Path) -> Path:
+def write_polished(done: "RefinedDesign", folder: Path) -> Path:
     """Write ``polish.json`` and ``NAME.toml``, the polished design; the design's path.
 
     Raises

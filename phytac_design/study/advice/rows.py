@@ -7,10 +7,17 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, with_heights
-from phytac_design.simulation.bound import Signals
-from phytac_design.study.advice.judge import Judged
-from phytac_design.study.advice.knobs import ROW, ROWS, Fields, Knob, is_row, with_fields
-from phytac_design.study.advice.probe import Probe, View
+from phytac_design.simulation.cramer_rao import ContactSignals
+from phytac_design.study.advice.design_evaluation import EvaluatedDesign
+from phytac_design.study.advice.design_variables import (
+    ROW,
+    ROWS,
+    DesignVariable,
+    Fields,
+    is_row,
+    with_fields,
+)
+from phytac_design.study.advice.local_model import LocalModel, View
 from phytac_design.study.search.surrogate import FORCE_N
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError
@@ -71,7 +78,9 @@ def _listed(design: Design, markers: Markers, uv: FloatArray, height_mm: FloatAr
     return fields
 
 
-def row_knobs(base: Judged, row: IntArray, wanted: Iterable[int]) -> list[Knob]:
+def row_variables(
+    base: EvaluatedDesign, row: IntArray, wanted: Iterable[int]
+) -> list[DesignVariable]:
     """Heights and places of some rows; amounts are mm up, and mm away from the near end."""
     design, surface, markers = base.design, base.surface, base.markers
     per_mm = 1.0 / np.linalg.norm(surface.tangents(markers.uv)[:, 0], axis=1)
@@ -97,7 +106,7 @@ def row_knobs(base: Judged, row: IntArray, wanted: Iterable[int]) -> list[Knob]:
 
         for what, fields in (("height", raised), ("away", pushed)):
             out.append(
-                Knob(
+                DesignVariable(
                     name=f"rows.{name} {what}",
                     unit="mm",
                     value=least if what == "height" else 0.0,
@@ -111,7 +120,7 @@ def row_knobs(base: Judged, row: IntArray, wanted: Iterable[int]) -> list[Knob]:
     return out
 
 
-def suspects(base: Judged, row: IntArray) -> list[int]:
+def suspects(base: EvaluatedDesign, row: IntArray) -> list[int]:
     """Rows to move: few that are at fault, or one that stands out; with those next to them."""
     worst = np.unique(row[base.bad()])
     last = int(row.max())
@@ -150,7 +159,7 @@ class RowSlope:
     share: float
 
 
-def row_slopes(probe: Probe, base: Judged, row: IntArray) -> list[RowSlope]:
+def row_sensitivities(probe: LocalModel, base: EvaluatedDesign, row: IntArray) -> list[RowSlope]:
     """Slopes by the height of each row, the strongest first; three looks serve all rows.
 
     Markers add to the Fisher information one by one, so that one row's may be exchanged for what
@@ -175,7 +184,7 @@ def row_slopes(probe: Probe, base: Judged, row: IntArray) -> list[RowSlope]:
     return sorted(out, key=lambda slope: slope.share)
 
 
-def _columns(signals: Signals) -> FloatArray:
+def _columns(signals: ContactSignals) -> FloatArray:
     """Derivatives (c, 2 n cameras, 4) of all coordinates by force, place and size."""
     return np.concatenate([signals.shift[:, :, None], FORCE_N * signals.slopes], axis=2)
 

@@ -10,13 +10,13 @@ import numpy as np
 from phytac_decoder.io.bundle import load_bundle
 from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.layout.arc import by_area
-from phytac_design.mechanics.large.modified import Modified
-from phytac_design.mechanics.shell.pressure import Holes, touch_loads
+from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
+from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.simulation.contacts import Contacts, Switching, switch_states
 from phytac_design.simulation.indenters import flat_touches
-from phytac_design.simulation.receptor_kinematics import Feet
+from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.scene_scope import scope_of
-from phytac_design.stages.response import truth_of, watch_of
+from phytac_design.stages.response import image_response_of, truth_model
 from phytac_design.study.planning.measure import MB
 from phytac_design.study.planning.plan import Plan
 from phytac_shapes.arrays import FloatArray
@@ -70,12 +70,12 @@ def reference_presses(
         force_N=low + share * (high - low),
         samples=len(uv),
     )
-    mesh, model = truth_of(context)
+    mesh, model = truth_model(context)
     receptor = design.receptor
     holes = Holes.of(surface, markers.uv, receptor.diameter_hole_mm / 2.0)
-    feet = Feet(mesh, surface, markers.uv, receptor.diameter_outer_mm / 2.0)
-    shell, see = Modified(model), watch_of(context)
-    unit = touch_loads(mesh, surface, flat_touches(contacts), holes=holes).toarray()
+    feet = ReceptorKinematics(mesh, surface, markers.uv, receptor.diameter_outer_mm / 2.0)
+    shell, see = QuasiNewtonSolver(model), image_response_of(context)
+    unit = indentation_loads(mesh, surface, flat_touches(contacts), holes=holes).toarray()
     shift = np.full((len(uv), markers.count, 2), np.nan)
     for k, force in enumerate(contacts.force_N):
         progress(f"audit: press {k + 1} of {len(uv)}")

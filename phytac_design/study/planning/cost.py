@@ -12,9 +12,9 @@ from scipy.sparse.linalg import splu
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.scene import Scene
 from phytac_design.design.spec import Design
-from phytac_design.simulation.response_tables import APART
+from phytac_design.simulation.response_tables import HIGHER_ORDER_SPACING
 from phytac_design.study.planning.counts import Counts
-from phytac_design.study.planning.units import MEMORY_MB, SECONDS, PROBE_s
+from phytac_design.study.planning.unit_costs import MEMORY_MB, SECONDS, PROBE_s
 from phytac_shapes.arrays import FloatArray
 
 WITHIN = 2.0
@@ -51,7 +51,7 @@ def features(
     nodes, truth = counts.nodes / 1e3, counts.truth_nodes / 1e3
     fine = n * float(np.sqrt(0.01 / accuracy.cad_tolerance_mm))
     solid = {"one": 1.0, "markers": n, "fine": fine}
-    orders = 1.0 if accuracy.place_orders == 1 else 1.0 + (KOITER - 1.0) / APART**2
+    orders = 1.0 if accuracy.place_orders == 1 else 1.0 + (KOITER - 1.0) / HIGHER_ORDER_SPACING**2
     large = 0.0 if accuracy.press_tolerance >= 1.0 else 1.0
     trained = 1.0 if scene is None or scene.networks else 0.0
     judged = max(counts.contacts - counts.samples, 0)

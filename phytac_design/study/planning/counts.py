@@ -11,7 +11,7 @@ from phytac_design.layout import Markers
 from phytac_design.simulation.instance_shell import MARGIN
 from phytac_design.simulation.response_tables import place_spacing_mm, rings
 from phytac_design.simulation.scene_scope import PRESSES_LEAST, Scope
-from phytac_design.stages.response import JUDGED, samples_of
+from phytac_design.stages.response import SCENE_SAMPLES, samples_of
 from phytac_design.study.planning.resolve import Resolved
 from phytac_shapes import Surface
 
@@ -96,7 +96,7 @@ def count(
     turns = repeats(surface, markers)
     samples = samples_of(design, accuracy.sample_share)
     if scene is not None and not scene.samples:
-        samples = {"train": 0, **JUDGED}
+        samples = {"train": 0, **SCENE_SAMPLES}
     most = scene.at_once if scene else ALL_AT_ONCE
     mean = 1.0 + design.training.multi_contact * max((2 + most) / 2.0 - 1.0, 0.0)
     contacts = round(sum(samples.values()) * (mean if most > 1 else 1.0))

@@ -4,7 +4,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
-from phytac_design.mechanics.large.estimate import SAFETY, check_linear
+from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY, check_linear
 from phytac_design.mechanics.meshing.mesh import marker_size_mm, plain_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
@@ -34,7 +34,7 @@ def linear_error(design: Design, surface: Surface, markers: Markers, scope: Scop
     places = _middles(surface, scope)[:PRESSES]
     loads = training.force_max_N * patch_loads(mesh, surface, places, radius).toarray()
     errors = [check_linear(model, loads[:, k]).error for k in range(len(places))]
-    return SAFETY * float(max(errors))
+    return LINEAR_ERROR_SAFETY * float(max(errors))
 
 
 def _middles(surface: Surface, scope: Scope | None) -> FloatArray:

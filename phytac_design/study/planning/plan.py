@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from phytac_design.design.accuracy import Accuracy, name_of
+from phytac_design.design.accuracy import Accuracy, preset_name
 from phytac_design.design.scene import Scene
 from phytac_design.design.spec import Design
 from phytac_design.engine import cache
 from phytac_design.engine.stage import Context, Stage
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.large.estimate import SAFETY
+from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY
 from phytac_design.stages import STAGES
 from phytac_design.study.planning.cost import Cost, predict, probe
 from phytac_design.study.planning.counts import Counts, count, counts_of
@@ -98,7 +98,7 @@ class Plan:
         return {
             "design": resolved.design.name,
             "scene": resolved.scene.model_dump(mode="json"),
-            "accuracy": name_of(resolved.accuracy),
+            "accuracy": preset_name(resolved.accuracy),
             "settings": resolved.accuracy.as_dict(),
             "decisions": resolved.why,
             "linear_error": resolved.linear_error,
@@ -214,7 +214,7 @@ def predicted_error(resolved: Resolved) -> dict[str, float]:
     if "places" not in {stage.name for stage in resolved.stages}:
         return {}
     parts = {
-        "theory": off if orders == 1 else (off / SAFETY) ** orders,
+        "theory": off if orders == 1 else (off / LINEAR_ERROR_SAFETY) ** orders,
         "mesh": MESH_ERROR / accuracy.refine**2,
         "table": TABLE_ERROR * (accuracy.place_share / 0.55) ** 3,
     }

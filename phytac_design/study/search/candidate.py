@@ -13,8 +13,8 @@ from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.optics.scene import Scene, build_scene
 from phytac_design.optics.visibility import Visibility, best_of, check_visibility
 from phytac_design.rules.check import check_design
-from phytac_design.simulation.imaging.nominal import paint_slopes
-from phytac_design.study.search.file import Study
+from phytac_design.simulation.imaging.nominal_view import paint_slopes
+from phytac_design.study.search.study_file import Study
 from phytac_shapes import Surface
 from phytac_shapes.arrays import IntArray
 

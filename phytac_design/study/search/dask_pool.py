@@ -15,8 +15,8 @@ from typing import Any
 
 from phytac_design.core.threads import THREADS
 from phytac_design.engine.cache import code_hash
-from phytac_design.study.search.ladder import FAILED, Outcome, Task
 from phytac_design.study.search.pool import keep_memory
+from phytac_design.study.search.successive_halving import FAILED, Outcome, Task
 from phytac_shapes.errors import InputError, MissingPartError
 
 AHEAD = 2
@@ -34,7 +34,7 @@ DEATHS = 10
 """Workers that may die over one task before it is given up."""
 QUIET = {"distributed.admin.tick.interval": "500ms", "distributed.worker.profile.enabled": False}
 """Looks at itself less often: Dask's own settings take some 3 % of each process's time."""
-WORKERS = dict.fromkeys(
+WORKER_ENVIRONMENT = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", THREADS), "1"
 ) | {f"DASK_{name.upper().replace('.', '__')}": str(value) for name, value in QUIET.items()}
 """Environment of workers."""
@@ -138,7 +138,7 @@ class DaskPool:
                         processes=True,
                         dashboard_address=None,
                         silence_logs="ERROR",
-                        env=WORKERS,
+                        env=WORKER_ENVIRONMENT,
                         # Any free port: another study may have the usual one.
                         scheduler_kwargs={
                             "allowed_failures": DEATHS,

@@ -5,7 +5,7 @@ from difflib import get_close_matches
 
 from phytac_shapes.errors import DesignError
 
-RUNGS = ("rules", "sampled", "exact", "switch", "mechanics", "load", "twin")
+LEVELS = ("rules", "sampled", "exact", "switch", "mechanics", "load", "twin")
 """From cheap to dear; what each does stands in ``rungs``."""
 
 
@@ -252,7 +252,7 @@ def measure_of(name: str, what: str) -> Measure:
     )
 
 
-def stand_in(name: str, known: frozenset[str]) -> str:
+def best_proxy(name: str, known: frozenset[str]) -> str:
     """Measure among ``known`` that is, or best predicts, another; "" if none does."""
     while name and name not in known:
         name = MEASURES[name].proxy

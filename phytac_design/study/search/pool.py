@@ -6,7 +6,7 @@ from ctypes import CDLL
 from functools import cache
 from typing import Protocol
 
-from phytac_design.study.search.ladder import Outcome, Task
+from phytac_design.study.search.successive_halving import Outcome, Task
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 """Parameters of ``mallopt`` (GNU C library)."""

@@ -5,7 +5,7 @@ from pathlib import Path
 from phytac_design.design.design_file import design_hash, parse_design
 from phytac_design.design.spec import Design
 from phytac_design.study.search.space import make_space
-from phytac_design.study.search.store import read_columns, read_study
+from phytac_design.study.search.study_folder import read_columns, read_study
 from phytac_shapes.errors import DesignError, InputError
 
 

@@ -13,10 +13,10 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.stats import qmc
 
-from phytac_design.study.search.file import Study
-from phytac_design.study.search.ladder import OK
-from phytac_design.study.search.measures import stand_in
+from phytac_design.study.search.measures import best_proxy
 from phytac_design.study.search.space import Axis, Params, Space
+from phytac_design.study.search.study_file import Study
+from phytac_design.study.search.successive_halving import OK
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError, MissingPartError, OutputError
 
@@ -48,7 +48,7 @@ def sobol(dimensions: int, seed: int, first: int, count: int) -> FloatArray:
     return np.asarray(sequence.random(1 << max(count - 1, 0).bit_length())[:count])
 
 
-class Cover:
+class Sweep:
     """Candidates of a sweep: a grid, a Sobol sequence or a Latin hypercube."""
 
     steady = True
@@ -248,7 +248,7 @@ class Search:
         """Objectives of a row, or what best predicts them; None where nothing does."""
         known = frozenset(name for name, value in row.items() if value is not None)
         for objective in self.study.objective:
-            name = stand_in(objective.measure, known)
+            name = best_proxy(objective.measure, known)
             yield float(row[name]) if name else None
 
     def _worst(self, rows: Sequence[Row]) -> dict[str, float]:

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.spec import Design
-from phytac_design.study.search.file import Study, Value, Variable
+from phytac_design.study.search.study_file import Study, Value, Variable
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 

@@ -24,7 +24,7 @@ from phytac_decoder.camera.camera import Camera, stack_views
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.arc import CELLS
-from phytac_design.simulation.bound import Bound, cell_prior, contact_signals
+from phytac_design.simulation.cramer_rao import CramerRaoBound, cell_prior, contact_signals
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 
@@ -177,7 +177,9 @@ def waves_along(length: float, x: FloatArray, waves: int = WAVES) -> tuple[Float
     return np.sin(np.outer(x, a)), np.cos(np.outer(x, a)) * a
 
 
-def dent_of(wall: Wall, flat: Flat, x: float, radius_mm: float, waves: int = WAVES) -> Dent:
+def deflection_under_disc(
+    wall: Wall, flat: Flat, x: float, radius_mm: float, waves: int = WAVES
+) -> Dent:
     """Waves of the dent under a disc of a radius at length x, 1 N inward."""
     a: FloatArray = np.pi * np.arange(1.0, waves + 1.0) / flat.length
     # A face that ends around is taken as one of twice its width that closes: no edge is near.
@@ -198,7 +200,7 @@ def dent_of(wall: Wall, flat: Flat, x: float, radius_mm: float, waves: int = WAV
 class Predicted:
     """Bounds over the sources, and what a press at the greatest force does there, (s,)."""
 
-    bound: Bound
+    bound: CramerRaoBound
     dent_mm: FloatArray
     strain: FloatArray
 
@@ -245,7 +247,7 @@ def predict(
     def shifts(uv: FloatArray, radius_mm: FloatArray) -> FloatArray:
         each = zip(uv, radius_mm, unrolled.at(uv), unrolled.x_mm(uv), strict=True)
         motions = [
-            dent_of(wall, flat, float(here), float(radius)).motion(
+            deflection_under_disc(wall, flat, float(here), float(radius)).motion(
                 along, unrolled.y_mm(markers.uv, place)
             )
             for place, radius, flat, here in each
@@ -263,7 +265,7 @@ def predict(
     bound = signals.bound(FORCE_N, noise_px=camera.noise_centroid_px, prior=prior)
     dents, strains = [], []
     for flat, here in zip(unrolled.at(markers.uv[chosen]), x[chosen], strict=True):
-        dent = dent_of(wall, flat, float(here), training.patch_radius_min_mm)
+        dent = deflection_under_disc(wall, flat, float(here), training.patch_radius_min_mm)
         there = waves_along(flat.length, np.array([here]))
         dents.append(float(dent.motion(there, np.zeros(1))[0, 0]))
         strains.append(wall.thickness / 2.0 * dent.bending(float(here)))

@@ -14,7 +14,7 @@ from phytac_design.stages.build import BuildResult, build
 from phytac_design.study.tradeoff.budget import choose_budget, run_plan
 from phytac_design.study.tradeoff.choose import Choice, achieved, choose_tolerance
 from phytac_design.study.tradeoff.force import ForceError
-from phytac_design.study.tradeoff.knobs import Quantity
+from phytac_design.study.tradeoff.settings import Quantity
 from phytac_shapes.errors import DesignError, OutputError
 
 Progress = Callable[[str], None]

@@ -9,8 +9,8 @@ from phytac_design.design.accuracy import PRESETS, Accuracy
 from phytac_design.design.spec import Design
 from phytac_design.study.tradeoff.cost import Work, machine_factor, predict
 from phytac_design.study.tradeoff.force import ForceError, rms
-from phytac_design.study.tradeoff.knobs import Quantity
 from phytac_design.study.tradeoff.pilot import ForcePilot
+from phytac_design.study.tradeoff.settings import Quantity
 from phytac_design.study.tradeoff.sight import SightPilot
 from phytac_design.study.tradeoff.volume import VolumePilot
 from phytac_shapes.errors import DesignError

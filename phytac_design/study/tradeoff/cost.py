@@ -18,8 +18,8 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.simulation.instance_shell import truth_mesh
-from phytac_design.simulation.pressed_series import SOLVED_AT
-from phytac_design.simulation.response_tables import APART, place_spacing_mm, rings
+from phytac_design.simulation.pressed_series import LARGE_SOLVED_ABOVE
+from phytac_design.simulation.response_tables import HIGHER_ORDER_SPACING, place_spacing_mm, rings
 from phytac_design.stages import STAGES
 from phytac_design.stages.response import samples_of
 from phytac_design.study.tradeoff.coefficients import COEFFICIENTS, PROBE_S
@@ -110,7 +110,7 @@ def terms(work: Work, setting: Accuracy) -> dict[str, list[float]]:
     n, pixels = work.hundreds, work.megapixels
     nodes, truth = work.nodes(setting.refine), work.true_nodes(setting.truth_refine)
     solved, placed = work.places(setting.place_share)
-    bent, _ = work.places(APART * setting.place_share)
+    bent, _ = work.places(HIGHER_ORDER_SPACING * setting.place_share)
     large = setting.press_tolerance < 1.0
     presses = setting.press_places
     count = samples_of(work.design, setting.sample_share)
@@ -146,7 +146,7 @@ def terms(work: Work, setting: Accuracy) -> dict[str, list[float]]:
             nodes,
             nodes * solved / 100.0,
             nodes * bent / 100.0 if setting.place_orders > 1 else 0.0,
-            nodes * bent / 100.0 if setting.place_orders in SOLVED_AT else 0.0,
+            nodes * bent / 100.0 if setting.place_orders in LARGE_SOLVED_ABOVE else 0.0,
             placed * n / 100.0,
         ],
         "twin": [1.0, truth, truth * right, n * sum(count.values()) / 100.0],

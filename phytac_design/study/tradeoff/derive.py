@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.study.tradeoff.front import Measured, beaten_by
-from phytac_design.study.tradeoff.levels import accuracy_of
+from phytac_design.study.tradeoff.joint import accuracy_of
 from phytac_shapes.errors import NumericalError
 
 WANTED: dict[str, dict[str, float]] = {

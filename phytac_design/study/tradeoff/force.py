@@ -15,22 +15,22 @@ from functools import cached_property
 
 import numpy as np
 
-from phytac_decoder.mechanics.response_table import NEAR, Places
+from phytac_decoder.mechanics.response_table import FIT_PLACES, ResponseTable
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import Readers, cameras_of
-from phytac_design.mechanics.large.modified import Modified
+from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
 from phytac_design.mechanics.shell.compliance import turns_of
-from phytac_design.mechanics.shell.pressure import Holes, tangent_frame, touch_loads
+from phytac_design.mechanics.shell.pressure import Holes, indentation_loads, tangent_frame
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.instance_shell import truth_shell
-from phytac_design.simulation.pressed_series import Pressed, Seen
-from phytac_design.simulation.receptor_kinematics import Feet
+from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
+from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.response import turned_points
-from phytac_design.simulation.response_tables import between, place_spacing_mm, rings
+from phytac_design.simulation.response_tables import interpolate_responses, place_spacing_mm, rings
 from phytac_design.study.tradeoff.contacts import StandardContacts, standard_contacts
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -121,13 +121,13 @@ class ForceError:
         return standard_contacts(self.design, self.surface, self._count)
 
     @cached_property
-    def see(self) -> Seen:
+    def see(self) -> ImageResponse:
         """What the cameras see of motion; the paint is taken at the tips, no view is rendered."""
         markers = self.markers
         cameras = cameras_of(self.design, self.surface)
         away = [np.linalg.norm(markers.tip_mm - c.position_mm, axis=1) for c in cameras]
         readers = Readers(cameras=cameras, read_by=np.argmin(np.stack(away), axis=0))
-        return Seen(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
+        return ImageResponse(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
 
     def truth(self, refine: int) -> Truth:
         """Images under the standard contacts on a mesh that no setting nests in.
@@ -151,15 +151,17 @@ class ForceError:
         """Return a newton on each contact, (6N, c)."""
         hole = self.design.receptor.diameter_hole_mm / 2.0
         holes = Holes.of(self.surface, self.markers.uv, hole)
-        loads = touch_loads(mesh, self.surface, self.contacts.touches, holes=holes)
+        loads = indentation_loads(mesh, self.surface, self.contacts.touches, holes=holes)
         return np.asarray(loads.toarray())
 
     def _large(self, mesh: ShellMesh, model: ShellModel) -> Truth:
         contacts, receptor = self.contacts, self.design.receptor
-        feet = Feet(mesh, self.surface, self.markers.uv, receptor.diameter_outer_mm / 2.0)
+        feet = ReceptorKinematics(
+            mesh, self.surface, self.markers.uv, receptor.diameter_outer_mm / 2.0
+        )
         loads = self.loads(mesh)
         linear = model.solve(loads).motion.reshape(loads.shape)
-        shell = Modified(model)
+        shell = QuasiNewtonSolver(model)
         motion = np.full((len(contacts.uv), self.markers.count, 6), np.nan)
         for k, force in enumerate(contacts.force_N.tolist()):
             found = shell.solve(force * loads[:, k], linear=force * linear[:, k]).sample
@@ -202,8 +204,8 @@ class ForceError:
             self._rows[key] = Rows(shift_px=out, nodes=len(mesh.nodes_mm))
         return self._rows[key]
 
-    def _pressed(self, mesh: ShellMesh, model: ShellModel, orders: int) -> Pressed:
-        return Pressed(
+    def _pressed(self, mesh: ShellMesh, model: ShellModel, orders: int) -> DiscResponse:
+        return DiscResponse(
             self.design, self.surface, self.markers, mesh=mesh, model=model, orders=orders
         )
 
@@ -225,8 +227,10 @@ class ForceError:
         wanted = self.surface.point(self.contacts.uv)
         local, base = [], []
         for target in wanted:
-            near = np.argsort(np.linalg.norm(point - target, axis=1), kind="stable")[: 3 * NEAR]
-            bare = Places(
+            near = np.argsort(np.linalg.norm(point - target, axis=1), kind="stable")[
+                : 3 * FIT_PLACES
+            ]
+            bare = ResponseTable(
                 point_mm=point[near],
                 along=along[near],
                 around=around[near],
@@ -243,14 +247,14 @@ class ForceError:
         solved[needed] = [self.see.powers(own, shell.forces)[0] for own in motions]
         out = np.zeros((len(wanted), 2 * self.markers.count))
         for k, (near, bare) in enumerate(local):
-            filled = Places(
+            filled = ResponseTable(
                 point_mm=bare.point_mm,
                 along=bare.along,
                 around=bare.around,
                 shift_px=solved[near][:, None],
                 radius_mm=radius,
             )
-            out[k] = between(filled, wanted[k][None])[0, 0]
+            out[k] = interpolate_responses(filled, wanted[k][None])[0, 0]
         return out
 
     @cached_property

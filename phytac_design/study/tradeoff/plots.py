@@ -5,7 +5,7 @@ from typing import Any
 
 from phytac_design.report.figures import new_figure, png
 from phytac_design.study.tradeoff.front import Measured, pareto
-from phytac_design.study.tradeoff.knobs import QUANTITIES, Knob
+from phytac_design.study.tradeoff.settings import QUANTITIES, Knob
 
 PAINT = ("#1b6ca8", "#b03060", "#2e8b57", "#e08a1e", "#7a7a7a", "#6fb1dd")
 LEAST = 1e-5

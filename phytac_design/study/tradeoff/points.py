@@ -162,9 +162,9 @@ class Points:
 
 def measure(design: Design, point: Point) -> dict[str, Any]:
     """Measure a point in this process: its error or facts, seconds, and peak memory in MB."""
+    from phytac_design.study.tradeoff.choices import use
     from phytac_design.study.tradeoff.force import ForceError, rms
     from phytac_design.study.tradeoff.pilot import ForcePilot
-    from phytac_design.study.tradeoff.uses import use
 
     wall, cpu = time.perf_counter(), time.process_time()
     if point.kind == "stages":

@@ -12,9 +12,9 @@ from phytac_design.design.design_file import design_hash
 from phytac_design.design.spec import Design
 from phytac_design.rules.check import check_design
 from phytac_design.study.tradeoff.front import Measured, beaten_by, knee, pareto
-from phytac_design.study.tradeoff.knobs import KNOBS, QUANTITIES, Knob, knob_named
-from phytac_design.study.tradeoff.levels import Joint, accuracy_of
+from phytac_design.study.tradeoff.joint import Joint, accuracy_of
 from phytac_design.study.tradeoff.points import Points
+from phytac_design.study.tradeoff.settings import KNOBS, QUANTITIES, Knob, knob_named
 from phytac_design.study.tradeoff.single import as_table, measure_knob
 
 JOINT = "joint"

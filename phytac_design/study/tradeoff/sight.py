@@ -12,7 +12,7 @@ import numpy as np
 
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.layout.cameras import tolerance_mm
-from phytac_design.mechanics.large.modified import Modified
+from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.optics.loaded_visibility import press_all
 from phytac_design.optics.scene import build_scene
 from phytac_design.study.tradeoff.force import REFERENCE, ForceError
@@ -67,7 +67,7 @@ class SightPilot:
         """Motion (c, n, 6) of the middle face under each marker, as the stage takes it."""
         error = self.error
         mesh, model = error.shell(setting.refine, receptors=setting.receptors)
-        loads, shell = error.loads(mesh), Modified(model)
+        loads, shell = error.loads(mesh), QuasiNewtonSolver(model)
         out = np.full((loads.shape[1], error.markers.count, 6), np.nan)
         tolerance = setting.press_tolerance
         for k, force in enumerate(error.contacts.force_N.tolist()):

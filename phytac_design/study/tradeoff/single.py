@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from phytac_design.study.tradeoff.front import Measured
-from phytac_design.study.tradeoff.knobs import Knob
-from phytac_design.study.tradeoff.levels import score_error
+from phytac_design.study.tradeoff.joint import score_error
 from phytac_design.study.tradeoff.points import Point, Points
 from phytac_design.study.tradeoff.room import visibility_error
+from phytac_design.study.tradeoff.settings import Knob
 
 
 def measure_knob(points: Points, knob: Knob) -> list[Measured]:

@@ -11,7 +11,7 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
 from phytac_design.stages.decoder import MIDDLE, along_mm, length_mm
-from phytac_design.training.evaluation.contacts import Decoded
+from phytac_design.training.evaluation.decoded_contacts import DecodedContacts
 from phytac_design.training.training_data import DataSet
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import InputError
@@ -27,7 +27,7 @@ Groups = dict[str, dict[str, BoolArray]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Places:
+class ContactPositions:
     """Where contacts are, c of them.
 
     Attributes
@@ -42,17 +42,17 @@ class Places:
     around: FloatArray
 
 
-def places(design: Design, uv: FloatArray) -> Places:
+def contact_positions(design: Design, uv: FloatArray) -> ContactPositions:
     """Places of chart positions ``uv`` (c, 2) on a design's surface."""
     context = Context(design=design, accuracy=PRESETS["draft"], seed=0)
     low, high = context.surface.domain[1]
-    return Places(
+    return ContactPositions(
         along=along_mm(context, uv) / length_mm(context),
         around=(uv[:, 1] - low) / (high - low) % 1.0,
     )
 
 
-def kinds(sets: Sequence[DataSet], samples: Samples, decoded: Decoded) -> IntArray:
+def kinds(sets: Sequence[DataSet], samples: Samples, decoded: DecodedContacts) -> IntArray:
     """Index into ``KINDS`` of every contact, (c,): of a scenario of grips, or by its sample."""
     grip = np.concatenate(
         [np.full(item.samples.count, _is_grip(item), dtype=np.bool_) for item in sets]
@@ -69,8 +69,8 @@ def _is_grip(item: DataSet) -> bool:
 def groups_of(
     sets: Sequence[DataSet],
     samples: Samples,
-    decoded: Decoded,
-    where: Places | None,
+    decoded: DecodedContacts,
+    where: ContactPositions | None,
 ) -> Groups:
     """All groups, each a mask (c,) over the contacts that tripped a switch; empty ones left out.
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.report.figures import new_figure, png
-from phytac_design.training.evaluation.contacts import Decoded
+from phytac_design.training.evaluation.decoded_contacts import DecodedContacts
 
 PAINT = ("#7a7a7a", "#1b6ca8", "#6fb1dd", "#e08a1e", "#b03060", "#2e8b57")
 """One colour for each estimator, told apart also in grey and by the colour-blind."""
@@ -16,7 +16,7 @@ RANGE_DECADES = 1.3
 ACROSS = 3
 
 
-def draw(facts: Mapping[str, Any], decoded: Decoded) -> dict[str, bytes]:
+def draw(facts: Mapping[str, Any], decoded: DecodedContacts) -> dict[str, bytes]:
     """All pictures (PNG) by file name."""
     return {
         "accuracy.png": accuracy(facts),
@@ -91,7 +91,7 @@ def accuracy(facts: Mapping[str, Any]) -> bytes:
     return png(figure)
 
 
-def decoded_against_true(decoded: Decoded) -> bytes:
+def decoded_against_true(decoded: DecodedContacts) -> bytes:
     """A dot for each contact, a panel for each estimator; the line is where both are equal."""
     names = list(decoded.decoded_N)
     across = min(ACROSS, len(names))

@@ -16,7 +16,7 @@ TOGETHER = 2_000_000
 """Numbers held at once while medians are resampled."""
 
 
-def summary(estimate_N: FloatArray, truth_N: FloatArray) -> dict[str, float]:
+def error_summary(estimate_N: FloatArray, truth_N: FloatArray) -> dict[str, float]:
     """Errors of estimated against true forces, (c,) each; NaN where there is none.
 
     Returns
@@ -108,7 +108,7 @@ class Bootstrap:
             ``contacts``, ``samples``, and by measure ``value``, ``low``, ``high``: the middle
             95 % of the resamples. Below two samples there is no interval (NaN).
         """
-        plain = summary(estimate_N[chosen], truth_N[chosen])
+        plain = error_summary(estimate_N[chosen], truth_N[chosen])
         member = self.groups[1][chosen]
         samples = len(np.unique(member))
         tails: dict[str, tuple[float, float]] = {}
@@ -159,7 +159,7 @@ class Bootstrap:
             yield (ordered[low] + ordered[high]) / 2.0
 
 
-def intervals(
+def interval_coverage(
     force_N: FloatArray, sd_N: FloatArray, truth_N: FloatArray, *, level: float = 0.9
 ) -> float:
     """Share of true forces inside the intervals that an estimator's standard deviations claim.

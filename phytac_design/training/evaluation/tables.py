@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from phytac_design.datasets.samples import Samples
-from phytac_design.training.evaluation.contacts import Decoded
-from phytac_design.training.evaluation.groups import Places
+from phytac_design.training.evaluation.decoded_contacts import DecodedContacts
+from phytac_design.training.evaluation.groups import ContactPositions
 
 COLUMNS = (
     "sample", "contact", "kind", "x_mm", "y_mm", "z_mm", "along", "around", "radius_mm", "tripped",
@@ -31,7 +31,7 @@ SECTIONS = {
 
 
 def contacts_csv(
-    samples: Samples, decoded: Decoded, where: Places | None, kind: Sequence[str]
+    samples: Samples, decoded: DecodedContacts, where: ContactPositions | None, kind: Sequence[str]
 ) -> str:
     """One line for every contact and estimator; what does not exist is empty."""
     buffer = io.StringIO()

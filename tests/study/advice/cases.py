@@ -9,7 +9,7 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import parse_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
-from phytac_design.study.advice.judge import Judged, judge
+from phytac_design.study.advice.design_evaluation import EvaluatedDesign, evaluate_design
 from phytac_design.study.advice.rows import as_explicit
 from tests.designs import of_shape
 
@@ -43,6 +43,6 @@ def with_long_row(row: int, by_mm: float) -> Design:
 
 
 @cache
-def judged_tube() -> Judged:
+def judged_tube() -> EvaluatedDesign:
     """The sensor without defect, judged."""
-    return judge(tube(), DRAFT)
+    return evaluate_design(tube(), DRAFT)

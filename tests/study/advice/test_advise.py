@@ -8,14 +8,21 @@ import pytest
 from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
 from phytac_design.rules.check import check_design
-from phytac_design.study.advice import judge as judging
-from phytac_design.study.advice.advise import Advice, Trials, advise
+from phytac_design.study.advice import design_evaluation as judging
+from phytac_design.study.advice.advice_report import as_dict, text
+from phytac_design.study.advice.advise import Advice, ChangeTester, advise
+from phytac_design.study.advice.changes import (
+    FAULTS,
+    RULES,
+    Change,
+    broken_margin,
+    costs_of,
+    gain_of,
+)
+from phytac_design.study.advice.design_evaluation import evaluate_design, faults_of
+from phytac_design.study.advice.design_variables import COUNT, variables_of, with_fields
 from phytac_design.study.advice.files import write_advice
-from phytac_design.study.advice.judge import faults_of, judge
-from phytac_design.study.advice.knobs import COUNT, knobs_of, with_fields
-from phytac_design.study.advice.moves import FAULTS, RULES, Move, broken, costs_of, gain_of
-from phytac_design.study.advice.rows import as_explicit, named_rows, row_knobs
-from phytac_design.study.advice.words import as_dict, text
+from phytac_design.study.advice.rows import as_explicit, named_rows, row_variables
 from phytac_shapes.errors import DesignError, OutputError
 from tests.study.advice.cases import DRAFT, ROWS, judged_tube, tube, with_long_row
 
@@ -32,8 +39,8 @@ def test_a_wall_too_thick_is_to_be_thinned(of_thick_wall: Advice) -> None:
     assert first.gain > 0.1
     assert first.hit == pytest.approx(1.0, abs=0.25)
     assert first.design is not None
-    before = judge(of_thick_wall.design, DRAFT).figures["force_middle_N"]
-    after = judge(first.design, DRAFT).figures["force_middle_N"]
+    before = evaluate_design(of_thick_wall.design, DRAFT).figures["force_middle_N"]
+    after = evaluate_design(first.design, DRAFT).figures["force_middle_N"]
     assert 1.0 - after / before == pytest.approx(gain_of("force_middle_N", of_thick_wall.figures,
                                                          first.achieved))  # fmt: skip
     assert after < 0.9 * before
@@ -41,7 +48,7 @@ def test_a_wall_too_thick_is_to_be_thinned(of_thick_wall: Advice) -> None:
 
 def test_a_hidden_row_is_mended_at_the_row() -> None:
     design = with_long_row(2, 3.5)
-    assert judge(design, DRAFT).figures["occluded"] == 8
+    assert evaluate_design(design, DRAFT).figures["occluded"] == 8
     found = advise(design, DRAFT, only=["rows"], checks=3)
     names = [trial.move.knob.name for trial in found.pieces]
     lower = [
@@ -52,7 +59,7 @@ def test_a_hidden_row_is_mended_at_the_row() -> None:
     assert lower, names
     assert lower[0].move.goal == FAULTS
     assert lower[0].design is not None
-    after = judge(lower[0].design, DRAFT).figures
+    after = evaluate_design(lower[0].design, DRAFT).figures
     assert after["occluded"] == 0
     assert faults_of(after) == 0
     assert "row 2 height by -" in text(found)
@@ -69,7 +76,7 @@ def test_a_camera_too_close_is_to_be_moved_back() -> None:
     assert back[0].move.amount > 0.0
     assert back[0].move.goal == RULES
     assert back[0].design is not None
-    assert judge(back[0].design, DRAFT).faults == 0
+    assert evaluate_design(back[0].design, DRAFT).faults == 0
 
 
 def test_advice_breaks_nothing(of_thick_wall: Advice) -> None:
@@ -77,7 +84,7 @@ def test_advice_breaks_nothing(of_thick_wall: Advice) -> None:
     for trial in of_thick_wall.pieces:
         assert trial.design is not None
         check_design(trial.design)
-        assert not broken(of_thick_wall.figures, trial.achieved)
+        assert not broken_margin(of_thick_wall.figures, trial.achieved)
         assert trial.gain > 0.0
     for trial in of_thick_wall.tried:
         assert trial.reason
@@ -88,23 +95,23 @@ def test_advice_breaks_nothing(of_thick_wall: Advice) -> None:
 
 def test_a_move_that_hides_markers_is_no_advice() -> None:
     base = judged_tube()
-    (knob,) = [k for k in row_knobs(base, base.markers.row, [2]) if k.name.endswith("height")]
-    move = Move(knob=knob, amount=3.5, goal="force_middle_N", predicted={}, gain=0.05)
-    trial = Trials(base=base, accuracy=DRAFT).one(move)
+    (knob,) = [k for k in row_variables(base, base.markers.row, [2]) if k.name.endswith("height")]
+    move = Change(knob=knob, amount=3.5, goal="force_middle_N", predicted={}, gain=0.05)
+    trial = ChangeTester(base=base, accuracy=DRAFT).one(move)
     assert trial.achieved["occluded"] == 8
     assert "hidden markers at rest 8 (at most 0)" in trial.reason
 
 
 def test_broken_compares_with_what_was() -> None:
     good = dict(judged_tube().figures)
-    assert broken(good, good) == ""
-    assert "gap" in broken(good, good | {"gap_px": 2.9})
-    assert broken(good | {"gap_px": 2.0}, good | {"gap_px": 2.0}) == ""
-    assert "strain" in broken(good, good | {"strain": 0.03})
-    assert "disturbance" in broken(good, good | {"crosstalk_px": 0.2})
+    assert broken_margin(good, good) == ""
+    assert "gap" in broken_margin(good, good | {"gap_px": 2.9})
+    assert broken_margin(good | {"gap_px": 2.0}, good | {"gap_px": 2.0}) == ""
+    assert "strain" in broken_margin(good, good | {"strain": 0.03})
+    assert "disturbance" in broken_margin(good, good | {"crosstalk_px": 0.2})
     for name in ("occluded", "fused", "load_hidden", "load_fused"):
-        assert broken(good, good | {name: 1})
-        assert broken(good | {name: 2}, good | {name: 1}) == ""
+        assert broken_margin(good, good | {name: 1})
+        assert broken_margin(good | {name: 2}, good | {name: 1}) == ""
 
 
 def test_conflicts_are_said() -> None:
@@ -132,13 +139,13 @@ def test_what_was_judged_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(judging, "check_visibility", again)
     monkeypatch.setattr(judging, "see_pressed", again)
-    assert judge(base.design, DRAFT).figures == base.figures
+    assert evaluate_design(base.design, DRAFT).figures == base.figures
     # Another resin is seen as before, and pressed anew.
     with pytest.raises(AssertionError):
-        judge(with_fields(base.design, {"material.modulus_MPa": 2000.0}), DRAFT)
+        evaluate_design(with_fields(base.design, {"material.modulus_MPa": 2000.0}), DRAFT)
     monkeypatch.undo()
     monkeypatch.setattr(judging, "check_visibility", again)
-    judge(with_fields(base.design, {"material.modulus_MPa": 2000.0}), DRAFT)
+    evaluate_design(with_fields(base.design, {"material.modulus_MPa": 2000.0}), DRAFT)
 
 
 def test_listed_markers_are_the_same() -> None:
@@ -149,7 +156,7 @@ def test_listed_markers_are_the_same() -> None:
     assert np.array_equal(listed.colour, markers.colour)
     assert listed.tip_mm == pytest.approx(markers.tip_mm, abs=1e-9)
     assert same.switch.regions[0].markers == tuple(range(8, 24))
-    taller = knobs_of(same, listed, 20.0)[2].moved(same, 0.05)
+    taller = variables_of(same, listed, 20.0)[2].moved(same, 0.05)
     assert taller.layout.position_heights_mm == pytest.approx(1.05 * markers.height_mm)
 
 
@@ -157,7 +164,7 @@ def test_listed_markers_are_the_same() -> None:
 def test_knobs_move_what_they_say(name: str) -> None:
     design = load_design(name)
     markers = make_markers(design, design.surface())
-    knobs = knobs_of(design, markers, 30.0)
+    knobs = variables_of(design, markers, 30.0)
     assert len({knob.name for knob in knobs}) == len(knobs) > 6
     for knob in knobs:
         for amount in (*knob.amounts(1.0), *knob.amounts(-1.0)):

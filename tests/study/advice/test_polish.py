@@ -10,12 +10,18 @@ from typer.testing import CliRunner
 
 from phytac_design.cli.advise_command import advise as command
 from phytac_design.design.design_file import load_design, to_toml
-from phytac_design.study.advice import judge as judging
-from phytac_design.study.advice.judge import GAP_PX, judge
-from phytac_design.study.advice.knobs import Knob
-from phytac_design.study.advice.moves import broken
-from phytac_design.study.advice.polish import GAIN_LEAST, GAP_ROOM_PX, Polished, polish, step_of
-from phytac_design.study.advice.slopes import SLOPED, Slope
+from phytac_design.study.advice import design_evaluation as judging
+from phytac_design.study.advice.changes import broken_margin
+from phytac_design.study.advice.design_evaluation import GAP_PX, evaluate_design
+from phytac_design.study.advice.design_variables import DesignVariable
+from phytac_design.study.advice.refinement import (
+    LEAST_GAIN,
+    GAP_RESERVE_px,
+    RefinedDesign,
+    refine,
+    step_of,
+)
+from phytac_design.study.advice.sensitivity import SENSITIVE, Sensitivity
 from phytac_shapes.errors import DesignError
 from tests.study.advice.cases import DRAFT, tube, with_long_row
 
@@ -23,17 +29,17 @@ ONLY = ["wall", "layout.height_far_mm"]
 
 
 @pytest.fixture(scope="module")
-def done() -> Polished:
-    return polish(tube(), DRAFT, only=ONLY, rounds=2)
+def done() -> RefinedDesign:
+    return refine(tube(), DRAFT, only=ONLY, rounds=2)
 
 
-def slope_of(name: str, *, force: float, gap: float, strain: float = 0.0) -> Slope:
-    knob = Knob(
+def slope_of(name: str, *, force: float, gap: float, strain: float = 0.0) -> Sensitivity:
+    knob = DesignVariable(
         name=name, unit="mm", value=1.0, step=0.1, reach=1.0, why="", kind="free",
         fields=lambda _: {},
     )  # fmt: skip
-    rate = dict.fromkeys(SLOPED, force) | {"gap_px": gap, "load_gap_px": gap, "strain": strain}
-    return Slope(knob=knob, rate=rate)
+    rate = dict.fromkeys(SENSITIVE, force) | {"gap_px": gap, "load_gap_px": gap, "strain": strain}
+    return Sensitivity(knob=knob, rate=rate)
 
 
 def test_a_step_keeps_the_gap_and_the_strain() -> None:
@@ -44,37 +50,37 @@ def test_a_step_keeps_the_gap_and_the_strain() -> None:
     wider = slope_of("b", force=0.001, gap=10.0)
     both = step_of(figures, [finer, wider], 1.0)
     assert both[0] == pytest.approx(1.0)
-    assert 5.5 - 4.0 * both[0] + 10.0 * both[1] >= GAP_PX + GAP_ROOM_PX - 10.0 * 0.1
+    assert 5.5 - 4.0 * both[0] + 10.0 * both[1] >= GAP_PX + GAP_RESERVE_px - 10.0 * 0.1
     bent = slope_of("c", force=-0.1, gap=0.0, strain=2.0)
     assert step_of(figures, [bent], 1.0) == pytest.approx([np.trunc(np.log(2.0) / 2.0 * 10) / 10])
     assert step_of(figures, [finer], 0.25) == pytest.approx([0.2])
 
 
-def test_polish_gains_within_margins(done: Polished) -> None:
+def test_polish_gains_within_margins(done: RefinedDesign) -> None:
     taken = [step for step in done.steps if not step.reason]
     assert taken
-    assert all(step.gain >= GAIN_LEAST for step in taken)
+    assert all(step.gain >= LEAST_GAIN for step in taken)
     assert done.figures["force_middle_N"] < 0.9 * done.before["force_middle_N"]
-    assert not broken(done.before, done.figures)
-    assert judge(done.design, DRAFT).figures == done.figures
+    assert not broken_margin(done.before, done.figures)
+    assert evaluate_design(done.design, DRAFT).figures == done.figures
     assert done.design.name == f"{tube().name}-polished"
 
 
-def test_polish_goes_on_where_it_was(done: Polished, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_polish_goes_on_where_it_was(done: RefinedDesign, monkeypatch: pytest.MonkeyPatch) -> None:
     def again(*_: object, **__: object) -> None:
         raise AssertionError
 
     monkeypatch.setattr(judging, "check_visibility", again)
     monkeypatch.setattr(judging, "see_pressed", again)
-    assert polish(tube(), DRAFT, only=ONLY, rounds=2) == done
+    assert refine(tube(), DRAFT, only=ONLY, rounds=2) == done
 
 
 def test_polish_asks_to_mend_first() -> None:
     with pytest.raises(DesignError, match="nothing to polish before that is mended"):
-        polish(with_long_row(2, 3.5), DRAFT)
+        refine(with_long_row(2, 3.5), DRAFT)
 
 
-def test_command(tmp_path: Path, done: Polished) -> None:
+def test_command(tmp_path: Path, done: RefinedDesign) -> None:
     app = typer.Typer()
     app.command()(command)
     path = tmp_path / "tube.toml"

@@ -5,20 +5,20 @@ import pytest
 
 from phytac_design.layout import with_heights
 from phytac_design.layout.cameras import cameras_of
-from phytac_design.study.advice.judge import judge
-from phytac_design.study.advice.knobs import knobs_of, with_fields
+from phytac_design.study.advice.design_evaluation import evaluate_design
+from phytac_design.study.advice.design_variables import variables_of, with_fields
+from phytac_design.study.advice.local_model import LocalModel, contacts_of
 from phytac_design.study.advice.outlines import gaps_px, ring_points
-from phytac_design.study.advice.probe import Probe, contacts_of
-from phytac_design.study.advice.rows import row_slopes, rows_of
-from phytac_design.study.advice.slopes import slopes_of
+from phytac_design.study.advice.rows import row_sensitivities, rows_of
+from phytac_design.study.advice.sensitivity import sensitivities
 from phytac_design.study.search.surrogate import FORCE_N
 from tests.designs import of_shape
 from tests.study.advice.cases import COLUMNS, DRAFT, ROWS, judged_tube, tube
 
 
 @pytest.fixture(scope="module")
-def probe() -> Probe:
-    return Probe(judged_tube(), DRAFT)
+def probe() -> LocalModel:
+    return LocalModel(judged_tube(), DRAFT)
 
 
 def test_gap_of_discs_square_before_the_camera() -> None:
@@ -47,7 +47,7 @@ def test_gap_of_discs_square_before_the_camera() -> None:
     assert found == pytest.approx(scale * (apart.min(axis=1) - 2.4), abs=0.02 * 2.4 * scale[0])
 
 
-def test_probe_takes_the_judged_bound(probe: Probe) -> None:
+def test_probe_takes_the_judged_bound(probe: LocalModel) -> None:
     base = judged_tube()
     contacts = contacts_of(base.surface, base.markers)
     assert len(contacts) == ROWS
@@ -66,12 +66,12 @@ def test_probe_takes_the_judged_bound(probe: Probe) -> None:
         ("layout.row_pitch_exponent", 0.01),
     ],
 )
-def test_slopes_are_those_of_judged_designs(probe: Probe, field: str, step: float) -> None:
+def test_slopes_are_those_of_judged_designs(probe: LocalModel, field: str, step: float) -> None:
     base = judged_tube()
-    (knob,) = [k for k in knobs_of(base.design, base.markers, 20.0) if k.name == field]
-    (slope,) = slopes_of(probe, base, [knob])
+    (knob,) = [k for k in variables_of(base.design, base.markers, 20.0) if k.name == field]
+    (slope,) = sensitivities(probe, base, [knob])
     sides = [
-        judge(with_fields(base.design, knob.fields(sign * step)), DRAFT).figures
+        evaluate_design(with_fields(base.design, knob.fields(sign * step)), DRAFT).figures
         for sign in (1.0, -1.0)
     ]
     for name in ("force_middle_N", "force_mean_N"):
@@ -82,7 +82,7 @@ def test_slopes_are_those_of_judged_designs(probe: Probe, field: str, step: floa
         assert slope.rate[name] == pytest.approx(truth, abs=room), name
 
 
-def test_a_softer_resin_needs_no_solve(probe: Probe) -> None:
+def test_a_softer_resin_needs_no_solve(probe: LocalModel) -> None:
     base = judged_tube()
     probe.figures(base.design)
     solves = probe.solves
@@ -90,14 +90,16 @@ def test_a_softer_resin_needs_no_solve(probe: Probe) -> None:
     probe.figures(with_fields(base.design, {"wall.thickness_mm": 0.81}))
     probe.figures(with_fields(base.design, {"layout.height_far_mm": 4.2}))
     assert probe.solves == solves
-    truth = judge(with_fields(base.design, {"material.modulus_MPa": 1100.0}), DRAFT).figures
+    truth = evaluate_design(
+        with_fields(base.design, {"material.modulus_MPa": 1100.0}), DRAFT
+    ).figures
     assert found["force_mean_N"] == pytest.approx(truth["force_mean_N"], rel=2e-3)
 
 
-def test_rows_add_up_to_all_heights(probe: Probe) -> None:
+def test_rows_add_up_to_all_heights(probe: LocalModel) -> None:
     base = judged_tube()
     row = rows_of(base.markers, 1.0)
-    found = row_slopes(probe, base, row)
+    found = row_sensitivities(probe, base, row)
     assert sorted(one.row for one in found) == list(range(ROWS))
     assert [one.share for one in found] == sorted(one.share for one in found)
     # One row raised for itself, by another way: the whole figure with these markers.

@@ -18,7 +18,7 @@ from phytac_design.study.planning.cost import features, fit_units, predict, prob
 from phytac_design.study.planning.counts import repeats
 from phytac_design.study.planning.plan import Plan, plan_scene
 from phytac_design.study.planning.resolve import resolve
-from phytac_design.study.planning.units import MEMORY_MB, SECONDS
+from phytac_design.study.planning.unit_costs import MEMORY_MB, SECONDS
 from phytac_shapes.errors import DesignError
 from tests.designs import changed, small
 from tests.study.planning.scenes import scene

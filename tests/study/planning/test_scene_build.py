@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.decode import Measured
 from phytac_decoder.io.bundle import Bundle, load_bundle
+from phytac_decoder.pipeline.decode import Measured
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.scene import building
 from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.simulation.dataset import Dataset
 from phytac_design.stages import STAGES
 from phytac_design.stages.build import run_stages, select_stages
-from phytac_design.stages.decoder import read_tips
+from phytac_design.stages.decoder import tips_in_play
 from phytac_design.study.planning.audit import force_errors, reference_presses
 from phytac_design.study.planning.plan import Plan, plan_scene
 from phytac_design.study.planning.run import SceneResult, run_plan
@@ -154,7 +154,7 @@ def test_no_alarm_inside(bundle: Bundle, whole: Context, planned: Plan) -> None:
 def test_blind_tips_out_of_play_never_count() -> None:
     rest, on = np.array([9.0, 9.0, 2.0]), np.array([10.0, 10.0, 50.0])
     played = np.array([True, False, False])
-    tips = read_tips(np.zeros((3, 2)), rest, on, played)
+    tips = tips_in_play(np.zeros((3, 2)), rest, on, played)
     assert tips.red_on_px[[0, 2]].tolist() == [10.0, 50.0]
     assert tips.readable.tolist() == [False, True, True]
     # No red that such a tip shows, at rest or out, turns it on.

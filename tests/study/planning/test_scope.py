@@ -55,7 +55,7 @@ def test_receptors_in_play_are_those_that_contacts_trip() -> None:
 
 
 def test_places_near_hold_all_that_the_cubics_inside_are_fitted_to() -> None:
-    from phytac_decoder.mechanics.response_table import NEAR
+    from phytac_decoder.mechanics.response_table import FIT_PLACES
 
     design = small()
     scope = scope_on(design, SEAM)
@@ -65,7 +65,9 @@ def test_places_near_hold_all_that_the_cubics_inside_are_fitted_to() -> None:
     assert 0.03 < kept.mean() < 0.5
     point = scope.surface.point(ring.uv)
     for place in np.flatnonzero(scope.holds(ring.uv)):
-        nearest = np.argsort(np.linalg.norm(point - point[place], axis=1), kind="stable")[:NEAR]
+        nearest = np.argsort(np.linalg.norm(point - point[place], axis=1), kind="stable")[
+            :FIT_PLACES
+        ]
         assert kept[nearest].all()
     assert not kept[scope.distance_mm(ring.uv) > MARGIN_SPACINGS * spacing].any()
 

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from phytac_design.study.search.file import Study
 from phytac_design.study.search.space import Space, make_space
+from phytac_design.study.search.study_file import Study
 from tests.designs import small
 
 DATA: dict[str, Any] = {

@@ -15,10 +15,10 @@ from typing import Any
 
 import pytest
 
-from phytac_design.study.search.drive import run_study
-from phytac_design.study.search.file import Study
-from phytac_design.study.search.ladder import FAILED, OK, Outcome, Task
-from phytac_design.study.search.store import RESULTS, parquet_library
+from phytac_design.study.search.driver import run_study
+from phytac_design.study.search.study_file import Study
+from phytac_design.study.search.study_folder import RESULTS, parquet_library
+from phytac_design.study.search.successive_halving import FAILED, OK, Outcome, Task
 from tests.study.search.studies import space_of, tiny
 
 distributed = pytest.importorskip("distributed")

@@ -7,16 +7,16 @@ from typing import Any
 
 import pytest
 
-from phytac_design.study.search import rungs
-from phytac_design.study.search import store as stores
+from phytac_design.study.search import fidelity_levels
+from phytac_design.study.search import study_folder as stores
 from phytac_design.study.search.candidate import Candidate
-from phytac_design.study.search.drive import Done, Kind, run_study
-from phytac_design.study.search.file import Study
-from phytac_design.study.search.ladder import DROPPED, FAILED, OK, Outcome, Task
+from phytac_design.study.search.driver import Kind, StudyRun, run_study
 from phytac_design.study.search.pool import OwnProcess, Pool
 from phytac_design.study.search.rebuild import rebuild
 from phytac_design.study.search.sampler import Search
-from phytac_design.study.search.store import RESULTS, Store
+from phytac_design.study.search.study_file import Study
+from phytac_design.study.search.study_folder import RESULTS, Store
+from phytac_design.study.search.successive_halving import DROPPED, FAILED, OK, Outcome, Task
 from phytac_shapes.errors import DesignError, InputError, OutputError
 from tests.study.search.studies import space_of, tiny
 
@@ -37,8 +37,8 @@ def quick_rules(monkeypatch: pytest.MonkeyPatch) -> None:
     def sampled(candidate: Candidate) -> dict[str, float]:
         return {"surrogate_force_sd_N": 1.0 / candidate.design.layout.rows}
 
-    monkeypatch.setitem(rungs.LADDER, "rules", rules)
-    monkeypatch.setitem(rungs.LADDER, "sampled", sampled)
+    monkeypatch.setitem(fidelity_levels.LEVEL_FUNCTIONS, "rules", rules)
+    monkeypatch.setitem(fidelity_levels.LEVEL_FUNCTIONS, "sampled", sampled)
 
 
 class KilledError(Exception):
@@ -70,7 +70,7 @@ class Backwards(OwnProcess):
         yield from super().run(reversed(list(tasks)), following)
 
 
-def run(study: Study, folder: Path, kind: Kind = "sweep", pool: Pool | None = None) -> Done:
+def run(study: Study, folder: Path, kind: Kind = "sweep", pool: Pool | None = None) -> StudyRun:
     return run_study(study, space_of(study), folder, kind=kind, pool=pool)
 
 
@@ -247,7 +247,7 @@ def test_a_candidate_that_breaks_down_is_a_row(
     def broken(_: object) -> dict[str, float]:
         raise ZeroDivisionError("by nothing")
 
-    monkeypatch.setitem(rungs.LADDER, "rules", broken)
+    monkeypatch.setitem(fidelity_levels.LEVEL_FUNCTIONS, "rules", broken)
     done = run(tiny(budget={"candidates": 4}), tmp_path)
     assert done.statuses == {FAILED: 4}
     assert rows(tmp_path)[0]["reason"] == "ZeroDivisionError: by nothing"

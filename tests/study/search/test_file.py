@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from phytac_design.study.search.file import load_study, parse_study, shipped_studies
-from phytac_design.study.search.measures import MEASURES, RUNGS, stand_in
+from phytac_design.study.search.measures import LEVELS, MEASURES, best_proxy
 from phytac_design.study.search.space import make_space
+from phytac_design.study.search.study_file import load_study, parse_study, shipped_studies
 from phytac_shapes.errors import DesignError
 from tests.designs import small
 from tests.study.search.studies import space_of, tiny
@@ -114,9 +114,9 @@ def test_measures_name_rungs_and_cheaper_proxies() -> None:
     for name, measure in MEASURES.items():
         if measure.proxy:
             earlier = MEASURES[measure.proxy].rung
-            assert RUNGS.index(earlier) < RUNGS.index(measure.rung), name
-    assert stand_in("force_error", frozenset({"surrogate_force_sd_N"})) == "surrogate_force_sd_N"
-    assert stand_in("crosstalk_px", frozenset({"gap_px"})) == ""
+            assert LEVELS.index(earlier) < LEVELS.index(measure.rung), name
+    assert best_proxy("force_error", frozenset({"surrogate_force_sd_N"})) == "surrogate_force_sd_N"
+    assert best_proxy("crosstalk_px", frozenset({"gap_px"})) == ""
 
 
 AT: list[tuple[dict[str, object], list[object]]] = [

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phytac_design.study.search.drive import run_study
+from phytac_design.study.search.driver import run_study
 from phytac_design.study.search.report import (
     Results,
     agreement,

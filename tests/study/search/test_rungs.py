@@ -7,19 +7,19 @@ import pytest
 
 from phytac_design.design.design_file import design_hash
 from phytac_design.optics.visibility import check_visibility
-from phytac_design.study.search import rungs
+from phytac_design.study.search import fidelity_levels
 from phytac_design.study.search.candidate import Candidate
-from phytac_design.study.search.ladder import (
+from phytac_design.study.search.measures import measures_up_to
+from phytac_design.study.search.successive_halving import (
     OK,
     REFUSED,
     UNFIT,
     Outcome,
-    best_of_batch,
-    climb,
+    evaluate_candidate,
+    promoted,
     spec_of,
     task_of,
 )
-from phytac_design.study.search.measures import measures_up_to
 from tests.designs import drawn, small
 from tests.study.search.studies import space_of, tiny
 
@@ -29,7 +29,7 @@ PARAMS = {"layout.rows": 8, "layout.columns": 14, "wall.thickness_mm": 0.8}
 
 def test_rules_and_sampled_measure_all_they_promise() -> None:
     candidate = Candidate(small(), tiny())
-    found = rungs.rules(candidate) | rungs.sampled(candidate)
+    found = fidelity_levels.rules(candidate) | fidelity_levels.sampled(candidate)
     assert set(found) == set(measures_up_to(("rules", "sampled")))
     assert found["marker_count"] == 112
     assert found["density_mean_per_cm2"] == pytest.approx(112 / (np.pi * 6.0 * 6.0))
@@ -44,30 +44,30 @@ def test_mass_is_that_of_a_ring_with_tubes() -> None:
     ring = np.pi * (30.0**2 - 29.2**2) * 60.0
     tubes = np.pi * (1.5**2 - 0.8**2) * float(candidate.markers.height_mm.sum())
     holes = np.pi * 0.8**2 * 0.8 * 112
-    assert rungs.rules(candidate)["mass_g"] == pytest.approx(
+    assert fidelity_levels.rules(candidate)["mass_g"] == pytest.approx(
         1.15e-3 * (ring + tubes - holes), rel=1e-6
     )
     rims = Candidate(small(), tiny())
-    more = rungs.resin_mm3(rims.design, rims.surface, rims.markers.height_mm)
-    less = rungs.resin_mm3(design, candidate.surface, candidate.markers.height_mm)
+    more = fidelity_levels.resin_mm3(rims.design, rims.surface, rims.markers.height_mm)
+    less = fidelity_levels.resin_mm3(design, candidate.surface, candidate.markers.height_mm)
     assert more - less == pytest.approx(2 * np.pi * 2 * 29.6 * 4.0 * (0.8 + 1.6), rel=1e-3)
 
 
 def test_cost_is_of_resin_switches_and_cameras() -> None:
     study = tiny(prices={"resin_per_kg": 1000.0, "switch_each": 2.0, "camera_each": 30.0})
-    found = rungs.rules(Candidate(small(), study))
+    found = fidelity_levels.rules(Candidate(small(), study))
     assert found["cost"] == pytest.approx(found["mass_g"] + 2.0 * 112 + 30.0)
 
 
 def test_stack_reaches_from_the_lens_to_the_far_end() -> None:
     candidate = Candidate(small(camera={"stand_off_mm": 40.0, "focal_px": 400.0}), tiny())
-    assert rungs.rules(candidate)["stack_mm"] == pytest.approx(100.0)
+    assert fidelity_levels.rules(candidate)["stack_mm"] == pytest.approx(100.0)
 
 
 def test_exact_is_what_a_check_sees() -> None:
     rows = {"kind": "straight", "rows": 12, "colours": ["blue"]}
     candidate = Candidate(small(layout=rows, receptor={"band_marker_mm": 3.0}), tiny())
-    found = rungs.exact(candidate)
+    found = fidelity_levels.exact(candidate)
     seen = check_visibility(
         candidate.design, candidate.surface, candidate.markers, rng=np.random.default_rng(3)
     ).summary()
@@ -79,17 +79,17 @@ def test_exact_is_what_a_check_sees() -> None:
 @pytest.mark.parametrize("kind", ["cone", "hemisphere", "plane"])
 def test_sampled_gaps_are_near_rendered_ones(kind: str) -> None:
     candidate = Candidate(drawn(kind, 1), tiny())
-    assert rungs.sampled(candidate)["sampled_gap_px"] == pytest.approx(
-        rungs.exact(candidate)["gap_px"], abs=2.0
+    assert fidelity_levels.sampled(candidate)["sampled_gap_px"] == pytest.approx(
+        fidelity_levels.exact(candidate)["gap_px"], abs=2.0
     )
 
 
 def test_load_presses_and_looks() -> None:
     candidate = Candidate(small(), tiny())
-    found = rungs.load(candidate)
+    found = fidelity_levels.load(candidate)
     assert set(found) == set(measures_up_to(("load",)))
     assert 0.2 < found["dent_mm"] < 1.5
-    assert found["load_gap_px"] <= rungs.exact(candidate)["gap_px"] + 1.0
+    assert found["load_gap_px"] <= fidelity_levels.exact(candidate)["gap_px"] + 1.0
 
 
 def test_a_climb_gives_plain_figures_and_the_hash_of_its_design() -> None:
@@ -106,7 +106,7 @@ def test_a_climb_gives_plain_figures_and_the_hash_of_its_design() -> None:
 
 def test_a_climb_stops_where_a_constraint_is_missed() -> None:
     study = tiny(objective=SEEN, constraint=[{"measure": "marker_count", "max": 100}])
-    outcome = climb(spec_of(study, space_of(study)), PARAMS, study.rungs)
+    outcome = evaluate_candidate(spec_of(study, space_of(study)), PARAMS, study.rungs)
     assert (outcome.status, outcome.rung) == (UNFIT, "rules")
     assert outcome.reason == "marker_count is 112, asked is at most 100"
     assert set(outcome.measures) == set(measures_up_to(("rules",)))
@@ -117,7 +117,7 @@ def test_a_climb_stops_where_a_constraint_is_missed() -> None:
 def test_what_cannot_be_made_is_refused_with_its_reason() -> None:
     study = tiny(objective=SEEN)
     thin = PARAMS | {"wall.thickness_mm": 0.1}
-    outcome = climb(spec_of(study, space_of(study)), thin, study.rungs)
+    outcome = evaluate_candidate(spec_of(study, space_of(study)), thin, study.rungs)
     assert (outcome.status, outcome.rung) == (REFUSED, "rules")
     assert "too thin to print" in outcome.reason
     assert outcome.violation == 3.0
@@ -130,9 +130,10 @@ def test_nearer_to_the_goal_is_a_smaller_violation() -> None:
     )
     spec = spec_of(study, space_of(study))
     many, few = (
-        climb(spec, PARAMS | {"layout.columns": columns}, study.rungs) for columns in (18, 14)
+        evaluate_candidate(spec, PARAMS | {"layout.columns": columns}, study.rungs)
+        for columns in (18, 14)
     )
-    seen = climb(spec, PARAMS | {"layout.columns": 8}, study.rungs)
+    seen = evaluate_candidate(spec, PARAMS | {"layout.columns": 8}, study.rungs)
     assert (many.rung, few.rung, seen.rung) == ("rules", "rules", "exact")
     assert many.violation > few.violation > seen.violation > 0.0
 
@@ -145,7 +146,7 @@ def test_the_better_share_goes_on_by_what_predicts_the_goal() -> None:
         for number, gap in enumerate(gaps)
     }
     found[1].status = UNFIT
-    assert best_of_batch(study, "sampled", found) == {2, 3}
+    assert promoted(study, "sampled", found) == {2, 3}
 
 
 def test_keys_tell_values_rungs_and_studies_apart() -> None:

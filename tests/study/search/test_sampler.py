@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from phytac_design.study.search.front import front, hypervolume, ranks
-from phytac_design.study.search.ladder import OK, UNFIT
-from phytac_design.study.search.sampler import Cover, Search, sobol
+from phytac_design.study.search.pareto import front, hypervolume, ranks
+from phytac_design.study.search.sampler import Search, Sweep, sobol
+from phytac_design.study.search.successive_halving import OK, UNFIT
 from phytac_shapes.errors import DesignError
 from tests.study.search.studies import space_of, tiny
 
@@ -20,7 +20,7 @@ def test_a_sequence_in_pieces_is_the_whole_one() -> None:
 @pytest.mark.parametrize("kind", ["sobol", "latin-hypercube"])
 def test_covers_are_even(kind: str) -> None:
     study = tiny(sampling={"sweep": kind}, budget={"candidates": 64})
-    cover = Cover(study, space_of(study))
+    cover = Sweep(study, space_of(study))
     drawn = cover.ask(0, 40) + cover.ask(40, 40)
     assert len(drawn) == 64
     assert cover.ask(64, 40) == []
@@ -38,11 +38,11 @@ def test_a_grid_has_every_point_once_and_no_more_than_the_budget() -> None:
         sampling={"sweep": "grid"},
         budget={"candidates": 9},
     )
-    cover = Cover(study, space_of(study))
+    cover = Sweep(study, space_of(study))
     points = cover.ask(0, 5) + cover.ask(5, 99)
     assert len({tuple(point.values()) for point in points}) == cover.total == 9
     with pytest.raises(DesignError, match="the grid has 9 points, the budget is 8"):
-        Cover(study.model_copy(update={"budget": tiny(budget={"candidates": 8}).budget}),
+        Sweep(study.model_copy(update={"budget": tiny(budget={"candidates": 8}).budget}),
               space_of(study))  # fmt: skip
 
 
@@ -73,7 +73,7 @@ def quadratic(
         budget={"candidates": total},
     )
     space = space_of(study)
-    source = Search(study, space, f"{tmp_path}/{seed}.journal") if smart else Cover(study, space)
+    source = Search(study, space, f"{tmp_path}/{seed}.journal") if smart else Sweep(study, space)
     best, fit = np.inf, []
     for first in range(0, total, 8):
         batch = source.ask(first, 8)

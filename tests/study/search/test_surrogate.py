@@ -7,8 +7,14 @@ from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.study.search.candidate import Candidate
-from phytac_design.study.search.rungs import mechanics, rules, sampled
-from phytac_design.study.search.surrogate import Flat, Unrolled, Wall, dent_of, waves_along
+from phytac_design.study.search.fidelity_levels import mechanics, rules, sampled
+from phytac_design.study.search.surrogate import (
+    Flat,
+    Unrolled,
+    Wall,
+    deflection_under_disc,
+    waves_along,
+)
 from tests.designs import changed, small
 from tests.study.search.studies import tiny
 
@@ -16,7 +22,7 @@ WALL = Wall(thickness=0.8, modulus=2200.0, poisson=0.38)
 
 
 def at_load(wall: Wall, flat: Flat, radius_mm: float, waves: int) -> float:
-    dent = dent_of(wall, flat, flat.length / 2.0, radius_mm, waves)
+    dent = deflection_under_disc(wall, flat, flat.length / 2.0, radius_mm, waves)
     along = waves_along(flat.length, np.array([flat.length / 2.0]), waves)
     return float(dent.motion(along, np.zeros(1))[0, 0])
 
@@ -41,7 +47,7 @@ def test_a_square_plate_under_a_point_load_is_naviers() -> None:
 
 def test_motion_and_slopes_agree_with_differences() -> None:
     flat = Flat(length=50.0, girth=90.0, closed=True, k_u=0.01, k_v=0.03)
-    dent = dent_of(WALL, flat, 20.0, 4.0)
+    dent = deflection_under_disc(WALL, flat, 20.0, 4.0)
 
     def motion(x: float, y: float) -> np.ndarray:
         return dent.motion(waves_along(50.0, np.array([x])), np.array([y]))[0]
@@ -80,7 +86,7 @@ def test_a_dent_of_the_cylinder_is_near_finite_elements() -> None:
     unrolled = Unrolled(surface)
     place = markers.uv[middle]
     x = unrolled.x_mm(place[None])
-    dent = dent_of(WALL, unrolled.at(place[None])[0], float(x[0]), 5.0)
+    dent = deflection_under_disc(WALL, unrolled.at(place[None])[0], float(x[0]), 5.0)
     along = waves_along(float(unrolled.along[-1]), x)
     found = float(dent.motion(along, np.zeros(1))[0, 0])
     assert found == pytest.approx(exact, rel=0.25)

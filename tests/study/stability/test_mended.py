@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from phytac_decoder.io.bundle import load_bundle, save_bundle
-from phytac_decoder.serving.wire_protocol import Splitter
+from phytac_decoder.serving.wire_protocol import MessageSplitter
 from phytac_design.design.camera_files import read_lens
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.positions import read_positions
@@ -127,4 +127,4 @@ def test_a_quote_that_is_not_closed_is_refused(tmp_path: Path) -> None:
 
 def test_garbled_streams_say_what_to_do() -> None:
     with pytest.raises(InputError, match="read it in the format that phytac serve was given"):
-        Splitter("lines").feed(b"\xff\xfe\n")
+        MessageSplitter("lines").feed(b"\xff\xfe\n")

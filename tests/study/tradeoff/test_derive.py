@@ -7,7 +7,7 @@ import pytest
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.study.tradeoff.derive import WANTED, FINE_s, derive, most_beaten
 from phytac_design.study.tradeoff.front import Measured
-from phytac_design.study.tradeoff.levels import CAD, LOAD, MECHANICS, SCORE, accuracy_of
+from phytac_design.study.tradeoff.joint import CAD, LOAD, MECHANICS, SCORE, accuracy_of
 from phytac_shapes.errors import NumericalError
 
 

@@ -12,17 +12,10 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import to_toml
 from phytac_design.study.tradeoff import points as points_module
 from phytac_design.study.tradeoff.front import Measured, beaten_by, knee, pareto
-from phytac_design.study.tradeoff.knobs import KNOBS, QUANTITIES, knob_named
-from phytac_design.study.tradeoff.levels import (
-    CAD,
-    LOAD,
-    LOAD_REFINE,
-    MECHANICS,
-    SCORE,
-    accuracy_of,
-)
+from phytac_design.study.tradeoff.joint import CAD, LOAD, LOAD_REFINE, MECHANICS, SCORE, accuracy_of
 from phytac_design.study.tradeoff.points import Point, Points
 from phytac_design.study.tradeoff.run import tradeoff
+from phytac_design.study.tradeoff.settings import KNOBS, QUANTITIES, knob_named
 from phytac_shapes.errors import DesignError, NumericalError
 from tests.designs import drawn
 

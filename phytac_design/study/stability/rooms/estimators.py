@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from phytac_decoder.estimation.contact_fit import Noise, Prior
+from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
 from phytac_decoder.estimation.estimators import ForceModel
-from phytac_decoder.estimation.locator import Locator
+from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
-from phytac_decoder.mechanics.response_table import Places
+from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
 from phytac_shapes.arrays import FloatArray, IntArray
 
@@ -59,13 +59,13 @@ def _neighbours() -> IntArray:
     return np.where(near, order, -1)
 
 
-def flat_locator() -> Locator:
+def flat_locator() -> ContactLocator:
     """The estimator ``auto`` of that sensor."""
     points = _grid(2.5, 0.0)
     first = np.stack([dent_px(point) for point in points])
     ones = np.ones(len(points))
-    return Locator(
-        places=Places(
+    return ContactLocator(
+        places=ResponseTable(
             point_mm=points,
             along=np.outer(ones, [1.0, 0.0, 0.0]),
             around=np.outer(ones, [0.0, 1.0, 0.0]),
@@ -76,8 +76,8 @@ def flat_locator() -> Locator:
         neighbours=_neighbours(),
         footprint_mm=2.3,
         threshold_N=np.full(len(MARKERS), 0.5),
-        prior=Prior(place_mm=1.5),
-        noise=Noise(centroid_px=0.02, share=0.005, switched_px=0.0),
+        prior=ContactPrior(place_mm=1.5),
+        noise=ShiftNoise(centroid_px=0.02, share=0.005, switched_px=0.0),
     )
 
 

@@ -12,7 +12,7 @@ from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.cascade_network import CascadeNetwork
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
-from phytac_decoder.serving.wire_protocol import Splitter, encode
+from phytac_decoder.serving.wire_protocol import MessageSplitter, encode
 from phytac_decoder.vision.segmentation import ColourModel
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_design.design.camera_files import read_lens, write_lens
@@ -20,7 +20,7 @@ from phytac_design.design.fixture_files import read_stl
 from phytac_design.design.positions import read_positions
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.calibration.measurements import read_measurements
-from phytac_design.simulation.scenario.file import load_scenario
+from phytac_design.simulation.scenario.scenario_file import load_scenario
 from phytac_design.study.stability.bases import design_of
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
 from phytac_design.study.stability.judge import unreadable
@@ -158,7 +158,7 @@ def check_stream(values: Mapping[str, Any], found: Evidence) -> None:
     messages = [{"type": "frame", "number": k, "text": "ü" * k} for k in range(30)]
     framing = values["framing"]
     data = b"".join(encode(message, framing) for message in messages)
-    splitter, got = Splitter(framing), []
+    splitter, got = MessageSplitter(framing), []
     at = 0
     while at < len(data):
         step = int(rng.integers(1, 40))
@@ -171,7 +171,7 @@ def check_stream(values: Mapping[str, Any], found: Evidence) -> None:
             spoilt[int(k)] = int(rng.integers(256))
 
         def feed(spoilt: bytes = bytes(spoilt)) -> None:
-            Splitter(framing).feed(spoilt)
+            MessageSplitter(framing).feed(spoilt)
 
         _told("five bytes changed", feed, found)
 

@@ -8,8 +8,12 @@ import numpy as np
 from phytac_design.layout import make_markers
 from phytac_design.simulation.contacts import draw_contacts, switch_states
 from phytac_design.simulation.response import motion_responses, superpose
-from phytac_design.simulation.scenario.file import UnitSection
-from phytac_design.simulation.scenario.scatter import CUT, draw_unit, wall_factor
+from phytac_design.simulation.scenario.instance_scatter import (
+    CUT_SD,
+    draw_sensor_instance,
+    thickness_factor,
+)
+from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
 from phytac_design.study.stability.bases import SHAPES, design_of, numbers_of
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
 from phytac_design.study.stability.faces import face_of
@@ -95,33 +99,33 @@ def check_unit(values: Mapping[str, Any], found: Evidence) -> None:
     design = design_of(values)
     surface = design.surface()
     markers = make_markers(design, surface)
-    section = UnitSection.model_validate(values["unit"])
-    unit = draw_unit(design, surface, markers, section, values["seed"])
-    again = draw_unit(design, surface, markers, section, values["seed"])
+    section = SensorInstanceSection.model_validate(values["unit"])
+    unit = draw_sensor_instance(design, surface, markers, section, values["seed"])
+    again = draw_sensor_instance(design, surface, markers, section, values["seed"])
     found.true("the same for the same seed", np.array_equal(unit.on_N, again.on_N))
     nominal = section.number == 0
     off = abs(unit.modulus - 1.0)
     found.add(
         "modulus within its cut scatter",
-        max(off - (0.0 if nominal else CUT * section.modulus_share), 0.0),
+        max(off - (0.0 if nominal else CUT_SD * section.modulus_share), 0.0),
         1e-12,
     )
     threshold = np.full(markers.count, design.switch.threshold_N)
     off = np.abs(unit.on_N / threshold - 1.0).max()
     found.add(
         "thresholds within their cut scatter",
-        max(off - (0.0 if nominal else CUT * section.threshold_share), 0.0),
+        max(off - (0.0 if nominal else CUT_SD * section.threshold_share), 0.0),
         1e-12,
     )
     found.true("switches release no later than they trip", unit.off_N <= unit.on_N)
     moved = np.linalg.norm(unit.markers.mid_mm - markers.mid_mm, axis=1).max()
     # A step in the tangent plane is brought back to the face: shorter on convex ones.
-    most = 0.0 if nominal else np.sqrt(2.0) * CUT * section.marker_mm * 1.05
+    most = 0.0 if nominal else np.sqrt(2.0) * CUT_SD * section.marker_mm * 1.05
     found.add("markers within their cut scatter, mm", max(moved - most, 0.0), 1e-9)
     found.true("receptors keep a height", unit.markers.height_mm > 0.0)
     rng = np.random.default_rng(0)
     low, high = surface.domain.T
-    wall = wall_factor(unit.wall, rng.uniform(low, high, (500, 2)))
+    wall = thickness_factor(unit.wall, rng.uniform(low, high, (500, 2)))
     found.true("the wall stays a wall", (wall > 0.0) & np.isfinite(wall))
     for camera in unit.cameras:
         turn = camera.rotation @ camera.rotation.T - np.eye(3)

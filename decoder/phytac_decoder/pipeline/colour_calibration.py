@@ -1,0 +1,255 @@
+"""Eyes that set themselves by a rest frame: what paints look like in this light, and where.
+
+White balance, exposure and aged paint change the hue and the chroma of each paint, and lend a tint
+to the wall. All of it is read where markers are expected: there is paint of a known name.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from phytac_decoder.io.bundle import Bundle, CameraView
+from phytac_decoder.pipeline.decode import Frames, locate_in, one_frame_per_camera
+from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel, check_image
+from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
+from phytac_shapes.errors import InputError
+
+ACROSS = 21
+"""Samples across the window of each marker."""
+HALF_px = (3.0, 60.0)
+"""Least and largest distance from a marker's place to the edge of its window."""
+HALF_SHARE = 0.6
+"""That distance over the way to the nearest other marker."""
+COSINE_WIDE = 0.5
+"""Chroma within 60 degrees of a paint's expected hue may be that paint's."""
+CORE = 0.7
+"""Samples of this share of a marker's strongest chroma, and more, are its own, without edges."""
+CORE_SAMPLES = 4
+"""A marker shows its paint in at least so many samples."""
+STRONG = 90.0
+"""Percentile of a marker's painted samples that counts as its strongest chroma."""
+LEVELS_LEAST = 4.0
+"""Least chroma of paint, grey levels."""
+SHOWN_MIN = 0.5
+"""Share of each paint's markers that must show it."""
+APART_MIN_deg = 50.0
+"""Hues that are nearer to each other cannot be told."""
+ROUNDS = 3
+LIT = 0.88
+"""Share of its full chroma that paint shows, fall-off of the light and all: the floor is a share of
+what is measured instead."""
+FLOOR_MAX, FLOOR_STEP = 0.6, 0.05
+"""Largest share of full chroma that may be asked of paint, and the steps in which it is raised."""
+HIGHER, GROWTH, GROWTH_ANYHOW = 0.1, 1.3, 0.005
+"""From this much higher down to a floor, paint may grow by this factor, and by this share of all
+samples besides."""
+SEEN_MOST, UNSEEN_MOST = 0.5, 0.1
+"""Most of all samples that may be of one paint: a marker's, and the tips'."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """Chroma of pixels around the expected places of n markers of one camera.
+
+    Attributes
+    ----------
+    ids : (n,) int
+        Markers.
+    chroma : (n, p, 2) float
+        (Cr - 128, Cb - 128).
+    """
+
+    ids: IntArray
+    chroma: FloatArray
+
+
+def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
+    """Bundle for this sensor in this light: its colours, rest positions and tips as measured.
+
+    All that takes a bundle (``measure_frame``, ``Follower``, …) takes this one. What a rest frame
+    does not show is kept as it was.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        The design's decoder.
+    rest_frames : (h, w, 3) uint8, or a sequence of them
+        Frame of the unloaded sensor; of several cameras one of each.
+
+    Raises
+    ------
+    InputError
+        If paints cannot be told in the frame, or it is none of this sensor.
+    """
+    frames = one_frame_per_camera(bundle, rest_frames)
+    lit = replace(bundle, colours=calibrated_colours(bundle, frames))
+    shown = []
+    for number, frame in enumerate(frames):
+        old = lit.shown_by(number)
+        matched, _ = locate_in(lit, number, frame)
+        move = np.where(matched.found[:, None], matched.position_px - old.rest_px, 0.0)
+        tips = replace(old.tips, on_px=old.tips.on_px + move)
+        shown.append(CameraView(rest_px=old.rest_px + move, tips=tips))
+    own = np.arange(len(bundle.colour))
+
+    def read(each: list[FloatArray]) -> FloatArray:
+        return np.asarray(np.stack(each)[bundle.read_by, own])
+
+    return replace(
+        lit,
+        shown=tuple(shown) if bundle.shown else (),
+        rest_px=read([item.rest_px for item in shown]),
+        tips=replace(bundle.tips, on_px=read([item.tips.on_px for item in shown])),
+    )
+
+
+def calibrated_colours(bundle: Bundle, frames: Sequence[ImageArray]) -> ColourModel:
+    """Paints as one rest frame of each camera shows them.
+
+    Raises
+    ------
+    InputError
+        If fewer than half of a paint's markers show it, or two paints look alike.
+    """
+    samples = [_sampled(bundle, number, frame) for number, frame in enumerate(frames)]
+    chroma = np.concatenate([item.chroma for item in samples])
+    paint = np.concatenate([bundle.colour[item.ids] for item in samples])
+    return fit_colours(bundle.colours, chroma, paint)
+
+
+def _sampled(bundle: Bundle, number: int, frame: ImageArray) -> Samples:
+    """Chroma around the places of all markers that a camera shows."""
+    camera, rest = bundle.cameras[number], bundle.shown_by(number).rest_px
+    check_image(frame, width_px=camera.width_px, height_px=camera.height_px)
+    ids = np.flatnonzero(np.isfinite(rest).all(axis=1))
+    place = rest[ids]
+    gap = np.linalg.norm(place[:, None] - place[None], axis=2)
+    np.fill_diagonal(gap, np.inf)
+    half = np.clip(HALF_SHARE * gap.min(axis=1, initial=np.inf), *HALF_px)
+    step = np.linspace(-1.0, 1.0, ACROSS)
+    x, y = (
+        np.clip(np.rint(place[:, k, None] + half[:, None] * step), 0, size - 1).astype(np.int64)
+        for k, size in enumerate((camera.width_px, camera.height_px))
+    )
+    pixels = frame[y[:, :, None], x[:, None, :]].reshape(len(ids), -1, 3)
+    ycc = cv2.cvtColor(np.ascontiguousarray(pixels), cv2.COLOR_BGR2YCrCb)
+    return Samples(ids=ids, chroma=ycc[:, :, 1:].astype(np.float64) - 128.0)
+
+
+def fit_colours(model: ColourModel, chroma: FloatArray, paint: IntArray) -> ColourModel:
+    """Colour model of samples around markers of known paint.
+
+    Parameters
+    ----------
+    model : ColourModel
+        Paints as they are expected.
+    chroma : (n, p, 2) float
+        (Cr - 128, Cb - 128) of samples around n markers.
+    paint : (n,) int
+        Paint of each marker.
+    """
+    now, seen = model, np.unique(paint)
+    for _ in range(ROUNDS):
+        level = _levels(now, chroma, paint)
+        _refuse_unseen(model, level, paint)
+        centre = np.stack([np.nanmedian(level[paint == k], axis=0) for k in seen])
+        now = replace(model, chroma=_full(model, centre, seen))
+    return replace(now, floor=_floor(now, chroma, seen))
+
+
+def _levels(model: ColourModel, chroma: FloatArray, paint: IntArray) -> FloatArray:
+    """Chroma (n, 2) of each marker's own paint, NaN where it shows none."""
+    unit = model.chroma / np.linalg.norm(model.chroma, axis=1)[:, None]
+    along = chroma @ unit.T
+    size = np.linalg.norm(chroma, axis=2)
+    ahead = np.take_along_axis(along, paint[:, None, None], axis=2)[:, :, 0]
+    own = (ahead >= along.max(axis=2)) & (ahead >= COSINE_WIDE * size) & (size >= LEVELS_LEAST)
+    own &= own.sum(axis=1, keepdims=True) >= CORE_SAMPLES
+    shows = own.any(axis=1)
+    peak = np.full(len(paint), np.inf)
+    peak[shows] = np.nanpercentile(np.where(own, ahead, np.nan)[shows], STRONG, axis=1)
+    core = own & (ahead >= CORE * peak[:, None])
+    level = np.full((len(paint), 2), np.nan)
+    level[shows] = np.nanmedian(np.where(core[:, :, None], chroma, np.nan)[shows], axis=1)
+    return level
+
+
+def _full(model: ColourModel, centre: FloatArray, seen: IntArray) -> FloatArray:
+    """Full chroma (k, 2) of all paints: as measured, and of others as these have changed.
+
+    Raises
+    ------
+    InputError
+        If two hues are nearly the same.
+    """
+    usual = np.linalg.norm(centre, axis=1) / np.linalg.norm(model.chroma[seen], axis=1)
+    full = model.chroma * float(np.exp(np.log(usual).mean()))
+    full[seen] = centre
+    unit = full / np.linalg.norm(full, axis=1)[:, None]
+    cosine = unit @ unit.T
+    np.fill_diagonal(cosine, -1.0)
+    i, j = np.unravel_index(int(np.argmax(cosine)), cosine.shape)
+    apart = float(np.degrees(np.arccos(np.clip(cosine[i, j], -1.0, 1.0))))
+    if apart < APART_MIN_deg:
+        raise InputError(
+            f"{model.names[i]} and {model.names[j]} cannot be told in the rest frame: their hues "
+            f"are {apart:.0f} degrees apart (needed: {APART_MIN_deg:g}); set the camera's white "
+            "balance, and its exposure so that paint is not clipped"
+        )
+    return full
+
+
+def _floor(model: ColourModel, chroma: FloatArray, seen: IntArray) -> float:
+    """Least share of full chroma that counts as paint.
+
+    A little lower, paint grows by its edges only, and most of what is sampled is none. Where that
+    is not so, wall or noise is taken for paint.
+
+    Parameters
+    ----------
+    model : ColourModel
+        As measured.
+    chroma : (n, p, 2) float
+        Samples.
+    seen : (k,) int
+        Paints of markers; of others little shows at rest.
+
+    Raises
+    ------
+    InputError
+        If paint does not stand out of those.
+    """
+    full = np.linalg.norm(model.chroma, axis=1)
+    off = chroma.reshape(-1, 2)
+    along = off @ (model.chroma / full[:, None]).T
+    best = np.argmax(along, axis=1)
+    ahead = along[np.arange(len(off)), best]
+    hued = ahead >= HUE_COSINE_MIN * np.linalg.norm(off, axis=1)
+    share = np.where(hued, ahead / full[best], 0.0)
+
+    def painted(floor: float) -> FloatArray:
+        return np.bincount(best[share >= floor], minlength=len(full)) / len(off)
+
+    lowest = model.floor / LIT
+    most = np.where(np.isin(np.arange(len(full)), seen), SEEN_MOST, UNSEEN_MOST)
+    for floor in np.arange(lowest, FLOOR_MAX, FLOOR_STEP):
+        steady = GROWTH * painted(floor + HIGHER) + GROWTH_ANYHOW
+        if (painted(floor) <= np.minimum(steady, most)).all():
+            return float(floor)
+    raise InputError(
+        f"paint does not stand out of the rest frame: its chroma is {full.min():.0f} grey levels, "
+        "and wall or noise have as much; give more light or a longer exposure, and set the "
+        "camera's white balance"
+    )
+
+
+def _refuse_unseen(model: ColourModel, level: FloatArray, paint: IntArray) -> None:
+    for k in np.unique(paint):
+        shows = np.isfinite(level[paint == k, 0])
+        if shows.mean() < SHOWN_MIN:
+            raise InputError(
+                f"{int(shows.sum())} of {len(shows)} {model.names[k]} markers show their colour in "
+                "the rest frame; is it in colour, lit, in focus, and of this sensor?"
+            )

@@ -1,0 +1,301 @@
+"""One frame of each camera in, a force on every marker out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from phytac_decoder.estimation.contact_estimates import ContactDetection
+from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.io.recorded_frames import whole_image
+from phytac_decoder.io.sensor_limits import id_list, markers_in_play, scene_words
+from phytac_decoder.pipeline.fault_detection import FaultDetector
+from phytac_decoder.vision.matching import Matched, fill_from_neighbours, match_markers
+from phytac_decoder.vision.segmentation import check_image, segment
+from phytac_decoder.vision.switch_detection import read_switches
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
+from phytac_shapes.errors import InputError
+
+FOUND_MIN = 0.5
+"""A frame that shows fewer than this fraction of the markers is refused."""
+FOUND_WELL = 0.95
+"""Below this fraction of markers found, forces are returned with a warning."""
+BLOBS_MAX = 8.0
+"""A frame with more coloured blobs than this per marker is not a frame of the sensor."""
+CAMERA_SHIFT_MAX_px = 0.75
+"""A median shift of a camera's markers beyond this says that it has moved, not the shell."""
+
+WITHOUT_STIFFNESS = ("koi_inverse", "auto")
+"""Estimators that do without K·u."""
+
+Frames = ImageArray | Sequence[ImageArray]
+"""A frame of each camera, in the bundle's order; one camera's may stand alone."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """What one frame (of each camera) shows.
+
+    Attributes
+    ----------
+    koi : (m,) int
+        Key nodes of interest: markers whose switch is on.
+    shift_px : (n, 2) float
+        Shift of each marker against the rest frame; NaN where not found.
+    found : (n,) bool
+        Markers that were seen.
+    merged : (k,) int
+        Markers that were left out because their paint is one with another's.
+    """
+
+    koi: IntArray
+    shift_px: FloatArray
+    found: BoolArray
+    merged: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    def forces_N(self, bundle: Bundle, estimator: str) -> FloatArray:
+        """Inward force (n,) N on each marker; zero off the key nodes of interest."""
+        return bundle.model.forces(estimator, self.shift_px, self.koi)
+
+    def warnings(
+        self,
+        bundle: Bundle,
+        forces_N: FloatArray,
+        *,
+        estimator: str | None = None,
+        found: ContactDetection | None = None,
+    ) -> list[str]:
+        """Reasons to distrust these forces, each as a sentence; empty for a sound frame.
+
+        What the sensor can never read is in :meth:`phytac_decoder.io.bundle.Bundle.limits`.
+
+        Parameters
+        ----------
+        bundle : Bundle
+            The sensor's decoder.
+        forces_N : (n,) float
+            From :meth:`forces_N`.
+        estimator : str, optional
+            That gave them; all of them if not given.
+        found : Found, optional
+            What ``auto`` has found in this frame already.
+        """
+        out = []
+        share = float(self.found.mean())
+        if share < FOUND_WELL:
+            out.append(
+                f"only {int(self.found.sum())} of {len(self.found)} markers were found; check "
+                "light, focus and what stands before the camera"
+            )
+        still = True
+        for number in range(len(bundle.cameras)):
+            own = (bundle.read_by == number) & self.found & np.isfinite(self.shift_px[:, 0])
+            if not own.any():
+                continue
+            moved = np.median(self.shift_px[own], axis=0)
+            if float(np.linalg.norm(moved)) > CAMERA_SHIFT_MAX_px:
+                still = False
+                out.append(
+                    f"the whole image{bundle.of_camera(number)} has shifted by ({moved[0]:.1f}, "
+                    f"{moved[1]:.1f}) px: the camera has moved; take a new rest frame"
+                )
+        elsewhere = self.koi[~markers_in_play(bundle)[self.koi]]
+        if len(elsewhere):
+            out.append(
+                f"forces on {len(elsewhere)} switched receptors ({id_list(elsewhere)}) cannot be "
+                f"read: this decoder was made for {scene_words(bundle)}"
+            )
+        if still:
+            out += self._doubts(bundle, forces_N, found)
+        useless = self.koi[~bundle.stiffness_usable[self.koi]]
+        if len(useless) and estimator not in WITHOUT_STIFFNESS:
+            out.append(
+                f"fem, fem_nn and fem_nn_identity cannot be used on {len(useless)} switched "
+                f"receptors ({id_list(useless)}): noise of their K·u drowns any force there; use "
+                "koi_inverse"
+            )
+        if len(self.koi) > 0.3 * len(self.found):
+            out.append(f"{len(self.koi)} of {len(self.found)} switches read as on")
+        return out
+
+    def _doubts(
+        self, bundle: Bundle, forces_N: FloatArray, found: ContactDetection | None
+    ) -> list[str]:
+        """What the markers' motion speaks against."""
+        out = []
+        if len(self.merged):
+            out.append(
+                f"the paint of {len(self.merged)} markers ({id_list(self.merged)}) is one with "
+                "another's: they are left out; clean or repaint them"
+            )
+        motion = FaultDetector(bundle, self.shift_px, self.koi, found)
+        weak = motion.switches_without_force(forces_N)
+        if len(weak):
+            least = bundle.threshold_N[weak].min()
+            out.append(
+                f"{len(weak)} switched receptors ({id_list(weak)}) show no force, and {least:g} N or "
+                "more switch them on: stuck switches, or something red"
+            )
+        pressed, astray = motion.unexplained()
+        if len(pressed):
+            out.append(
+                f"{len(pressed)} markers ({id_list(pressed)}) moved as if pressed, and their "
+                "switches do not read as on: forces there are missing"
+            )
+        elif len(astray):
+            out.append(
+                f"{len(astray)} markers ({id_list(astray)}) are where no force on the switches that "
+                "are on puts them: something hides their paint, or has moved it; forces near them "
+                "are doubtful"
+            )
+        return out
+
+
+def read_image(path: Path) -> ImageArray:
+    """Read an image file as BGR.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, cut off or not an image.
+    """
+    if not path.is_file():
+        raise InputError(f"no image at {path}")
+    return whole_image(path)
+
+
+def one_frame_per_camera(bundle: Bundle, frames: Frames) -> tuple[ImageArray, ...]:
+    """One frame for each of the bundle's cameras.
+
+    Raises
+    ------
+    InputError
+        If there are more or fewer.
+    """
+    alone = isinstance(frames, np.ndarray) and frames.ndim <= 3
+    given = (frames,) if alone else tuple(frames)
+    wanted = len(bundle.cameras)
+    if len(given) != wanted:
+        each, fix = "one camera", "give one frame of it"
+        if wanted > 1:
+            each = f"{wanted} cameras"
+            fix = "give one frame of each, taken at the same time, the near end's first"
+        number = "1 frame" if len(given) == 1 else f"{len(given)} frames"
+        raise InputError(f"the sensor {bundle.design!r} has {each} (got {number}); {fix}")
+    return given
+
+
+def locate_markers(bundle: Bundle, frames: Frames) -> tuple[Matched, BoolArray]:
+    """Marker positions and switch bits, each marker through the camera that reads it.
+
+    Raises
+    ------
+    InputError
+        If there is not one image for each camera, or one has another size than its camera, or
+        shows too few markers.
+    """
+    each = [
+        locate_in(bundle, number, image)
+        for number, image in enumerate(one_frame_per_camera(bundle, frames))
+    ]
+    markers = np.arange(len(bundle.colour))
+    position = np.stack([matched.position_px for matched, _ in each])[bundle.read_by, markers]
+    bits = np.stack([on for _, on in each])[bundle.read_by, markers]
+    merged = np.stack([matched.merged for matched, _ in each])[bundle.read_by, markers]
+    found = np.isfinite(position[:, 0])
+    return Matched(position_px=position, found=found, merged=merged), bits
+
+
+def locate_in(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Matched, BoolArray]:
+    """Positions (px) and bits of all markers that one camera shows.
+
+    Those that another camera reads take part: their paint is then not mistaken for that of a
+    marker beside them.
+    """
+    camera, shown = bundle.cameras[number], bundle.shown_by(number)
+    check_image(image_bgr, width_px=camera.width_px, height_px=camera.height_px)
+    blobs = segment(image_bgr, bundle.colours)
+    if len(blobs.colour) > BLOBS_MAX * len(bundle.colour):
+        raise InputError(
+            f"the image{bundle.of_camera(number)} shows {len(blobs.colour)} coloured blobs for "
+            f"{len(bundle.colour)} markers; is this a frame of the sensor {bundle.design!r}, in "
+            "focus?"
+        )
+    matched = match_markers(
+        blobs,
+        rest_px=shown.rest_px,
+        colour=bundle.colour,
+        neighbours=bundle.model.neighbours,
+    )
+    found = matched.found[bundle.read_by == number]
+    if len(found) and found.mean() < FOUND_MIN:
+        order = ", in the right order" if len(bundle.cameras) > 1 else ""
+        raise InputError(
+            f"found {int(found.sum())} of {len(found)} markers{bundle.of_camera(number)}; is this "
+            f"a frame of the sensor {bundle.design!r}, lit and in focus{order}?"
+        )
+    own = np.where(matched.merged[:, None], np.nan, matched.position_px)
+    bits = read_switches(
+        blobs,
+        shown.tips,
+        red_index=bundle.colours.names.index("red"),
+        shift_px=fill_from_neighbours(own - shown.rest_px, bundle.model.neighbours),
+    )
+    return matched, bits
+
+
+def rest_positions(bundle: Bundle, rest_bgr: Frames | None) -> FloatArray:
+    """Rest positions (n, 2) px: measured in the unloaded frames where there are any."""
+    if rest_bgr is None:
+        return bundle.rest_px
+    matched, _ = locate_markers(bundle, rest_bgr)
+    return np.where(matched.found[:, None], matched.position_px, bundle.rest_px)
+
+
+def measure_frame(
+    bundle: Bundle, image_bgr: Frames, *, rest_px: FloatArray | None = None
+) -> Measured:
+    """Find markers and switches in one frame, or one of each camera.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        The sensor's decoder.
+    image_bgr : (h, w, 3) uint8, or a sequence of them
+        Camera frame; of several cameras one of each, in the bundle's order (near end first).
+    rest_px : (n, 2) float, optional
+        From :func:`rest_positions`; the bundle's prediction if not given. Each marker in the
+        frame of the camera that reads it.
+
+    Raises
+    ------
+    InputError
+        See :func:`locate_markers`.
+    """
+    matched, bits = locate_markers(bundle, image_bgr)
+    rest = bundle.rest_px if rest_px is None else rest_px
+    moved = np.where(matched.merged[:, None], np.nan, matched.position_px) - rest
+    bits = confirmed_switches(
+        bundle, bits, moved - np.where(bits[:, None], bundle.tip_bias_px, 0.0)
+    )
+    bias = np.where(bits[:, None], bundle.tip_bias_px, 0.0)
+    return Measured(
+        koi=np.flatnonzero(bits),
+        shift_px=moved - bias,
+        found=matched.found & ~matched.merged,
+        merged=np.flatnonzero(matched.merged),
+    )
+
+
+def confirmed_switches(bundle: Bundle, bits: BoolArray, shift_px: FloatArray) -> BoolArray:
+    """Bits (n,) without the doubtful ones that the markers' motion speaks against.
+
+    A switch whose red hardly tells on from off is on only if the inverse over all switches that
+    seem to be on finds its threshold's force there.
+    """
+    doubtful = bits & ~bundle.tips.readable
+    if not doubtful.any():
+        return bits
+    forces = bundle.model.forces("koi_inverse", shift_px, np.flatnonzero(bits))
+    return np.asarray(bits & ~(doubtful & (forces < bundle.threshold_N)))

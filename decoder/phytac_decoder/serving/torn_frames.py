@@ -1,0 +1,99 @@
+"""Frames that are partly, or wholly, the frame before: a cable, a driver or a camera that stopped.
+
+A sensor's noise changes nearly every row of a picture. Rows that used to change and are now the
+same to the last bit were not taken again. One frame alone cannot tell: both parts of a torn one may
+be sound pictures, of two moments.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from phytac_decoder.io.frame import Frame
+from phytac_decoder.pipeline.frame_reading import Reading
+from phytac_decoder.serving.sensor_loop import Decode
+from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
+
+ROWS_COMPARED, BAND_px = 32, 640
+"""Rows of a picture that are looked at, evenly spaced, and how much of each."""
+LIVELY = 0.2
+"""Share of a row's bytes that noise changes from frame to frame, at least."""
+FRAMES_CHANGED_MIN = 3
+"""Rows have a say that have changed from each of so many sound frames to the next."""
+
+
+class TornFrameDetector:
+    """Holds each frame of a sequence against the one before.
+
+    Rows without noise, as in drawn pictures, black borders and still parts of compressed videos,
+    have no say.
+    """
+
+    def __init__(self) -> None:
+        self._last: list[ImageArray] = []
+        self._streak: list[IntArray] = []
+
+    def look(self, images: Sequence[ImageArray]) -> list[str]:
+        """Reasons to distrust the next frame, of each camera (h, w, 3); empty for a sound one."""
+        rows = [_rows_of(image) for image in images]
+        if [part.shape for part in rows] != [part.shape for part in self._last]:
+            self._last, self._streak = rows, [np.zeros(len(part), dtype=np.int64) for part in rows]
+            return []
+        out = []
+        for number, (now, before) in enumerate(zip(rows, self._last, strict=True)):
+            share, streak = _changed(now, before), self._streak[number]
+            text = _judged(share[streak >= FRAMES_CHANGED_MIN])
+            if text:
+                out.append(text)
+            else:
+                self._streak[number] = np.where(share >= LIVELY, streak + 1, 0)
+        self._last = rows
+        return out
+
+
+def with_torn_frame_check(decode: Decode) -> Decode:
+    """Decode frames in their order, and distrust those that are torn."""
+    tears = TornFrameDetector()
+
+    def watching(frame: Frame) -> Reading:
+        told = tears.look(frame.images)
+        reading = decode(frame)
+        return replace(reading, warnings=[*reading.warnings, *told]) if told else reading
+
+    return watching
+
+
+def _rows_of(image: ImageArray) -> ImageArray:
+    """Parts of some of an image's rows, a copy: cameras may use their buffers again."""
+    index = np.unique(np.linspace(0, len(image) - 1, ROWS_COMPARED).astype(np.int64))
+    first = max(image.shape[1] - BAND_px, 0) // 4
+    return np.asarray(image[index, first : first + BAND_px])
+
+
+def _changed(rows: ImageArray, before: ImageArray) -> FloatArray:
+    """Share (r,) of each row's bytes that differ."""
+    flat = rows.reshape(len(rows), -1)
+    differ = np.count_nonzero(flat != before.reshape(len(rows), -1), axis=1)
+    return np.asarray(differ / flat.shape[1])
+
+
+def _judged(share: FloatArray) -> str:
+    """What the changed share (r,) of rows that used to change says; "" for nothing."""
+    old, new = share == 0.0, share >= LIVELY
+    if not old.any():
+        return ""
+    if old.all():
+        return (
+            "the frame is the one before to the last bit: its forces are old; has the camera "
+            "stopped?"
+        )
+    # Old above and new below, or the other way round; the cut may go through a row.
+    cuts = np.flatnonzero(old[1:] != old[:-1])
+    if len(cuts) != 1 or np.count_nonzero(~old & ~new) > 1 or not new.any():
+        return ""
+    part = "upper" if old[0] else "lower"
+    return (
+        f"the {part} {100.0 * float(old.mean()):.0f} % of the frame are those of the one before: "
+        "it is torn, and its forces are of two moments; check the cable and the camera's rate"
+    )

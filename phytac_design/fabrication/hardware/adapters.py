@@ -1,0 +1,219 @@
+"""Parts on demand: a tray for an inertial sensor on the cover, a socket for a shaft."""
+
+import numpy as np
+
+from phytac_design.design.spec import Design
+from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part
+from phytac_design.fabrication.hardware.screws import SCREWS, END_mm, Joint, TOUCH_mm
+from phytac_design.fabrication.hardware.solid_nodes import (
+    Circle,
+    Difference,
+    Node,
+    Point3,
+    Prism,
+    Rect,
+    Union,
+    triples,
+)
+from phytac_shapes.errors import DesignError
+
+TRAY_mm = 1.5
+"""Floor and wall of the tray."""
+EAR_mm = 2.4
+"""Thickness of the tray's ears under the screws' heads."""
+BESIDE_mm = 1.0
+"""Room beside screw heads."""
+NOTCH_mm = (5.0, 2.0)
+"""Width and depth of the way for the bar's wires out of the socket."""
+
+
+def imu_seat(
+    design: Design, floor_mm: float, *, label: str
+) -> tuple[HardwareAssembly, tuple[Node, ...], tuple[Node, ...]]:
+    """Tray on the back of a cover whose outside is at z = ``floor_mm``; its bosses and holes."""
+    hardware, clearance = design.hardware, design.print_rules.clearance_mm
+    screw = SCREWS[hardware.screw_camera]
+    width, height, deep = hardware.imu_size_mm
+    x0, y0 = hardware.board_offset_mm
+    top = floor_mm - TOUCH_mm
+    engaged = screw.engaged_mm(hardware.thread)
+    length = screw.length_mm(EAR_mm + TOUCH_mm + engaged, "the inertial sensor's tray")
+    depth = length - EAR_mm - TOUCH_mm + END_mm
+    ear = width / 2.0 + clearance + TRAY_mm + screw.head_mm / 2.0 + BESIDE_mm
+    outside = (width + 2.0 * (clearance + TRAY_mm), height + 2.0 * (clearance + TRAY_mm))
+    middle = (x0, y0)
+    tray = Prism(
+        outline=Rect(size_mm=outside, centre_mm=middle), low_mm=top - TRAY_mm - deep, high_mm=top
+    )
+    ears = Prism(
+        outline=Rect(
+            size_mm=(2.0 * (ear + screw.head_mm / 2.0 + BESIDE_mm), screw.head_mm + 2.0),
+            centre_mm=middle,
+        ),
+        low_mm=top - EAR_mm,
+        high_mm=top,
+    )
+    pocket = Prism(
+        outline=Rect(size_mm=(width + 2.0 * clearance, height + 2.0 * clearance), centre_mm=middle),
+        low_mm=top - TRAY_mm - deep - 1.0,
+        high_mm=top - TRAY_mm,
+    )
+    seats: tuple[Point3, ...] = ((x0 - ear, y0, top - EAR_mm), (x0 + ear, y0, top - EAR_mm))
+    joint = Joint(
+        name="imu",
+        screw=screw,
+        thread=hardware.thread,
+        head_part="imu_seat",
+        thread_part=f"cover{label}",
+        seats_mm=seats,
+        directions=((0.0, 0.0, 1.0),) * 2,
+        grip_mm=EAR_mm + TOUCH_mm,
+        length_mm=length,
+        depth_mm=depth,
+    )
+    bosses = tuple(
+        Prism(
+            outline=Circle(
+                radius_mm=screw.hole_mm(hardware.thread) / 2.0 + TRAY_mm, centre_mm=(x, y)
+            ),
+            low_mm=floor_mm + 0.5 * hardware.wall_mm,
+            high_mm=floor_mm + max(depth + 1.0, hardware.wall_mm),
+        )
+        for x, y, _ in seats
+    )
+    away = (0.0, 0.0, -75.0)
+    parts = (
+        Part(
+            name="imu_seat",
+            node=Difference(body=Union(parts=(tray, ears)), tools=(pocket, *joint.passing())),
+            material="resin",
+            step_mm=away,
+            note="tray for the inertial sensor",
+        ),
+        Part(
+            name="imu",
+            node=Prism(
+                outline=Rect(size_mm=(width, height), centre_mm=middle),
+                low_mm=top - TRAY_mm - deep,
+                high_mm=top - TRAY_mm - TOUCH_mm,
+            ),
+            material="electronics",
+            step_mm=(0.0, 0.0, -95.0),
+            note="inertial sensor, held by tape",
+        ),
+    )
+    kit = HardwareAssembly(
+        parts=parts, joints=(joint,), clearances_mm={"inertial sensor in tray": clearance}
+    )
+    return kit, bosses, joint.holding()
+
+
+def handle_plate_mm(design: Design) -> float:
+    """Thickness of a connector that holds the socket's screws."""
+    hardware = design.hardware
+    return SCREWS[hardware.screw_clamp].engaged_mm(hardware.thread) + END_mm + 1.0
+
+
+def handle(
+    design: Design, low_mm: float, limit_mm: float, foot_mm: tuple[float, float]
+) -> tuple[HardwareAssembly, tuple[Node, ...]]:
+    """Socket for a shaft on a connector's outside at z = ``low_mm``, and its holes in that.
+
+    Parameters
+    ----------
+    limit_mm : float
+        Half the connector's width.
+    foot_mm : (float, float)
+        Radius and height of what stands on the connector: the light bar's foot with its screws.
+
+    Raises
+    ------
+    DesignError
+        If the shaft is too thick for the connector.
+    """
+    hardware, clearance = design.hardware, design.print_rules.clearance_mm
+    screw = SCREWS[hardware.screw_clamp]
+    wall = max(hardware.wall_mm, screw.nominal_mm)
+    bore = hardware.adapter_diameter_mm / 2.0 + clearance
+    room, tall = (foot_mm[0] + clearance, foot_mm[1] + clearance) if foot_mm[0] else (0.0, 0.0)
+    neck = max(bore, room) + wall
+    ring = neck + screw.head_mm / 2.0 + BESIDE_mm
+    edge = ring + screw.head_mm / 2.0 + BESIDE_mm
+    if edge > limit_mm:
+        raise DesignError(
+            f"a socket for a shaft of ø{hardware.adapter_diameter_mm:g} mm does not fit the "
+            f"connector: it needs ø{2.0 * edge:.1f} mm, the connector has {2.0 * limit_mm:.1f} mm; "
+            "lower hardware.adapter_diameter_mm"
+        )
+    top = low_mm - TOUCH_mm
+    depth = handle_plate_mm(design) - 1.0
+    length = screw.length_mm(
+        wall + TOUCH_mm + screw.engaged_mm(hardware.thread), "the shaft's socket"
+    )
+    thick = max(wall, length - TOUCH_mm - (depth - END_mm))
+    bottom = top - max(tall, thick) - wall - hardware.adapter_depth_mm
+    turn = np.pi * (0.25 + 0.5 * np.arange(4))
+    level = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(4)])
+    hold = Joint(
+        name="adapter",
+        screw=screw,
+        thread=hardware.thread,
+        head_part="adapter",
+        thread_part="connector",
+        seats_mm=triples(ring * level + np.array([0.0, 0.0, top - thick])),
+        directions=((0.0, 0.0, 1.0),) * 4,
+        grip_mm=thick + TOUCH_mm,
+        length_mm=length,
+        depth_mm=depth,
+    )
+    shaft = hardware.adapter_diameter_mm / 2.0 + TOUCH_mm
+    middle = np.array([0.0, 0.0, bottom + 0.5 * hardware.adapter_depth_mm])
+    sets = [size for size in screw.set_lengths_mm if size <= neck - shaft]
+    grip = Joint(
+        name="shaft",
+        screw=screw,
+        thread="set",
+        head_part="shaft",
+        thread_part="adapter",
+        seats_mm=triples(shaft * level + middle),
+        directions=triples(-level),
+        grip_mm=bore - shaft,
+        length_mm=sets[-1] if sets else screw.set_lengths_mm[0],
+        depth_mm=neck - bore,
+    )
+    tools: list[Node] = [
+        Prism(
+            outline=Circle(radius_mm=bore),
+            low_mm=bottom - 1.0,
+            high_mm=bottom + hardware.adapter_depth_mm,
+        ),
+        *hold.passing(),
+        *grip.holding(),
+    ]
+    if room > 0.0:
+        across, deep = NOTCH_mm
+        tools += [
+            Prism(outline=Circle(radius_mm=room), low_mm=top - tall, high_mm=top + 1.0),
+            Prism(
+                outline=Rect(size_mm=(across, 2.0 * edge), centre_mm=(0.0, -edge)),
+                low_mm=top - deep,
+                high_mm=top + 1.0,
+            ),
+        ]
+    body = Union(
+        parts=(
+            Prism(outline=Circle(radius_mm=edge), low_mm=top - thick, high_mm=top),
+            Prism(outline=Circle(radius_mm=neck), low_mm=bottom, high_mm=top),
+        )
+    )
+    part = Part(
+        name="adapter",
+        node=Difference(body=body, tools=tuple(tools)),
+        material="resin",
+        step_mm=(0.0, 0.0, -150.0),
+        note=f"socket for a shaft of {hardware.adapter_diameter_mm:g} mm",
+    )
+    kit = HardwareAssembly(
+        parts=(part,), joints=(hold, grip), clearances_mm={"shaft in adapter": clearance}
+    )
+    return kit, hold.holding()

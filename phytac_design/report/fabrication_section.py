@@ -1,0 +1,120 @@
+"""Section of what the lab makes: parts, molds, fixtures, print rules, and where the papers are."""
+
+from collections.abc import Mapping
+from html import escape
+from typing import Any
+
+from phytac_design.engine.stage import EXPORT, Context
+from phytac_design.report import page
+from phytac_design.report.verdict import sentence
+
+SHELL_FILE = "shell/shell.stl"
+LISTED = 40
+"""Broken rules that the page lists."""
+PAPERS = (
+    ("bench/assembly.html", "assembly sheet"),
+    ("bench/paint_map.pdf", "paint map, 1:1"),
+    ("bench/switch_placement.csv", "which switch goes where"),
+    ("bench/bill_of_materials.csv", "bill of materials"),
+    ("bench/casting.md", "casting recipe"),
+    ("shell/print_report.svg", "print report"),
+    ("kit/README.md", "calibration kit"),
+)
+"""Files of the build that the section points to, relative to its folder."""
+
+
+def fabrication_facts(
+    facts: Mapping[str, Mapping[str, Any]],
+) -> dict[str, Any]:
+    """What ``report.json`` holds of the fabricating stages, given the facts of each."""
+    mold, hardware, printing = facts["mold"], facts["hardware"], facts["printing"]
+    bench, kit = facts["bench"], facts["kit"]
+    return {
+        "mass_g": bench.get("mass_g", {}),
+        "poured_mm3": mold.get("poured_mm3", {}),
+        "mold": {
+            key: mold.get(key)
+            for key in (
+                "way",
+                "cavities",
+                "volume_error",
+                "hausdorff_mm",
+                "least_draft_deg",
+                "undercut_rays",
+                "shared_mm3",
+            )
+        },
+        "interference_mm3": (hardware.get("interference") or {}).get("shared_mm3"),
+        "light_leaks": (hardware.get("light") or {}).get("leaks"),
+        "screws": hardware.get("joints", []),
+        "hardware_left_out": _left_out(hardware),
+        "mold_left_out": mold.get("left_out", ""),
+        "print_process": printing["process"],
+        "print_violations": printing["violations"],
+        "print_unchecked": printing.get("unchecked", []),
+        "pieces": len(printing["pieces"]),
+        "regions_to_calibrate": kit.get("regions"),
+    }
+
+
+def _left_out(hardware: Mapping[str, Any]) -> str:
+    reasons = [str(hardware.get("hardware_left_out") or "")]
+    reasons += [f"{name}: {why}" for name, why in (hardware.get("left_out") or {}).items()]
+    return "; ".join(reason for reason in reasons if reason)
+
+
+def print_rules(context: Context) -> str:
+    """The shell as it would be printed, how to stand it, and every broken rule, as HTML."""
+    printed = context.facts("printing")
+    shell = printed["files"][SHELL_FILE]
+    drawn = context.folders["printing"] / EXPORT / "shell" / "print_report.svg"
+    standing = shell["orientation"]
+    broken = [
+        (
+            file,
+            item["rule"],
+            item["measured"],
+            item["asked"],
+            item["unit"],
+            item["point_mm"],
+            item["fix"],
+        )
+        for file, part in printed["files"].items()
+        for item in part["violations"]
+    ]
+    head = ("file", "rule", "measured", "asked", "unit", "place (mm)", "what to change")
+    listed = page.table(head, broken[:LISTED]) if broken else "<p>No print rule is broken.</p>"
+    if len(broken) > LISTED:
+        listed += f'<p class="foot">{LISTED} of {len(broken)}; shell/print_report.json has all.</p>'
+    said = (
+        f"<p>Rules of {escape(str(printed['process']))}; this way up (a direction in the sensor's "
+        f"frame): {page.number(standing['up'])}, {page.number(standing['height_mm'])} mm high, "
+        f"{page.number(standing['support_volume_mm3'])} mm³ of supports.</p>"
+    )
+    picture = drawn.read_text(encoding="utf-8") if drawn.is_file() else ""
+    shown = page.svg_figure(picture, "The shell as printed, with broken rules") if picture else ""
+    rules = page.facts(page.flatten(printed["rules"], "rules."))
+    return f"<h3>Print rules</h3>{said}{shown}{listed}" + page.details("All rules", rules)
+
+
+def fabrication_section(context: Context, report: Mapping[str, Any]) -> str:
+    """HTML of the section."""
+    facts = report["fabrication"]
+    papers = ", ".join(f'<a href="../{path}">{escape(name)}</a>' for path, name in PAPERS)
+    joints = [
+        (item["joint"], item["screw"], item["count"], item["head_part"], item["thread_part"])
+        for item in facts["screws"]
+    ]
+    out = f"<p>For the bench, beside this page: {papers}.</p>"
+    for key in ("hardware_left_out", "mold_left_out"):
+        if facts[key]:
+            out += f'<p class="foot">{escape(sentence("left out: " + facts[key]))}</p>'
+    if facts["print_unchecked"]:
+        out += (
+            f'<p class="foot">{len(facts["print_unchecked"])} printed parts beside the shell were '
+            "not held against the print rules in this draft.</p>"
+        )
+    if joints:
+        out += page.table(("joint", "screw", "count", "head in", "thread in"), joints)
+    plain = {key: value for key, value in facts.items() if key not in ("screws", "print_unchecked")}
+    return out + page.facts(plain, "fabrication") + print_rules(context)

@@ -1,0 +1,173 @@
+"""Pictures of one press, from rest to the greatest force: what the camera sees, and close to it."""
+
+from dataclasses import dataclass, replace
+from html import escape
+
+import cv2
+import numpy as np
+
+from phytac_decoder.camera.camera import Camera
+from phytac_design.engine.stage import Context
+from phytac_design.layout.cameras import cameras_of, tolerance_mm
+from phytac_design.optics.frame import render_frame
+from phytac_design.optics.scene import build_scene
+from phytac_design.report import page
+from phytac_design.simulation.contacts import Contacts, switch_states
+from phytac_shapes.arrays import FloatArray, ImageArray
+
+STEPS = 6
+"""Pictures, the one at rest included."""
+WIDTH_PX = 640
+"""Of the pictures."""
+CLOSE = 0.22
+"""Width of the close one, as a share of the camera's picture."""
+QUALITY = 78
+SAMPLES = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pressed:
+    """Pictures of one press.
+
+    Attributes
+    ----------
+    force_N : (k,) float
+        From 0 to the design's greatest force.
+    on : (k,) int
+        Switches that are on.
+    marker : int
+        Marker nearest to the press.
+    camera : int
+        Number of the camera.
+    whole, close : list of bytes
+        JPEG of all that the camera sees, and of the surroundings of the press.
+    """
+
+    force_N: FloatArray
+    on: FloatArray
+    marker: int
+    camera: int
+    whole: list[bytes]
+    close: list[bytes]
+
+
+def window(camera: Camera, low_px: FloatArray, width_px: float, out_px: int) -> Camera:
+    """Camera that sees a part of a camera's picture, scaled.
+
+    Parameters
+    ----------
+    low_px : (2,) float
+        Left and upper edge of the part, counted from the picture's edge.
+    width_px : float
+        Its width; the aspect stays.
+    out_px : int
+        Width of the new picture.
+    """
+    lens, scale = camera.lens, out_px / width_px
+    cx, cy = ((lens.centre_px + 0.5 - low_px) * scale - 0.5).tolist()
+    part = replace(
+        lens,
+        width_px=out_px,
+        height_px=max(round(out_px * lens.height_px / lens.width_px), 1),
+        fx_px=lens.fx_px * scale,
+        fy_px=lens.fy_px * scale,
+        cx_px=cx,
+        cy_px=cy,
+    )
+    return replace(camera, lens=part)
+
+
+def close_to(camera: Camera, point_mm: FloatArray) -> Camera:
+    """Close view around the image of a point (3,), inside the camera's picture."""
+    size = np.array([camera.width_px, camera.height_px])
+    part = CLOSE * size
+    middle = np.nan_to_num(camera.project(point_mm[None])[0], nan=0.0) + 0.5
+    low = np.clip(middle - part / 2.0, 0.0, size - part)
+    return window(camera, low, float(part[0]), WIDTH_PX)
+
+
+def press_pictures(context: Context) -> Pressed | None:
+    """Render the press that the stage ``underload`` kept; None if it could solve none.
+
+    Between rest and the full force the wall's motion is interpolated linearly.
+    """
+    kept = context.arrays("underload")
+    if not len(kept["shown_uv"]):
+        return None
+    design, surface, markers = context.design, context.surface, context.markers
+    uv, motion = kept["shown_uv"][0], kept["shown_motion"][0]
+    place = surface.point(uv[None])
+    marker = int(np.linalg.norm(surface.point(markers.uv) - place, axis=1).argmin())
+    number = int(context.arrays("views")["camera"][marker])
+    camera = cameras_of(design, surface)[number]
+    share = np.linspace(0.0, 1.0, STEPS)
+    force = share * design.training.force_max_N
+    contacts = Contacts(
+        sample=np.arange(STEPS),
+        uv=np.repeat(uv[None], STEPS, axis=0),
+        radius_mm=np.full(STEPS, design.training.patch_radius_max_mm),
+        force_N=force,
+        samples=STEPS,
+    )
+    bits = switch_states(design, surface, markers, contacts).bits
+    views = {
+        "whole": window(camera, np.zeros(2), camera.width_px, WIDTH_PX),
+        "close": close_to(camera, markers.tip_mm[marker]),
+    }
+    pictures: dict[str, list[bytes]] = {name: [] for name in views}
+    for step in range(STEPS):
+        for name, view in views.items():
+            scene = build_scene(
+                design,
+                surface,
+                markers,
+                tolerance_mm=tolerance_mm(view, markers),
+                switch_on=bits[step],
+            )
+            moved = share[step] * motion
+            scene = scene.moved(moved[:, :3], moved[:, 3:], markers.mid_mm)
+            pictures[name].append(_jpeg(render_frame(scene, view, samples=SAMPLES)))
+    return Pressed(force_N=force, on=bits.sum(axis=1), marker=marker, camera=number, **pictures)
+
+
+def _jpeg(image: ImageArray) -> bytes:
+    return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1])
+
+
+def press_slider(pressed: Pressed, name: str, whose: str) -> str:
+    """HTML of the pictures with a slider; without scripts and in print the first and the last show.
+
+    Parameters
+    ----------
+    name : str
+        Of the marker that is pressed.
+    whose : str
+        Words that tell the camera, "" if there is one.
+    """
+    forces = [f"{force:.3g}" for force in pressed.force_N]
+    figures = []
+    for what, images in (("All of it", pressed.whole), ("Close to the press", pressed.close)):
+        shown = "".join(
+            page.image(
+                data,
+                f"{what}{whose}, pressed with {forces[k]} N near marker {name}"
+                if k
+                else f"{what}{whose}, at rest",
+                "jpeg",
+                name=f"pressed_{'close' if images is pressed.close else 'all'}_{k}.jpg",
+                extra=' class="ends"' if k in (0, len(images) - 1) else "",
+            )
+            for k, data in enumerate(images)
+        )
+        figures.append(
+            f"<figure>{shown}<figcaption>{escape(what + whose)}, from rest to {forces[-1]} N near "
+            f"marker {escape(name)}</figcaption></figure>"
+        )
+    on = " ".join(str(int(count)) for count in pressed.on)
+    return (
+        f'<div class="press" data-forces="{" ".join(forces)}" data-on="{on}">'
+        '<p class="controls" hidden><label for="press-force">Force of the press </label>'
+        f'<input id="press-force" type="range" min="0" max="{len(forces) - 1}" step="1" '
+        f'value="{len(forces) - 1}"> <output for="press-force"></output></p>'
+        f"{page.side_by_side(*figures)}</div>"
+    )

@@ -1,0 +1,206 @@
+r"""Cramér-Rao bounds: how well force and place of a contact *can* be read, before it is built.
+
+A contact at chart position (u, v) of radius r and force f shifts the markers' images by
+f·c(u, v, r) pixels, linear in f. With independent noise σ on every centroid coordinate the Fisher
+information of θ = (f, x, y, r), x and y in mm along and around the surface, is::
+
+    J = GᵀG / σ² + diag(0, 1/σ_x², 1/σ_y², 1/σ_r²)      G = [c, f·∂c/∂x, f·∂c/∂y, f·∂c/∂r]
+
+and the bound of each parameter the root of the diagonal of J⁻¹. The prior states what is known of
+place and size without the camera: a contact lies somewhere in the cell of the switch it trips.
+No estimator without bias is better on average (van Trees 1968, for random parameters).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
+
+STEP_MM = 0.25
+"""Largest step of the central differences along the surface and in radius."""
+STEP_SHARE = 0.05
+"""The same as a share of the patch's radius, so that sensors of every size are alike."""
+
+Shifts = Callable[[FloatArray, FloatArray], FloatArray]
+"""(uv (c, 2), radius_mm (c,)) -> pixel shift per newton (c, n, 2) of every marker."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionPrior:
+    """Standard deviations of what is known beforehand, mm; inf where nothing is.
+
+    Attributes
+    ----------
+    place_mm : float
+        Position along and around, about the receptor.
+    radius_mm : float
+        Radius of the patch.
+    """
+
+    place_mm: float
+    radius_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class CramerRaoBound:
+    """Least standard deviations over c contacts.
+
+    Attributes
+    ----------
+    force_N : (c,) float
+        Force, position and size unknown but for the prior.
+    force_known_N : (c,) float
+        Force, position and size known.
+    along_mm, around_mm : (c,) float
+        Position.
+    """
+
+    force_N: FloatArray
+    force_known_N: FloatArray
+    along_mm: FloatArray
+    around_mm: FloatArray
+
+
+def cell_prior(
+    area_mm2: float, count: int, radius_min_mm: float, radius_max_mm: float
+) -> PositionPrior:
+    """Prior of a contact anywhere in a marker's cell, radius anywhere in its range.
+
+    A disc of radius R has a standard deviation of R/2 along each axis; a range, of its width
+    over √12.
+    """
+    return PositionPrior(
+        place_mm=float(np.sqrt(area_mm2 / count / np.pi)) / 2.0,
+        radius_mm=max((radius_max_mm - radius_min_mm) / float(np.sqrt(12.0)), 1e-6),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactSignals:
+    """What c contacts do to all 2n centroid coordinates, per newton.
+
+    Attributes
+    ----------
+    shift : (c, 2n) float
+        px/N.
+    slopes : (c, 2n, 3) float
+        Its change per mm along, around and of radius, px/N/mm.
+    """
+
+    shift: FloatArray
+    slopes: FloatArray
+
+    def bound(
+        self, force_N: FloatArray | float, *, noise_px: float, prior: PositionPrior
+    ) -> CramerRaoBound:
+        """Bounds at forces (c,) or one for all.
+
+        Parameters
+        ----------
+        force_N : float or (c,) float
+            Forces.
+        noise_px : float
+            Standard deviation of each coordinate of each centroid.
+        prior : Prior
+            What is known beforehand.
+
+        Raises
+        ------
+        NumericalError
+            If noise, force or prior are not positive.
+        """
+        count = len(self.shift)
+        force = np.broadcast_to(np.asarray(force_N, dtype=np.float64), count)
+        sizes = (noise_px, prior.place_mm, prior.radius_mm, float(force.min(initial=1.0)))
+        if not all(size > 0.0 for size in sizes):
+            raise NumericalError(
+                f"a bound needs noise, prior and forces above zero (got noise {sizes[0]:g} px, "
+                f"place {sizes[1]:g} mm, radius {sizes[2]:g} mm, force {sizes[3]:g} N); raise "
+                "camera.noise_centroid_px or training.force_min_N"
+            )
+        G = np.concatenate([self.shift[:, :, None], force[:, None, None] * self.slopes], axis=2)
+        information = np.swapaxes(G, 1, 2) @ G / noise_px**2
+        known = np.array([0.0, prior.place_mm**-2, prior.place_mm**-2, prior.radius_mm**-2])
+        covariance = np.linalg.inv(information + np.diag(known))
+        spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        return CramerRaoBound(
+            force_N=spread[:, 0],
+            force_known_N=1.0 / np.sqrt(information[:, 0, 0]),
+            along_mm=spread[:, 1],
+            around_mm=spread[:, 2],
+        )
+
+
+def contact_signals(
+    surface: Surface, shifts: Shifts, *, uv: FloatArray, radius_mm: FloatArray | float
+) -> ContactSignals:
+    """Shifts and their slopes by central differences.
+
+    Parameters
+    ----------
+    surface : Surface
+        The outer face, for steps of equal length in every chart.
+    shifts : callable
+        Pixel shifts per newton; see ``Shifts``.
+    uv : (c, 2) float
+        Positions.
+    radius_mm : float or (c,) float
+        Radii.
+
+    Raises
+    ------
+    NumericalError
+        If a shift is not finite.
+    """
+    uv = np.asarray(uv, dtype=np.float64).reshape(-1, 2)
+    count = len(uv)
+    radius = np.broadcast_to(np.asarray(radius_mm, dtype=np.float64), count)
+    step = np.minimum(STEP_MM, STEP_SHARE * radius)
+    steps = _stencil(surface, uv, step[:, None])
+    thin = np.minimum(STEP_MM, 0.25 * radius)
+    places = np.concatenate([uv, *steps, uv, uv])
+    radii = np.concatenate([np.tile(radius, 5), radius + thin, radius - thin])
+    per_N = shifts(places, radii).reshape(7, count, -1)
+    if not np.all(np.isfinite(per_N)):
+        raise NumericalError(
+            "a marker's image shift is not finite: a marker is not seen by the camera; run "
+            "`phytac check` on the design"
+        )
+    spans = (
+        _span(surface, steps[0], steps[1]),
+        _span(surface, steps[2], steps[3]),
+        2.0 * thin,
+    )
+    pairs = ((1, 2), (3, 4), (5, 6))
+    slopes = [
+        (per_N[a] - per_N[b]) / span[:, None] for (a, b), span in zip(pairs, spans, strict=True)
+    ]
+    return ContactSignals(shift=per_N[0], slopes=np.stack(slopes, axis=2))
+
+
+def _stencil(surface: Surface, uv: FloatArray, step_mm: FloatArray) -> list[FloatArray]:
+    """Positions a step to either side, along and around; clipped to open edges."""
+    point, normal = surface.point(uv), surface.normal(uv)
+    along = surface.tangents(uv)[:, 0]
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    around = np.cross(normal, along)
+    low, high = surface.domain.T
+    steps = []
+    for direction in (along, around):
+        for sign in (1.0, -1.0):
+            moved = surface.chart(point + sign * step_mm * direction)
+            for axis in range(2):
+                if not surface.periodic[axis]:
+                    moved[:, axis] = np.clip(moved[:, axis], low[axis], high[axis])
+            steps.append(moved)
+    return steps
+
+
+def _span(surface: Surface, first: FloatArray, second: FloatArray) -> FloatArray:
+    """Distance (c,) in mm between pairs of positions; a stencil cut by an edge is shorter."""
+    distance = np.linalg.norm(surface.point(first) - surface.point(second), axis=1)
+    return np.asarray(np.maximum(distance, 1e-9))

@@ -1,0 +1,231 @@
+"""What the decoder's eyes see in the pictures of a user's rig, and the samples that gives."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.pipeline.decode import (
+    FOUND_WELL,
+    CAMERA_SHIFT_MAX_px,
+    Measured,
+    locate_markers,
+    measure_frame,
+    read_image,
+    rest_positions,
+)
+from phytac_decoder.vision.segmentation import check_image
+from phytac_design.datasets.samples import REAL, Samples, TouchRows, truth_rows
+from phytac_design.design.spec import Design
+from phytac_design.layout import Markers
+from phytac_design.layout.thresholds import thresholds_N
+from phytac_design.mechanics.shell.footprints import footprint_shares
+from phytac_design.simulation.contacts import Switching, assign_forces
+from phytac_design.simulation.indenters import Touches
+from phytac_design.simulation.rig_import.frames import FrameSource
+from phytac_design.simulation.rig_import.log import RigLog, RowProblems
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
+from phytac_shapes.errors import InputError
+
+SAY_EVERY = 25
+SURE = 2.0
+"""A footprint that carries this many times its switch's threshold must turn it on."""
+WEAK = 0.3
+"""Forces whose median is below this share of the thresholds they overcame are in another unit."""
+REASONS = (
+    f"fewer than {100 * FOUND_WELL:.0f} % of the markers were found",
+    "the whole image has shifted against rest: the camera has moved",
+    "a contact far above the threshold of a switch did not turn it on",
+    "a switch was read as on that no contact of the log presses",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigSetup:
+    """A sensor and its pictures.
+
+    Attributes
+    ----------
+    design, surface, markers : Design, Surface, Markers
+        The sensor.
+    bundle : Bundle
+        Its decoder.
+    sources : tuple of Source
+        Pictures of each camera.
+    """
+
+    design: Design
+    surface: Surface
+    markers: Markers
+    bundle: Bundle
+    sources: tuple[FrameSource, ...]
+
+    def frames(self, numbers: IntArray) -> tuple[ImageArray, ...]:
+        """One picture of each camera, by their numbers (cameras,)."""
+        return tuple(
+            source.read(int(number)) for source, number in zip(self.sources, numbers, strict=True)
+        )
+
+
+def rest_positions_of(
+    rig: RigSetup, rest: list[str], tell: Callable[[str], None]
+) -> FloatArray | None:
+    """Rest positions (n, 2) px, measured in pictures of the unloaded sensor; None without any.
+
+    Raises
+    ------
+    InputError
+        If there is not one for each camera, or it is of no use.
+    """
+    if not rest:
+        tell(
+            "warning: no --rest: shifts are against the design's predicted rest positions, so that "
+            "errors of print and assembly count as motion"
+        )
+        return None
+    if len(rest) != len(rig.sources):
+        raise InputError(
+            f"--rest was given {len(rest)} times for {len(rig.sources)} cameras; give one of each, "
+            "the near end's first"
+        )
+    images = []
+    for text, source in zip(rest, rig.sources, strict=True):
+        number = source.find(text)
+        images.append(read_image(Path(text)) if number is None else source.read(number))
+    _, bits = locate_markers(rig.bundle, images)
+    if bits.any():
+        tell(f"warning: {int(bits.sum())} switches read as on in the picture at rest; is it?")
+    return rest_positions(rig.bundle, images)
+
+
+def measure_samples(
+    rig: RigSetup,
+    log: RigLog,
+    numbers: IntArray,
+    samples: IntArray,
+    rest_px: FloatArray | None,
+    problems: RowProblems,
+    tell: Callable[[str], None],
+) -> dict[int, Measured]:
+    """What the pictures of some samples show; those that show no sensor are noted.
+
+    Parameters
+    ----------
+    numbers : (cameras, s) int
+        Picture of each sample.
+    samples : (m,) int
+        Samples to look at.
+
+    Raises
+    ------
+    InputError
+        If the pictures are of another size than the bundle's cameras.
+    """
+    order = samples[np.argsort(numbers[0, samples], kind="stable")]
+    seen: dict[int, Measured] = {}
+    for count, sample in enumerate(map(int, order)):
+        name = rig.sources[0].names[numbers[0, sample]]
+        try:
+            frames = rig.frames(numbers[:, sample])
+        except InputError as error:
+            problems.add(sample, f"line {log.first_line[sample]}: {error}")
+            continue
+        if count == 0:
+            for frame, camera in zip(frames, rig.bundle.cameras, strict=True):
+                check_image(frame, width_px=camera.width_px, height_px=camera.height_px)
+        try:
+            seen[sample] = measure_frame(rig.bundle, frames, rest_px=rest_px)
+        except InputError as error:
+            problems.add(sample, f"line {log.first_line[sample]}: frame {name!r}: {error}")
+        if (count + 1) % SAY_EVERY == 0 or count + 1 == len(order):
+            tell(f"import: {count + 1} of {len(order)} frames")
+    return seen
+
+
+def samples_of(
+    rig: RigSetup, touches: Touches, seen: list[Measured], *, time_s: FloatArray, sequence: IntArray
+) -> tuple[Samples, str]:
+    """Samples of what was pressed and seen, (s,) each, and a doubt about the forces' unit, or "".
+
+    The true switch states of a rig are not known: those read stand for them, and a contact's
+    force is shared among the switches under it that were read as on, as in the twin.
+    """
+    bits = np.zeros((len(seen), rig.markers.count), dtype=np.bool_)
+    for row, measured in zip(bits, seen, strict=True):
+        row[measured.koi] = True
+    radius = rig.design.switch.footprint_diameter_mm / 2.0
+    share = footprint_shares(rig.surface, touches, rig.markers.uv, radius)
+    switching = assign_forces(touches, share, bits)
+    remarks = _remarks(rig, touches, share, seen, bits, switching)
+    rows, columns = np.nonzero(remarks)
+    order = np.argsort(rows, kind="stable")
+    return Samples(
+        markers=rig.markers.count,
+        time_s=time_s,
+        sequence=sequence,
+        light=np.ones(len(seen)),
+        status=np.where(remarks.any(axis=1), 1, 0),
+        theory=np.full(len(seen), REAL, dtype=np.int64),
+        total_N=np.bincount(touches.sample, weights=touches.force_N, minlength=len(seen)).astype(
+            np.float64
+        ),
+        contacts=touches.counts,
+        reasons=REASONS,
+        reason_sample=rows[order],
+        reason_index=columns[order],
+        bits=bits,
+        bits_read=bits,
+        shift_px=np.stack([measured.shift_px for measured in seen]),
+        touches=TouchRows(
+            sample=touches.sample,
+            uv=touches.uv,
+            point_mm=rig.surface.point(touches.uv),
+            radius_mm=touches.radius_mm,
+            force_N=touches.force_N,
+            indenter=touches.indenter,
+            length_mm=touches.length_mm,
+            turn_rad=touches.turn_rad,
+            friction=touches.friction,
+        ),
+        truth=truth_rows(bits, switching.owner, switching.receptor_force_N),
+    ), _doubt(rig, touches, share, switching)
+
+
+def _remarks(
+    rig: RigSetup,
+    touches: Touches,
+    share: FloatArray,
+    seen: list[Measured],
+    bits: BoolArray,
+    switching: Switching,
+) -> BoolArray:
+    """Which of ``REASONS`` holds for each sample, (s, 4)."""
+    out = np.zeros((len(seen), len(REASONS)), dtype=np.bool_)
+    for row, measured in zip(out, seen, strict=True):
+        row[0] = measured.found.mean() < FOUND_WELL
+        for number in range(len(rig.bundle.cameras)):
+            own = (rig.bundle.read_by == number) & measured.found
+            if own.any():
+                moved = np.median(measured.shift_px[own], axis=0)
+                row[1] |= bool(np.linalg.norm(moved) > CAMERA_SHIFT_MAX_px)
+    limit = SURE * thresholds_N(rig.design, rig.markers)
+    must = share * touches.force_N[:, None] > limit
+    np.logical_or.at(out[:, 2], touches.sample, (must & ~bits[touches.sample]).any(axis=1))
+    out[:, 3] = (bits & (switching.owner < 0)).any(axis=1)
+    return out
+
+
+def _doubt(rig: RigSetup, touches: Touches, share: FloatArray, switching: Switching) -> str:
+    """Doubt about the unit of forces, from the thresholds they overcame; empty for none."""
+    carried = share * touches.force_N[:, None]
+    mine = switching.owner[touches.sample] == np.arange(len(touches.sample))[:, None]
+    ratio = (carried / thresholds_N(rig.design, rig.markers))[mine]
+    if len(ratio) == 0 or np.median(ratio) >= WEAK:
+        return ""
+    return (
+        f"switches turned on at {np.median(ratio):.2g} times their threshold (median of "
+        f"{len(ratio)}): are the forces in N, and radii and positions right?"
+    )

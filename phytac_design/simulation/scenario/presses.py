@@ -1,0 +1,321 @@
+"""The indenters of a scenario: where they stand, how large they are, how strong they press.
+
+They are drawn before any history: the force of each is the one it is pressed with.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from phytac_design.design.spec import Design
+from phytac_design.layout import Markers
+from phytac_design.simulation.indenters import INDENTERS, Touches
+from phytac_design.simulation.scenario.placement import (
+    PlaceSampler,
+    jitter_of,
+    place_sampler,
+    places_at,
+    traverse,
+)
+from phytac_design.simulation.scenario.random_streams import RandomStream, random_stream
+from phytac_design.simulation.scenario.scenario_file import Scenario
+from phytac_design.simulation.scenario.sections import (
+    LENGTH_RADII,
+    ContactsSection,
+    IndenterSection,
+)
+from phytac_shapes import Surface
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import DesignError
+
+TRIES = 400
+"""Places tried for the contacts of one sample."""
+FIRST, MORE = 8, 56
+"""Places drawn at once for every sample, and for those that need more."""
+DRAWS = 10
+"""Random numbers of one candidate: four of its place, radius, force, kind, turn, friction (2)."""
+CHUNK = 4096
+"""Samples drawn at once, to bound the memory."""
+EVEN_MULTI, EVEN_EMPTY = (np.sqrt(5.0) - 1.0) / 2.0, np.sqrt(2.0) - 1.0
+"""Irrational steps: a share of samples taken by them is even over any run of samples."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactRanges:
+    """Ranges of a scenario on a design; a pair is (least, most)."""
+
+    force_N: tuple[float, float]
+    radius_mm: tuple[float, float]
+    multi_share: float
+
+
+def contact_ranges(design: Design, touch: ContactsSection) -> ContactRanges:
+    """Ranges that the scenario gives, and the design's where it gives none.
+
+    Raises
+    ------
+    DesignError
+        If one end is given and does not go with the design's other end.
+    """
+    own = design.training
+
+    def pick(given: float | None, default: float) -> float:
+        return default if given is None else given
+
+    force = (pick(touch.force_min_N, own.force_min_N), pick(touch.force_max_N, own.force_max_N))
+    radius = (
+        pick(touch.radius_min_mm, own.patch_radius_min_mm),
+        pick(touch.radius_max_mm, own.patch_radius_max_mm),
+    )
+    for name, unit, (low, high) in (("force", "N", force), ("radius", "mm", radius)):
+        if low > high:
+            raise DesignError(
+                f"touch.{name}_min_{unit} = {low:g} exceeds touch.{name}_max_{unit} = {high:g} "
+                "(one of them is the design's training table's); give both"
+            )
+    return ContactRanges(
+        force_N=force, radius_mm=radius, multi_share=pick(touch.multi_share, own.multi_contact)
+    )
+
+
+def press_count(design: Design, scenario: Scenario) -> int:
+    """Samples of kinds ``presses`` and ``grips``."""
+    touch = scenario.touch
+    if touch.samples is not None:
+        return touch.samples
+    if touch.at:
+        return 1 + max(item.sample for item in touch.at)
+    return design.training.samples
+
+
+def given_contacts(
+    surface: Surface, markers: Markers, touch: ContactsSection, samples: int
+) -> Touches:
+    """Contacts of ``[[touch.at]]``, in the order of their samples."""
+    items = tuple(sorted(touch.at or (), key=lambda item: item.sample))
+    radius = np.array([item.radius_mm for item in items])
+    length = [
+        0.0 if item.indenter != "cylinder" else item.length_mm or LENGTH_RADII * item.radius_mm
+        for item in items
+    ]
+    return Touches(
+        sample=np.array([item.sample for item in items], dtype=np.int64),
+        uv=places_at(surface, markers, items),
+        radius_mm=radius,
+        force_N=np.array([item.force_N for item in items]),
+        samples=samples,
+        indenter=np.array([INDENTERS.index(item.indenter) for item in items], dtype=np.int64),
+        length_mm=np.array(length),
+        turn_rad=np.radians([item.turn_deg for item in items]),
+        friction=np.array([item.friction for item in items]).reshape(-1, 2),
+    )
+
+
+def draw_presses(
+    design: Design,
+    surface: Surface,
+    markers: Markers,
+    scenario: Scenario,
+    *,
+    seed: int,
+    samples: int,
+    alone: bool = False,
+) -> Touches:
+    """Draw the contacts of independent samples; a sample depends on the seed and its number only.
+
+    Forces are uniform in their range, radii in theirs. Contacts of one sample keep apart by more
+    than their patches and a footprint.
+
+    Parameters
+    ----------
+    design, surface, markers : Design, Surface, Markers
+        The sensor as designed.
+    scenario : Scenario
+        Its table ``[touch]`` is used.
+    seed : int
+        Seed.
+    samples : int
+        How many.
+    alone : bool
+        One contact in every sample.
+
+    Raises
+    ------
+    DesignError
+        If a sample's contacts find no room.
+    """
+    touch, limits = scenario.touch, contact_ranges(design, scenario.touch)
+    place = place_sampler(surface, markers, touch, limits.radius_mm[0])
+    route = traverse(surface, markers, touch) if touch.placement == "columns" else None
+    parts = []
+    for first in range(0, samples, CHUNK):
+        numbers = np.arange(first, min(first + CHUNK, samples))
+        wanted = np.ones(len(numbers), dtype=np.int64)
+        draw = _Draw(
+            surface=surface,
+            touch=touch,
+            limits=limits,
+            place=place,
+            route=route,
+            room_mm=design.switch.footprint_diameter_mm,
+        )
+        rngs = [random_stream(seed, RandomStream.PRESS, int(k)) for k in numbers]
+        if not alone:
+            wanted = _wanted(touch, limits.multi_share, numbers, seed, rngs)
+        parts.append(draw.fill(numbers, wanted, rngs))
+    return concatenate_contacts(parts, samples)
+
+
+def _wanted(
+    touch: ContactsSection,
+    multi_share: float,
+    numbers: IntArray,
+    seed: int,
+    rngs: Sequence[np.random.Generator],
+) -> IntArray:
+    """Contacts (s,) that each sample should have."""
+    start = random_stream(seed, RandomStream.OFFSET, 0).random(2)
+    multi = _evenly(numbers, EVEN_MULTI, start[0], multi_share)
+    empty = _evenly(numbers, EVEN_EMPTY, start[1], touch.empty_share)
+    many = np.array([rng.integers(2, touch.most + 1) for rng in rngs], dtype=np.int64)
+    return np.where(empty, 0, np.where(multi, many, 1))
+
+
+def _evenly(numbers: IntArray, step: float, start: float, share: float) -> BoolArray:
+    """Samples (s,) that are among a share of all."""
+    return np.asarray(np.mod(numbers * step + start, 1.0) < share)
+
+
+def concatenate_contacts(parts: Sequence[Touches], samples: int) -> Touches:
+    """Contacts of several sets, one after the other."""
+    names = [name for name in vars(parts[0]) if name != "samples"]
+    arrays = {name: np.concatenate([vars(part)[name] for part in parts]) for name in names}
+    return Touches(**arrays, samples=samples)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Draw:
+    """What is the same for all samples while their contacts are drawn."""
+
+    surface: Surface
+    touch: ContactsSection
+    limits: ContactRanges
+    place: PlaceSampler
+    route: IntArray | None
+    room_mm: float
+
+    def fill(
+        self, numbers: IntArray, wanted: IntArray, rngs: Sequence[np.random.Generator]
+    ) -> Touches:
+        """Draw candidates for samples that lack contacts, and keep those that find room."""
+        kept: list[Touches] = []
+        taken: list[list[tuple[FloatArray, float]]] = [[] for _ in numbers]
+        lacking, tried = np.flatnonzero(wanted > 0), 0
+        while len(lacking) and tried < TRIES:
+            count = FIRST if tried == 0 else MORE
+            draws = np.concatenate([rngs[int(k)].random((count, DRAWS)) for k in lacking])
+            receptor = np.full((len(lacking), count), -1, dtype=np.int64)
+            if tried == 0 and self.route is not None:
+                receptor[:, 0] = self.route[numbers[lacking] % len(self.route)]
+            sample = np.repeat(numbers[lacking], count)
+            rows = self.candidates(sample, receptor.ravel(), draws)
+            hit = np.asarray(np.isfinite(rows.uv).all(axis=1))
+            at = self.surface.point(np.where(hit[:, None], rows.uv, self.surface.domain[:, 0]))
+            size, chosen = reach_mm(rows), []
+            for row in np.flatnonzero(hit):
+                k = lacking[row // count]
+                if len(taken[k]) < wanted[k] and self.apart(at[row], float(size[row]), taken[k]):
+                    taken[k].append((at[row], float(size[row])))
+                    chosen.append(row)
+            kept.append(select_contacts(rows, np.array(chosen, dtype=np.int64)))
+            lacking = np.array([k for k in lacking if len(taken[k]) < wanted[k]], dtype=np.int64)
+            tried += count
+        for k in lacking:
+            self.refuse_cramped(int(numbers[k]), len(taken[k]), int(wanted[k]))
+        if not kept:
+            return self.candidates(*(np.zeros(0, dtype=np.int64),) * 2, np.zeros((0, DRAWS)))
+        whole = concatenate_contacts(kept, len(numbers))
+        return select_contacts(whole, np.argsort(whole.sample, kind="stable"))
+
+    def apart(self, at: FloatArray, size: float, taken: list[tuple[FloatArray, float]]) -> bool:
+        """Whether a contact keeps off those that a sample has."""
+        room = size + self.room_mm
+        return all(np.linalg.norm(at - other) > room + own for other, own in taken)
+
+    def refuse_cramped(self, number: int, got: int, wanted: int) -> None:
+        """Refuse a sample with no contact, or with one where several were due."""
+        if got < min(wanted, 2):
+            what = "a contact" if got == 0 else "two contacts apart from each other"
+            raise DesignError(
+                f"sample {number}: no room for {what} in the touched part after {TRIES} tries; "
+                "widen touch.along and touch.around, lower touch.radius_max_mm, or set "
+                "touch.multi_share = 0"
+            )
+
+    def candidates(self, sample: IntArray, receptor: IntArray, draw: FloatArray) -> Touches:
+        """Contacts (m,) out of random numbers (m, DRAWS); places that hit nothing are NaN."""
+        touch, kinds = self.touch, self.touch.indenters
+        kind = pick_kinds(kinds, draw[:, 6])
+        low, high = self.limits.radius_mm
+        radius = (low + (high - low) * draw[:, 4]) * np.array([k.radius_share for k in kinds])[kind]
+        low, high = self.limits.force_N
+        slide = touch.friction_min + (touch.friction_max - touch.friction_min) * draw[:, 8]
+        angle = 2.0 * np.pi * draw[:, 9]
+        if touch.friction_deg is not None:
+            angle = np.full(len(draw), np.radians(touch.friction_deg))
+        shape = indenter_shape(kinds, kind, radius, draw[:, 7])
+        return Touches(
+            sample=sample,
+            uv=self.place(receptor, draw[:, :4]),
+            radius_mm=radius,
+            force_N=low + (high - low) * draw[:, 5],
+            samples=int(sample.max(initial=-1)) + 1,
+            indenter=shape[0],
+            length_mm=shape[1],
+            turn_rad=shape[2],
+            friction=slide[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]),
+        )
+
+
+def pick_kinds(kinds: Sequence[IndenterSection], draw: FloatArray) -> IntArray:
+    """Indenter (m,), index into ``kinds``, by their shares, for random numbers (m,)."""
+    until = np.cumsum([kind.share for kind in kinds])
+    return np.minimum(np.searchsorted(until / until[-1], draw, side="right"), len(kinds) - 1)
+
+
+def indenter_shape(
+    kinds: Sequence[IndenterSection], kind: IntArray, radius_mm: FloatArray, draw: FloatArray
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Index into ``INDENTERS``, length in mm and turn in rad, (m,) each."""
+    index = np.array([INDENTERS.index(item.kind) for item in kinds], dtype=np.int64)[kind]
+    rod = index == INDENTERS.index("cylinder")
+    given = np.array([np.nan if item.length_mm is None else item.length_mm for item in kinds])[kind]
+    length = np.where(np.isnan(given), LENGTH_RADII * radius_mm, given)
+    fixed = np.array([np.nan if item.turn_deg is None else item.turn_deg for item in kinds])[kind]
+    turn = np.where(np.isnan(fixed), np.pi * draw, np.radians(fixed))
+    return index, np.where(rod, length, 0.0), np.where(rod, turn, 0.0)
+
+
+def reach_mm(touches: Touches) -> FloatArray:
+    """Distance from each centre to the farthest point of its patch, (c,) mm."""
+    return np.asarray(np.hypot(touches.radius_mm, touches.length_mm / 2.0))
+
+
+def largest_reach_mm(touch: ContactsSection, limits: ContactRanges) -> float:
+    """Farthest that a drawn patch may reach from the place it is meant for, mm."""
+    radius = limits.radius_mm[1]
+    reach = 0.0
+    for kind in touch.indenters:
+        half = kind.radius_share * radius
+        length = LENGTH_RADII * half if kind.length_mm is None else kind.length_mm
+        reach = max(reach, float(np.hypot(half, length / 2.0)) if kind.kind == "cylinder" else half)
+    if touch.placement in {"receptor", "columns"}:
+        reach += np.sqrt(2.0) * jitter_of(touch, limits.radius_mm[0])
+    return float(reach)
+
+
+def select_contacts(touches: Touches, rows: IntArray) -> Touches:
+    """Contacts ``rows``, which keep the numbers of their samples."""
+    arrays = {name: array[rows] for name, array in vars(touches).items() if name != "samples"}
+    return Touches(**arrays, samples=touches.samples)

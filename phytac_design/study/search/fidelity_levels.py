@@ -1,0 +1,241 @@
+"""The rungs of the ladder: each a pure function from a candidate to its measures.
+
+``rules`` places markers and applies every check that a build makes before it computes anything;
+``sampled`` looks with some 64 rays a marker and bends the wall in closed form; ``exact`` renders;
+``switch`` solves the threshold bowls; ``mechanics`` takes the Cramér-Rao bound by finite elements;
+``load`` presses the sensor all over and looks again; ``twin`` builds and judges its decoder.
+"""
+
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from phytac_design.design.accuracy import settings_of
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context, write_arrays
+from phytac_design.fabrication.documents.materials import mass_g
+from phytac_design.geometry.envelope import edge_mm
+from phytac_design.layout.thresholds import thresholds_N
+from phytac_design.optics.density import density_of
+from phytac_design.optics.gaps import outline_gaps
+from phytac_design.optics.sampled_visibility import sampled_fraction
+from phytac_design.optics.visibility import FRACTION_MIN
+from phytac_design.study.search.candidate import Candidate
+from phytac_design.study.search.surrogate import FORCE_N, predict
+from phytac_shapes import Surface
+from phytac_shapes.arrays import FloatArray, IntArray
+
+Measures = dict[str, float]
+OUTLINE = 16
+"""Points of each of the two circles that bound a marker's paint."""
+SOLVED: dict[str, float] = {}
+"""Snap forces of bowls by what they were asked for, in this process; few differ in a study."""
+
+
+def rules(candidate: Candidate) -> Measures:
+    """Layout, print rules, camera; sizes, mass and cost."""
+    design, surface, markers = candidate.design, candidate.surface, candidate.markers
+    outer = surface.point(markers.uv)
+    pitch = np.inf
+    if markers.count > 1:
+        pitch = float(cKDTree(outer).query(outer, k=2)[0][:, 1].min())
+    z = surface.bounds_mm()[:, 2]
+    eyes = [float(camera.position_mm[2]) for camera in candidate.cameras]
+    outside = ~np.any([camera.sees(markers.tip_mm) for camera in candidate.cameras], axis=0)
+    mass = mass_g("resin", resin_mm3(design, surface, markers.height_mm)) or 0.0
+    prices = candidate.study.prices
+    return {
+        "marker_count": markers.count,
+        "density_mean_per_cm2": 100.0 * markers.count / surface.area_mm2(),
+        "pitch_least_mm": pitch,
+        "stack_mm": float(max([z[1], *eyes]) - min([z[0], *eyes])),
+        "wall_mm": design.wall.thickness_mm,
+        "height_most_mm": float(markers.height_mm.max()),
+        "outside_markers": int(outside.sum()),
+        "mass_g": mass,
+        "cost": prices.resin_per_kg * mass / 1000.0
+        + prices.switch_each * markers.count
+        + prices.camera_each * len(candidate.cameras),
+    }
+
+
+def resin_mm3(design: Design, surface: Surface, height_mm: FloatArray) -> float:
+    """Volume of wall, rims and tubes, less the holes, before roots and parts of the hardware."""
+    wall, receptor = design.wall, design.receptor
+    volume = surface.area_mm2(-wall.thickness_mm / 2.0) * wall.thickness_mm
+    outer, hole = receptor.diameter_outer_mm / 2.0, receptor.diameter_hole_mm / 2.0
+    volume += np.pi * float(((outer**2 - hole**2) * height_mm).sum())
+    volume -= np.pi * hole**2 * wall.thickness_mm * len(height_mm)
+    for axis, end in surface.edges():
+        if axis == 0:
+            edge = edge_mm(surface, end, -wall.thickness_mm / 2.0)
+            length = float(np.linalg.norm(edge - np.roll(edge, 1, axis=0), axis=1).sum())
+            volume += length * wall.rim_length_mm * (wall.thickness_mm + wall.rim_flange_mm)
+    return float(volume)
+
+
+def sampled(candidate: Candidate) -> Measures:
+    """Sampled visibility at rest, density, and resolution by the closed form."""
+    design, surface, markers = candidate.design, candidate.surface, candidate.markers
+    fractions = np.stack(
+        [
+            sampled_fraction(scene, camera).fraction
+            for scene, camera in zip(candidate.scenes, candidate.cameras, strict=True)
+        ]
+    )
+    fraction = fractions.max(axis=0)
+    predicted = predict(design, surface, markers, candidate.cameras, fraction >= FRACTION_MIN)
+    bound = predicted.bound
+    return {
+        "sampled_visible_least": float(fraction.min()),
+        "sampled_hidden": int((fraction < FRACTION_MIN).sum()),
+        "sampled_gap_px": outlined_gap_px(candidate, fractions.argmax(axis=0)),
+        "density_least_per_cm2": density_of(surface, markers).local_min_per_cm2,
+        "surrogate_force_sd_N": float(np.median(bound.force_N)),
+        "surrogate_force_sd_worst_N": float(bound.force_N.max()),
+        "surrogate_place_sd_mm": float(np.median(np.maximum(bound.along_mm, bound.around_mm))),
+        "surrogate_dent_mm": float(predicted.dent_mm.max()),
+        "surrogate_strain": float(predicted.strain.max()),
+    }
+
+
+def outlined_gap_px(candidate: Candidate, camera_of: IntArray) -> float:
+    """Least distance of painted outlines of one colour, px; nothing is hidden in them."""
+    markers, receptor = candidate.markers, candidate.design.receptor
+    axis = markers.direction
+    first = np.cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(axis, first)
+    turn = 2.0 * np.pi * np.arange(OUTLINE) / OUTLINE
+    ring = np.cos(turn)[:, None] * first[:, None] + np.sin(turn)[:, None] * second[:, None]
+    ring *= receptor.diameter_outer_mm / 2.0
+    band = np.minimum(receptor.band_marker_mm, markers.height_mm)
+    back = markers.tip_mm - band[:, None] * axis
+    points = np.concatenate([markers.tip_mm[:, None] + ring, back[:, None] + ring], axis=1)
+    least = np.inf
+    for number, camera in enumerate(candidate.cameras):
+        own = np.flatnonzero(camera_of == number)
+        pixels = camera.project(points[own].reshape(-1, 3)).reshape(len(own), -1, 2)
+        own = own[known := np.isfinite(pixels).all(axis=(1, 2))]
+        whole = np.rint(pixels[known].reshape(-1, 2)).astype(np.int64)
+        starts = np.arange(len(own) + 1) * points.shape[1]
+        gaps = outline_gaps(whole, starts, markers.colour[own])[0]
+        least = min(least, float(gaps.min(initial=np.inf)))
+    return least
+
+
+def exact(candidate: Candidate) -> Measures:
+    """Visibility, gaps and fusion from rendered pictures."""
+    summary = candidate.seen[0].summary()
+    return {
+        "visible_least": summary["min_visible_fraction"],
+        "occluded": summary["occluded"],
+        "fused": summary["fused"],
+        "gap_px": summary["min_gap_px"],
+        "switch_unreadable": summary["switch_unreadable"],
+    }
+
+
+def switch(candidate: Candidate) -> Measures:
+    """Bowls for the design's thresholds, solved; those that were solved before are remembered."""
+    from phytac_design.mechanics.switch.design import design_switch
+    from phytac_design.mechanics.switch.space import Tolerance
+    from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
+
+    design = candidate.design
+    tolerance = Tolerance(
+        thickness_mm=design.switch.wall_tolerance_mm, modulus=design.switch.modulus_tolerance
+    )
+    rubber, space = rubber_of(design), space_of(design)
+    worst = 0.0
+    for force in np.unique(thresholds_N(design, candidate.markers)).tolist():
+        key = repr((force, rubber, space, tolerance))
+        if key not in SOLVED:
+            SOLVED[key] = design_switch(force, rubber, space, tolerance).snap.limit_N
+        worst = max(worst, abs(SOLVED[key] / force - 1.0))
+    return {"switch_force_error": worst}
+
+
+def _context(candidate: Candidate, folder: Path) -> Context:
+    """Context of a stage that reads what is seen, from a folder of its own."""
+    write_arrays(folder, candidate.views)
+    return Context(
+        design=candidate.design,
+        accuracy=settings_of(candidate.study.ladder.accuracy),
+        seed=candidate.study.seed,
+        folders={"views": folder},
+        progress=lambda _: None,
+        scene=None,
+    )
+
+
+def mechanics(candidate: Candidate) -> Measures:
+    """Cramér-Rao bound at every receptor, as the stage ``resolution`` of a build takes it."""
+    from phytac_design.stages.resolution import RESOLUTION
+
+    with tempfile.TemporaryDirectory() as name:
+        views, out = Path(name) / "views", Path(name) / "resolution"
+        views.mkdir()
+        out.mkdir()
+        RESOLUTION.run(_context(candidate, views), out)
+        with np.load(out / "arrays.npz") as data:
+            force = data[f"force_N_{FORCE_N:g}"]
+            place = np.maximum(data[f"along_mm_{FORCE_N:g}"], data[f"around_mm_{FORCE_N:g}"])
+    return {
+        "force_sd_N": float(np.median(force)),
+        "force_sd_worst_N": float(force.max()),
+        "place_sd_mm": float(np.median(place)),
+    }
+
+
+def load(candidate: Candidate) -> Measures:
+    """Presses at the greatest force, looked at, as in the stage ``underload`` of a build."""
+    from phytac_design.stages.loaded_views import see_pressed
+
+    with tempfile.TemporaryDirectory() as name:
+        context = _context(candidate, Path(name))
+        views = candidate.views
+        gap = np.minimum(views["gap_same_colour_px"], views["gap_other_colour_px"])
+        _, found, facts = see_pressed(context, gap, views["camera"])
+    return {
+        "load_hidden": int(found.hidden.max(initial=0)),
+        "load_fused": int(found.fused.max(initial=0)),
+        "crosstalk_px": float(found.crosstalk_px.max()),
+        "load_gap_px": float(found.least_gap_same_px.min()),
+        "dent_mm": float(facts["dent_mm"]),
+    }
+
+
+def twin(candidate: Candidate) -> Measures:
+    """A simulated sensor and its decoder, as a build makes them."""
+    from phytac_design.stages.build import run_stages, select_stages
+
+    start = time.process_time()
+    context, _, _ = run_stages(
+        candidate.design,
+        select_stages(["decoder"]),
+        accuracy=candidate.study.ladder.accuracy,
+        seed=candidate.study.seed,
+        progress=lambda _: None,
+    )
+    judged = context.facts("decoder")["anywhere"]["auto"]
+    return {
+        "force_error": float(judged["relative_error"]),
+        "force_mae_N": float(judged["mae_N"]),
+        "build_seconds": time.process_time() - start,
+    }
+
+
+LEVEL_FUNCTIONS: dict[str, Callable[[Candidate], Measures]] = {
+    "rules": rules,
+    "sampled": sampled,
+    "exact": exact,
+    "switch": switch,
+    "mechanics": mechanics,
+    "load": load,
+    "twin": twin,
+}

@@ -1,0 +1,145 @@
+"""Contacts of data sets, and what each estimator says of them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from phytac_decoder.estimation.estimators import ForceModel
+from phytac_design.datasets.samples import FAILED, Samples
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.errors import InputError, NumericalError
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecodedContacts:
+    """Contacts of all samples that did not fail, c of them.
+
+    Attributes
+    ----------
+    sample, touch : (c,) int
+        Sample of each contact, and its row in the samples' touches.
+    force_N : (c,) float
+        True force: the sum over the switches whose contact it is; where it tripped none, its own.
+    tripped : (c,) bool
+        Whether it turned on a switch at all: what did not, no decoder of switches can see.
+    read : (c,) bool
+        Whether at least one of its switches was read as on.
+    decoded_N : dict of (c,) float
+        By estimator: the sum of decoded forces over the switches whose contact it is.
+    judged : (j,) int
+        Samples that did not fail.
+    elsewhere_N : dict of (j,) float
+        By estimator: decoded force on receptors that no contact presses, per such sample.
+    missed, on, false, off : int
+        Switches that were on but not read, those on, those read but not on, those off.
+    """
+
+    sample: IntArray
+    touch: IntArray
+    force_N: FloatArray
+    tripped: BoolArray
+    read: BoolArray
+    decoded_N: dict[str, FloatArray]
+    judged: IntArray
+    elsewhere_N: dict[str, FloatArray]
+    missed: int
+    on: int
+    false: int
+    off: int
+
+    def switches(self) -> dict[str, Any]:
+        """How well switches were read, plain JSON."""
+        return {
+            "on": self.on,
+            "off": self.off,
+            "missed": self.missed,
+            "false": self.false,
+            "missed_rate": self.missed / self.on if self.on else None,
+            "false_rate": self.false / self.off if self.off else None,
+        }
+
+
+def decode_contacts(
+    model: ForceModel,
+    samples: Samples,
+    *,
+    estimators: Sequence[str] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> DecodedContacts:
+    """Decode every sample with every estimator, from the shifts and switches that were read.
+
+    Parameters
+    ----------
+    model : ForceModel
+        Of the sensor.
+    samples : Samples
+        With points, contacts and truth.
+    estimators : list of str, optional
+        Names; all that the model has if not given.
+    progress : callable
+        Called with the name of the estimator at work.
+
+    Raises
+    ------
+    InputError
+        If the samples lack something.
+    NumericalError
+        If an estimator gives a force that is not a finite number.
+    """
+    shift, bits, read = samples.shift_px, samples.bits, samples.bits_read
+    touches, truth = samples.touches, samples.truth
+    if shift is None or bits is None or read is None or touches is None or truth is None:
+        raise InputError(
+            "decoding needs the markers' shifts, the switches and the truth of every sample; make "
+            "the data with --keep points"
+        )
+    usable = samples.status != FAILED
+    judged = np.flatnonzero(usable)
+    row = np.flatnonzero(truth.touch >= 0)
+    owner = truth.touch[row]
+    count = len(touches.sample)
+
+    def per_touch(values: FloatArray) -> FloatArray:
+        """Sum (t,) values of the switches over their contacts."""
+        return np.bincount(owner, weights=values[row], minlength=count).astype(np.float64)
+
+    tripped = np.bincount(owner, minlength=count) > 0
+    force = np.where(tripped, per_touch(truth.force_N), touches.force_N)
+    was_read = read[truth.sample, truth.marker].astype(np.float64)
+    keep = np.flatnonzero(usable[touches.sample])
+    decoded, elsewhere = {}, {}
+    for name in estimators if estimators is not None else model.estimators:
+        progress(name)
+        forces = np.zeros(bits.shape)
+        for k in judged.tolist():
+            forces[k] = model.forces(name, shift[k], np.flatnonzero(read[k]))
+        if not np.isfinite(forces).all():
+            bad = int(np.flatnonzero(~np.isfinite(forces).all(axis=1))[0])
+            raise NumericalError(
+                f"estimator {name} gives forces that are not numbers in sample {bad}; train it "
+                "again, or leave that sample out"
+            )
+        decoded[name] = per_touch(forces[truth.sample, truth.marker])[keep]
+        on_contacts = np.bincount(
+            truth.sample[row],
+            weights=forces[truth.sample[row], truth.marker[row]],
+            minlength=samples.count,
+        )
+        elsewhere[name] = (forces.sum(axis=1) - on_contacts)[judged]
+    seen_on, seen_read = bits[judged], read[judged]
+    return DecodedContacts(
+        sample=touches.sample[keep],
+        touch=keep,
+        force_N=force[keep],
+        tripped=tripped[keep],
+        read=(per_touch(was_read) > 0.0)[keep],
+        decoded_N=decoded,
+        judged=judged,
+        elsewhere_N=elsewhere,
+        missed=int((seen_on & ~seen_read).sum()),
+        on=int(seen_on.sum()),
+        false=int((~seen_on & seen_read).sum()),
+        off=int((~seen_on).sum()),
+    )
