@@ -86,7 +86,7 @@ def add_faults(table: Table, bench: PressedSensor, count: int) -> None:
         for index, sample in _samples(bench, chosen, chips):
             frame = damage(sample)
             follows = _followed(bundle, rest, sample, frame)
-            torn = bool(copy.deepcopy(tears[index]).look([frame]))
+            torn = bool(copy.deepcopy(tears[index]).check([frame]))
             try:
                 seen = measure_frame(bundle, frame)
             except InputError as error:
@@ -164,7 +164,7 @@ def _tears(bench: PressedSensor, light: NDArray[np.float32], index: int) -> Torn
     """One who has seen frames of the press before a sample's; the last is its ``other``."""
     tears = TornFrameDetector()
     for seed in (*(10000 * k + index for k in range(3, 3 + FRAMES_CHANGED_MIN)), 2000 + index):
-        if tears.look([bench.shot(light, seed=seed)]):
+        if tears.check([bench.shot(light, seed=seed)]):
             raise InputError(f"sample {index}: two draws of the noise are the same")
     return tears
 

@@ -42,7 +42,7 @@ STAND_IN = (
 class Repeated(Source):
     """The same frames over and over; ``asked_s`` keeps when each was asked for."""
 
-    said, clock = "rendered frames", "number / 480 fps"
+    description, clock = "rendered frames", "number / 480 fps"
 
     def __init__(self, images: list[ImageArray]) -> None:
         self.images, self.first, self.count = images, 0, 0
@@ -68,7 +68,7 @@ class Repeated(Source):
 class Ticks(Source):
     """480 empty frames a second; one that is late by a whole period counts as missed."""
 
-    said, clock = "a stand-in", "number / 480 fps"
+    description, clock = "a stand-in", "number / 480 fps"
 
     def __init__(self, seconds: float) -> None:
         self._count = round(seconds * FPS)

@@ -24,7 +24,7 @@ from phytac_decoder.io import live_camera
 from phytac_decoder.io.bundle import save_bundle
 from phytac_decoder.serving.sensor_loop import Progress
 from phytac_design.cli import decode_command
-from phytac_design.cli.decode_command import Teller, decode
+from phytac_design.cli.decode_command import FramePrinter, decode
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError, MissingPartError, OutputError, PhytacError
 from tests.decoder.toy_sensor import toy_bundle, toy_frame
@@ -67,10 +67,10 @@ def rows_of(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(path.read_text().splitlines()))
 
 
-def test_one_image_is_told_in_full(toy: Path) -> None:
+def test_one_image_is_printed_in_full(toy: Path) -> None:
     words = (toy / "decoder", toy / "frames" / "frame_2.png", "--estimator", "koi_inverse")
-    said, _ = run(*words)
-    lines = said.splitlines()
+    reported, _ = run(*words)
+    lines = reported.splitlines()
     assert lines[0] == "toy: 30 of 30 markers found"
     assert [int(line.split()[1]) for line in lines[1:4]] == [14, 15, 29]
     assert re.fullmatch(r"total 6\.\d\d N on 3 switched receptors", lines[4])
@@ -81,13 +81,13 @@ def test_one_image_is_told_in_full(toy: Path) -> None:
     assert result["forces_N"]["14"] == pytest.approx(3.0, abs=0.15)
 
 
-def test_a_folder_is_told_a_row_a_frame(toy: Path) -> None:
-    said, besides = run(toy / "decoder", toy / "frames", "--fps", "10")
-    lines = said.splitlines()
+def test_a_folder_gives_one_row_per_frame(toy: Path) -> None:
+    reported, besides = run(toy / "decoder", toy / "frames", "--fps", "10")
+    lines = reported.splitlines()
     assert [line.split()[:2] for line in lines] == [[str(k), f"0.{k}00"] for k in range(4)]
     assert [float(line.split()[3]) for line in lines] == pytest.approx([0, 3, 6.5, 2], abs=0.3)
     assert lines[2].count("#") == 2
-    # The contact goes on: its number stays.
+    # The contact continues: its number stays.
     assert "#0 " in lines[1]
     assert re.search(r"#0 4\.\d\d N at", lines[2])
     assert "#1 " in lines[2]
@@ -95,16 +95,16 @@ def test_a_folder_is_told_a_row_a_frame(toy: Path) -> None:
 
 
 def test_json_lines_are_the_streams_messages(toy: Path) -> None:
-    said, _ = run(toy / "decoder", toy / "frames", "--fps", "10", "--json")
-    messages = [json.loads(line) for line in said.splitlines()]
+    reported, _ = run(toy / "decoder", toy / "frames", "--fps", "10", "--json")
+    messages = [json.loads(line) for line in reported.splitlines()]
     assert [message["sequence"] for message in messages] == [0, 1, 2, 3]
     assert [message["koi"] for message in messages] == [[], [14], [14, 15, 29], [7]]
     assert messages[2]["contacts"][0]["markers"] == [14, 15]
     # A rate does not slow it down, nor leave frames out.
     start = time.monotonic()
-    said, _ = run(toy / "decoder", toy / "frames", "--fps", "0.05", "--json")
+    reported, _ = run(toy / "decoder", toy / "frames", "--fps", "0.05", "--json")
     assert time.monotonic() - start < 15.0
-    assert [json.loads(line)["timestamp_s"] for line in said.splitlines()] == [
+    assert [json.loads(line)["timestamp_s"] for line in reported.splitlines()] == [
         0.0,
         20.0,
         40.0,
@@ -116,19 +116,19 @@ def test_files_are_written_and_agree(toy: Path, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     (tmp_path / "regions.toml").write_text('[[regions]]\nname = "thumb"\nmarkers = [14, 15]\n')
     out, table, sums = (tmp_path / name for name in ("out.csv", "out.parquet", "sums.csv"))
-    said, besides = run(
+    reported, besides = run(
         toy / "decoder", toy / "frames", "--fps", "10", "--csv", out, "--parquet", table,
         "--regions", tmp_path / "regions.toml", "--record-regions", sums,
     )  # fmt: skip
-    assert said == ""
+    assert reported == ""
     assert f"5 rows in {out}, 4 rows in {sums}, 5 rows in {table}" in besides
     rows = rows_of(out)
     assert [row["markers"] for row in rows] == ["", "14", "14 15", "29", "7"]
     assert [row["region"] for row in rows] == ["", "thumb", "thumb", "", ""]
     same = parquet.read_table(table)
     assert same["force_N"].to_pylist()[1:] == [float(row["force_N"]) for row in rows[1:]]
-    told = [float(row["region_thumb_N"]) for row in rows_of(sums)]
-    assert told == pytest.approx([0.0, 3.0, 4.5, 0.0], abs=0.3)
+    sent = [float(row["region_thumb_N"]) for row in rows_of(sums)]
+    assert sent == pytest.approx([0.0, 3.0, 4.5, 0.0], abs=0.3)
     alone = tmp_path / "alone.parquet"
     run(toy / "decoder", toy / "frames", "--fps", "10", "--parquet", alone)
     assert parquet.read_table(alone)["id"].to_pylist() == same["id"].to_pylist()
@@ -168,7 +168,7 @@ def test_rows_of_a_run_that_was_cut_off_are_kept(toy: Path, tmp_path: Path) -> N
         run(toy / "decoder", toy / "frames", "--csv", table, "--parquet", table)
 
 
-def test_parquet_without_its_library_is_refused_first(
+def test_parquet_without_its_library_is_rejected_first(
     toy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in [name for name in sys.modules if name.split(".")[0] == "pyarrow"] or ["pyarrow"]:
@@ -178,21 +178,21 @@ def test_parquet_without_its_library_is_refused_first(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_broken_frame_is_told_of_and_passed_over(toy: Path, tmp_path: Path) -> None:
+def test_a_broken_frame_is_reported_and_skipped(toy: Path, tmp_path: Path) -> None:
     frames = folder_of(tmp_path / "frames", PRESSES)
     torn, black = frames / "frame_1.png", np.zeros((120, 160, 3), dtype=np.uint8)
     torn.write_bytes(torn.read_bytes()[:-20])
     cv2.imwrite(str(frames / "frame_2.png"), black)
-    said, besides = run(toy / "decoder", frames, "--csv", tmp_path / "out.csv", "--json")
-    messages = [json.loads(line) for line in said.splitlines()]
+    reported, besides = run(toy / "decoder", frames, "--csv", tmp_path / "out.csv", "--json")
+    messages = [json.loads(line) for line in reported.splitlines()]
     assert [(m["sequence"], m["valid"]) for m in messages] == [(0, True), (2, False), (3, True)]
     assert "frame 1 skipped" in besides
     assert "frame 2: the frame cannot be decoded: found 0 of 30 markers" in besides
     assert "3 frames in" in besides
     assert "1 unread, 1 skipped" in besides
     assert [row["valid"] for row in rows_of(tmp_path / "out.csv")] == ["1", "0", "1"]
-    said, _ = run(toy / "decoder", frames)
-    assert "could not be decoded" in said.splitlines()[1]
+    reported, _ = run(toy / "decoder", frames)
+    assert "could not be decoded" in reported.splitlines()[1]
 
 
 def test_nothing_but_broken_frames_is_an_error(toy: Path, tmp_path: Path) -> None:
@@ -203,7 +203,7 @@ def test_nothing_but_broken_frames_is_an_error(toy: Path, tmp_path: Path) -> Non
         run(toy / "decoder", frames)
 
 
-def test_frames_that_are_torn_are_told_of(toy: Path, tmp_path: Path) -> None:
+def test_torn_frames_give_a_warning(toy: Path, tmp_path: Path) -> None:
     frames, rng = tmp_path / "frames", np.random.default_rng(0)
     frames.mkdir()
     still = toy_frame({14: 3.0}).astype(np.float64)
@@ -213,8 +213,8 @@ def test_frames_that_are_torn_are_told_of(toy: Path, tmp_path: Path) -> None:
         image = np.clip(shot, 0, 255).astype(np.uint8)
         cv2.imwrite(str(frames / f"{number}.png"), image)
     for more in ((), ("--follow", "--rest", toy / "frames" / "frame_0.png")):
-        said, _ = run(toy / "decoder", frames, "--json", *more)
-        warned = [json.loads(line)["warnings"] for line in said.splitlines()]
+        reported, _ = run(toy / "decoder", frames, "--json", *more)
+        warned = [json.loads(line)["warnings"] for line in reported.splitlines()]
         assert ["torn" in " ".join(texts) for texts in warned] == [False] * 6 + [True, False]
 
 
@@ -226,15 +226,15 @@ def test_a_video_is_read(toy: Path, tmp_path: Path) -> None:
     for pressed in PRESSES:
         writer.write(toy_frame(pressed))
     writer.release()
-    said, _ = run(toy / "decoder", video, "--json")
-    messages = [json.loads(line) for line in said.splitlines()]
+    reported, _ = run(toy / "decoder", video, "--json")
+    messages = [json.loads(line) for line in reported.splitlines()]
     assert [m["timestamp_s"] for m in messages] == pytest.approx([0.0, 0.05, 0.1, 0.15], abs=1e-3)
     assert [m["koi"] for m in messages] == [[], [14], [14, 15, 29], [7]]
     assert [m["total_N"] for m in messages] == pytest.approx([0, 3, 6.5, 2], abs=0.5)
 
 
 def test_the_recordings_own_beginning_is_its_rest(toy: Path, tmp_path: Path) -> None:
-    """A camera that sits 3 px off: only a frame of its own tells what is rest."""
+    """A camera that sits 3 px off: only its own frame shows the rest state."""
     frames = tmp_path / "frames"
     frames.mkdir()
     presses: list[Mapping[int, float]] = [{}, {}, {14: 3.0}]
@@ -242,9 +242,9 @@ def test_the_recordings_own_beginning_is_its_rest(toy: Path, tmp_path: Path) -> 
         cv2.imwrite(str(frames / f"{number}.png"), np.roll(toy_frame(pressed), 3, axis=1))
     _, besides = run(toy / "decoder", frames)
     assert besides.count("the camera has moved") == 1
-    said, besides = run(toy / "decoder", frames, "--rest-first", "2", "--json")
+    reported, besides = run(toy / "decoder", frames, "--rest-first", "2", "--json")
     assert "the camera has moved" not in besides
-    totals = [json.loads(line)["total_N"] for line in said.splitlines()]
+    totals = [json.loads(line)["total_N"] for line in reported.splitlines()]
     assert totals == pytest.approx([0.0, 0.0, 3.0], abs=0.15)
     same, _ = run(toy / "decoder", frames, "--rest", frames / "0.png", "--json")
     assert json.loads(same.splitlines()[2])["total_N"] == pytest.approx(totals[2], abs=0.05)
@@ -259,16 +259,16 @@ def test_markers_can_be_followed(toy: Path, tmp_path: Path) -> None:
     frames = folder_of(tmp_path / "frames", step)
     with pytest.raises(InputError, match="--follow begins at a frame of the unloaded sensor"):
         run(toy / "decoder", frames, "--follow")
-    said, _ = run(toy / "decoder", frames, "--follow", "--rest-first", "1", "--json")
-    assert json.loads(said.splitlines()[3])["total_N"] == pytest.approx(1.6, abs=0.2)
+    reported, _ = run(toy / "decoder", frames, "--follow", "--rest-first", "1", "--json")
+    assert json.loads(reported.splitlines()[3])["total_N"] == pytest.approx(1.6, abs=0.2)
 
 
-def test_the_bundles_regions_are_told_and_can_be_replaced(toy: Path, tmp_path: Path) -> None:
+def test_the_bundles_regions_are_printed_and_can_be_replaced(toy: Path, tmp_path: Path) -> None:
     named = replace(toy_bundle(), regions=(Region(name="thumb", markers=(14, 15)),))
     save_bundle(named, tmp_path / "decoder")
-    said, _ = run(tmp_path / "decoder", toy / "frames")
-    assert "mm thumb" in said.splitlines()[1]
-    assert re.search(r"  thumb 4\.\d\d N", said.splitlines()[2])
+    reported, _ = run(tmp_path / "decoder", toy / "frames")
+    assert "mm thumb" in reported.splitlines()[1]
+    assert re.search(r"  thumb 4\.\d\d N", reported.splitlines()[2])
     image = toy / "frames" / "frame_2.png"
     words = (tmp_path / "decoder", image, "--estimator", "koi_inverse")
     assert re.search(r"^  region thumb  4\.\d\d N$", run(*words)[0], re.MULTILINE)
@@ -280,16 +280,16 @@ def test_the_bundles_regions_are_told_and_can_be_replaced(toy: Path, tmp_path: P
 
 
 def test_each_kind_of_warning_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
-    teller = Teller(as_json=False, rows=False)
+    printer = FramePrinter(as_json=False, rows=False)
     for number, warnings in enumerate(
         (["1 switches (3) are stuck", "dark"], ["2 switches (3, 41) are stuck"], [])
     ):
-        teller.publish({"sequence": number, "valid": True, "warnings": warnings})
+        printer.publish({"sequence": number, "valid": True, "warnings": warnings})
     assert capsys.readouterr().err.splitlines() == [
         "warning: frame 0: 1 switches (3) are stuck",
         "warning: frame 0: dark",
     ]
-    assert (teller.valid, teller.flagged) == (3, 2)
+    assert (printer.valid, printer.flagged) == (3, 2)
 
 
 class FakeCamera:
@@ -331,7 +331,7 @@ def test_what_a_camera_gave_is_kept_when_it_goes(
     assert [path.name for path in tmp_path.iterdir()] == ["out.parquet"]
 
 
-def test_progress_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
     for count, words in ((40, "12 of 40 frames, 6.0 a second"), (None, "12 frames, 6.0 a second")):
         decode_command._progress(count, rows=False)(Progress(seconds=2.0, frames=12, fps=6.0))
         assert words in capsys.readouterr().err

@@ -54,12 +54,12 @@ def test_a_browser_sees_frames_until_it_is_stopped(tmp_path: Path) -> None:
             done.send_signal(signal.SIGINT)
             assert json.loads(list(data)[-1][6:]) == {"type": "end", "reason": "stopped"}
             link.close()
-            said, errors = done.communicate(timeout=PATIENCE_S)
+            reported, errors = done.communicate(timeout=PATIENCE_S)
         finally:
             done.kill()
     assert done.returncode == 130
     assert "Traceback" not in errors
-    assert " frames in " in said
+    assert " frames in " in reported
 
 
 def test_errors_are_one_line(tmp_path: Path) -> None:

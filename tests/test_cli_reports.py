@@ -38,7 +38,7 @@ def piped() -> Iterator[int]:
 
 
 def fill(writing: int) -> None:
-    """A pipe to its brim, through an own handle: the other's must go on waiting."""
+    """A pipe to its brim, through an own handle: the other's must keep waiting."""
     own = os.open(f"/proc/self/fd/{writing}", os.O_WRONLY | os.O_NONBLOCK)
     try:
         while True:
@@ -51,9 +51,9 @@ def fill(writing: int) -> None:
 
 def test_reports_keep_their_order_and_end_whole() -> None:
     with piped() as pipe:
-        with ConsoleReporter() as tell:
+        with ConsoleReporter() as report:
             for number in range(100):
-                tell(f"line {number} µm")
+                report(f"line {number} µm")
         lines = os.read(pipe, 65536).decode().splitlines()
     assert lines == [f"line {number} µm" for number in range(100)]
 
@@ -63,9 +63,9 @@ def test_nobody_waits_for_a_reader_that_does_not_read(monkeypatch: pytest.Monkey
     with piped() as pipe:
         fill(sys.stderr.fileno())
         begun = time.monotonic()
-        with ConsoleReporter() as tell:
+        with ConsoleReporter() as report:
             for number in range(3 * console_reporter.WAITING):
-                tell(f"line {number}")
+                report(f"line {number}")
             assert time.monotonic() - begun < 1.0
         assert time.monotonic() - begun < 2.0
         # As soon as somebody reads, those that waited come, the oldest of them first.
@@ -86,10 +86,10 @@ def test_a_reader_that_is_gone_is_no_error() -> None:
         io.TextIOWrapper(io.FileIO(writing, "w"), encoding="utf-8") as stream,
         mock.patch.object(sys, "stderr", stream),
     ):
-        with ConsoleReporter() as tell:
-            tell("one")
-            tell("two")
-        assert not tell._thread.is_alive()
+        with ConsoleReporter() as report:
+            report("one")
+            report("two")
+        assert not report._thread.is_alive()
 
 
 @pytest.fixture(scope="module")
@@ -109,11 +109,11 @@ def serving(*words: str) -> Iterator[tuple[subprocess.Popen[bytes], socket.socke
     )
     with done:
         try:
-            said = b""
-            while not (found := re.search(rb"port (\d+);", said)):
+            reported = b""
+            while not (found := re.search(rb"port (\d+);", reported)):
                 more = os.read(reading, 4096)
                 assert more
-                said += more
+                reported += more
             with socket.create_connection(("127.0.0.1", int(found[1]))) as link:
                 link.settimeout(PATIENCE_S)
                 yield done, link, reading, writing
@@ -122,7 +122,7 @@ def serving(*words: str) -> Iterator[tuple[subprocess.Popen[bytes], socket.socke
 
 
 @pytest.mark.parametrize("kind", ["full", "closed"])
-def test_the_stream_goes_on_when_nobody_reads_standard_error(
+def test_the_stream_continues_when_standard_error_is_not_read(
     toy: tuple[str, str], kind: str
 ) -> None:
     with serving(*toy, "--fps", "50", "--every", "--loop") as (done, link, reading, writing):
@@ -149,8 +149,8 @@ def test_the_stream_goes_on_when_nobody_reads_standard_error(
         os.close(reading)
 
 
-def test_a_closed_standard_error_spoils_no_exit_code() -> None:
-    """An error is told there, and nobody reads it."""
+def test_a_closed_standard_error_keeps_the_exit_code() -> None:
+    """An error is reported there, and nobody reads it."""
     reading, writing = os.pipe()
     os.close(reading)
     done = subprocess.run([*PHYTAC, "check", "no-such-design"], stderr=writing, check=False)

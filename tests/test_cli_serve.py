@@ -68,10 +68,10 @@ def test_a_recording_goes_to_clients_and_to_csv(toy: tuple[str, str], tmp_path: 
             check=True,
             timeout=PATIENCE_S,
         ).stdout.splitlines()
-        said, errors = done.communicate(timeout=PATIENCE_S)
+        reported, errors = done.communicate(timeout=PATIENCE_S)
     assert done.returncode == 0, errors
-    assert said.startswith("4 frames in ")
-    assert ", 0 unread, 0 skipped, 0 missed, 0 messages dropped, 5 rows in " in said
+    assert reported.startswith("4 frames in ")
+    assert ", 0 unread, 0 skipped, 0 missed, 0 messages dropped, 5 rows in " in reported
     rows = list(csv.DictReader(out.read_text().splitlines()))
     assert [row["markers"] for row in rows] == ["", "14", "14 15", "29", "7"]
     assert [row["timestamp_s"] for row in rows] == ["0.0", "0.01", "0.02", "0.02", "0.03"]
@@ -111,7 +111,7 @@ def test_motion_samples_and_lengths(toy: tuple[str, str], tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
-def test_it_stops_cleanly_when_asked(toy: tuple[str, str], tmp_path: Path, sign: int) -> None:
+def test_it_stops_cleanly_on_a_signal(toy: tuple[str, str], tmp_path: Path, sign: int) -> None:
     out = tmp_path / "out.csv"
     with serving(*toy, "--fps", "50", "--every", "--loop", "--record", str(out)) as (done, port):
         where = ("127.0.0.1", port)
@@ -120,13 +120,13 @@ def test_it_stops_cleanly_when_asked(toy: tuple[str, str], tmp_path: Path, sign:
                 message = json.loads(next(lines))
             done.send_signal(sign)
             last = [json.loads(line) for line in lines][-1]
-        said, errors = done.communicate(timeout=PATIENCE_S)
+        reported, errors = done.communicate(timeout=PATIENCE_S)
     assert message["type"] == "frame"
     assert last["type"] == "end"
     assert last["reason"] == "stopped"
     assert done.returncode == 130
     assert "Traceback" not in errors
-    assert " frames in " in said
+    assert " frames in " in reported
     numbers = {int(row["sequence"]) for row in csv.DictReader(out.read_text().splitlines())}
     assert set(range(message["sequence"])) <= numbers
 
@@ -177,14 +177,14 @@ def test_regions_go_to_clients_and_to_csv(toy: tuple[str, str], tmp_path: Path) 
         link.makefile("rb") as data,
     ):
         hello, *frames, end = [json.loads(line) for line in data]
-        said, errors = done.communicate(timeout=PATIENCE_S)
+        reported, errors = done.communicate(timeout=PATIENCE_S)
     assert done.returncode == 0, errors
     assert end["type"] == "end"
     assert hello["regions"] == [{"name": "thumb", "markers": [14, 15]}]
-    told = [frame["regions"][0]["force_N"] for frame in frames]
-    assert told == pytest.approx([0.0, 3.0, 4.5, 0.0], abs=0.3)
+    sent = [frame["regions"][0]["force_N"] for frame in frames]
+    assert sent == pytest.approx([0.0, 3.0, 4.5, 0.0], abs=0.3)
     rows = list(csv.DictReader(sums.read_text().splitlines()))
-    assert [float(row["region_thumb_N"]) for row in rows] == told
+    assert [float(row["region_thumb_N"]) for row in rows] == sent
     assert [row["region"] for row in csv.DictReader(out.read_text().splitlines())] == [
         "",
         "thumb",
@@ -192,10 +192,10 @@ def test_regions_go_to_clients_and_to_csv(toy: tuple[str, str], tmp_path: Path) 
         "",
         "",
     ]
-    assert f"5 rows in {out}, 4 rows in {sums}" in said
+    assert f"5 rows in {out}, 4 rows in {sums}" in reported
 
 
-def test_regions_that_cannot_be_are_refused(toy: tuple[str, str], tmp_path: Path) -> None:
+def test_regions_that_cannot_be_are_rejected(toy: tuple[str, str], tmp_path: Path) -> None:
     (tmp_path / "regions.toml").write_text(REGIONS.replace("markers = [14, 15]", "rows = [0, 1]"))
     for words, message in (
         (("--regions", "regions.toml"), "are known from the design alone; give the design"),

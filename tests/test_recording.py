@@ -53,7 +53,7 @@ def test_contacts_and_regions_come_back_with_their_types(tmp_path: Path) -> None
     assert [row["region_thumb_N"] for row in rows] == [3.0, 0.0, 0.0]
 
 
-def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
+def test_invalid_recordings_are_rejected(tmp_path: Path) -> None:
     for text, message in (
         ("", "is no recording"),
         ("a,b\n1,2\n", "no columns sequence, timestamp_s and valid"),
@@ -68,7 +68,7 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("out.parquet*"))
 
 
-def test_a_last_row_that_was_cut_off_is_left_out_and_told(tmp_path: Path) -> None:
+def test_a_truncated_last_row_is_left_out_and_reported(tmp_path: Path) -> None:
     contacts, _ = recorded(tmp_path)
     contacts.write_bytes(contacts.read_bytes()[:-8])
     target = tmp_path / "out.parquet"
@@ -77,7 +77,7 @@ def test_a_last_row_that_was_cut_off_is_left_out_and_told(tmp_path: Path) -> Non
     assert f"{contacts}: the last row does not end; it is left out" in made.stderr
 
 
-def test_the_command_says_what_it_wrote_and_overwrites_nothing(tmp_path: Path) -> None:
+def test_the_command_reports_its_output_and_overwrites_nothing(tmp_path: Path) -> None:
     contacts, _ = recorded(tmp_path)
     target = tmp_path / "out.parquet"
     made = phytac("convert", str(contacts), str(target))

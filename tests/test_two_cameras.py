@@ -137,7 +137,7 @@ def test_frames_decode_as_well_as_with_one_camera(built: dict[str, Path]) -> Non
         (lambda a, b: [a, b[:-1]], r"image is 648x485 px"),
     ],
 )
-def test_wrong_frames_are_refused(built: dict[str, Path], pick: Any, words: str) -> None:
+def test_wrong_frames_are_rejected(built: dict[str, Path], pick: Any, words: str) -> None:
     bundle = load_bundle(built["both"] / "decoder")
     frames: Frames = pick(*frames_in(built["both"], "frame_rest"))
     with pytest.raises(InputError, match=words):
@@ -159,8 +159,8 @@ def test_a_camera_that_moved_is_named(built: dict[str, Path]) -> None:
     rest = rest_positions(bundle, frames_in(out, "frame_rest"))
     near, far = frames_in(out, "frame_pressed")
     measured = measure_frame(bundle, [near, np.roll(far, (2, 3), axis=(0, 1))], rest_px=rest)
-    told = measured.warnings(bundle, measured.forces_N(bundle, "koi_inverse"))
-    moved = [text for text in told if "has shifted" in text]
+    texts = measured.warnings(bundle, measured.forces_N(bundle, "koi_inverse"))
+    moved = [text for text in texts if "has shifted" in text]
     assert len(moved) == 1
     assert "the whole image of the far camera has shifted by (3." in moved[0]
 
@@ -173,9 +173,9 @@ def test_the_command_takes_a_frame_of_each_camera(built: dict[str, Path]) -> Non
     words += ["--rest", rest[0], "--rest", rest[1]]
     done = CliRunner().invoke(app, words, catch_exceptions=False)
     assert done.exit_code == 0
-    said = json.loads(done.stdout)
+    reported = json.loads(done.stdout)
     truth = json.loads((out / "views" / "frame_pressed.json").read_text())
-    assert said["found"] == 72
-    assert set(said["forces_N"]) == set(truth)
+    assert reported["found"] == 72
+    assert set(reported["forces_N"]) == set(truth)
     with pytest.raises(InputError, match="has 2 cameras"):
         CliRunner().invoke(app, words[:3], catch_exceptions=False)

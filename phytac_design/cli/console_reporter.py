@@ -6,7 +6,6 @@ import queue
 import sys
 import threading
 import time
-from types import TracebackType
 from typing import Self
 
 from phytac_design.cli.options import say
@@ -21,7 +20,7 @@ class ConsoleReporter:
     """Lines on standard error, written by a thread of its own.
 
     A call returns at once, whatever is behind standard error: where a pipe is full or closed,
-    reports are lost, and the stream goes on.
+    reports are lost, and the stream continues.
     """
 
     def __init__(self) -> None:
@@ -37,12 +36,7 @@ class ConsoleReporter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         until = time.monotonic() + FLUSH_S
         with contextlib.suppress(queue.Full):
             self._waiting.put(None, timeout=FLUSH_S)
@@ -56,7 +50,7 @@ class ConsoleReporter:
 
 
 def _put(text: str) -> None:
-    """Write a line past Python's own buffer: a thread that hangs in that one spoils the exit."""
+    """Write a line without Python's buffer: a thread that hangs in it would block the exit."""
     try:
         handle = sys.stderr.fileno()
     except (AttributeError, OSError):

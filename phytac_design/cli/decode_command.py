@@ -1,10 +1,11 @@
-"""The command that decodes frames: one to a table of forces, a recording to a row a frame."""
+"""The command that decodes frames: one to a table of forces, a recording to one row per frame."""
 
 import contextlib
 import json
 import re
 import sys
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -14,23 +15,24 @@ import typer
 
 from phytac_design.cli.options import JsonOption, say
 from phytac_design.cli.serve_command import (
+    BundleArgument,
     DesignOption,
     FollowOption,
+    RecordRegionsOption,
     RegionsOption,
     RestFirstOption,
     RestOption,
-    check_sources,
-    decoder_of,
+    Session,
+    SourceArgument,
     named_regions,
     open_recorders,
+    open_session,
     rest_images,
+    rows_text,
 )
 from phytac_shapes.errors import InputError, OutputError
 
 if TYPE_CHECKING:
-    from phytac_decoder.estimation.force_regions import Region
-    from phytac_decoder.io.bundle import Bundle
-    from phytac_decoder.serving.csv_recording import Recorder, RegionRecorder
     from phytac_decoder.serving.sensor_loop import Progress
     from phytac_decoder.serving.wire_protocol import Message
 
@@ -45,41 +47,9 @@ class Estimator(StrEnum):
     auto = "auto"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Wanted:
-    """What a recording is decoded to; names are those of the options."""
-
-    source: list[str]
-    fps: float | None
-    chosen: str
-    rest: list[Path]
-    rest_first: int
-    follow: bool
-    csv: Path | None
-    parquet: Path | None
-    record_regions: Path | None
-    as_json: bool
-
-    @property
-    def files(self) -> list[tuple[str, Path]]:
-        """Files to write, with the options that name them."""
-        each = (
-            ("--csv", self.csv),
-            ("--parquet", self.parquet),
-            ("--record-regions", self.record_regions),
-        )
-        return [(option, path) for option, path in each if path is not None]
-
-
 def decode(
-    bundle: Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")],
-    frame: Annotated[
-        list[str],
-        typer.Argument(
-            help="Image, folder of images, video, or a camera's number; two of two cameras, near "
-            "end first."
-        ),
-    ],
+    bundle: BundleArgument,
+    frame: SourceArgument,
     rest: RestOption = None,
     rest_first: RestFirstOption = 0,
     estimator: Annotated[
@@ -88,7 +58,7 @@ def decode(
     fps: Annotated[
         float | None,
         typer.Option(
-            help="Rate of a recording, for its timestamps; it is decoded as fast as that goes."
+            help="Rate of a recording, for its timestamps; it is decoded as fast as possible."
         ),
     ] = None,
     follow: FollowOption = False,
@@ -96,36 +66,21 @@ def decode(
     parquet: Annotated[Path | None, typer.Option(help="The same as Parquet.")] = None,
     regions: RegionsOption = None,
     design: DesignOption = None,
-    record_regions: Annotated[
-        Path | None, typer.Option(help="CSV of the regions' forces to write, a row a frame.")
-    ] = None,
+    record_regions: RecordRegionsOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Decode an image, a folder of images, a video or a camera to forces in newtons."""
-    from phytac_decoder.io.bundle import load_bundle
-
-    loaded = load_bundle(bundle)
-    chosen = estimator.value if estimator else loaded.model.best
-    known = loaded.model.estimators
-    if chosen not in known:
-        raise InputError(f"the decoder has no estimator {chosen!r}; known: {', '.join(known)}")
-    named = named_regions(regions, loaded, bundle, design)
-    wanted = Wanted(
-        source=frame,
-        fps=fps,
-        chosen=chosen,
-        rest=rest or [],
-        rest_first=rest_first,
-        follow=follow,
-        csv=csv,
-        parquet=parquet,
-        record_regions=record_regions,
-        as_json=as_json,
+    chosen = estimator.value if estimator else None
+    options = {"--csv": csv, "--parquet": parquet, "--record-regions": record_regions}
+    files = {option: path for option, path in options.items() if path is not None}
+    if not (files or rest_first or follow or fps) and all(map(is_image, frame)):
+        _decode_frame(bundle, frame, rest or [], chosen, regions, design, as_json=as_json)
+        return
+    _check_files(files)
+    session = open_session(
+        bundle, frame, chosen, rest, rest_first, follow=follow, regions=regions, design=design
     )
-    if wanted.files or rest_first or follow or fps or not all(map(is_image, frame)):
-        _decode_recording(loaded, named, wanted)
-    else:
-        _decode_frame(loaded, named, wanted)
+    _decode_recording(session, frame, fps, files, as_json=as_json)
 
 
 def is_image(where: str) -> bool:
@@ -136,34 +91,48 @@ def is_image(where: str) -> bool:
     return "://" not in where and path.suffix.lower() in SUFFIXES and not path.is_dir()
 
 
-def _decode_frame(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: Wanted) -> None:
+def _decode_frame(
+    folder: Path,
+    frames: list[str],
+    rest: list[Path],
+    estimator: str | None,
+    regions_file: Path | None,
+    design: str | None,
+    *,
+    as_json: bool,
+) -> None:
     """One frame of each camera, in full."""
     from phytac_decoder.estimation.force_regions import RegionForces
+    from phytac_decoder.io.bundle import load_bundle
     from phytac_decoder.pipeline.colour_calibration import calibrate_rest
     from phytac_decoder.pipeline.decode import measure_frame, read_image
     from phytac_decoder.pipeline.frame_reading import marker_loads, read
+    from phytac_decoder.serving.sensor_loop import check_estimator
 
-    images = [read_image(Path(where)) for where in wanted.source]
-    if wanted.rest:
-        bundle = calibrate_rest(bundle, rest_images(bundle, wanted.rest, [], 0))
+    bundle = load_bundle(folder)
+    chosen = estimator or bundle.model.best
+    check_estimator(bundle, chosen)
+    regions = named_regions(regions_file, bundle, folder, design)
+    images = [read_image(Path(where)) for where in frames]
+    if rest:
+        bundle = calibrate_rest(bundle, rest_images(bundle, rest, [], 0))
     measured = measure_frame(bundle, images)
-    chosen = wanted.chosen
     reading = read(bundle, measured, chosen)
-    koi, forces, warnings = reading.koi, reading.forces_N, reading.warnings
+    koi, forces = reading.koi, reading.forces_N
     contacts = reading.found.contacts if reading.found else []
     pressed = marker_loads(reading, koi, bundle.position_mm)
     total_N = float(pressed.force_N.sum())
     sums = RegionForces(regions=regions, markers=len(forces))
-    held = dict(
+    region_N = dict(
         zip(
             [region.name for region in regions],
             sums.of(pressed.markers, pressed.force_N),
             strict=True,
         )
     )
-    for warning in (*bundle.limits(), *warnings):
+    for warning in (*bundle.limits(), *reading.warnings):
         say(f"warning: {warning}")
-    if wanted.as_json:
+    if as_json:
         result: dict[str, Any] = {
             "design": bundle.design,
             "estimator": chosen,
@@ -180,11 +149,11 @@ def _decode_frame(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: Wante
                 }
                 for contact in contacts
             ],
-            "warnings": warnings,
+            "warnings": reading.warnings,
             "limits": bundle.limits(),
         }
         if regions:
-            result["regions"] = {name: round(force, 4) for name, force in held.items()}
+            result["regions"] = {name: round(force, 4) for name, force in region_N.items()}
         typer.echo(json.dumps(result, indent=1))
         return
     typer.echo(f"{bundle.design}: {int(measured.found.sum())} of {len(forces)} markers found")
@@ -200,15 +169,15 @@ def _decode_frame(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: Wante
             f"  contact at ({x:6.1f}, {y:6.1f}, {z:6.1f}) mm  {contact.force_N:.2f} N, standard "
             f"deviation {contact.sd_N:.2f} N, radius {contact.radius_mm:.1f} mm{switched}"
         )
-    for name, force in held.items():
+    for name, force in region_N.items():
         typer.echo(f"  region {name}  {force:.2f} N")
-    aside = f" and {len(reading.silent)} contacts without one" if reading.silent else ""
+    aside = f" and {len(reading.unswitched)} contacts without one" if reading.unswitched else ""
     typer.echo(f"total {total_N:.2f} N on {len(koi)} switched receptors{aside}")
 
 
 @dataclass(kw_only=True)
-class Teller:
-    """Prints a row a frame, and each kind of warning once.
+class FramePrinter:
+    """Prints one row per frame, and each kind of warning once.
 
     Attributes
     ----------
@@ -262,43 +231,31 @@ def _row(message: "Message") -> str:
     return "  ".join(parts)
 
 
-def _decode_recording(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: Wanted) -> None:
-    """A row a frame, until the source ends or Ctrl-C; what was decoded is kept."""
-    import signal
-
-    from phytac_decoder.io.frame_sources import open_source
+def _decode_recording(
+    session: Session, source: list[str], fps: float | None, files: dict[str, Path], *, as_json: bool
+) -> None:
+    """One row per frame, until the source ends or Ctrl-C; what was decoded is kept."""
     from phytac_decoder.serving.sensor_loop import Stream
-    from phytac_decoder.serving.wire_protocol import MessageBuilder
+    from phytac_design.core.parquet_recording import to_parquet
 
-    check_sources(bundle.design, len(bundle.cameras), wanted.source)
-    _check_files(wanted)
-    unloaded = rest_images(bundle, wanted.rest, wanted.source, wanted.rest_first)
-    reader = decoder_of(bundle, unloaded, estimator=wanted.chosen, follow=wanted.follow)
-    teller = Teller(as_json=wanted.as_json, rows=wanted.as_json or not wanted.files)
-    size = (bundle.camera.width_px, bundle.camera.height_px)
+    printer = FramePrinter(as_json=as_json, rows=as_json or not files)
+    parquet = files.get("--parquet")
+    # Parquet is made of the CSV at the end.
+    contacts = files.get("--csv") or (_scratch(parquet) if parquet else None)
     stopped, failed = False, None
-    # Whoever runs it as a service stops it by SIGTERM.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     with contextlib.ExitStack() as stack:
-        frames = open_source(wanted.source, fps=wanted.fps, pace=False, size_px=size, report=say)
-        stack.callback(frames.close)
-        kept = _recorders(stack, wanted, [region.name for region in regions])
-        for limit in bundle.limits():
+        frames = session.frames(stack, source, fps=fps, pace=False, report=say)
+        kept = open_recorders(stack, contacts, files.get("--record-regions"), session.region_names)
+        for limit in session.bundle.limits():
             say(f"warning: {limit}")
         stream = Stream(
             source=frames,
-            decode=reader,
-            messages=MessageBuilder(
-                bundle=bundle,
-                estimator=wanted.chosen,
-                source=frames.said,
-                clock=frames.clock,
-                regions=regions,
-            ),
-            publish=teller.publish,
+            decode=session.decode,
+            messages=session.messages(frames),
+            publish=printer.publish,
             recorders=list(kept.values()),
             report=say,
-            each_second=_progress(getattr(frames, "count", None), rows=teller.rows),
+            each_second=_progress(getattr(frames, "count", None), rows=printer.rows),
         )
         try:
             stream.run()
@@ -307,87 +264,65 @@ def _decode_recording(bundle: "Bundle", regions: "tuple[Region, ...]", wanted: W
         except InputError as error:
             # Such as a camera that was unplugged: what it gave is kept.
             failed = error
-    wrote = _written(wanted, kept)
-    say(f"{stream.progress.total()}, {teller.flagged} with warnings{wrote}")
+    wrote = rows_text(kept)
+    if parquet and contacts:
+        try:
+            rows, _ = to_parquet(contacts, parquet)
+        except OutputError as error:
+            kept_rows = kept[contacts].rows
+            raise OutputError(f"{error}; {kept_rows} rows are kept in {contacts}") from None
+        if "--csv" not in files:
+            kept.pop(contacts)
+            contacts.unlink()
+        wrote = f"{rows_text(kept)}, {rows} rows in {parquet}"
+    say(f"{stream.progress.total()}, {printer.flagged} with warnings{wrote}")
     if failed:
         raise failed
     if stopped:
         raise typer.Exit(130)
-    if not teller.valid:
+    if not printer.valid:
         raise InputError(
-            f"none of the {stream.progress.frames} frames of {frames.said} could be decoded; are "
-            f"they of the sensor {bundle.design!r}?"
+            f"none of the {stream.progress.frames} frames of {frames.description} could be "
+            f"decoded; are they of the sensor {session.bundle.design!r}?"
         )
 
 
-def _progress(count: int | None, *, rows: bool) -> Any:
-    """What to say each second: nothing where rows show on the same screen."""
-
-    def each_second(now: "Progress") -> None:
-        of = f" of {count}" if count else ""
-        say(f"{now.seconds:6.0f} s  {now.frames}{of} frames, {now.fps:.1f} a second")
-
-    def nothing(_now: "Progress") -> None:
-        return
-
-    return nothing if rows and sys.stdout.isatty() else each_second
+def _progress(count: int | None, *, rows: bool) -> "Callable[[Progress], None]":
+    """What to print each second: nothing where rows show on the same screen."""
+    if rows and sys.stdout.isatty():
+        return lambda _: None
+    of = f" of {count}" if count else ""
+    return lambda now: say(f"{now.seconds:6.0f} s  {now.frames}{of} frames, {now.fps:.1f} a second")
 
 
-def _check_files(wanted: Wanted) -> None:
-    """Refuse files that are there already, before anything is decoded.
+def _check_files(files: dict[str, Path]) -> None:
+    """Reject files that exist already, before anything is decoded.
 
     Raises
     ------
     OutputError
-        If one is.
+        If one does.
     MissingPartError
         If Parquet cannot be written here.
     """
     from phytac_design.core.parquet_recording import parquet_library
 
-    for option, path in wanted.files:
+    for option, path in files.items():
         if path.exists():
             raise OutputError(f"{path} is there already; give {option} another name, or remove it")
-    if len({path.absolute() for _, path in wanted.files}) < len(wanted.files):
-        each = ", ".join(f"{option} {path}" for option, path in wanted.files)
+    if len({path.absolute() for path in files.values()}) < len(files):
+        each = ", ".join(f"{option} {path}" for option, path in files.items())
         raise OutputError(f"two of {each} are one file; give each a name of its own")
-    if wanted.parquet:
+    if "--parquet" in files:
         parquet_library()
-        rows = _scratch(wanted.parquet)
-        if wanted.csv is None and rows.exists():
+        rows = _scratch(files["--parquet"])
+        if "--csv" not in files and rows.exists():
             raise OutputError(
                 f"{rows} is there already, the rows of a run that was cut off; keep them with "
-                f"`phytac convert {rows} {wanted.parquet}`, or remove it"
+                f"`phytac convert {rows} {files['--parquet']}`, or remove it"
             )
 
 
 def _scratch(parquet: Path) -> Path:
     """CSV of a recording that ends as Parquet alone."""
     return parquet.with_name(parquet.name + ".csv")
-
-
-def _recorders(
-    stack: contextlib.ExitStack, wanted: Wanted, names: list[str]
-) -> "dict[Path, Recorder | RegionRecorder]":
-    """Recorders by file; Parquet is made of the CSV at the end."""
-    contacts = wanted.csv
-    if wanted.parquet and contacts is None:
-        contacts = _scratch(wanted.parquet)
-    return open_recorders(stack, contacts, wanted.record_regions, names)
-
-
-def _written(wanted: Wanted, kept: "dict[Path, Recorder | RegionRecorder]") -> str:
-    """Make what is asked for of closed recordings; which rows lie where."""
-    from phytac_design.core.parquet_recording import to_parquet
-
-    rows = {path: recorder.rows for path, recorder in kept.items()}
-    if wanted.parquet:
-        source = wanted.csv or _scratch(wanted.parquet)
-        try:
-            rows[wanted.parquet], _ = to_parquet(source, wanted.parquet)
-        except OutputError as error:
-            raise OutputError(f"{error}; {rows[source]} rows are kept in {source}") from None
-        if wanted.csv is None:
-            rows.pop(source)
-            source.unlink()
-    return "".join(f", {count} rows in {path}" for path, count in rows.items())

@@ -1,13 +1,13 @@
 """The command that shows forces in a browser."""
 
 import contextlib
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from phytac_design.cli.console_reporter import ConsoleReporter
 from phytac_design.cli.serve_command import (
+    BundleArgument,
     DesignOption,
     EstimatorOption,
     EveryOption,
@@ -19,16 +19,14 @@ from phytac_design.cli.serve_command import (
     RestFirstOption,
     RestOption,
     SourceArgument,
-    check_sources,
-    decoder_of,
-    named_regions,
     open_recorders,
-    rest_images,
+    open_session,
+    rows_text,
 )
 
 
 def live(
-    bundle: Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")],
+    bundle: BundleArgument,
     source: SourceArgument,
     fps: FpsOption = None,
     port: Annotated[
@@ -45,59 +43,33 @@ def live(
     loop: LoopOption = False,
 ) -> None:
     """Show forces in a browser of this machine, until the source ends or Ctrl-C."""
-    import signal
-    import time
-
-    from phytac_decoder.io.bundle import load_bundle
-    from phytac_decoder.io.frame_sources import open_source
     from phytac_decoder.serving.live_view import LiveView
     from phytac_decoder.serving.sensor_loop import Stream
-    from phytac_decoder.serving.wire_protocol import MessageBuilder
 
-    loaded = load_bundle(bundle)
-    named = named_regions(regions, loaded, bundle, design)
-    check_sources(loaded.design, len(loaded.cameras), source)
-    chosen = estimator or loaded.model.best
-    unloaded = rest_images(loaded, rest or [], source, rest_first)
-    decode = decoder_of(loaded, unloaded, estimator=chosen, follow=follow)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    session = open_session(
+        bundle, source, estimator, rest, rest_first, follow=follow, regions=regions, design=design
+    )
     stopped = False
     with contextlib.ExitStack() as stack:
-        tell = stack.enter_context(ConsoleReporter())
-        frames = open_source(
-            source,
-            fps=fps,
-            every=every,
-            loop=loop,
-            size_px=(loaded.camera.width_px, loaded.camera.height_px),
-            report=tell,
-        )
-        stack.callback(frames.close)
-        messages = MessageBuilder(
-            bundle=loaded,
-            estimator=chosen,
-            source=frames.said,
-            clock=frames.clock,
-            started_unix_s=time.time(),
-            regions=named,
-        )
+        report = stack.enter_context(ConsoleReporter())
+        frames = session.frames(stack, source, report=report, fps=fps, every=every, loop=loop)
+        messages = session.messages(frames)
         view = stack.enter_context(LiveView(messages.hello(), port=port))
         kept = open_recorders(stack, record, None, [])
-        tell(f"{loaded.design}: {frames.said}; look at {view.url}; Ctrl-C stops")
+        report(f"{session.bundle.design}: {frames.description}; look at {view.url}; Ctrl-C stops")
         stream = Stream(
             source=frames,
-            decode=decode,
+            decode=session.decode,
             messages=messages,
             publish=view.publish,
             recorders=list(kept.values()),
-            report=tell,
+            report=report,
         )
         try:
             stream.run()
         except KeyboardInterrupt:
             view.close("stopped")
             stopped = True
-    wrote = "".join(f", {recorder.rows} rows in {path}" for path, recorder in kept.items())
-    typer.echo(f"{stream.progress.total()}{wrote}")
+    typer.echo(f"{stream.progress.total()}{rows_text(kept)}")
     if stopped:
         raise typer.Exit(130)

@@ -1,9 +1,9 @@
-"""The command that streams forces."""
+"""The command that streams forces, and what the commands that decode have in common."""
 
 import contextlib
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -15,10 +15,14 @@ from phytac_shapes.errors import InputError, OutputError
 if TYPE_CHECKING:
     from phytac_decoder.estimation.force_regions import Region
     from phytac_decoder.io.bundle import Bundle
+    from phytac_decoder.io.frame import Source
     from phytac_decoder.serving.csv_recording import Recorder, RegionRecorder
     from phytac_decoder.serving.sensor_loop import Decode
+    from phytac_decoder.serving.wire_protocol import MessageBuilder
 
+    Recorders = dict[Path, Recorder | RegionRecorder]
 
+BundleArgument = Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")]
 SourceArgument = Annotated[
     list[str],
     typer.Argument(
@@ -28,7 +32,9 @@ SourceArgument = Annotated[
 ]
 FpsOption = Annotated[
     float | None,
-    typer.Option(help="Play a recording at this rate, as a camera would; ask a camera for it."),
+    typer.Option(
+        help="Play a recording at this rate, as a camera would; set the rate of a camera."
+    ),
 ]
 EstimatorOption = Annotated[
     str | None, typer.Option(help="Force estimator; the bundle's best if not given.")
@@ -48,6 +54,9 @@ FollowOption = Annotated[
     ),
 ]
 RecordOption = Annotated[Path | None, typer.Option(help="CSV of contacts to write.")]
+RecordRegionsOption = Annotated[
+    Path | None, typer.Option(help="CSV of the regions' forces to write, one row per frame.")
+]
 EveryOption = Annotated[
     bool, typer.Option("--every", help="Leave out no frame of a recording that is late.")
 ]
@@ -66,14 +75,14 @@ DesignOption = Annotated[
 
 
 class Framing(StrEnum):
-    """How messages are told apart."""
+    """How messages are separated."""
 
     lines = "lines"
     length = "length"
 
 
 def serve(
-    bundle: Annotated[Path, typer.Argument(help="Decoder folder, as in exports/NAME/decoder.")],
+    bundle: BundleArgument,
     source: SourceArgument,
     fps: FpsOption = None,
     port: Annotated[int, typer.Option(help="TCP port; 0 takes a free one.", min=0, max=65535)] = (
@@ -99,61 +108,38 @@ def serve(
     record: RecordOption = None,
     regions: RegionsOption = None,
     design: DesignOption = None,
-    record_regions: Annotated[
-        Path | None, typer.Option(help="CSV of the regions' forces to write, a row a frame.")
-    ] = None,
+    record_regions: RecordRegionsOption = None,
     every: EveryOption = False,
     loop: LoopOption = False,
     wait: Annotated[
-        bool, typer.Option("--wait", help="Begin when the first client has come.")
+        bool, typer.Option("--wait", help="Begin when the first client has connected.")
     ] = False,
 ) -> None:
     """Stream forces to robots, Unity or ROS over TCP, until the source ends or Ctrl-C."""
-    import signal
     import time
 
-    from phytac_decoder.io.bundle import load_bundle
-    from phytac_decoder.io.frame_sources import open_source
     from phytac_decoder.io.imu import Imu
     from phytac_decoder.io.serial_port import SerialPort
     from phytac_decoder.serving.force_server import StreamServer
     from phytac_decoder.serving.sensor_loop import Progress, Stream
-    from phytac_decoder.serving.wire_protocol import MessageBuilder
 
-    loaded = load_bundle(bundle)
-    named = named_regions(regions, loaded, bundle, design)
-    check_sources(loaded.design, len(loaded.cameras), source)
-    chosen = estimator or loaded.model.best
-    unloaded = rest_images(loaded, rest or [], source, rest_first)
-    decode = decoder_of(loaded, unloaded, estimator=chosen, follow=follow)
-    camera = loaded.camera
-    # Whoever runs it as a service stops it by SIGTERM.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    session = open_session(
+        bundle, source, estimator, rest, rest_first, follow=follow, regions=regions, design=design
+    )
+    loaded = session.bundle
     with contextlib.ExitStack() as stack:
-        tell = stack.enter_context(ConsoleReporter())
-        frames = open_source(
-            source,
-            fps=fps,
-            every=every,
-            loop=loop,
-            size_px=(camera.width_px, camera.height_px),
-            report=tell,
-        )
-        stack.callback(frames.close)
+        report = stack.enter_context(ConsoleReporter())
+        frames = session.frames(stack, source, report=report, fps=fps, every=every, loop=loop)
         started_s = time.monotonic()
-        messages = MessageBuilder(
-            bundle=loaded,
-            estimator=chosen,
-            source=frames.said,
-            clock=frames.clock,
-            started_unix_s=time.time(),
-            regions=named,
-        )
+        messages = session.messages(frames)
         motion = None
         if imu is not None:
-            motion = Imu(imu, clock=lambda: time.monotonic() - started_s, report=tell)
+            motion = Imu(imu, clock=lambda: time.monotonic() - started_s, report=report)
             stack.callback(motion.close)
-            check_motion(loop=loop, port=motion.is_port)
+            if loop and not motion.is_port:
+                raise InputError(
+                    "a file of motion samples does not begin again; leave out --loop or --imu"
+                )
         server = stack.enter_context(
             StreamServer(
                 messages.hello(),
@@ -162,38 +148,41 @@ def serve(
                 framing=framing.value,
                 serial=SerialPort(serial, baud=baud) if serial else None,
                 serial_hello=messages.hello(positions=False),
-                report=tell,
+                report=report,
             )
         )
-        kept = open_recorders(stack, record, record_regions, [region.name for region in named])
-        for warning in (*loaded.limits(), *open_to_others(server.host)):
-            tell(f"warning: {warning}")
-        tell(f"{loaded.design}: {frames.said} to {server.host} port {server.port}; Ctrl-C stops")
+        kept = open_recorders(stack, record, record_regions, session.region_names)
+        for limit in loaded.limits():
+            report(f"warning: {limit}")
+        if not (server.host.startswith("127.") or server.host == "::1"):
+            report(f"warning: whoever reaches {server.host} can listen; nothing is encrypted")
+        where = f"{server.host} port {server.port}"
+        report(f"{loaded.design}: {frames.description} to {where}; Ctrl-C stops")
 
         def each_second(now: Progress) -> None:
-            tell(now.text(clients=server.clients, dropped=server.dropped))
+            report(now.text(clients=server.clients, dropped=server.dropped))
 
         stream = Stream(
             source=frames,
-            decode=decode,
+            decode=session.decode,
             messages=messages,
             publish=server.publish,
             started_s=started_s,
             imu=motion,
             recorders=list(kept.values()),
-            report=tell,
+            report=report,
             each_second=each_second,
         )
+        stopped = False
         try:
             if wait:
                 server.wait_for_client()
             stream.run()
-            stopped = False
         except KeyboardInterrupt:
             server.close("stopped")
             stopped = True
-    wrote = "".join(f", {recorder.rows} rows in {path}" for path, recorder in kept.items())
-    typer.echo(f"{stream.progress.total()}, {server.dropped} messages dropped{wrote}")
+    lost = f", {server.dropped} messages dropped"
+    typer.echo(f"{stream.progress.total()}{lost}{rows_text(kept)}")
     if stopped:
         raise typer.Exit(130)
 
@@ -210,17 +199,94 @@ def convert(
     typer.echo(f"{target}: {rows} rows, {columns} columns")
 
 
-def check_sources(design: str, cameras: int, source: list[str]) -> None:
-    """Refuse another number of sources than the sensor has cameras.
+class Session(NamedTuple):
+    """A sensor's decoder, set up for one run."""
+
+    bundle: "Bundle"
+    regions: "tuple[Region, ...]"
+    estimator: str
+    decode: "Decode"
+
+    @property
+    def region_names(self) -> list[str]:
+        """Names of the regions."""
+        return [region.name for region in self.regions]
+
+    def frames(self, stack: contextlib.ExitStack, source: list[str], **options: Any) -> "Source":
+        """Source of frames, which the stack closes; see :func:`phytac_decoder.io.frame_sources.open_source`."""
+        from phytac_decoder.io.frame_sources import open_source
+
+        camera = self.bundle.camera
+        frames = open_source(source, size_px=(camera.width_px, camera.height_px), **options)
+        stack.callback(frames.close)
+        return frames
+
+    def messages(self, frames: "Source") -> "MessageBuilder":
+        """Messages of a stream that begins now."""
+        import time
+
+        from phytac_decoder.serving.wire_protocol import MessageBuilder
+
+        return MessageBuilder(
+            bundle=self.bundle,
+            estimator=self.estimator,
+            source=frames.description,
+            clock=frames.clock,
+            started_unix_s=time.time(),
+            regions=self.regions,
+        )
+
+
+def open_session(
+    folder: Path,
+    source: list[str],
+    estimator: str | None,
+    rest: list[Path] | None,
+    rest_first: int,
+    *,
+    follow: bool,
+    regions: Path | None,
+    design: str | None,
+) -> Session:
+    """Load a decoder and set it up as the options say; from now on SIGTERM stops as Ctrl-C does.
 
     Raises
     ------
     InputError
-        If there is.
+        If the options do not fit the sensor.
     """
+    import signal
+
+    from phytac_decoder.io.bundle import load_bundle
+    from phytac_decoder.pipeline.colour_calibration import calibrate_rest
+    from phytac_decoder.serving.sensor_loop import follow_decoder, frame_decoder
+    from phytac_decoder.serving.torn_frames import with_torn_frame_check
+
+    bundle = load_bundle(folder)
+    named = named_regions(regions, bundle, folder, design)
+    cameras = len(bundle.cameras)
     if len(source) != cameras:
         each = "one camera: one source" if cameras == 1 else f"{cameras} cameras: one source each"
-        raise InputError(f"the sensor {design!r} has {each} (got {len(source)})")
+        raise InputError(f"the sensor {bundle.design!r} has {each} (got {len(source)})")
+    chosen = estimator or bundle.model.best
+    unloaded = rest_images(bundle, rest or [], source, rest_first)
+    if follow and not unloaded:
+        raise InputError(
+            "--follow begins at a frame of the unloaded sensor; give it with --rest, or use "
+            "--rest-first if the recording begins with it"
+        )
+    calibrated = calibrate_rest(bundle, unloaded) if unloaded else bundle
+    if follow:
+        decode = follow_decoder(calibrated, unloaded, estimator=chosen)
+    else:
+        decode = frame_decoder(calibrated, estimator=chosen)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    return Session(bundle, named, chosen, with_torn_frame_check(decode))
+
+
+def rows_text(kept: "Recorders") -> str:
+    """How many rows were written to which file."""
+    return "".join(f", {recorder.rows} rows in {path}" for path, recorder in kept.items())
 
 
 def named_regions(
@@ -270,42 +336,9 @@ def rest_images(
     return [read_image(path) for path in rest]
 
 
-def decoder_of(
-    bundle: "Bundle", unloaded: list[ImageArray], *, estimator: str, follow: bool
-) -> "Decode":
-    """Decoder of frames, one by one or followed from the unloaded sensor on.
-
-    Raises
-    ------
-    InputError
-        If markers are to be followed from nowhere.
-    """
-    from phytac_decoder.pipeline.colour_calibration import calibrate_rest
-    from phytac_decoder.serving.sensor_loop import follow_decoder, frame_decoder
-    from phytac_decoder.serving.torn_frames import with_torn_frame_check
-
-    if unloaded:
-        bundle = calibrate_rest(bundle, unloaded)
-    if not follow:
-        return with_torn_frame_check(frame_decoder(bundle, estimator=estimator))
-    if not unloaded:
-        raise InputError(
-            "--follow begins at a frame of the unloaded sensor; give it with --rest, or say with "
-            "--rest-first that the recording begins with it"
-        )
-    return with_torn_frame_check(follow_decoder(bundle, unloaded, estimator=estimator))
-
-
-def open_to_others(address: str) -> list[str]:
-    """What to say of an address that is not this machine's own loop."""
-    if address.startswith("127.") or address == "::1":
-        return []
-    return [f"whoever reaches {address} can listen; nothing is encrypted"]
-
-
 def open_recorders(
     stack: contextlib.ExitStack, record: Path | None, record_regions: Path | None, names: list[str]
-) -> "dict[Path, Recorder | RegionRecorder]":
+) -> "Recorders":
     """Recorders of contacts and of regions' forces, by file; the stack closes them.
 
     Raises
@@ -323,21 +356,9 @@ def open_recorders(
         raise OutputError(
             f"--record and --record-regions are one file ({record}); give each a name of its own"
         )
-    kept: dict[Path, Recorder | RegionRecorder] = {}
+    kept: Recorders = {}
     if record:
         kept[record] = stack.enter_context(Recorder(record))
     if record_regions:
         kept[record_regions] = stack.enter_context(RegionRecorder(record_regions, names))
     return kept
-
-
-def check_motion(*, loop: bool, port: bool) -> None:
-    """Refuse a recording that begins again while its motion samples do not.
-
-    Raises
-    ------
-    InputError
-        If it would.
-    """
-    if loop and not port:
-        raise InputError("a file of motion samples does not begin again; leave out --loop or --imu")

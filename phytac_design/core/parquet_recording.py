@@ -6,10 +6,20 @@ from typing import Any
 
 from phytac_shapes.errors import InputError, MissingPartError, OutputError, cause_of
 
-WHOLE = ("sequence", "contacts", "contact", "id")
-"""Columns of whole numbers; empty where a frame has no contact."""
-WORDS = ("markers", "region")
-REAL = ("timestamp_s", "total_N", "force_N", "x_mm", "y_mm", "z_mm", "size_mm", "since_s", "sd_N")
+INTEGER_COLUMNS = ("sequence", "contacts", "contact", "id")
+"""Integer columns; empty where a frame has no contact."""
+TEXT_COLUMNS = ("markers", "region")
+NUMBER_COLUMNS = (
+    "timestamp_s",
+    "total_N",
+    "force_N",
+    "x_mm",
+    "y_mm",
+    "z_mm",
+    "size_mm",
+    "since_s",
+    "sd_N",
+)
 
 
 def to_parquet(
@@ -19,21 +29,21 @@ def to_parquet(
     force: bool = False,
     report: Callable[[str], None] = lambda _: None,
 ) -> tuple[int, int]:
-    """Write a CSV of ``phytac serve`` as Parquet; the number of rows and columns.
+    """Write a CSV of ``phytac serve`` as Parquet; returns the number of rows and columns.
 
-    Columns keep their names. ``valid`` becomes a truth value, ``markers`` a list of whole numbers,
-    and what is empty is missing.
+    Columns keep their names. ``valid`` becomes a boolean, ``markers`` a list of integers, and empty
+    cells are null.
 
     Parameters
     ----------
     recording : Path
         CSV of ``--record`` or ``--record-regions``.
     target : Path
-        File to make; whole or not there.
+        File to make; it is complete or absent.
     force : bool
         Overwrite it.
     report : callable
-        Told of a last row that is cut off; it is left out.
+        Called with a line if the last row is cut off and left out.
 
     Raises
     ------
@@ -80,8 +90,10 @@ def parquet_library() -> Any:
 
 def _read(arrow: Any, recording: Path, report: Callable[[str], None]) -> Any:
     """The recording's table, typed."""
-    types = dict.fromkeys(WHOLE, arrow.int64()) | dict.fromkeys(REAL, arrow.float64())
-    types |= dict.fromkeys(WORDS, arrow.string()) | {"valid": arrow.bool_()}
+    types = dict.fromkeys(INTEGER_COLUMNS, arrow.int64()) | dict.fromkeys(
+        NUMBER_COLUMNS, arrow.float64()
+    )
+    types |= dict.fromkeys(TEXT_COLUMNS, arrow.string()) | {"valid": arrow.bool_()}
     try:
         data = recording.read_bytes()
         rows = data[: data.rfind(b"\n") + 1]

@@ -25,7 +25,7 @@ def blind_at(point_mm: FloatArray) -> ContactLocator:
     return replace(LOCATOR, blind=np.flatnonzero(gap < 8.0))
 
 
-def test_a_switch_that_cannot_be_read_does_not_speak_against_a_contact() -> None:
+def test_an_unreadable_switch_is_no_evidence_against_a_contact() -> None:
     loud, unread = point(15.0, 15.0), point(45.0, 45.0)
     both = together([loud, unread], [10.0, 15.0])
     found = blind_at(unread).find(both.reshape(-1, 2), np.array([nearest(loud)]))
@@ -76,7 +76,7 @@ def test_red_that_hardly_grows_cannot_be_read() -> None:
     assert tips.blind(np.array([True, False, False])).tolist() == [0]
 
 
-def test_motion_alone_tells_of_a_switch_that_cannot_be_read() -> None:
+def test_motion_alone_finds_a_press_on_an_unreadable_switch() -> None:
     at, aside = point(45.0, 45.0), point(15.0, 15.0)
     none = np.zeros(0, dtype=np.int64)
     for force in (3.0, 20.0):

@@ -163,7 +163,7 @@ def grey(frame: ImageArray) -> ImageArray:
     return np.asarray(frame.mean(axis=2, keepdims=True).repeat(3, axis=2), dtype=np.uint8)
 
 
-def test_frames_without_colours_are_refused() -> None:
+def test_frames_without_colours_are_rejected() -> None:
     bundle = drawn_bundle()
     with pytest.raises(InputError, match="markers show their colour in the rest frame"):
         calibrate_rest(bundle, grey(draw(REST)))
@@ -173,17 +173,17 @@ def test_frames_without_colours_are_refused() -> None:
         calibrate_rest(bundle, draw(REST)[:100])
 
 
-def test_hues_that_cannot_be_told_are_refused() -> None:
+def test_indistinguishable_hues_are_rejected() -> None:
     # 28 degrees apart, half way between blue and green.
     angle = np.radians([145.0, 173.0])
     paints = 60.0 * np.column_stack([np.cos(angle), np.sin(angle)])
     rng = np.random.default_rng(0)
     chroma = paints[COLOUR][:, None] + rng.normal(0.0, 0.5, (COUNT, 30, 2))
-    with pytest.raises(InputError, match="blue and green cannot be told"):
+    with pytest.raises(InputError, match="blue and green cannot be distinguished"):
         fit_colours(MODEL, chroma, COLOUR)
 
 
-def test_paint_that_drowns_is_refused() -> None:
+def test_paint_without_contrast_is_rejected() -> None:
     """Paint of 20 levels of chroma beside a wall of as much, and noise."""
     rng = np.random.default_rng(0)
     wall = np.tile([14.0, -6.0], (COUNT, 60, 1))

@@ -107,7 +107,7 @@ def test_more_blobs_than_16_bit_labels() -> None:
     assert len(blobs.colour) == 300 * 250
 
 
-def test_wrong_images_are_refused() -> None:
+def test_wrong_images_are_rejected() -> None:
     with pytest.raises(InputError, match="160x120 px, the decoder was made for 640x480"):
         check_image(np.zeros((120, 160, 3), np.uint8), width_px=640, height_px=480)
     with pytest.raises(InputError, match="8-bit colour"):

@@ -105,8 +105,8 @@ def test_fisheye_is_opencvs_in_front() -> None:
     np.testing.assert_allclose(lens.project(points), theirs[0], rtol=1e-9, atol=1e-9)
 
 
-def test_fisheye_goes_on_behind_the_image_plane() -> None:
-    # OpenCV's fisheye folds these back into the picture; the radius has to go on rising.
+def test_fisheye_continues_behind_the_image_plane() -> None:
+    # OpenCV's fisheye folds these back into the picture; the radius has to keep rising.
     lens = LENS["equidistant"]
     angle = np.deg2rad([89.5, 90.0, 90.5, 120.0, 179.0])
     pixels = lens.project(direction(angle, 0.0))
@@ -199,7 +199,7 @@ def test_a_lens_of_179_degrees_and_one_of_twice_that() -> None:
         ("pinhole", {"cx_px": np.nan}, "finite"),
     ],
 )
-def test_impossible_lenses_are_refused(model: str, change: dict[str, Any], words: str) -> None:
+def test_impossible_lenses_are_rejected(model: str, change: dict[str, Any], words: str) -> None:
     with pytest.raises(DesignError, match=words):
         LENSES[model](**{**SIZE, **change})
 

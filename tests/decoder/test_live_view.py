@@ -104,7 +104,7 @@ def test_frames_come_with_every_point_of_the_curves() -> None:
             next(events)
 
 
-def test_browsers_that_do_not_read_or_go_away_hold_nobody_up() -> None:
+def test_browsers_that_stall_or_leave_delay_nothing() -> None:
     make = messages()
     text = "x" * 20_000
     with LiveView(make.hello(), port=0) as view:
@@ -138,12 +138,12 @@ def test_browsers_that_do_not_read_or_go_away_hold_nobody_up() -> None:
 def test_no_more_browsers_than_there_is_room_for() -> None:
     with LiveView(messages().hello(), port=0) as view:
         for _ in range(VIEWERS_MAX):
-            assert view.come(1)
+            assert view.count_viewer(1)
         status, body = get(view, "/events")
         assert status == 503
-        assert b"8 browsers look already" in body
+        assert b"8 browsers are connected already" in body
         for _ in range(VIEWERS_MAX):
-            view.come(-1)
+            view.count_viewer(-1)
 
 
 def test_a_late_browser_gets_curves_thinned_evenly() -> None:

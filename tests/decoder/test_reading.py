@@ -1,4 +1,4 @@
-"""What an estimator that finds contacts itself tells of a frame, and what goes on the wire."""
+"""What an estimator that finds contacts itself finds in a frame, and what is sent."""
 
 import csv
 from dataclasses import replace
@@ -63,7 +63,7 @@ def messages() -> MessageBuilder:
     )
 
 
-def test_contacts_are_told_as_they_were_found() -> None:
+def test_contacts_are_sent_as_they_were_found() -> None:
     """Between switches, with their own size and standard deviation; not as groups of switches."""
     # Neighbouring switches of two contacts, and one that tripped none beside marker 29.
     one, other = located(4.0, (11.0, 9.5, 0.1), 7), located(6.0, (21.0, 10.0, 0.0), 8)
@@ -103,7 +103,7 @@ def test_a_contact_without_a_switch_keeps_its_id() -> None:
         {"point_mm": np.array([np.nan, 0.0, 0.0])},
     ],
 )
-def test_what_is_no_number_is_left_out(changes: dict[str, Any]) -> None:
+def test_contacts_that_are_not_finite_are_left_out(changes: dict[str, Any]) -> None:
     wild = replace(located(1.0, (49.0, 40.5, 0.0)), **changes)
     message = messages().frame(
         reading(located(3.0, (10.0, 10.0, 0.0), 7), wild), sequence=0, timestamp_s=0.0
@@ -136,16 +136,16 @@ def test_a_frame_is_fitted_once(
     bundle, measured = pressed
     # A switch that is not read: doubts look at what contacts explain.
     measured = replace(measured, koi=measured.koi[1:])
-    whole, asked = ForceModel.contacts, []
+    whole, calls = ForceModel.contacts, []
 
     def counted(model: ForceModel, *words: Any, **more: Any) -> ContactDetection:
-        asked.append(words)
+        calls.append(words)
         return whole(model, *words, **more)
 
     monkeypatch.setattr(ForceModel, "contacts", counted)
     monkeypatch.setattr("phytac_decoder.pipeline.fault_detection.EXCUSED_MOST", 1000)
     got = read(bundle, measured, "auto")
-    assert len(asked) == 1
+    assert len(calls) == 1
     assert got.found
     assert got.forces_N.sum() == pytest.approx(
         sum(contact.force_N for contact in got.found.contacts if len(contact.markers))
@@ -154,7 +154,7 @@ def test_a_frame_is_fitted_once(
     assert got.warnings == measured.warnings(bundle, got.forces_N, estimator="auto")
 
 
-def test_forces_on_switches_that_cannot_be_read_are_among_those_told(
+def test_forces_on_unreadable_switches_are_sent(
     pressed: tuple[Bundle, Measured], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bundle, measured = pressed
@@ -166,9 +166,9 @@ def test_forces_on_switches_that_cannot_be_read_are_among_those_told(
     monkeypatch.setattr(ForceModel, "contacts", lambda *_, **__: found)
     got = reading_module.read(bundle, measured, "auto")
     assert unread in got.koi
-    told = MessageBuilder(bundle=bundle, estimator="auto").frame(got, sequence=0, timestamp_s=0.0)
-    assert dict(zip(told["koi"], told["forces_N"], strict=True))[unread] == 5.0
-    assert told["total_N"] == 5.0
+    sent = MessageBuilder(bundle=bundle, estimator="auto").frame(got, sequence=0, timestamp_s=0.0)
+    assert dict(zip(sent["koi"], sent["forces_N"], strict=True))[unread] == 5.0
+    assert sent["total_N"] == 5.0
 
 
 def test_the_net_force_acts_along_the_surfaces_normals(
@@ -180,10 +180,10 @@ def test_the_net_force_acts_along_the_surfaces_normals(
     normal = make_markers(small(), surface).normal
     make = MessageBuilder(bundle=bundle, estimator="koi_inverse")
     got = read(bundle, measured, "koi_inverse")
-    told = make.frame(got, sequence=0, timestamp_s=0.0)
+    sent = make.frame(got, sequence=0, timestamp_s=0.0)
     net = -(got.forces_N @ normal)
     assert np.linalg.norm(net) > 1.0
-    assert told["net_force_N"] == pytest.approx(net, abs=1e-3)
+    assert sent["net_force_N"] == pytest.approx(net, abs=1e-3)
 
 
 def test_other_estimators_leave_grouping_to_the_stream(pressed: tuple[Bundle, Measured]) -> None:
@@ -191,8 +191,8 @@ def test_other_estimators_leave_grouping_to_the_stream(pressed: tuple[Bundle, Me
     got = read(bundle, measured, "koi_inverse")
     assert got.found is None
     assert got.koi.tolist() == measured.koi.tolist()
-    told = MessageBuilder(bundle=bundle, estimator="koi_inverse").frame(
+    sent = MessageBuilder(bundle=bundle, estimator="koi_inverse").frame(
         got, sequence=0, timestamp_s=0.0
     )
-    assert told["contacts"]
-    assert all("sd_N" not in contact for contact in told["contacts"])
+    assert sent["contacts"]
+    assert all("sd_N" not in contact for contact in sent["contacts"])

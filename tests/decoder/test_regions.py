@@ -47,7 +47,7 @@ def markers(folder: Path, place: str) -> list[int]:
     return list(region.markers)
 
 
-def test_every_way_to_say_where(tmp_path: Path) -> None:
+def test_every_selector(tmp_path: Path) -> None:
     assert markers(tmp_path, "markers = [3, 1, 3]") == [1, 3]
     assert markers(tmp_path, "rows = [1, 1]") == list(range(6, 12))
     assert markers(tmp_path, "columns = [0, 1]") == [0, 1, 6, 7, 12, 13, 18, 19]
@@ -56,7 +56,7 @@ def test_every_way_to_say_where(tmp_path: Path) -> None:
     # Over the seam.
     assert markers(tmp_path, "rows = [0, 0]\naround = [0.8, 0.2]") == [0, 1, 5]
     assert markers(tmp_path, "point_mm = [20, 10.0, 3]\nradius_mm = 10.5") == [2, 7, 8, 9, 14]
-    # All that is said must hold.
+    # All conditions must hold.
     assert markers(tmp_path, "point_mm = [20, 10, 3]\nradius_mm = 10.5\nrows = [1, 1]") == [7, 8, 9]
 
 
@@ -68,7 +68,7 @@ def test_tables_of_one_name_are_one_region(tmp_path: Path) -> None:
     )
 
 
-def test_json_says_the_same(tmp_path: Path) -> None:
+def test_json_is_equivalent(tmp_path: Path) -> None:
     path = tmp_path / "regions.json"
     path.write_text(json.dumps({"regions": [{"name": "палец 1", "rows": [0, 0]}]}))
     assert load_regions(path, PLACES, CHART) == (Region(name="палец 1", markers=tuple(range(6))),)
@@ -88,7 +88,7 @@ def test_json_says_the_same(tmp_path: Path) -> None:
         (f'[[regions]]\nname = "{"x" * (NAME_MAX + 1)}"\nrows = [0, 1]', "name must be"),
         ('[[regions]]\nname = "a\\nb"\nrows = [0, 1]', "name must be"),
         ('[[regions]]\nname = " a"\nrows = [0, 1]', "begins or ends with a space"),
-        ('[[regions]]\nname = "a"', "says no place"),
+        ('[[regions]]\nname = "a"', "no condition"),
         ('[[regions]]\nname = "a"\nrow = [0, 1]', "unknown key 'row'; known: name, markers, rows"),
         ('[[regions]]\nname = "a"\nrows = 3', r"2 numbers in a list \(got 3\)"),
         ('[[regions]]\nname = "a"\nrows = [0, true]', "2 numbers in a list"),
@@ -103,7 +103,7 @@ def test_json_says_the_same(tmp_path: Path) -> None:
         ('[[regions]]\nname = "a"\nmarkers = [-1]', "a list of markers"),
         ('[[regions]]\nname = "a"\nmarkers = [true]', "a list of markers"),
         ('[[regions]]\nname = "a"\npoint_mm = [0, 0, 0]', "point_mm and radius_mm go together"),
-        ('[[regions]]\nname = "a"\nradius_mm = 3', "says no place"),
+        ('[[regions]]\nname = "a"\nradius_mm = 3', "no condition"),
         ('[[regions]]\nname = "a"\npoint_mm = [0, 0]\nradius_mm = 3', "3 numbers in a list"),
         ('[[regions]]\nname = "a"\npoint_mm = [0, 0, 0]\nradius_mm = -3', "must be above 0"),
         ('[[regions]]\nname = "a"\npoint_mm = [0, 0, 0]\nradius_mm = inf', "radius_mm: a number"),
@@ -169,7 +169,7 @@ def _older(meta: dict[str, Any]) -> None:
     del meta["regions"]
 
 
-def test_older_bundles_have_none_and_newer_ones_are_refused(tmp_path: Path) -> None:
+def test_older_bundles_have_none_and_newer_ones_are_rejected(tmp_path: Path) -> None:
     save_bundle(replace(toy_bundle(), regions=NAMED), tmp_path)
     path = tmp_path / "bundle.json"
     meta = json.loads(path.read_text())
@@ -194,7 +194,7 @@ def test_older_bundles_have_none_and_newer_ones_are_refused(tmp_path: Path) -> N
         (lambda found: found.append(3), "a list of names with markers"),
     ],
 )
-def test_spoilt_regions_of_a_bundle_are_refused(
+def test_malformed_regions_of_a_bundle_are_rejected(
     tmp_path: Path, spoil: Callable[[list[Any]], None], message: str
 ) -> None:
     save_bundle(replace(toy_bundle(), regions=NAMED), tmp_path)
@@ -245,7 +245,7 @@ def test_heights_by_line_of_sight_do_not_matter_to_regions() -> None:
     ("table", "message"),
     [
         ({"name": "a", "rows": [40, 50]}, "'a'.: no marker lies there; widen it"),
-        ({"name": "a"}, "says no place"),
+        ({"name": "a"}, "no condition"),
         ({"name": "a", "row": [1, 2]}, "unknown key 'regions.0.row'; did you mean 'rows'"),
         ({"name": "a", "along": [0.5, 0.1]}, "shares from and to"),
         ({"name": "a", "along": [0.5]}, "2 numbers in a list"),
@@ -258,7 +258,7 @@ def test_heights_by_line_of_sight_do_not_matter_to_regions() -> None:
         ({"name": "", "rows": [0, 1]}, "regions.0.name"),
     ],
 )
-def test_regions_of_a_design_that_cannot_be_are_refused(
+def test_regions_of_a_design_that_cannot_be_are_rejected(
     table: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(DesignError, match=message):

@@ -30,7 +30,7 @@ def test_settings_of_an_earlier_user_go() -> None:
     os.close(master)
 
 
-def test_hello_comes_again_however_full_the_port_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hello_is_repeated_even_on_a_full_port(monkeypatch: pytest.MonkeyPatch) -> None:
     """Frames come faster than they go out, so that two always wait."""
     monkeypatch.setattr(force_server, "HELLO_AGAIN_S", 0.3)
     master, slave = os.openpty()

@@ -1,4 +1,4 @@
-"""The server: everyone gets everything, whoever stalls, shouts, leaves or comes."""
+"""The server: everyone gets everything, whoever stalls, floods, leaves or connects."""
 
 import os
 import socket
@@ -91,9 +91,9 @@ def test_all_get_all_in_order_between_hello_and_end(framing: str) -> None:
 
 
 def test_one_of_ten_that_stalls_costs_the_others_nothing_and_is_closed() -> None:
-    said: list[str] = []
+    reported: list[str] = []
     limits = ClientLimits(queue=40, patience_s=0.5)
-    with StreamServer(HELLO, port=0, limits=limits, report=said.append) as server:
+    with StreamServer(HELLO, port=0, limits=limits, report=reported.append) as server:
         clients = [Client(server) for _ in range(9)]
         stalled = Client(server, read=False)
         longest = 0.0
@@ -114,11 +114,11 @@ def test_one_of_ten_that_stalls_costs_the_others_nothing_and_is_closed() -> None
     assert longest < 0.05
     assert server.dropped > 40
     stalled.socket.close()
-    (told,) = [text for text in said if "took nothing for 0.5 s" in text]
-    assert told.endswith(f", {server.dropped} messages dropped; closed")
+    (line,) = [text for text in reported if "took nothing for 0.5 s" in text]
+    assert line.endswith(f", {server.dropped} messages dropped; closed")
 
 
-def test_a_slow_client_gets_the_newest_whole_messages_and_is_told_what_it_lost() -> None:
+def test_a_slow_client_gets_the_newest_messages_and_the_number_dropped() -> None:
     with StreamServer(
         HELLO, port=0, limits=ClientLimits(queue=10, patience_s=PATIENCE_S)
     ) as server:
@@ -163,31 +163,31 @@ def test_clients_come_and_go() -> None:
     assert sequences(second.all()) == list(range(1, number))
 
 
-def shout(into: socket.socket) -> None:
+def flood(into: socket.socket) -> None:
     for _ in range(5000):
         into.sendall(b"A" * 4096)
         time.sleep(0.001)
 
 
 def test_hostile_clients_do_no_harm() -> None:
-    said: list[str] = []
+    reported: list[str] = []
     limits = ClientLimits(clients=6, received_bytes=10000)
-    with StreamServer(HELLO, port=0, limits=limits, report=said.append) as server:
+    with StreamServer(HELLO, port=0, limits=limits, report=reported.append) as server:
         address = (server.host, server.port)
         good = Client(server)
         # Numbers that are none, and an endless line.
-        shouting = Client(server)
-        shouting.socket.sendall(b'{"type":"frame","x":NaN,"y":1e999}\n\xff\x00')
+        flooding = Client(server)
+        flooding.socket.sendall(b'{"type":"frame","x":NaN,"y":1e999}\n\xff\x00')
         with pytest.raises(OSError, match=r"pipe|reset"):
-            shout(shouting.socket)
-        shouting.socket.close()
+            flood(flooding.socket)
+        flooding.socket.close()
         # Reset at once.
         for _ in range(30):
             rude = socket.create_connection(address)
             rude.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             rude.close()
         wait_until(lambda: server.clients == 1)
-        # Its own half closed: it goes on listening.
+        # Its own half closed: it continues to listen.
         half = Client(server)
         half.socket.shutdown(socket.SHUT_WR)
         many = [Client(server) for _ in range(4)]
@@ -201,9 +201,9 @@ def test_hostile_clients_do_no_harm() -> None:
             time.sleep(0.0005)
     for client in (good, half, *many):
         assert sequences(client.all()) == list(range(50))
-    assert any("has nothing to say here" in text for text in said)
+    assert any("has nothing to say here" in text for text in reported)
     # A flood of clients is no flood of reports.
-    assert len(said) < 40
+    assert len(reported) < 40
 
 
 def test_a_port_in_use_is_one_clear_error() -> None:
@@ -261,7 +261,7 @@ def test_what_is_published_last_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> 
         (KeyboardInterrupt(), "stopped"),
     ],
 )
-def test_clients_are_told_why_it_ends(error: BaseException, reason: str) -> None:
+def test_clients_get_the_reason_of_the_end(error: BaseException, reason: str) -> None:
     server = StreamServer(HELLO, port=0)
     client = Client(server)
     with pytest.raises(type(error)), server:
@@ -269,7 +269,7 @@ def test_clients_are_told_why_it_ends(error: BaseException, reason: str) -> None
     assert client.all()[-1] == {"type": "end", "reason": reason, "dropped": 0}
 
 
-def test_no_number_goes_out_that_is_none() -> None:
+def test_numbers_that_are_not_finite_are_rejected() -> None:
     with StreamServer(HELLO, port=0) as server, pytest.raises(InputError, match="not finite"):
         server.publish({"type": "frame", "total_N": float("nan")})
 
@@ -305,7 +305,7 @@ def test_a_serial_port_gets_fresh_json_lines() -> None:
     os.close(master)
 
 
-def test_what_is_no_serial_port_is_refused(tmp_path: Path) -> None:
+def test_invalid_serial_ports_are_rejected(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="file is no serial port"):
         SerialPort(tmp_path / "file")

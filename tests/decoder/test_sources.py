@@ -86,18 +86,18 @@ def test_names_that_are_times_order_and_stamp(
 
 
 @pytest.mark.parametrize("suffix", ["png", "jpg"])
-def test_torn_frames_are_told_and_skipped(tmp_path: Path, suffix: str) -> None:
+def test_torn_frames_are_reported_and_skipped(tmp_path: Path, suffix: str) -> None:
     folder = folder_of(tmp_path / "f", 5, f"frame_{{}}.{suffix}")
     tear(folder / f"frame_0.{suffix}")
     tear(folder / f"frame_2.{suffix}")
     (folder / f"frame_3.{suffix}").write_bytes(b"")
-    said: list[str] = []
-    source = open_source([str(folder)], fps=1e6, every=True, report=said.append)
+    reported: list[str] = []
+    source = open_source([str(folder)], fps=1e6, every=True, report=reported.append)
     frames = list(source)
     assert [frame.number for frame in frames] == [1, 4]
     assert source.skipped == 3
-    assert [text.split(":")[0] for text in said] == [f"frame {n} skipped" for n in (0, 2, 3)]
-    assert all("cut off" in text for text in said)
+    assert [text.split(":")[0] for text in reported] == [f"frame {n} skipped" for n in (0, 2, 3)]
+    assert all("cut off" in text for text in reported)
 
 
 def test_a_padded_file_is_whole(tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def test_a_slow_decoder_misses_frames_as_with_a_camera(tmp_path: Path, every: bo
     assert source.missed == (0 if every else 7)
 
 
-def test_a_loop_goes_on_in_time(tmp_path: Path) -> None:
+def test_time_continues_in_a_loop(tmp_path: Path) -> None:
     for number, name in enumerate(("1.0", "1.5", "2.0")):
         cv2.imwrite(str(tmp_path / f"{name}.png"), shade(number))
     source = iter(open_source([str(tmp_path)], loop=True))
@@ -161,15 +161,15 @@ def test_a_loop_goes_on_in_time(tmp_path: Path) -> None:
 def test_two_folders_go_in_step_and_lose_a_pair_together(tmp_path: Path) -> None:
     near, far = folder_of(tmp_path / "near", 4), folder_of(tmp_path / "far", 4, "z{}.png")
     tear(far / "z1.png")
-    said: list[str] = []
-    frames = list(open_source([str(near), str(far)], fps=1e6, every=True, report=said.append))
+    reported: list[str] = []
+    frames = list(open_source([str(near), str(far)], fps=1e6, every=True, report=reported.append))
     assert [len(frame.images) for frame in frames] == [2, 2, 2]
     assert [[int(image[0, 0, 0]) for image in frame.images] for frame in frames] == [
         [0, 0],
         [2, 2],
         [3, 3],
     ]
-    assert len(said) == 1
+    assert len(reported) == 1
     (far / "z3.png").unlink()
     with pytest.raises(InputError, match=r"4 in .*near and 3 in .*far.*give as many of each"):
         open_source([str(near), str(far)])
@@ -184,7 +184,7 @@ def video_of(where: Path, count: int, fps: float = 25.0) -> Path:
     return where
 
 
-def test_a_video_tells_its_own_times(tmp_path: Path) -> None:
+def test_a_video_contains_its_times(tmp_path: Path) -> None:
     video = video_of(tmp_path / "v.avi", 6)
     frames = list(open_source([str(video)]))
     np.testing.assert_allclose([frame.timestamp_s for frame in frames], np.arange(6) / 25.0)
@@ -196,10 +196,10 @@ def test_a_video_tells_its_own_times(tmp_path: Path) -> None:
 
 def test_a_shorter_video_ends_both(tmp_path: Path) -> None:
     pair = [str(video_of(tmp_path / f"{n}.avi", n)) for n in (4, 6)]
-    said: list[str] = []
-    assert len(list(open_source(pair, report=said.append))) == 4
-    (told,) = said
-    assert told.endswith("4.avi ends after 4 frames, before the other camera's")
+    reported: list[str] = []
+    assert len(list(open_source(pair, report=reported.append))) == 4
+    (line,) = reported
+    assert line.endswith("4.avi ends after 4 frames, before the other camera's")
 
 
 @pytest.mark.parametrize(
@@ -210,7 +210,7 @@ def test_a_shorter_video_ends_both(tmp_path: Path) -> None:
         (lambda path: path.write_text("hello"), "thing is not a video or image"),
     ],
 )
-def test_what_is_no_source_is_refused(
+def test_invalid_sources_are_rejected(
     tmp_path: Path, make: Callable[[Path], None], words: str
 ) -> None:
     path = tmp_path / "thing"
@@ -219,7 +219,7 @@ def test_what_is_no_source_is_refused(
         list(open_source([str(path)]))
 
 
-def test_sources_that_do_not_go_together_are_refused(tmp_path: Path) -> None:
+def test_sources_that_do_not_go_together_are_rejected(tmp_path: Path) -> None:
     folder = str(folder_of(tmp_path / "f", 1))
     with pytest.raises(InputError, match="a camera and a recording do not go together"):
         open_source([folder, "0"])
@@ -251,7 +251,7 @@ def test_without_pace_a_rate_only_stamps(tmp_path: Path) -> None:
     assert paced.missed > 0
 
 
-def test_a_recording_tells_its_length(tmp_path: Path) -> None:
+def test_a_recording_has_a_length(tmp_path: Path) -> None:
     near, far = folder_of(tmp_path / "near", 3), video_of(tmp_path / "far.avi", 3)
     for wheres, count in (([near], 3), ([far], None), ([near, far], 3)):
         source = open_source([str(where) for where in wheres])
@@ -265,14 +265,14 @@ def test_first_frames_are_averaged(tmp_path: Path) -> None:
     for number, value in enumerate((10, 20, 30, 61)):
         cv2.imwrite(str(near / f"frame_{number}.png"), shade(value))
     tear(near / "frame_1.png")
-    said: list[str] = []
-    one, two = first_frames([str(near), str(far)], 3, report=said.append)
+    reported: list[str] = []
+    one, two = first_frames([str(near), str(far)], 3, report=reported.append)
     assert one.dtype == np.uint8
     assert set(one.ravel().tolist()) == {round((10 + 30 + 61) / 3)}
     assert set(two.ravel().tolist()) == {round((0 + 2 + 3) / 3)}
-    assert len(said) == 1
+    assert len(reported) == 1
     with pytest.raises(InputError, match="gave 8 frames, fewer than the 9 that show"):
-        first_frames([str(near)], 9, report=said.append)
+        first_frames([str(near)], 9, report=reported.append)
     cv2.imwrite(str(far / "frame_1.png"), np.zeros((12, 16, 3), dtype=np.uint8))
     with pytest.raises(InputError, match="differ in size"):
         first_frames([str(far)], 2)
@@ -285,18 +285,18 @@ class FakeCamera:
 
     def __init__(self, device: int | str) -> None:
         self.device, self.number, self.released = device, -1, False
-        self.asked: dict[int, float] = {}
+        self.set_to: dict[int, float] = {}
         self.made.append(self)
 
     def isOpened(self) -> bool:
         return self.device != 9
 
     def set(self, key: int, value: float) -> bool:
-        self.asked[key] = value
+        self.set_to[key] = value
         return True
 
     def get(self, key: int) -> float:
-        return 30.0 if key == cv2.CAP_PROP_FPS else self.asked.get(key, 0.0)
+        return 30.0 if key == cv2.CAP_PROP_FPS else self.set_to.get(key, 0.0)
 
     def grab(self) -> bool:
         time.sleep(0.005)
@@ -331,11 +331,11 @@ def take(source: Source, camera: FakeCamera, frames: list[Frame]) -> None:
 
 
 def test_a_slow_decoder_gets_a_cameras_newest_frame(cameras: list[FakeCamera]) -> None:
-    said: list[str] = []
-    source = open_source(["3"], fps=60.0, size_px=(32, 24), report=said.append)
+    reported: list[str] = []
+    source = open_source(["3"], fps=60.0, size_px=(32, 24), report=reported.append)
     (camera,) = cameras
-    assert camera.asked[cv2.CAP_PROP_FRAME_WIDTH] == 32
-    assert said[0] == "camera 3 was asked for 60 fps and says 30"
+    assert camera.set_to[cv2.CAP_PROP_FRAME_WIDTH] == 32
+    assert reported[0] == "camera 3 was set to 60 fps and reports 30"
     frames: list[Frame] = []
     with pytest.raises(InputError, match=r"camera 3 has given no frame for 0.3 s"):
         take(source, camera, frames)
@@ -362,16 +362,16 @@ def test_a_cameras_first_frames_leave_it_free(cameras: list[FakeCamera]) -> None
     (mean,) = first_frames(["3"], 3, size_px=(32, 24), report=lambda _: None)
     (camera,) = cameras
     assert camera.released
-    assert camera.asked[cv2.CAP_PROP_FRAME_WIDTH] == 32
+    assert camera.set_to[cv2.CAP_PROP_FRAME_WIDTH] == 32
     assert mean.shape == (24, 32, 3)
 
 
-def test_a_camera_that_is_not_there_is_refused(cameras: list[FakeCamera]) -> None:
+def test_a_camera_that_is_not_there_is_rejected(cameras: list[FakeCamera]) -> None:
     with pytest.raises(InputError, match="camera 9 cannot be opened; is it plugged in"):
         open_source(["0", "9"])
 
 
-def test_one_image_is_whole_or_refused(tmp_path: Path) -> None:
+def test_one_image_is_whole_or_rejected(tmp_path: Path) -> None:
     """OpenCV gives half a picture for half a file."""
     noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), dtype=np.uint8)
     for name in ("a.jpg", "a.png"):

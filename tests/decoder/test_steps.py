@@ -16,7 +16,7 @@ COUNT = 60
 
 
 def picture(number: int, rng: np.random.Generator) -> ImageArray:
-    """Its level tells its number, also where a codec blurs it."""
+    """Its level is its number, also where a codec blurs it."""
     noise = rng.integers(0, 50, (120, 160, 3))
     return (noise + 3 * number).astype(np.uint8)
 
@@ -46,22 +46,22 @@ def damage(video: Path) -> None:
 def test_what_follows_a_damaged_place_is_read(tmp_path: Path, suffix: str, codec: str) -> None:
     video = video_of(tmp_path / f"v.{suffix}", codec)
     damage(video)
-    said: list[str] = []
-    source = open_source([str(video)], report=said.append)
+    reported: list[str] = []
+    source = open_source([str(video)], report=reported.append)
     frames = list(source)
     assert frames[-1].number == COUNT - 1
     assert 0 < source.skipped == COUNT - len(frames) < 10
-    # Numbers go on as if none were lost, as times do.
+    # Numbers continue as if none were lost, as times do.
     np.testing.assert_allclose(
         [frame.timestamp_s for frame in frames], [frame.number / FPS for frame in frames]
     )
     whole = [frame for frame in frames if not 20 <= frame.number <= 40]
     np.testing.assert_allclose([level(f) for f in whole], [f.number for f in whole], atol=2.0)
-    (told,) = said
-    assert told.endswith(f"skipped: {video} is damaged there")
+    (line,) = reported
+    assert line.endswith(f"skipped: {video} is damaged there")
 
 
-def test_the_other_camera_goes_on_beside_a_damaged_place(tmp_path: Path) -> None:
+def test_the_other_camera_continues_past_a_damaged_place(tmp_path: Path) -> None:
     near, far = video_of(tmp_path / "near.mkv", "MJPG"), video_of(tmp_path / "far.mkv", "MJPG")
     damage(far)
     source = open_source([str(near), str(far)], report=lambda _: None)
@@ -74,16 +74,16 @@ def test_the_other_camera_goes_on_beside_a_damaged_place(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("suffix", ["mkv", "avi"])
-def test_a_video_that_is_cut_off_says_so_once(tmp_path: Path, suffix: str) -> None:
+def test_a_truncated_video_is_reported_once(tmp_path: Path, suffix: str) -> None:
     video = video_of(tmp_path / f"v.{suffix}", "MJPG")
     data = video.read_bytes()
     video.write_bytes(data[: len(data) * 2 // 3])
-    said: list[str] = []
-    source = iter(open_source([str(video)], loop=True, report=said.append))
+    reported: list[str] = []
+    source = iter(open_source([str(video)], loop=True, report=reported.append))
     numbers = [next(source).number for _ in range(COUNT + 30)]
     assert numbers == list(range(COUNT + 30))
-    (told,) = said
-    assert "ends after 40 frames, and its header speaks of 60: it may be cut off" in told
+    (line,) = reported
+    assert "ends after 40 frames, and its header promises 60: it may be cut off" in line
 
 
 def stamped_folder(where: Path, times_s: list[float]) -> Path:
@@ -104,25 +104,25 @@ def test_pictures_of_one_instant_are_paired(tmp_path: Path) -> None:
     # Its own phase, jitter, and other gaps.
     jitter = np.random.default_rng(0).uniform(-0.01, 0.01, 30)
     far = [t + 0.02 + jitter[k] for k, t in enumerate(times) if k not in {0, 17}]
-    said: list[str] = []
+    reported: list[str] = []
     wheres = [
         str(stamped_folder(tmp_path / name, each)) for name, each in (("near", near), ("far", far))
     ]
-    source = open_source(wheres, report=said.append)
+    source = open_source(wheres, report=reported.append)
     frames = list(source)
     pairs = pairs_of(near, far, frames)
     assert max(abs(b - a) for a, b in pairs) < 0.04
     gone = {0, 3, 12, 13, 17}
     assert [frame.number for frame in frames] == [k for k in range(30) if k not in gone]
     assert source.skipped == len(gone)
-    assert [text.split(":")[0] for text in said] == [
+    assert [text.split(":")[0] for text in reported] == [
         "frame 0 skipped",
         "frame 3 skipped",
         "frames 12 to 13 skipped",
         "frame 17 skipped",
     ]
-    assert said[0].endswith("far has none of that time")
-    assert said[1].endswith("near has none of that time")
+    assert reported[0].endswith("far has none of that time")
+    assert reported[1].endswith("near has none of that time")
 
 
 @pytest.mark.parametrize("phase", [0.0501, 0.05, 0.0499])
@@ -143,10 +143,10 @@ def test_times_of_two_clocks_pair_in_order(tmp_path: Path, begin: float) -> None
     wheres = [
         str(stamped_folder(tmp_path / name, each)) for name, each in (("near", near), ("far", far))
     ]
-    said: list[str] = []
-    assert len(list(open_source(wheres, report=said.append))) == 20
-    (told,) = said
-    assert told.endswith("cannot be compared; their frames are paired in order")
+    reported: list[str] = []
+    assert len(list(open_source(wheres, report=reported.append))) == 20
+    (line,) = reported
+    assert line.endswith("cannot be compared; their frames are paired in order")
 
 
 def test_a_video_that_lost_pictures_without_a_word_stays_in_step(tmp_path: Path) -> None:
@@ -156,15 +156,15 @@ def test_a_video_that_lost_pictures_without_a_word_stays_in_step(tmp_path: Path)
     half = len(data) // 2
     data[half : half + 3000] = bytes(3000)
     far.write_bytes(data)
-    said: list[str] = []
-    source = open_source([str(near), str(far)], report=said.append)
+    reported: list[str] = []
+    source = open_source([str(near), str(far)], report=reported.append)
     frames = list(source)
     assert frames[-1].number == COUNT - 1
     assert 0 < source.skipped == COUNT - len(frames)
     for frame in frames:
         if not 20 <= frame.number <= 40:
             np.testing.assert_array_equal(frame.images[0], frame.images[1])
-    assert "far.mkv has none of that time" in said[0]
+    assert "far.mkv has none of that time" in reported[0]
 
 
 def test_companions_of_macos_are_no_frames(tmp_path: Path) -> None:

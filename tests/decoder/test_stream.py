@@ -1,4 +1,4 @@
-"""The sensor's loop: frames to messages, frames that tell nothing, progress."""
+"""The sensor's loop: frames to messages, unreadable frames, progress."""
 
 import time
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ from tests.decoder.toy_sensor import toy_bundle, toy_frame, toy_recording
 class Frames(Source):
     """Given frames."""
 
-    said, clock = "a test", "its own"
+    description, clock = "a test", "its own"
 
     def __init__(self, images: list[ImageArray]) -> None:
         self.images = images
@@ -76,17 +76,19 @@ def test_frames_become_forces(tmp_path: Path) -> None:
     assert stream.progress.unread == 0
 
 
-def test_frames_that_cannot_be_decoded_are_told_not_fatal() -> None:
+def test_frames_that_cannot_be_decoded_are_reported_not_fatal() -> None:
     black = np.zeros((120, 160, 3), dtype=np.uint8)
     small = np.zeros((3, 3, 3), dtype=np.uint8)
-    said: list[str] = []
-    sent, stream = run([toy_frame({7: 2.0}), black, small, toy_frame({7: 2.0})], report=said.append)
+    reported: list[str] = []
+    sent, stream = run(
+        [toy_frame({7: 2.0}), black, small, toy_frame({7: 2.0})], report=reported.append
+    )
     assert [message["valid"] for message in sent] == [True, False, False, True]
     assert "the frame cannot be decoded: found 0 of 30 markers" in sent[1]["warnings"][0]
     assert sent[1]["contacts"] == []
     assert sent[3]["koi"] == [7]
     assert stream.progress.unread == 2
-    assert len(said) == 1
+    assert len(reported) == 1
 
 
 def test_two_cameras_are_decoded_together() -> None:
@@ -116,26 +118,26 @@ def test_another_decoder_can_be_plugged_in() -> None:
     assert sent[0]["warnings"] == ["made up"]
     with pytest.raises(InputError, match="no estimator 'best'; known: fem"):
         frame_decoder(toy_bundle(), estimator="best")
-    # It is known, but this decoder has no tables for it: said before the first frame.
+    # It is known, but this decoder has no tables for it: reported before the first frame.
     with pytest.raises(InputError, match="no estimator 'auto'; known: fem"):
         frame_decoder(toy_bundle(), estimator="auto")
 
 
-def test_progress_tells_each_second(tmp_path: Path) -> None:
+def test_progress_is_reported_each_second(tmp_path: Path) -> None:
     _, frames = toy_recording(tmp_path, [{}])
-    told: list[str] = []
+    texts: list[str] = []
 
     def each_second(now: Progress) -> None:
-        told.append(now.text(clients=1, dropped=4))
-        if len(told) == 2:
+        texts.append(now.text(clients=1, dropped=4))
+        if len(texts) == 2:
             raise KeyboardInterrupt
 
     source = open_source([str(frames)], fps=100.0, loop=True)
     with pytest.raises(KeyboardInterrupt):
         run([], source=source, each_second=each_second)
-    assert "fps  latency p50 " in told[1]
-    assert "1 client, 4 dropped" in told[1]
-    seconds, _, fps, *_ = told[0].split()
+    assert "fps  latency p50 " in texts[1]
+    assert "1 client, 4 dropped" in texts[1]
+    seconds, _, fps, *_ = texts[0].split()
     assert 1.0 <= float(seconds) < 4.0
     assert float(fps) > 20.0
 

@@ -1,4 +1,4 @@
-"""Frames that are partly the one before: told of by what noise always changes."""
+"""Frames that are partly the one before: texts of by what noise always changes."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def warmed(dark: slice | None = None) -> tuple[TornFrameDetector, ImageArray]:
     """One who has seen enough frames, and the last of them."""
     tears = TornFrameDetector()
     for seed in range(FRAMES_CHANGED_MIN + 1):
-        assert tears.look([noisy(seed, dark=dark)]) == []
+        assert tears.check([noisy(seed, dark=dark)]) == []
     return tears, noisy(FRAMES_CHANGED_MIN, dark=dark)
 
 
@@ -48,32 +48,32 @@ def torn(seed: int, old: ImageArray, part: slice) -> ImageArray:
         (slice(0, None), "the frame is the one before to the last bit"),
     ],
 )
-def test_old_rows_are_told_of(part: slice, words: str) -> None:
+def test_old_rows_give_a_warning(part: slice, words: str) -> None:
     tears, last = warmed()
-    (text,) = tears.look([torn(9, last, part)])
+    (text,) = tears.check([torn(9, last, part)])
     assert text.startswith(words)
     # The next whole frame is sound again.
-    assert tears.look([noisy(10)]) == []
+    assert tears.check([noisy(10)]) == []
 
 
 def test_a_cut_through_a_row_is_a_tear_as_well() -> None:
     tears, last = warmed()
     image = torn(9, last, slice(48, None))
     image[47, WIDTH // 10 :] = last[47, WIDTH // 10 :]
-    assert "torn" in tears.look([image])[0]
+    assert "torn" in tears.check([image])[0]
 
 
-def test_what_noise_does_not_change_has_no_say() -> None:
+def test_rows_without_noise_are_not_evaluated() -> None:
     """Black borders, drawn pictures, and a first frame."""
     tears, last = warmed(dark=slice(0, 40))
     lower = torn(9, last, slice(70, None))
     lower[:40] = 0
-    assert "the lower" in tears.look([lower])[0]
+    assert "the lower" in tears.check([lower])[0]
     drawn, flat = TornFrameDetector(), np.full((HEIGHT, WIDTH, 3), 90, dtype=np.uint8)
     moved = flat.copy()
     moved[60:80, 20:100] = 200
     for image in (flat, flat, moved, flat, flat):
-        assert drawn.look([image]) == []
+        assert drawn.check([image]) == []
 
 
 def test_rows_that_are_old_here_and_there_are_no_tear() -> None:
@@ -81,40 +81,40 @@ def test_rows_that_are_old_here_and_there_are_no_tear() -> None:
     tears, last = warmed()
     image = torn(9, last, slice(20, 30))
     image[60:70] = last[60:70]
-    assert tears.look([image]) == []
+    assert tears.check([image]) == []
 
 
-def test_each_camera_is_looked_at_and_another_size_begins_anew() -> None:
+def test_each_camera_is_checked_and_a_new_size_restarts() -> None:
     tears = TornFrameDetector()
     for seed in range(FRAMES_CHANGED_MIN + 1):
-        assert tears.look([noisy(seed), noisy(50 + seed)]) == []
-    (text,) = tears.look([noisy(9), torn(60, noisy(50 + FRAMES_CHANGED_MIN), slice(0, 48))])
+        assert tears.check([noisy(seed), noisy(50 + seed)]) == []
+    (text,) = tears.check([noisy(9), torn(60, noisy(50 + FRAMES_CHANGED_MIN), slice(0, 48))])
     assert "upper" in text
     small = noisy(9)[:50, :60]
-    assert tears.look([small, small]) == []
-    assert tears.look([small, small]) == []
+    assert tears.check([small, small]) == []
+    assert tears.check([small, small]) == []
 
 
 def test_a_camera_that_uses_its_buffer_again_is_seen_through() -> None:
     tears, buffer = TornFrameDetector(), noisy(0)
     for seed in range(FRAMES_CHANGED_MIN + 1):
         buffer[:] = noisy(seed)
-        assert tears.look([buffer]) == []
+        assert tears.check([buffer]) == []
     # And for as long as it stands still.
     for _ in range(5):
-        assert "stopped" in tears.look([buffer])[0]
+        assert "stopped" in tears.check([buffer])[0]
 
 
 def test_a_single_change_is_no_noise() -> None:
     """A press that is drawn without noise changes rows, and they stand still after it."""
     tears = TornFrameDetector()
     for number in range(FRAMES_CHANGED_MIN):
-        assert tears.look([noisy(number)]) == []
-    assert tears.look([noisy(FRAMES_CHANGED_MIN - 1)]) == []
-    # What stood still begins anew: it is no noise that pauses.
+        assert tears.check([noisy(number)]) == []
+    assert tears.check([noisy(FRAMES_CHANGED_MIN - 1)]) == []
+    # Rows that stood still start again: noise does not pause.
     for number in range(1, FRAMES_CHANGED_MIN):
-        assert tears.look([noisy(10 * number)]) == []
-    assert tears.look([noisy(10 * (FRAMES_CHANGED_MIN - 1))]) == []
+        assert tears.check([noisy(10 * number)]) == []
+    assert tears.check([noisy(10 * (FRAMES_CHANGED_MIN - 1))]) == []
 
 
 def test_only_the_band_is_read_of_wide_pictures() -> None:
@@ -123,16 +123,16 @@ def test_only_the_band_is_read_of_wide_pictures() -> None:
     rng = np.random.default_rng(0)
     for _ in range(FRAMES_CHANGED_MIN + 1):
         wide[:, 3 * BAND_px // 4 : 7 * BAND_px // 4] = rng.integers(0, 99, (40, BAND_px, 3))
-        assert tears.look([wide]) == []
+        assert tears.check([wide]) == []
     wide[:, : BAND_px // 2] = 7
-    assert "stopped" in tears.look([wide])[0]
+    assert "stopped" in tears.check([wide])[0]
 
 
 def frame(number: int, image: ImageArray) -> Frame:
     return Frame(number=number, timestamp_s=0.1 * number, images=(image,), ready_s=0.0)
 
 
-def test_a_decoder_that_is_watched_says_so_besides() -> None:
+def test_a_checked_decoder_adds_the_warning() -> None:
     def decode(given: Frame) -> Reading:
         if given.number == 1:
             raise InputError("black")

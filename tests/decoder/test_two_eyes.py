@@ -82,8 +82,8 @@ def test_older_bundles_have_one_camera(tmp_path: Path, version: str) -> None:
     major, minor = SCHEMA
     newer = f"{major}.{minor + 1}"
     path.write_text(json.dumps(meta | {"schema_version": newer}))
-    said = rf"has schema {newer}, this decoder reads 1.0 to {major}.{minor}"
-    with pytest.raises(InputError, match=said):
+    reported = rf"has schema {newer}, this decoder reads 1.0 to {major}.{minor}"
+    with pytest.raises(InputError, match=reported):
         load_bundle(tmp_path)
 
 
@@ -117,7 +117,7 @@ def as_small(arrays: dict[str, Any]) -> None:
         (as_small, "read_by is int32, expected int64"),
     ],
 )
-def test_spoilt_bundles_are_refused(
+def test_malformed_bundles_are_rejected(
     tmp_path: Path, spoil: Callable[[dict[str, Any]], None], words: str
 ) -> None:
     save_bundle(two_cameras(), tmp_path)
@@ -128,7 +128,7 @@ def test_spoilt_bundles_are_refused(
         load_bundle(tmp_path)
 
 
-def test_three_cameras_are_refused(tmp_path: Path) -> None:
+def test_three_cameras_are_rejected(tmp_path: Path) -> None:
     save_bundle(two_cameras(), tmp_path)
     path = tmp_path / "bundle.json"
     meta = json.loads(path.read_text())
@@ -158,7 +158,7 @@ def test_what_an_image_does_not_show_is_not_looked_for() -> None:
     assert not nothing.found.any()
 
 
-def test_markers_that_are_not_shown_have_no_say_in_how_others_move() -> None:
+def test_hidden_markers_do_not_affect_how_others_move() -> None:
     """Two of marker 14's neighbours are shown; they lead to where it went, beyond its reach."""
     rest, colour, near = lattice()
     colour[:] = 0
@@ -260,10 +260,12 @@ def test_each_marker_is_measured_in_its_own_cameras_frame() -> None:
         {"name": "pad", "in_play": "all"},
     ],
 )
-def test_a_garbled_scene_is_refused(tmp_path: Path, scene: Any) -> None:
+def test_a_garbled_scene_is_rejected(tmp_path: Path, scene: Any) -> None:
     bundle = make_bundle()
     save_bundle(replace(bundle, notes={"scene": scene}), tmp_path)
     with pytest.raises(InputError, match="is not a decoder bundle"):
         load_bundle(tmp_path)
     save_bundle(replace(bundle, notes={"scene": {"name": "pad", "in_play": [0, 2]}}), tmp_path)
-    assert any("made for the scene 'pad'" in said for said in load_bundle(tmp_path).limits())
+    assert any(
+        "made for the scene 'pad'" in reported for reported in load_bundle(tmp_path).limits()
+    )

@@ -43,7 +43,7 @@ def reading(forces_N: dict[int, float], *warnings: str) -> Reading:
     return Reading(koi=np.array(sorted(forces_N), dtype=np.int64), forces_N=out, warnings=warnings)
 
 
-def test_hello_tells_what_the_numbers_mean() -> None:
+def test_hello_describes_the_numbers() -> None:
     hello = messages().hello()
     assert (hello["type"], hello["format"], hello["version"]) == ("hello", "phytac-stream", "1.2")
     assert hello["design"] == "toy"
@@ -71,7 +71,7 @@ def test_contacts_are_connected_key_nodes_with_their_force_weighted_place() -> N
     assert "net_force_N" not in message
 
 
-def test_ids_go_on_over_frames_that_cannot_be_read() -> None:
+def test_ids_survive_frames_that_cannot_be_read() -> None:
     make = messages()
     frames = [reading({7: 3.0}), Reading.none("it is black"), reading({8: 2.0}), reading({29: 1.0})]
     sent = [make.frame(each, sequence=k, timestamp_s=0.1 * k) for k, each in enumerate(frames)]
@@ -114,7 +114,7 @@ def test_a_pull_does_not_push_a_contacts_place_off_it() -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
-def test_what_is_no_number_never_goes_out(bad: float) -> None:
+def test_forces_that_are_not_finite_are_left_out(bad: float) -> None:
     normals = np.tile([0.0, 0.0, 1.0], (COUNT, 1))
     message = messages(normals).frame(
         reading({2: 1.0, 7: bad, 8: 2.0}, "it is dark"), sequence=0, timestamp_s=0.0
@@ -127,12 +127,12 @@ def test_what_is_no_number_never_goes_out(bad: float) -> None:
     assert message["net_force_N"] == [0.0, 0.0, -3.0]
     assert message["valid"] is False
     assert message["warnings"][0] == "it is dark"
-    assert "the forces on 1 markers (7) came out as no numbers" in message["warnings"][1]
+    assert "the forces on 1 markers (7) are not finite" in message["warnings"][1]
     with pytest.raises(InputError, match="a number that is not finite"):
         json_bytes({"type": "frame", "x": bad if abs(bad) == np.inf else np.nan})
 
 
-def test_a_frame_that_cannot_be_read_says_why() -> None:
+def test_an_unreadable_frame_has_a_reason() -> None:
     message = messages().frame(Reading.none("it is black"), sequence=3, timestamp_s=0.1)
     assert message["valid"] is False
     assert message["warnings"] == ["it is black"]
@@ -141,7 +141,7 @@ def test_a_frame_that_cannot_be_read_says_why() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10**6), framing=st.sampled_from(FRAMINGS))
-def test_messages_come_back_exactly_however_they_are_cut(seed: int, framing: str) -> None:
+def test_messages_round_trip_in_pieces_of_any_size(seed: int, framing: str) -> None:
     rng = np.random.default_rng(seed)
     sent = [messages().hello()]
     for number in range(8):
@@ -190,7 +190,7 @@ def test_the_framing_is_four_bytes_big_endian() -> None:
         ("length", b"\x00\x00\x00\x00"),
     ],
 )
-def test_what_is_no_stream_is_refused(framing: str, data: bytes) -> None:
+def test_invalid_streams_are_rejected(framing: str, data: bytes) -> None:
     with pytest.raises(InputError, match=r"message"):
         MessageSplitter(framing).feed(data)
 
@@ -209,28 +209,28 @@ def test_motion_samples_go_with_the_frame_they_are_not_newer_than(tmp_path: Path
         '{"t": 0.4, "accel": [7, 8, 9]}',
     ]
     path.write_text("\n".join(lines))
-    said: list[str] = []
-    imu = Imu(path, clock=lambda: 0.0, report=said.append)
+    reported: list[str] = []
+    imu = Imu(path, clock=lambda: 0.0, report=reported.append)
     assert imu.latest(0.05) is None
     assert imu.latest(0.1) == {"t": 0.1, "gyro": [1, 2, 3], "accel": [0, 0, 9.81]}
     assert imu.latest(0.3) == {"t": 0.2, "gyro": [4, 5, 6]}
     assert imu.latest(9.0) == {"t": 0.4, "accel": [7, 8, 9]}
     assert imu.bad_lines == 6
-    assert len(said) == 1
-    assert "b'garbage" in said[0]
+    assert len(reported) == 1
+    assert "b'garbage" in reported[0]
     imu.close()
     assert imu.latest(10.0) == {"t": 0.4, "accel": [7, 8, 9]}
     with pytest.raises(InputError, match="no motion samples at"):
-        Imu(tmp_path / "none", clock=lambda: 0.0, report=said.append)
+        Imu(tmp_path / "none", clock=lambda: 0.0, report=reported.append)
 
 
 def test_a_file_of_motion_samples_may_still_be_written(tmp_path: Path) -> None:
     path = tmp_path / "imu.jsonl"
-    said: list[str] = []
+    reported: list[str] = []
     with path.open("w") as file:
         file.write('{"t": 0.1, "gyro": [1, 1, 1]}\n')
         file.flush()
-        imu = Imu(path, clock=lambda: 0.0, report=said.append)
+        imu = Imu(path, clock=lambda: 0.0, report=reported.append)
         assert imu.latest(1.0) == {"t": 0.1, "gyro": [1, 1, 1]}
         file.write('{"t": 1.1, "gyro": [2, ')
         file.flush()
@@ -240,7 +240,7 @@ def test_a_file_of_motion_samples_may_still_be_written(tmp_path: Path) -> None:
         assert imu.latest(1.5) == {"t": 1.1, "gyro": [2, 2, 2]}
         assert imu.latest(2.0) == {"t": 1.9, "gyro": [3, 3, 3]}
     imu.close()
-    assert said == []
+    assert reported == []
 
 
 def test_a_sample_far_ahead_costs_none_of_the_others(tmp_path: Path) -> None:
@@ -250,8 +250,8 @@ def test_a_sample_far_ahead_costs_none_of_the_others(tmp_path: Path) -> None:
     for k, wrong in ahead.items():
         times[k] = wrong
     path.write_text("".join(json.dumps({"t": t, "gyro": [1, 1, 1]}) + "\n" for t in times))
-    said: list[str] = []
-    imu = Imu(path, clock=lambda: 0.0, report=said.append)
+    reported: list[str] = []
+    imu = Imu(path, clock=lambda: 0.0, report=reported.append)
     for k in range(100):
         sample = imu.latest(0.1 * k + 0.05)
         assert sample is not None
@@ -259,8 +259,8 @@ def test_a_sample_far_ahead_costs_none_of_the_others(tmp_path: Path) -> None:
         assert sample["t"] == pytest.approx(0.1 * good)
     imu.close()
     assert imu.bad_lines == 3
-    (told,) = said
-    assert "far after the frames and those behind it" in told
+    (line,) = reported
+    assert "far after the frames and those behind it" in line
 
 
 def test_samples_that_all_begin_late_are_kept(tmp_path: Path) -> None:
@@ -292,7 +292,7 @@ def test_a_port_of_motion_samples_is_never_waited_for(tmp_path: Path) -> None:
     come(imu, 9.0, {"t": 1.0, "gyro": [1, 1, 1]})
     os.write(writer, b'2, 2]}\n{"t": 5.5, "gyro": [3, 3, 3]}\n')
     come(imu, 5.6, {"t": 5.5, "gyro": [3, 3, 3]})
-    # Its time is that of its coming, not of the frame that asks for it.
+    # Its time is that of its coming, not of the frame that reads it.
     now[0] = 6.0
     os.write(writer, b'{"gyro": [4, 4, 4]}\n')
     while not imu._waiting:

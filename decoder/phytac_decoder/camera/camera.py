@@ -9,8 +9,6 @@ from phytac_decoder.camera.lens import Lens, Pinhole
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import DesignError
 
-BISECTIONS = 100
-
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
@@ -113,7 +111,7 @@ def stack_views(cameras: Sequence[Camera], points_mm: FloatArray) -> FloatArray:
 def fit_distance_mm(
     lens: Lens, reach: Callable[[float], FloatArray], *, fill: float, least_mm: float
 ) -> float:
-    """Least distance at which all points stay within ``fill`` of half the smaller image side.
+    """Least camera distance at which all points project within ``fill`` of half the smaller side.
 
     Parameters
     ----------
@@ -151,7 +149,7 @@ def fit_distance_mm(
             )
     if low == high:
         return least_mm
-    for _ in range(BISECTIONS):
+    for _ in range(100):
         middle = (low + high) / 2.0
         low, high = (low, middle) if fits(middle) else (middle, high)
     return high

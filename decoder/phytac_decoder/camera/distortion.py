@@ -9,10 +9,6 @@ import numpy as np
 
 from phytac_shapes.arrays import FloatArray
 
-NEWTON_STEPS = 12
-RESIDUAL_MAX = 1e-14
-"""Largest mismatch of an inverse, as a share of the point's own radius or of 1."""
-
 
 def _radial(r2: FloatArray, k: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Radial factor and its derivative by r²; NaN where the denominator is not positive."""
@@ -54,7 +50,7 @@ def distort_jacobian(plane: FloatArray, k: FloatArray) -> FloatArray:
 def undistort(
     bent: FloatArray, k: FloatArray, radius: FloatArray, distorted: FloatArray
 ) -> FloatArray:
-    """Inverse of :func:`distort`: Newton from the radial table; NaN where it does not converge.
+    """Inverse of :func:`distort` by Newton's method from the radial table; NaN if not converged.
 
     Parameters
     ----------
@@ -72,10 +68,10 @@ def undistort(
     plane[~(size <= reach)] = np.nan
     left = np.flatnonzero(size <= reach)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        for _ in range(NEWTON_STEPS):
+        for _ in range(12):
             here, wanted = plane[left], bent[left]
             error = distort(here, k) - wanted
-            open_ = ~(np.abs(error).max(axis=1) <= RESIDUAL_MAX * np.maximum(1.0, size[left]))
+            open_ = ~(np.abs(error).max(axis=1) <= 1e-14 * np.maximum(1.0, size[left]))
             left, here, error = left[open_], here[open_], error[open_]
             if not len(left):
                 break

@@ -1,9 +1,9 @@
-"""Lenses: which direction lands on which pixel, and back. Frame: x right, y down, z forward.
+"""Lens models: directions to pixels and back. Frame: x right, y down, z forward.
 
 All models are a radial map of the angle θ from the optical axis onto a plane, a polynomial
 distortion of that plane (Brown-Conrady; none for some), and pixels; formulae are those of
-OpenCV's ``calib3d``, ``fisheye`` and ``omnidir``. A lens is only used where its map is one to one:
-the largest cone about the axis in which it does not fold over.
+OpenCV's ``calib3d``, ``fisheye`` and ``omnidir``. A lens is used only in the largest cone about the
+axis in which its map is one to one.
 """
 
 from abc import ABC, abstractmethod
@@ -17,16 +17,12 @@ from phytac_decoder.camera.distortion import distort, distort_jacobian, undistor
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import DesignError
 
-FIELD_STEPS = 4096
-FIELD_TURNS = 16
 SLOPE_MIN = 0.02
 """The field ends where a direction's image moves less than this share of its speed on the axis."""
-ROUNDING = 1.0 + 1e-12
-"""A pixel on the rim of the field maps back into it."""
 RADIAL = np.array([1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
 """Which coefficients of the plane's distortion are radial."""
-POLE = 1e-12
-"""Distance from the axis, as a share of the range, within which a point lies on the axis."""
+ROUNDING = 1e-12
+"""Relative rounding error: of the rim of the field, and of the distance of points on the axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +108,7 @@ class Lens(ABC):
     @cached_property
     def _profile(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Angles (m,) of the field, radius on the plane, and distorted radius, all rising."""
-        theta = np.linspace(0.0, self.limit_rad, FIELD_STEPS + 1)
+        theta = np.linspace(0.0, self.limit_rad, 4097)
         k = self.plane_coefficients
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             radius, slope = self.radius(theta)
@@ -135,17 +131,19 @@ class Lens(ABC):
         p = np.asarray(points, dtype=np.float64)
         off = np.hypot(p[:, 0], p[:, 1])
         angle = np.arctan2(off, p[:, 2])
-        return np.asarray((angle <= self.field_rad * ROUNDING) & ((off > 0.0) | (p[:, 2] > 0.0)))
+        return np.asarray(
+            (angle <= self.field_rad * (1.0 + ROUNDING)) & ((off > 0.0) | (p[:, 2] > 0.0))
+        )
 
     def project(self, points: FloatArray) -> FloatArray:
         """Pixels (n, 2) of points (n, 3) in the camera frame; NaN outside of the field."""
-        p = self._kept(points)
+        p = self._in_field_only(points)
         plane = self.scale(p)[0][:, None] * p[:, :2]
         return np.asarray(self._bend(plane) * self.focal_px + self.centre_px)
 
     def jacobian(self, points: FloatArray) -> FloatArray:
         """Derivative of :meth:`project` by the point, (n, 2, 3) px/mm, camera frame."""
-        p = self._kept(points)
+        p = self._in_field_only(points)
         s, gradient = self.scale(p)
         slope = p[:, :2, None] * gradient[:, None, :]
         slope[:, 0, 0] += s
@@ -171,7 +169,7 @@ class Lens(ABC):
         k = self.plane_coefficients
         return distort(plane, k) if k.any() else plane
 
-    def _kept(self, points: FloatArray) -> FloatArray:
+    def _in_field_only(self, points: FloatArray) -> FloatArray:
         """Points with those outside of the field set to NaN."""
         p = np.asarray(points, dtype=np.float64)
         return np.where(self.in_field(p)[:, None], p, np.nan)
@@ -181,10 +179,10 @@ def _least_stretch(radius: FloatArray, k: FloatArray) -> tuple[FloatArray, Float
     """Least radial stretch and least area stretch of the plane on circles (m,), each (m,)."""
     if not k.any():
         return np.ones_like(radius), np.ones_like(radius)
-    turn = 2.0 * np.pi * np.arange(FIELD_TURNS) / FIELD_TURNS
+    turn = 2.0 * np.pi * np.arange(16) / 16
     around = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     slope = distort_jacobian((radius[:, None, None] * around).reshape(-1, 2), k)
-    slope = slope.reshape(len(radius), FIELD_TURNS, 2, 2)
+    slope = slope.reshape(len(radius), 16, 2, 2)
     radial = np.einsum("ai,naij,aj->na", around, slope, around)
     return radial.min(axis=1), np.linalg.det(slope).min(axis=1)
 
@@ -241,7 +239,7 @@ class BrownConrady(Perspective):
 
 @dataclass(frozen=True, kw_only=True)
 class KannalaBrandt(Lens):
-    """Fisheye: radius θ(1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸), right beyond 90° (Kannala 2006)."""
+    """Fisheye: radius θ(1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸), valid beyond 90° (Kannala 2006)."""
 
     model = "kannala_brandt"
     counts = (0, 4)
@@ -260,7 +258,7 @@ class KannalaBrandt(Lens):
         off = np.hypot(points[:, 0], points[:, 1])
         square = np.sum(points**2, axis=1)
         radius, slope = self.radius(np.arctan2(off, points[:, 2]))
-        on_axis = off <= POLE * np.sqrt(square)
+        on_axis = off <= ROUNDING * np.sqrt(square)
         safe = np.where(on_axis, 1.0, off)
         s = np.where(on_axis, 1.0 / np.where(on_axis, points[:, 2], 1.0), radius / safe)
         outward = np.where(on_axis, 0.0, (slope * points[:, 2] / square - s) / safe**2)
@@ -275,7 +273,8 @@ class KannalaBrandt(Lens):
             value, slope = self.radius(theta)
             theta = theta - (value - m) / slope
         theta = np.where(m <= radii[-1], theta, np.nan)
-        return _polar(plane, m, np.sin(theta), np.cos(theta))
+        unit = plane / np.where(m > 0.0, m, 1.0)[:, None]
+        return np.column_stack([np.sin(theta)[:, None] * unit, np.cos(theta)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -326,12 +325,6 @@ class Omnidirectional(Lens):
             along = (xi + np.sqrt(1.0 + (1.0 - xi**2) * square)) / (1.0 + square)
         d = np.column_stack([along[:, None] * plane, along - xi])
         return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
-
-
-def _polar(plane: FloatArray, m: FloatArray, sine: FloatArray, cosine: FloatArray) -> FloatArray:
-    """Directions at the azimuth of ``plane`` (n, 2) with radius ``m``."""
-    unit = plane / np.where(m > 0.0, m, 1.0)[:, None]
-    return np.column_stack([sine[:, None] * unit, cosine])
 
 
 LENSES: dict[str, type[Lens]] = {

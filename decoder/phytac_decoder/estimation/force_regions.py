@@ -1,7 +1,7 @@
 """Named regions of a surface (fingers, a palm) and the force on each."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,8 +15,7 @@ from phytac_shapes.errors import InputError, cause_of
 
 REGIONS_MAX = 64
 NAME_MAX = 40
-"""Letters of a region's name."""
-NUMBER_MAX = 1e9
+"""Largest number of letters in a region's name."""
 SELECTORS = ("markers", "rows", "columns", "along", "around", "point_mm")
 KEYS = ("name", *SELECTORS, "radius_mm")
 
@@ -30,7 +29,7 @@ class Region:
     name : str
         Of the region.
     markers : tuple of int
-        In growing order; regions may share markers.
+        In ascending order; regions may share markers.
     """
 
     name: str
@@ -39,12 +38,12 @@ class Region:
 
 @dataclass(frozen=True, kw_only=True)
 class MarkerChart:
-    """Where markers stand on the design's chart; arrays run over n markers.
+    """Positions of markers on the design's chart; arrays over n markers.
 
     Attributes
     ----------
     row, column : (n,) int
-        Place in the lattice.
+        Position in the lattice.
     along, around : (n,) float
         Shares, 0 to 1, of u (away from the camera) and of v (around).
     closed : bool
@@ -91,7 +90,7 @@ class RegionForces:
         inside = self.member[:, list(markers)]
         if not inside.any():
             return ""
-        # By number of markers where forces say nothing.
+        # By number of markers if all forces are zero.
         share = inside @ np.maximum(forces_N, 0.0) + 1e-9 * inside.sum(axis=1)
         return self.regions[int(share.argmax())].name
 
@@ -101,15 +100,15 @@ def load_regions(
 ) -> tuple[Region, ...]:
     """Regions of a TOML or JSON file, as marker ids.
 
-    ``regions`` is a list of tables. Each has a ``name`` and what its markers must meet, all of
-    it: ``markers`` (ids), ``rows`` and ``columns`` (first and last), ``along`` and ``around``
-    (shares of the chart, from and to), ``point_mm`` with ``radius_mm`` (a ball). Tables of one
-    name make one region together.
+    ``regions`` is a list of tables. Each has a ``name`` and conditions, all of which its markers
+    must meet: ``markers`` (ids), ``rows`` and ``columns`` (first and last), ``along`` and
+    ``around`` (shares of the chart, from and to), ``point_mm`` with ``radius_mm`` (a ball). Tables
+    of one name make one region together.
 
     Parameters
     ----------
     path : Path
-        Its end tells the format: ``.json``, or else TOML.
+        JSON if its suffix is ``.json``, otherwise TOML.
     position_mm : (n, 3) float
         Markers on the outer face.
     chart : Chart, optional
@@ -139,7 +138,7 @@ def resolve_regions(
     tables : sequence of dict
         One for each part of a region.
     where : str
-        What stands before ``regions[0]`` in messages.
+        Prefix of ``regions[0]`` in messages.
     position_mm, chart
         See :func:`load_regions`.
 
@@ -152,7 +151,7 @@ def resolve_regions(
     for number, table in enumerate(tables):
         label = f"{where}regions[{number}]"
         name = _name(table, label)
-        found.setdefault(name, set()).update(_chosen(table, label, position_mm, chart).tolist())
+        found.setdefault(name, set()).update(_selected(table, label, position_mm, chart).tolist())
     if len(found) > REGIONS_MAX:
         raise InputError(f"{where}{len(found)} regions; {REGIONS_MAX} at most")
     return tuple(Region(name=name, markers=tuple(sorted(ids))) for name, ids in found.items())
@@ -213,56 +212,53 @@ def _name(table: object, where: str) -> str:
     return name
 
 
-def _chosen(
+def _selected(
     table: Mapping[str, Any], where: str, position_mm: FloatArray, chart: MarkerChart | None
 ) -> IntArray:
-    """Markers (m,) that meet everything a table asks for."""
+    """Markers (m,) that meet all conditions of a table."""
     given = [key for key in SELECTORS if key in table]
     if not given:
-        raise InputError(f"{where}: says no place; give one or more of {', '.join(SELECTORS)}")
+        raise InputError(f"{where}: no condition; give one or more of {', '.join(SELECTORS)}")
     if ("point_mm" in table) != ("radius_mm" in table):
         raise InputError(f"{where}: point_mm and radius_mm go together")
-    inside = np.ones(len(position_mm), dtype=np.bool_)
+    count = len(position_mm)
+    inside = np.ones(count, dtype=np.bool_)
     for key in given:
-        label = f"{where}.{key}"
+        label, value = f"{where}.{key}", table[key]
         if key == "markers":
-            inside &= _by_id(table[key], label, len(inside))
+            inside &= np.isin(np.arange(count), _ids(value, label, count))
         elif key == "point_mm":
-            inside &= _ball(table, label, position_mm)
+            (radius,) = _numbers([table["radius_mm"]], f"{where}.radius_mm", 1)
+            if not radius > 0.0:
+                raise InputError(f"{label}: radius_mm must be above 0 (got {radius:g})")
+            away = np.linalg.norm(position_mm - _numbers(value, label, 3), axis=1)
+            inside &= away <= radius
         elif chart is None:
             raise InputError(
                 f"{label}: rows, columns and shares are known from the design alone; give the "
                 "design as well, or use markers or point_mm"
             )
+        elif key in {"rows", "columns"}:
+            inside &= _in_range(value, label, chart.row if key == "rows" else chart.column)
         else:
-            inside &= CHARTED[key](table[key], label, chart)
+            inside &= _in_share(value, label, chart, key)
     if not inside.any():
         raise InputError(f"{where} ({table['name']!r}): no marker lies there; widen it")
     return np.flatnonzero(inside)
 
 
-def _by_id(value: object, label: str, count: int) -> BoolArray:
+def _ids(value: object, label: str, count: int) -> list[int]:
     ids: list[Any] = value if isinstance(value, list) else []
     good = all(isinstance(i, int) and not isinstance(i, bool) and 0 <= i < count for i in ids)
     if not good or not ids:
         raise InputError(f"{label}: a list of markers, 0 to {count - 1} (got {_short(value)})")
-    out = np.zeros(count, dtype=np.bool_)
-    out[ids] = True
-    return out
-
-
-def _ball(table: Mapping[str, Any], label: str, position_mm: FloatArray) -> BoolArray:
-    point = _numbers(table["point_mm"], label, 3)
-    (radius,) = _numbers([table["radius_mm"]], label.replace("point_mm", "radius_mm"), 1)
-    if not radius > 0.0:
-        raise InputError(f"{label}: radius_mm must be above 0 (got {radius:g})")
-    return np.asarray(np.linalg.norm(position_mm - point, axis=1) <= radius)
+    return ids
 
 
 def _numbers(value: object, label: str, count: int) -> list[float]:
     items = value if isinstance(value, list) else []
     good = [
-        isinstance(item, int | float) and not isinstance(item, bool) and abs(item) < NUMBER_MAX
+        isinstance(item, int | float) and not isinstance(item, bool) and abs(item) < 1e9
         for item in items
     ]
     if len(items) != count or not all(good):
@@ -271,14 +267,17 @@ def _numbers(value: object, label: str, count: int) -> list[float]:
     return [float(item) for item in items]
 
 
-def _between(value: object, label: str, of: IntArray) -> BoolArray:
+def _in_range(value: object, label: str, of: IntArray) -> BoolArray:
+    """Markers (n,) whose row or column lies between the first and last given."""
     first, last = _numbers(value, label, 2)
     if first > last or first < 0 or first != int(first) or last != int(last):
         raise InputError(f"{label}: first and last, counted from 0 (got {_short(value)})")
     return np.asarray((of >= first) & (of <= last))
 
 
-def _share(value: object, label: str, of: FloatArray, *, closed: bool) -> BoolArray:
+def _in_share(value: object, label: str, chart: MarkerChart, key: str) -> BoolArray:
+    """Markers (n,) between two shares of the chart; around a closed one also over the seam."""
+    of, closed = (chart.along, False) if key == "along" else (chart.around, chart.closed)
     low, high = _numbers(value, label, 2)
     if not (0.0 <= low <= 1.0 and 0.0 <= high <= 1.0) or (low > high and not closed):
         wrap = " (from above to, over the seam, where the surface closes around)" if closed else ""
@@ -286,14 +285,6 @@ def _share(value: object, label: str, of: FloatArray, *, closed: bool) -> BoolAr
     if low <= high:
         return np.asarray((of >= low) & (of <= high))
     return np.asarray((of >= low) | (of <= high))
-
-
-CHARTED: dict[str, Callable[[object, str, MarkerChart], BoolArray]] = {
-    "rows": lambda value, label, chart: _between(value, label, chart.row),
-    "columns": lambda value, label, chart: _between(value, label, chart.column),
-    "along": lambda value, label, chart: _share(value, label, chart.along, closed=False),
-    "around": lambda value, label, chart: _share(value, label, chart.around, closed=chart.closed),
-}
 
 
 def _short(value: object) -> str:

@@ -1,4 +1,4 @@
-"""A camera as it stands in ``bundle.json``, both ways."""
+"""Cameras to and from ``bundle.json``."""
 
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from phytac_shapes.errors import DesignError, InputError
 
 
 def camera_table(camera: Camera) -> dict[str, Any]:
-    """Camera as it stands in ``bundle.json``: its lens and its pose."""
+    """Camera as in ``bundle.json``: its lens and its pose."""
     return {
         **lens_table(camera.lens),
         "position_mm": camera.position_mm.tolist(),
@@ -20,7 +20,7 @@ def camera_table(camera: Camera) -> dict[str, Any]:
 
 
 def lens_table(lens: Lens) -> dict[str, Any]:
-    """Lens as it stands in ``bundle.json``; focal length and centre are (x, y)."""
+    """Lens as in ``bundle.json``; focal length and centre are (x, y)."""
     return {
         "model": lens.model,
         "width_px": lens.width_px,

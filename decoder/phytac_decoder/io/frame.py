@@ -1,4 +1,4 @@
-"""What every source of frames gives."""
+"""Frames, and the interface of their sources."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from phytac_shapes.arrays import ImageArray
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """A frame of each camera, of one instant.
+    """One frame of each camera, of one instant.
 
     Attributes
     ----------
@@ -20,7 +20,7 @@ class Frame:
     images : tuple of (h, w, 3) uint8
         BGR, the near end's camera first.
     ready_s : float
-        ``time.monotonic()`` at which it was at hand.
+        ``time.monotonic()`` at which it was available.
     """
 
     number: int
@@ -34,19 +34,19 @@ class Source(ABC):
 
     Attributes
     ----------
-    said : str
-        Where they come from, in words.
+    description : str
+        Description of where they come from.
     clock : str
-        What timestamps count, in words.
+        Description of what timestamps count.
     live : bool
         Whether they are being taken now.
     skipped : int
         Frames so far that could not be read.
     missed : int
-        Frames so far that went by while one before was decoded.
+        Frames so far that passed while an earlier one was decoded.
     """
 
-    said: str
+    description: str
     clock: str
     live: bool = False
     skipped: int = 0
@@ -57,4 +57,4 @@ class Source(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Let files and cameras go."""
+        """Close files and cameras."""

@@ -10,42 +10,44 @@ from numpy.typing import NDArray
 
 from phytac_decoder.io.frame import Frame, Source
 from phytac_decoder.io.live_camera import CameraSource
-from phytac_decoder.io.recorded_frames import SUFFIXES, ImageFolder, ImageSequence, VideoFile
-from phytac_decoder.io.synchronised_recordings import InStep
+from phytac_decoder.io.recorded_frames import (
+    SUFFIXES,
+    ImageFolder,
+    ImageSequence,
+    SynchronisedTracks,
+    VideoFile,
+)
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
 
-CAMERAS_MAX = 2
-
 
 class RecordingSource(Source):
-    """Recorded pictures of one camera or two, in step: see :class:`phytac_decoder.io.synchronised_recordings.InStep`.
+    """Recorded images of one camera or two, see :class:`phytac_decoder.io.recorded_frames.SynchronisedTracks`.
 
     Parameters
     ----------
     tracks : sequence of Track
         One for each camera.
     fps : float, optional
-        Play them at this rate; as fast as they are asked for if not given.
+        Play them at this rate; as fast as they are read if not given.
     every : bool
-        Leave out none that is late. A camera would not wait.
+        Skip none that is late. A camera would not wait.
     loop : bool
-        Begin again after the last; time goes on.
+        Begin again after the last; time continues.
     report : callable
-        Told about frames that cannot be read.
+        Called with a line on frames that cannot be read.
     clock, sleep : callable
         Of seconds.
 
     Attributes
     ----------
     count : int or None
-        Frames of one round; None where only reading them tells.
+        Frames of one round; None if only reading them shows it.
 
     Raises
     ------
     InputError
-        If two recordings differ in length and no times tell what belongs together, or the rate is
-        none.
+        If two recordings without comparable times differ in length, or the rate is not valid.
     """
 
     def __init__(
@@ -62,9 +64,9 @@ class RecordingSource(Source):
         if fps is not None and not 0.0 < fps <= 1e6:
             raise InputError(f"a rate lies above 0 and up to 1e6 fps (got {fps:g}); change --fps")
         counts = {track.count for track in tracks}
-        self._steps = InStep(tracks, report)
+        self._steps = SynchronisedTracks(tracks, report)
         if len(counts) > 1 and None not in counts and not self._steps.by_time:
-            said = " and ".join(f"{track.count} in {track.said}" for track in tracks)
+            said = " and ".join(f"{track.count} in {track.description}" for track in tracks)
             raise InputError(
                 f"frames of two cameras come in pairs (got {said}); give as many of each"
             )
@@ -74,13 +76,13 @@ class RecordingSource(Source):
         self._started_s: float | None = None
         self._stamps: list[float] = []
         self._offset_s = 0.0
-        self.said = " and ".join(track.said for track in tracks)
+        self.description = " and ".join(track.description for track in tracks)
         if fps:
             self.clock = f"number of the frame / {fps:g} fps"
         elif tracks[0].stamped:
             self.clock = "the recording's own"
         else:
-            self.clock = "when it was read, from the first (the files' names tell no times)"
+            self.clock = "when it was read, from the first (the files' names contain no times)"
 
     def __iter__(self) -> Iterator[Frame]:
         number, useful = 0, 0
@@ -88,7 +90,7 @@ class RecordingSource(Source):
             steps = self._steps.grab(number)
             if not steps:
                 if not useful:
-                    raise InputError(f"not one frame of {self.said} could be read")
+                    raise InputError(f"not one frame of {self.description} could be read")
                 if not self._loop:
                     return
                 useful = 0
@@ -105,7 +107,7 @@ class RecordingSource(Source):
                 yield frame
 
     def _frame(self, number: int) -> Frame | None:
-        """The frame gone to, when it is due; None if it is late or torn."""
+        """The current frame, when it is due; None if it is late or torn."""
         if self._late(number):
             self.missed += 1
             return None
@@ -145,7 +147,7 @@ class RecordingSource(Source):
             self._stamps = []
 
     def close(self) -> None:
-        """Let files go."""
+        """Close files."""
         for track in self._tracks:
             track.close()
 
@@ -170,19 +172,19 @@ def open_source(
     fps, every, loop
         See :class:`RecordingSource`.
     pace : bool
-        Wait until each frame of a recording is due; otherwise ``fps`` only tells when it was taken,
-        and no frame is left out.
+        Wait until each frame of a recording is due; otherwise ``fps`` only sets the timestamps, and
+        no frame is skipped.
     size_px : tuple of int, optional
-        Width and height to ask a camera for.
+        Width and height to request from a camera.
     report : callable
-        Told about frames that cannot be read.
+        Called with a line on frames that cannot be read.
 
     Raises
     ------
     InputError
-        If there is no such source, or they don't go together.
+        If there is no such source, or two do not fit together.
     """
-    if not 1 <= len(wheres) <= CAMERAS_MAX:
+    if not 1 <= len(wheres) <= 2:
         raise InputError(f"frames come from one camera or two (got {len(wheres)} sources)")
     cameras = [_device(where) for where in wheres]
     devices = [device for device in cameras if device is not None]
@@ -195,10 +197,9 @@ def open_source(
             f"a camera and a recording do not go together (got {' and '.join(wheres)})"
         )
     tracks = [_track(Path(where)) for where in wheres]
-    if pace:
-        return RecordingSource(tracks, fps=fps, every=every, loop=loop, report=report)
+    sleep = time.sleep if pace else lambda _seconds: None
     return RecordingSource(
-        tracks, fps=fps, every=True, loop=loop, report=report, sleep=lambda _seconds: None
+        tracks, fps=fps, every=every or not pace, loop=loop, report=report, sleep=sleep
     )
 
 
@@ -209,7 +210,7 @@ def first_frames(
     size_px: tuple[int, int] | None = None,
     report: Callable[[str], None] = print,
 ) -> list[ImageArray]:
-    """Mean (h, w, 3) uint8 of the first frames of each camera: less noise than one has.
+    """Mean (h, w, 3) uint8 of the first frames of each camera, with less noise than one frame.
 
     Parameters
     ----------
@@ -227,20 +228,22 @@ def first_frames(
     totals: list[NDArray[np.uint32]] = []
     got = 0
     try:
-        # Of large frames, as many as may be asked for are more than memory holds.
+        # Summed one by one: memory may not hold them all.
         for _, frame in zip(range(count), source, strict=False):
             totals = totals or [np.zeros(image.shape, np.uint32) for image in frame.images]
             for total, image in zip(totals, frame.images, strict=True):
                 if total.shape != image.shape:
-                    raise InputError(f"frames of {source.said} differ in size; give one recording")
+                    raise InputError(
+                        f"frames of {source.description} differ in size; give one recording"
+                    )
                 np.add(total, image, out=total)
             got += 1
     finally:
         source.close()
     if got < count:
         raise InputError(
-            f"{source.said} gave {got} frames, fewer than the {count} that show the "
-            "unloaded sensor; ask for fewer"
+            f"{source.description} gave {got} frames, fewer than the {count} that show the "
+            "unloaded sensor; use fewer"
         )
     return [np.rint(total / count).astype(np.uint8) for total in totals]
 

@@ -14,25 +14,20 @@ from typing import Any, BinaryIO
 from phytac_shapes.errors import InputError
 
 LINE_MAX_BYTES = 4096
-HELD = 4096
-"""Samples of a port that wait for the frame they belong to."""
 AHEAD_S = 60.0
-"""A sample so far after the frame is believed only if those behind it are as late."""
-BELIEVED = 8
-"""So many of a file are read to see that."""
-AXES = 3
-WAIT_S = 0.1
-"""A port that gives nothing is asked again after so long whether to go on."""
-IDLE_S = 0.005
-"""And one at its end, such as a pipe that nobody writes to, whether there is more."""
+"""A sample this far after the frame is an error in its time, unless those behind it are as late."""
+CONFIRMED_BY = 8
+"""So many samples of a file are read to see that."""
+
+Sample = dict[str, Any]
 
 
 class Imu:
     """Lines of JSON: ``{"t": seconds, "gyro": [x, y, z], "accel": [x, y, z]}``.
 
-    A file is read as frames go on, also one that is still being written. A port (a serial device or
-    a named pipe) is read by a thread of its own, and never waited for; a sample without ``t`` gets
-    the time at which it arrived.
+    A file is read as frames come, also one that is still being written. A port (a serial device or
+    a named pipe) is read by a thread and never waited for; a sample without ``t`` gets the time at
+    which it arrived.
 
     Parameters
     ----------
@@ -41,7 +36,7 @@ class Imu:
     clock : callable
         Seconds on the frames' clock, for samples that have no time.
     report : callable
-        Told once about lines that are no samples, and once about a time far ahead of the others.
+        Called once for lines that are no samples, and once for a time far ahead of the others.
 
     Raises
     ------
@@ -53,14 +48,13 @@ class Imu:
         self, path: Path, *, clock: Callable[[], float], report: Callable[[str], None]
     ) -> None:
         self._path, self._clock, self._report = path, clock, report
-        self._waiting: deque[dict[str, Any]] = deque(maxlen=HELD)
-        self._now: dict[str, Any] | None = None
+        self._waiting: deque[Sample] = deque(maxlen=4096)
+        self._now: Sample | None = None
         self._held = b""
         self._file: BinaryIO | None = None
-        self._port = -1
         self._lock, self._closed = threading.Lock(), threading.Event()
         self._frame_s = math.inf
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self.bad_lines = 0
         try:
             mode = path.stat().st_mode
@@ -79,14 +73,14 @@ class Imu:
 
     @property
     def is_port(self) -> bool:
-        """Whether samples come as they are taken."""
+        """Whether samples arrive as they are taken."""
         return self._file is None
 
-    def latest(self, time_s: float) -> dict[str, Any] | None:
+    def latest(self, time_s: float) -> Sample | None:
         """Latest sample not newer than ``time_s``; None while there is none."""
         self._frame_s = time_s
         if self._file is not None and not self._closed.is_set():
-            self._read_file(self._file, time_s)
+            self._read_file(self._file)
         with self._lock:
             while self._waiting and self._waiting[0]["t"] <= time_s:
                 self._now = self._waiting.popleft()
@@ -103,9 +97,9 @@ class Imu:
             self._thread.join()
             os.close(self._port)
 
-    def _read_file(self, file: BinaryIO, time_s: float) -> None:
-        """Read on to the first sample newer than ``time_s``, or to the end."""
-        while self._wants(time_s):
+    def _read_file(self, file: BinaryIO) -> None:
+        """Read up to the first sample newer than the frame, or to the end."""
+        while self._incomplete():
             more = file.readline(LINE_MAX_BYTES)
             if not more:
                 return
@@ -117,21 +111,21 @@ class Imu:
                 return
             self._take(line)
 
-    def _wants(self, time_s: float) -> bool:
+    def _incomplete(self) -> bool:
         """Whether the frame's sample may not have been read yet."""
-        if not self._waiting or self._waiting[-1]["t"] <= time_s:
+        if not self._waiting or self._waiting[-1]["t"] <= self._frame_s:
             return True
-        return self._far(self._waiting[-1]) and len(self._waiting) < BELIEVED
+        return self._far(self._waiting[-1]) and len(self._waiting) < CONFIRMED_BY
 
-    def _far(self, sample: dict[str, Any]) -> bool:
+    def _far(self, sample: Sample) -> bool:
         return bool(sample["t"] > self._frame_s + AHEAD_S)
 
     def _listen(self) -> None:
-        """Take samples off the port as they arrive."""
+        """Take samples from the port as they arrive."""
         held = b""
         while not self._closed.is_set():
             try:
-                if not select.select([self._port], [], [], WAIT_S)[0]:
+                if not select.select([self._port], [], [], 0.1)[0]:
                     continue
                 data = os.read(self._port, 65536)
             except BlockingIOError:
@@ -140,7 +134,8 @@ class Imu:
                 self._report(f"{self._path} gives no more motion samples ({error.strerror})")
                 return
             if not data:
-                self._closed.wait(IDLE_S)
+                # The end, such as of a pipe that nobody writes to.
+                self._closed.wait(0.005)
                 continue
             *lines, held = (held + data).split(b"\n")
             held = held[-LINE_MAX_BYTES:]
@@ -151,44 +146,39 @@ class Imu:
         if not line.strip():
             return
         sample = _sample(line, self._clock() if self.is_port else None)
+        far = None
         with self._lock:
-            far = self._drop_far(sample) if sample else None
-            last = self._waiting[-1] if self._waiting else self._now
+            waiting = self._waiting
+            # Samples far ahead are wrong if one that follows them is not.
+            while sample and waiting and self._far(waiting[-1]) and sample["t"] < waiting[-1]["t"]:
+                far = waiting.pop()
+                self.bad_lines += 1
+            last = waiting[-1] if waiting else self._now
             good = sample is not None and (last is None or sample["t"] >= last["t"])
             if sample is not None and good:
-                self._waiting.append(sample)
+                waiting.append(sample)
             self.bad_lines += not good
         if far:
-            self._tell_once(
+            self._report_once(
                 "far",
                 f"a sample of {far['t']:g} s, far after the frames and those behind it; such are "
                 "skipped",
             )
         if not good:
-            self._tell_once(
+            self._report_once(
                 "bad",
                 f"{line[:60]!r} is no motion sample, or older than the one before; expected "
                 '{"t": seconds, "gyro": [x, y, z], "accel": [x, y, z]}; such lines are skipped',
             )
 
-    def _drop_far(self, sample: dict[str, Any]) -> dict[str, Any] | None:
-        """Let samples go that lie far ahead and after one that follows them; the first of these."""
-        far = None
-        while (
-            self._waiting and self._far(self._waiting[-1]) and sample["t"] < self._waiting[-1]["t"]
-        ):
-            far = self._waiting.pop()
-            self.bad_lines += 1
-        return far
-
-    def _tell_once(self, kind: str, text: str) -> None:
-        if kind not in self._told:
-            self._told.add(kind)
+    def _report_once(self, kind: str, text: str) -> None:
+        if kind not in self._reported:
+            self._reported.add(kind)
             self._report(f"{self._path}: {text}")
 
 
-def _sample(line: bytes, arrived_s: float | None) -> dict[str, Any] | None:
-    """A sample with finite numbers alone, or None."""
+def _sample(line: bytes, arrived_s: float | None) -> Sample | None:
+    """A sample with finite numbers only, or None."""
     try:
         data = json.loads(line)
     except (ValueError, RecursionError):
@@ -197,15 +187,13 @@ def _sample(line: bytes, arrived_s: float | None) -> dict[str, Any] | None:
         return None
     time_s = data.get("t", arrived_s)
     vectors = {name: data[name] for name in ("gyro", "accel") if name in data}
-    good = (
-        _finite(time_s)
-        and vectors
-        and all(
-            isinstance(vector, list) and len(vector) == AXES and all(map(_finite, vector))
-            for vector in vectors.values()
-        )
+    good = all(
+        isinstance(vector, list) and len(vector) == 3 and all(map(_finite, vector))
+        for vector in vectors.values()
     )
-    return {"t": float(time_s), **vectors} if good and time_s is not None else None
+    if time_s is None or not (good and vectors and _finite(time_s)):
+        return None
+    return {"t": float(time_s), **vectors}
 
 
 def _finite(value: Any) -> bool:

@@ -1,4 +1,4 @@
-"""Frames of a camera that is running."""
+"""Frames of a running camera."""
 
 import threading
 import time
@@ -12,14 +12,7 @@ from phytac_decoder.io.frame import Frame, Source
 from phytac_shapes.errors import InputError
 
 SILENT_S = 5.0
-"""A camera that gives no frame for this long has gone."""
-RATE_AGREES = 0.01
-"""A camera's rate may differ from the one asked for by this fraction."""
-PERIOD_S = 1.0 / 30.0
-"""Usual time from frame to frame, until two have come."""
-AGAIN_S = 0.005
-"""After a frame that could not be read, the next is asked for no sooner."""
-PERIOD_MAX_S = 0.5
+"""A camera that gives no frame for this long is disconnected."""
 
 
 class CameraSource(Source):
@@ -34,11 +27,11 @@ class CameraSource(Source):
     devices : sequence of int or str
         Numbers or addresses that OpenCV opens.
     fps : float, optional
-        Rate to ask the camera for.
+        Rate to request from the camera.
     size_px : tuple of int, optional
-        Width and height to ask it for.
+        Width and height to request.
     report : callable
-        Told about frames that cannot be read.
+        Called with a line on frames that cannot be read.
 
     Raises
     ------
@@ -57,7 +50,7 @@ class CameraSource(Source):
         size_px: tuple[int, int] | None = None,
         report: Callable[[str], None] = print,
     ) -> None:
-        self.said = " and ".join(f"camera {device}" for device in devices)
+        self.description = " and ".join(f"camera {device}" for device in devices)
         self._report = report
         self._cameras: list[Any] = []
         for device in devices:
@@ -86,8 +79,8 @@ class CameraSource(Source):
         if fps:
             camera.set(cv2.CAP_PROP_FPS, fps)
             got = float(camera.get(cv2.CAP_PROP_FPS))
-            if abs(got - fps) > RATE_AGREES * fps:
-                self._report(f"camera {device} was asked for {fps:g} fps and says {got:g}")
+            if abs(got - fps) > 0.01 * fps:
+                self._report(f"camera {device} was set to {fps:g} fps and reports {got:g}")
 
     def __iter__(self) -> Iterator[Frame]:
         while True:
@@ -97,47 +90,43 @@ class CameraSource(Source):
             if frame is None:
                 if self._stop:
                     return
-                raise InputError(f"{self.said} has given no frame for {SILENT_S:g} s; plug it in")
+                raise InputError(
+                    f"{self.description} has given no frame for {SILENT_S:g} s; plug it in"
+                )
             yield frame
 
     def _read(self) -> None:
         started, number = time.monotonic(), 0
-        period_s, last_s = PERIOD_S, -1.0
+        # Usual time between frames, until two have come.
+        period_s, last_s = 1.0 / 30.0, -1.0
         while not self._stop:
-            asked = time.monotonic()
+            tried_s = time.monotonic()
             # All are grabbed before any is unpacked, so that they are of one instant.
             grabbed = [camera.grab() for camera in self._cameras]
             now = time.monotonic()
             read = [camera.retrieve() for camera in self._cameras] if all(grabbed) else []
             if not read or not all(good and image is not None for good, image in read):
-                self._skip()
+                self.skipped += 1
+                if self.skipped == 1:
+                    self._report(f"{self.description}: a frame could not be read; such are skipped")
                 # One that fails at once has not lost a frame each time.
-                rest_s = 0.0 if read else period_s - (now - asked)
-                time.sleep(max(rest_s, AGAIN_S))
+                rest_s = 0.0 if read else period_s - (now - tried_s)
+                time.sleep(max(rest_s, 0.005))
                 last_s = -1.0
             else:
                 if last_s >= 0.0:
-                    period_s = min(now - last_s, PERIOD_MAX_S)
+                    period_s = min(now - last_s, 0.5)
                 last_s = now
                 images = tuple(np.asarray(image, dtype=np.uint8) for _, image in read)
-                self._put(
-                    Frame(number=number, timestamp_s=now - started, images=images, ready_s=now)
-                )
+                frame = Frame(number=number, timestamp_s=now - started, images=images, ready_s=now)
+                with self._news:
+                    self.missed += self._slot is not None
+                    self._slot = frame
+                    self._news.notify()
             number += 1
 
-    def _skip(self) -> None:
-        self.skipped += 1
-        if self.skipped == 1:
-            self._report(f"{self.said}: a frame could not be read; such are skipped")
-
-    def _put(self, frame: Frame) -> None:
-        with self._news:
-            self.missed += self._slot is not None
-            self._slot = frame
-            self._news.notify()
-
     def close(self) -> None:
-        """Let the cameras go."""
+        """Release the cameras."""
         self._stop = True
         with self._news:
             self._news.notify()

@@ -1,8 +1,10 @@
-"""Recorded pictures of one camera: a folder of images, or a video."""
+"""Recorded images of one camera, a folder or a video, and two of them in step."""
 
 import math
 import re
 from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
@@ -15,37 +17,33 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 STAMP_NS = re.compile(r"\d{16,19}")
 STAMP_S = re.compile(r"\d+\.\d+")
 ENDS_OF_FILES = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8": b"\xff\xd9"}
-"""What a whole PNG or JPEG begins and ends with; OpenCV gives half a picture for half a file."""
-TRIES = 300
-"""A damaged place in a video may take so many grabs to get over; each fails at once."""
-COUNT_MAX = 10**9
-"""Headers that speak of more pictures know of none."""
+"""What a whole PNG or JPEG begins and ends with; OpenCV gives half an image for half a file."""
 
 
 class ImageSequence(ABC):
-    """Pictures of one camera that were recorded.
+    """Recorded images of one camera.
 
     Attributes
     ----------
-    said : str
+    description : str
         Folder or file.
     count : int or None
-        How many there are; None where only reading them tells.
+        Number of images; None if only reading them shows it.
     stamped : bool
-        Whether the recording says when they were taken.
+        Whether the recording contains the times at which they were taken.
     announced : int or None
-        How many its header speaks of, which some formats only estimate.
+        Number in its header, which some formats only estimate.
     interval_s : float
-        Usual time from picture to picture; 0 where not known.
+        Usual time between images; 0 if not known.
     span_s : tuple of float
-        Times of the first and the last; infinity where not known.
+        Times of the first and the last; infinity if not known.
     at : int
-        Pictures up to the one gone to, this and lost ones included.
+        Images up to the current one, this and lost ones included.
     """
 
-    said: str
-    count: int | None
-    stamped: bool
+    description: str
+    count: int | None = None
+    stamped: bool = True
     announced: int | None = None
     interval_s: float = 0.0
     span_s: tuple[float, float] = (0.0, math.inf)
@@ -53,32 +51,26 @@ class ImageSequence(ABC):
 
     @abstractmethod
     def grab(self) -> bool:
-        """Go on to the next picture that is there; False after the last."""
+        """Advance to the next readable image; False after the last."""
 
     @abstractmethod
     def retrieve(self) -> ImageArray:
-        """The picture gone to.
-
-        Raises
-        ------
-        InputError
-            If it is torn.
-        """
+        """Return the current image; raises InputError if it is torn."""
 
     @abstractmethod
     def time_s(self) -> float:
-        """When the picture gone to was taken, where the recording says so."""
+        """Time at which the current image was taken, if the recording contains it."""
 
     @abstractmethod
     def rewind(self) -> None:
-        """Before the first picture."""
+        """Return to before the first image."""
 
-    def close(self) -> None:  # noqa: B027 - most have nothing to let go
-        """Let files go."""
+    def close(self) -> None:  # noqa: B027 - most have nothing to close
+        """Close files."""
 
 
 class ImageFolder(ImageSequence):
-    """Image files, by their times where all names are times, else by the numbers in their names.
+    """Image files, ordered by time if all names are times, else by the numbers in their names.
 
     Names are times if all are seconds with decimals (``12.350.png``) or nanoseconds, as ROS
     exports them.
@@ -90,7 +82,7 @@ class ImageFolder(ImageSequence):
     """
 
     def __init__(self, where: Path) -> None:
-        self.said = str(where)
+        self.description = str(where)
         if where.is_dir():
             try:
                 files = [item for item in where.iterdir() if _is_image(item.name)]
@@ -119,27 +111,27 @@ class ImageFolder(ImageSequence):
         self.interval_s = float(np.median(np.diff(self._times))) if len(files) > 1 else 0.0
 
     def grab(self) -> bool:
-        """Go on to the next picture; False after the last."""
+        """Advance to the next image; False after the last."""
         if self.at == len(self._files):
             return False
         self.at += 1
         return True
 
     def retrieve(self) -> ImageArray:
-        """The picture gone to."""
-        return whole_image(self._files[self.at - 1])
+        """Return the current image."""
+        return read_image(self._files[self.at - 1])
 
     def time_s(self) -> float:
-        """What its name says."""
+        """Time in its name."""
         return self._times[self.at - 1]
 
     def rewind(self) -> None:
-        """Before the first picture."""
+        """Return to before the first image."""
         self.at = 0
 
 
 class VideoFile(ImageSequence):
-    """A video that OpenCV reads, on beyond places that are damaged.
+    """A video that OpenCV reads, continued after damaged places.
 
     Raises
     ------
@@ -147,33 +139,32 @@ class VideoFile(ImageSequence):
         If it cannot be read.
     """
 
-    count = None
-    stamped = True
-
     def __init__(self, where: Path) -> None:
-        self.said = str(where)
+        self.description = str(where)
         self._open()
 
     def _open(self) -> None:
-        self._video = cv2.VideoCapture(self.said)
+        self._video = cv2.VideoCapture(self.description)
         if not self._video.isOpened():
             raise InputError(
-                f"{self.said} is not a video or image that can be read; give an image (PNG, JPEG), "
-                "a folder of images, a video, or a camera's number"
+                f"{self.description} is not a video or image that can be read; give an image (PNG, "
+                "JPEG), a folder of images, a video, or a camera's number"
             )
         count = float(self._video.get(cv2.CAP_PROP_FRAME_COUNT))
-        self.announced = int(count) if 0.0 < count < COUNT_MAX else None
+        # A header with an absurd number knows none.
+        self.announced = int(count) if 0.0 < count < 1e9 else None
         rate = float(self._video.get(cv2.CAP_PROP_FPS))
         self.interval_s = 1.0 / rate if 0.0 < rate < math.inf else 0.0
         self.span_s = 0.0, (self.announced or math.inf) * (self.interval_s or math.inf)
         self.at, self._last_s = 0, 0.0
 
     def grab(self) -> bool:
-        """Go on to the next picture that is there; False after the last."""
+        """Advance to the next readable image; False after the last."""
         left = (self.announced or 0) - self.at
         failed = 0
         while not self._video.grab():
-            if failed >= min(left, TRIES):
+            # A damaged place in a video may take many grabs to pass; each fails at once.
+            if failed >= min(left, 300):
                 return False
             failed += 1
         now_s = self.time_s()
@@ -182,7 +173,7 @@ class VideoFile(ImageSequence):
         return True
 
     def _lost(self, failed: int, now_s: float, most: int) -> int:
-        """Pictures that a damaged place has cost: one failure may stand for several."""
+        """Images lost in a damaged place: one failure may stand for several."""
         usual_s = self._last_s / (self.at - 1) if self.at > 1 else 0.0
         passed_s = now_s - self._last_s
         if usual_s > 0.0 and passed_s > 0.0:
@@ -190,38 +181,163 @@ class VideoFile(ImageSequence):
         return max(min(failed, most), 0)
 
     def retrieve(self) -> ImageArray:
-        """The picture gone to."""
+        """Return the current image."""
         good, image = self._video.retrieve()
         if not good or image is None:
-            raise InputError(f"a frame of {self.said} cannot be decoded")
+            raise InputError(f"a frame of {self.description} cannot be decoded")
         return np.asarray(image, dtype=np.uint8)
 
     def time_s(self) -> float:
-        """When it is shown."""
+        """Time at which it is shown."""
         return float(self._video.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
 
     def rewind(self) -> None:
-        """Before the first picture."""
+        """Return to before the first image."""
         self._video.release()
         self._open()
 
     def close(self) -> None:
-        """Let the file go."""
+        """Close the file."""
         self._video.release()
 
 
-def whole_image(path: Path) -> ImageArray:
-    """An image file as BGR.
+class SynchronisedTracks:
+    """Advances through the recordings of one camera, or of two by images that belong together.
+
+    Images belong together if they are of one instant, where both recordings contain times that can
+    be compared, and otherwise if they have the same place in the order.
+
+    Parameters
+    ----------
+    tracks : sequence of Track
+        One for each camera.
+    report : callable
+        Called with a line on missing images.
+
+    Attributes
+    ----------
+    by_time : bool
+        Whether images are paired by time.
+    """
+
+    interval_samples = 31
+    """Steps whose median is a camera's interval."""
+    pair_share = 0.55
+    """Images of one instant are at most this share of an interval apart: any two are at most half
+    an interval apart, plus jitter."""
+
+    def __init__(self, tracks: Sequence[ImageSequence], report: Callable[[str], None]) -> None:
+        self._tracks, self._report = tracks, report
+        self._reported: set[str] = set()
+        self.by_time = len(tracks) > 1 and comparable(*tracks)
+        # The rate in a header is a first guess.
+        self._steps_s = [deque([each.interval_s], self.interval_samples) for each in tracks]
+        self._last = [(0, 0.0) for _ in tracks]
+        timed = all(track.stamped and track.interval_s > 0.0 for track in tracks)
+        if len(tracks) > 1 and timed and not self.by_time:
+            said = " and ".join(track.description for track in tracks)
+            report(f"the times of {said} cannot be compared; their frames are paired in order")
+
+    def grab(self, number: int) -> int:
+        """Advance to the next pair, frame ``number`` if none is lost.
+
+        Returns the number of frames passed, lost ones included, and 0 after the last.
+        """
+        before = [track.at for track in self._tracks]
+        more = [self._advance(camera) for camera in range(len(self._tracks))]
+        first = self._counted(before)
+        while all(more) and (behind := self._behind()) is not None:
+            more[behind] = self._advance(behind)
+        if not all(more):
+            self._report_end(more, number)
+            return 0
+        each = self._counted(before)
+        steps = max(each)
+        if steps > 1:
+            which = f"frame {number}" if steps == 2 else f"frames {number} to {number + steps - 2}"
+            if max(first) > 1:
+                why = f"{self._tracks[first.index(max(first))].description} is damaged there"
+            else:
+                why = f"{self._tracks[each.index(min(each))].description} has none of that time"
+            self._report(f"{which} skipped: {why}")
+        return steps
+
+    def rewind(self) -> None:
+        """Return to before the first image."""
+        for track in self._tracks:
+            track.rewind()
+        self._last = [(0, 0.0) for _ in self._tracks]
+
+    def _advance(self, camera: int) -> bool:
+        """Advance one camera's recording, and measure its interval."""
+        track = self._tracks[camera]
+        if not track.grab():
+            return False
+        if self.by_time:
+            now_s = track.time_s()
+            at, last_s = self._last[camera]
+            if at and now_s > last_s:
+                self._steps_s[camera].append((now_s - last_s) / (track.at - at))
+            self._last[camera] = track.at, now_s
+        return True
+
+    def _counted(self, before: Sequence[int]) -> list[int]:
+        return [track.at - at for track, at in zip(self._tracks, before, strict=True)]
+
+    def _behind(self) -> int | None:
+        """The camera that has to advance alone; None if the images belong together."""
+        if self.by_time:
+            places: list[float] = [last_s for _, last_s in self._last]
+            behind = places.index(min(places))
+            apart = self.pair_share * float(np.median(self._steps_s[behind]))
+        else:
+            places = [track.at for track in self._tracks]
+            behind, apart = places.index(min(places)), 0.0
+        return behind if max(places) - min(places) > apart else None
+
+    def _report_end(self, more: Sequence[bool], number: int) -> None:
+        """Report recordings that end too early."""
+        for track, advanced in zip(self._tracks, more, strict=True):
+            expected = track.announced or 0
+            if advanced or track.at >= expected or track.description in self._reported:
+                continue
+            self._reported.add(track.description)
+            self._report(
+                f"{track.description} ends after {track.at} frames, and its header promises "
+                f"{expected}: it may be cut off or damaged (some formats only estimate that number)"
+            )
+        if any(more):
+            short = self._tracks[list(more).index(False)].description
+            self._report(f"{short} ends after {number} frames, before the other camera's")
+
+
+def comparable(near: ImageSequence, far: ImageSequence) -> bool:
+    """Whether the times of two recordings seem to be of one clock.
+
+    Their intervals differ by 5 % at most, and they share half of the shorter recording.
+    """
+    rates = near.interval_s, far.interval_s
+    if not (near.stamped and far.stamped and min(rates) > 0.0):
+        return False
+    if max(rates) - min(rates) > 0.05 * max(rates):
+        return False
+    firsts, lasts = zip(near.span_s, far.span_s, strict=True)
+    shorter = min(last - first for first, last in (near.span_s, far.span_s))
+    return min(lasts) - max(firsts) >= 0.5 * shorter
+
+
+def read_image(path: Path) -> ImageArray:
+    """Read an image file as BGR.
 
     Raises
     ------
     InputError
-        If it cannot be read, or is cut off.
+        If it is missing, cut off or not an image.
     """
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror})") from None
+        raise InputError(f"no image at {path} ({error.strerror})") from None
     # Some cameras pad their files.
     body = data.rstrip(b"\0")
     ends = ENDS_OF_FILES.items()
@@ -237,7 +353,7 @@ def whole_image(path: Path) -> ImageArray:
 
 
 def _is_image(name: str) -> bool:
-    # macOS puts a ._ file beside each on foreign disks; it holds no picture.
+    # macOS puts a ._ file beside each on foreign disks; it holds no image.
     return name.lower().endswith(SUFFIXES) and not name.startswith("._")
 
 

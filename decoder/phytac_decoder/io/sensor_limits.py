@@ -1,4 +1,4 @@
-"""What a sensor cannot read whatever the frame, in words."""
+"""What a sensor cannot read whatever the frame, in sentences."""
 
 from typing import TYPE_CHECKING
 
@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
 NOISE_SHARE_MAX = 0.2
 """Largest noise of a force that can be used, as a share of the greatest force."""
-SHOWN = 5
-"""Markers named in a sentence."""
 
 
 def limits_of(bundle: "Bundle") -> list[str]:
@@ -37,8 +35,8 @@ def limits_of(bundle: "Bundle") -> list[str]:
     if not played.all():
         out.append(
             f"this decoder was made for {scene_words(bundle)}: it reads forces on "
-            f"{int(played.sum())} of {len(played)} markers ({id_list(np.flatnonzero(played))}), and "
-            "doubts frames in which others are pressed"
+            f"{int(played.sum())} of {len(played)} markers ({id_list(np.flatnonzero(played))}); "
+            "frames in which others are pressed are doubtful"
         )
     faint = np.flatnonzero(played & ~bundle.force_readable)
     if len(faint):
@@ -67,13 +65,7 @@ def markers_in_play(bundle: "Bundle") -> BoolArray:
 
 
 def check_scene(bundle: "Bundle") -> None:
-    """Check that a scene's decoder says which markers are in play.
-
-    Raises
-    ------
-    ValueError, KeyError, TypeError
-        If it does not.
-    """
+    """Raise ValueError, KeyError or TypeError if a scene's decoder lists no markers in play."""
     scene = bundle.notes.get("scene")
     if scene is None:
         return
@@ -87,11 +79,11 @@ def check_scene(bundle: "Bundle") -> None:
 
 
 def scene_words(bundle: "Bundle") -> str:
-    """The scene that a decoder is limited to, in words."""
+    """The scene that a decoder is limited to."""
     return f"the scene {bundle.notes['scene']['name']!r}"
 
 
 def id_list(markers: IntArray) -> str:
-    """Ids as a list that stays short."""
-    more = f" and {len(markers) - SHOWN} more" if len(markers) > SHOWN else ""
-    return ", ".join(map(str, markers[:SHOWN])) + more
+    """Marker numbers as text, the first five of them."""
+    more = f" and {len(markers) - 5} more" if len(markers) > 5 else ""
+    return ", ".join(map(str, markers[:5])) + more

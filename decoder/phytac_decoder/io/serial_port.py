@@ -1,4 +1,4 @@
-"""A serial port, opened raw by the standard library alone."""
+"""A raw serial port, by the standard library."""
 
 import os
 from pathlib import Path
@@ -7,7 +7,7 @@ from phytac_shapes.errors import InputError
 
 
 class SerialPort:
-    """A serial device that never makes its writer wait.
+    """A serial device that is written without blocking.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class SerialPort:
         return self._handle
 
     def send(self, data: memoryview) -> int:
-        """Write what goes without waiting; the number of bytes that went.
+        """Write what can be written without blocking; returns the number of bytes.
 
         Raises
         ------
@@ -77,7 +77,7 @@ class SerialPort:
         return os.write(self._handle, data)
 
     def recv(self, size: int) -> bytes:
-        """Bytes that came in, without waiting."""
+        """Bytes that have arrived, without blocking."""
         return os.read(self._handle, size)
 
     def close(self) -> None:

@@ -1,69 +1,88 @@
 """Markers of one camera, followed from frame to frame."""
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.pipeline.decode import FOUND_MIN, locate_in
-from phytac_decoder.pipeline.tracker_setup import learn
+from phytac_decoder.pipeline.tracker_setup import measure_rest
+from phytac_decoder.vision.matching import neighbour_median
 from phytac_decoder.vision.segmentation import check_image
-from phytac_decoder.vision.windows import Moments
+from phytac_decoder.vision.windows import Moments, larger
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
 
-PAINT_LEAST = 0.3
-"""A marker that shows less than this share of its paint at rest is lost."""
-PAINT_LEAST_px = 1.5
-FAINT_px = 5.0
-"""Markers that show less paint at rest are not looked for again: they flicker."""
-RIM_MORE = 0.05
-"""A marker with this share of its paint more in its window's rim than at rest has run out of it."""
-WHOLE = 0.97
-"""A window that shows this share of the paint in a wider one shows the whole marker."""
-STEP_MOST = 0.3
-"""A marker that is found farther from where it was expected than this share of the way to the next
-of its colour is looked for again, beside the motion of its neighbours."""
-GATE = 0.42
-"""There it must be nearer than this share of the way to any other's place: never half way."""
-WIDER = 4.0
-"""How much farther the second look reaches, in margins."""
-DAMPING = 0.8
-"""Share of the last velocity that is expected to last."""
-JUMP_px, JUMP_MARGINS = 1.0, 2.0
-"""A marker jumps that is farther than this and so many margins from where it was expected."""
-JUMP_SHARE = 0.3
-"""A frame in which more than this share of the markers jump is refused."""
-PATIENCE = 10
-"""Frames after which a lost marker is looked for in every ``PATIENCE``-th frame only."""
-LOST_STEP = 3
-"""A frame in which a marker is lost counts as so many in which it is found: flickering is lost."""
-REFUSED_MAX = 3
-"""After as many refused frames in a row the whole frame is searched."""
-HYSTERESIS = 0.1
-"""A switch turns on this share of the red between off and on above the threshold, off below it."""
-AGREE_px = 1.0
-"""A full search that finds a marker within this of where it is followed agrees."""
-
 
 @dataclass(frozen=True, kw_only=True)
-class SeenBy:
-    """What one camera's frame shows of all n markers of the bundle.
+class FollowSettings:
+    """When a marker counts as found; set on rendered grips of the catalogue's designs.
 
     Attributes
     ----------
-    position_px : (n, 2) float
-        NaN where not found.
-    bits : (n,) bool
-        Switches that are on.
-    paint : (n,) float
-        Paint over that at rest.
-    flags : tuple of str
-        What was unusual about the frame.
+    paint_share, paint_px : float
+        A marker that shows less than this share of its paint at rest, or less than so much, is
+        lost.
+    retry_paint_px : float
+        Markers with less paint at rest are not looked for a second time: they flicker.
+    rim_excess : float
+        A marker whose window's rim holds this share of its paint more than at rest has run out of
+        its window.
+    step_share : float
+        A marker found farther from its expected position than this share of the distance to the
+        next of its colour is looked for again, beside the motion of its neighbours.
+    gate_share : float
+        There it must be nearer than this share of the distance to any other's position.
+    wider_margins : float
+        How much farther the second look reaches, in margins.
+    damping : float
+        Share of the last velocity that is expected to last.
+    jump_px, jump_margins : float
+        A marker jumps if it is farther than this plus so many margins from where it was expected.
+    jump_share : float
+        A frame in which more than this share of the markers jump is rejected.
+    retry_frames : int
+        A marker that is lost for longer is looked for in every ``retry_frames``-th frame only.
+    rejected_max : int
+        After so many rejected frames in a row the whole frame is searched.
+    hysteresis : float
+        A switch turns on this share of the red between off and on above the threshold, and off
+        below it.
+    agree_px : float
+        A full search that finds a marker within this of where it is followed agrees.
+    """
+
+    paint_share: float = 0.3
+    paint_px: float = 1.5
+    retry_paint_px: float = 5.0
+    rim_excess: float = 0.05
+    step_share: float = 0.3
+    gate_share: float = 0.42
+    wider_margins: float = 4.0
+    damping: float = 0.8
+    jump_px: float = 1.0
+    jump_margins: float = 2.0
+    jump_share: float = 0.3
+    retry_frames: int = 10
+    rejected_max: int = 3
+    hysteresis: float = 0.1
+    agree_px: float = 1.0
+
+
+SETTINGS = FollowSettings()
+
+
+class Observed(NamedTuple):
+    """What one camera's frame shows of all n markers of the bundle.
+
+    ``position_px`` (n, 2) is NaN where not found, ``switch_on`` (n,) bool, ``paint`` (n,) the
+    paint over that at rest, ``flags`` what was unusual about the frame.
     """
 
     position_px: FloatArray
-    bits: BoolArray
+    switch_on: BoolArray
     paint: FloatArray
     flags: tuple[str, ...] = ()
 
@@ -76,98 +95,89 @@ class CameraFollower:
     ) -> None:
         self._bundle, self._number, self._margin = bundle, number, margin_px
         frame = np.ascontiguousarray(rest)
-        known = learn(bundle, number, frame, margin_px=margin_px, stride=stride)
+        known = measure_rest(bundle, number, frame, margin_px=margin_px, stride=stride)
         self._known = known
-        count = len(known.ids)
-        self._own = (bundle.read_by[known.ids] == number) & known.parted
-        self._enough = FOUND_MIN * np.count_nonzero(self._own)
-        weight = known.at_rest.weight
-        # Of a marker that is hidden in the rest frame: as its neighbours have.
-        usual = np.nan_to_num(_around(np.column_stack([weight, weight]), known.neighbours)[:, 0])
-        self._full = np.where(weight > PAINT_LEAST * usual, weight, usual)
-        self._rim = RIM_MORE + known.at_rest.rim / np.maximum(weight, 1e-6)
-        least = np.maximum(PAINT_LEAST * self._full, PAINT_LEAST_px)
-        self._least = np.where(known.parted, least, np.inf)
-        self._worth = known.parted & (self._full >= FAINT_px)
-        self._jump = JUMP_MARGINS * margin_px + JUMP_px
-        self._alert = STEP_MOST * known.apart_px
+        weight, rim = known.at_rest.weight, known.at_rest.rim
+        # A marker that is hidden in the rest frame has as much paint as its neighbours.
+        usual = np.nan_to_num(neighbour_median(weight[:, None], known.neighbours)[:, 0])
+        self._full = np.where(weight > SETTINGS.paint_share * usual, weight, usual)
+        self._rim_max = SETTINGS.rim_excess + rim / np.maximum(weight, 1e-6)
+        least = np.maximum(SETTINGS.paint_share * self._full, SETTINGS.paint_px)
+        self._paint_min = np.where(known.separable, least, np.inf)
+        self._retried = known.separable & (self._full >= SETTINGS.retry_paint_px)
+        self._read_here = (bundle.read_by[known.ids] == number) & known.separable
+        # Neighbour by neighbour; the last entries are of none.
+        self._neighbours = np.ascontiguousarray(known.neighbours.T)
+        self._place, self._velocity = known.rest_px.copy(), np.zeros_like(known.rest_px)
+        self._lost_for = np.where(weight >= self._paint_min, 0, 1)
+        self._rejected, self._clock = 0, 0
         tips = bundle.shown_by(number).tips
         ids = known.ids[known.tips]
         middle = tips.threshold_px[ids]
-        band = HYSTERESIS * np.maximum(tips.red_on_px[ids] - tips.red_rest_px[ids], 0.0)
+        contrast = np.maximum(tips.red_on_px[ids] - tips.red_rest_px[ids], 0.0)
+        band = SETTINGS.hysteresis * contrast
         self._on_above, self._off_below = middle + band, np.maximum(middle - band, 1.0)
-        self._place, self._velocity = known.rest_px.copy(), np.zeros((count, 2))
-        self._lost_for = np.where(weight >= self._least, 0, 1)
-        self._missed, self._clock = 0, 0
-        # What is handed out, and where each of the bundle's markers stands in it; last: not shown.
-        self._back = np.full(len(bundle.colour), count)
-        self._back[known.ids] = np.arange(count)
-        self._seen_px, self._paint = np.full((count + 1, 2), np.nan), np.zeros(count + 1)
-        self._bits = np.zeros(count + 1, dtype=np.bool_)
-        self._per_full = 1.0 / np.maximum(self._full, 1e-6)
-        # Neighbour by neighbour; the last entries are of none.
-        self._near = np.ascontiguousarray(known.neighbours.T)
-        self._steps = np.zeros(count + 1, dtype=np.complex128)
-        self._counted, self._per_count = np.zeros(count, dtype=np.bool_), np.ones(count)
-        red = known.red.look(self._place[known.tips] + known.tip_px).weight
-        self._on = red > middle
+        self._on = known.red.look(frame, known.rest_px[known.tips] + known.tip_px).weight > middle
 
     @property
     def rest_px(self) -> FloatArray:
         """Rest positions (n, 2) of all markers of the bundle; NaN where not found."""
-        out = np.full((len(self._bundle.colour), 2), np.nan)
-        out[self._known.ids] = np.where(
-            (self._known.at_rest.weight >= self._least)[:, None], self._known.rest_px, np.nan
-        )
-        return out
+        found = self._known.at_rest.weight >= self._paint_min
+        return self._of_bundle(np.where(found[:, None], self._known.rest_px, np.nan), np.nan)
 
     @property
     def pixels(self) -> int:
-        """Pixels looked at in a frame in which nothing is lost."""
+        """Pixels read of a frame in which nothing is lost."""
         return self._known.paint.pixels + self._known.red.pixels
 
-    def follow(self, image: ImageArray, elapsed: float) -> SeenBy:
+    def follow(self, image: ImageArray, elapsed: float) -> Observed:
         """Find all markers in the next frame, ``elapsed`` frames after the last one given.
 
         Raises
         ------
         InputError
-            If the frame has another size, shows too few markers, or they have jumped; what is
-            known of the markers stays as it was.
+            If the frame has another size, shows too few markers, or they have jumped; the state
+            of the markers does not change.
         """
-        camera, bundle = self._bundle.cameras[self._number], self._bundle
-        frame = np.ascontiguousarray(
-            check_image(image, width_px=camera.width_px, height_px=camera.height_px)
-        )
+        camera = self._bundle.cameras[self._number]
+        check_image(image, width_px=camera.width_px, height_px=camera.height_px)
+        frame = np.ascontiguousarray(image)
         self._clock += 1
-        since = elapsed + self._missed
+        since = elapsed + self._rejected
         expected = self._place + since * self._velocity
-        self._known.picture.read(frame)
-        found, got = self._find(expected)
-        away = _larger(found.centroid_px - expected)
-        jumped = got & (away > self._jump * max(elapsed, 1.0))
-        own = self._own
-        some = np.count_nonzero(got & own) >= self._enough
-        if not some or np.count_nonzero(jumped) > JUMP_SHARE * len(jumped):
-            self._missed += 1
-            if self._missed >= REFUSED_MAX:
-                return self.search(frame)
-            where = bundle.of_camera(self._number)
-            if not some:
-                raise InputError(
-                    f"found {int(got[own].sum())} of {int(own.sum())} markers{where} where they "
-                    f"were followed; is the frame black, torn or of another sensor than "
-                    f"{bundle.design!r}? give the next one"
-                )
-            raise InputError(
-                f"{int(jumped.sum())} of {len(got)} markers{where} jumped by "
+        found, got = self._find(frame, expected)
+        away = larger(found.centroid_px - expected)
+        jump = SETTINGS.jump_margins * self._margin + SETTINGS.jump_px
+        jumped = got & (away > jump * max(elapsed, 1.0))
+        reason = self._reason_to_reject(got, jumped, away)
+        if not reason:
+            return self._update(frame, found, got, since)
+        self._rejected += 1
+        if self._rejected >= SETTINGS.rejected_max:
+            return self.search(frame)
+        raise InputError(reason)
+
+    def _reason_to_reject(self, got: BoolArray, jumped: BoolArray, away: FloatArray) -> str:
+        """Why a frame is rejected; "" for a sound one."""
+        where = self._bundle.of_camera(self._number)
+        own = self._read_here
+        seen = np.count_nonzero(got & own)
+        if seen < FOUND_MIN * np.count_nonzero(own):
+            return (
+                f"found {seen} of {np.count_nonzero(own)} markers{where} where they were followed; "
+                f"is the frame black, torn or of another sensor than {self._bundle.design!r}? give "
+                "the next one"
+            )
+        if np.count_nonzero(jumped) > SETTINGS.jump_share * len(jumped):
+            return (
+                f"{np.count_nonzero(jumped)} of {len(got)} markers{where} jumped by "
                 f"{np.median(away[jumped]):.1f} px from one frame to the next: "
                 "it is torn, the camera was knocked or many frames were dropped; give the next one"
             )
-        return self._keep(found, got, since)
+        return ""
 
-    def search(self, frame: ImageArray) -> SeenBy:
-        """Find all markers in the whole frame; lost ones are regained, doubtful ones settled.
+    def search(self, frame: ImageArray) -> Observed:
+        """Find all markers in the whole frame, lost ones too.
 
         Raises
         ------
@@ -176,130 +186,94 @@ class CameraFollower:
         """
         known = self._known
         matched, _ = locate_in(self._bundle, self._number, frame)
-        place = matched.position_px[known.ids]
-        known.picture.read(frame)
-        seen, got = self._find(self._place)
-        shift = np.where(got[:, None], seen.centroid_px - known.rest_px, np.nan)
-        wide = place - known.rest_px
-        # Of two places that of the motion more like that of the neighbours.
-        both = np.stack([shift, wide])
-        usual = _around(np.where(np.isfinite(wide), wide, shift), known.neighbours)
-        off = np.nan_to_num(np.hypot(*np.moveaxis(both - usual, 2, 0)), nan=np.inf)
-        far = ~(np.hypot(*(shift - wide).T) <= AGREE_px)
-        better = far & (off[1] < off[0])
-        start = np.where(
-            better[:, None], place, np.where(got[:, None], seen.centroid_px, self._place)
-        )
-        unknown = ~got & ~better
-        start[unknown] = (known.rest_px + np.nan_to_num(usual))[unknown]
+        frame = np.ascontiguousarray(frame)
+        searched = matched.position_px[known.ids]
+        followed, got = self._find(frame, self._place)
+        shift = np.where(got[:, None], followed.centroid_px - known.rest_px, np.nan)
+        wide = searched - known.rest_px
+        # Of two positions that whose motion is more like that of the neighbours.
+        usual = neighbour_median(np.where(np.isfinite(wide), wide, shift), known.neighbours)
+        off = np.nan_to_num([np.hypot(*(each - usual).T) for each in (shift, wide)], nan=np.inf)
+        differ = ~(np.hypot(*(shift - wide).T) <= SETTINGS.agree_px)
+        better = differ & (off[1] < off[0])
+        start = known.rest_px + np.nan_to_num(usual)
+        start[got] = followed.centroid_px[got]
+        start[better] = searched[better]
         self._place, self._velocity[:] = start, 0.0
-        found, got = self._find(start)
-        out = self._keep(found, got, 0.0)
-        return SeenBy(
-            position_px=out.position_px,
-            bits=out.bits,
-            paint=out.paint,
-            flags=(
-                *out.flags,
-                f"the whole frame{self._bundle.of_camera(self._number)} was searched",
-            ),
-        )
+        out = self._update(frame, *self._find(frame, start), 0.0)
+        flag = f"the whole frame{self._bundle.of_camera(self._number)} was searched"
+        return out._replace(flags=(*out.flags, flag))
 
-    def _find(self, expected: FloatArray) -> tuple[Moments, BoolArray]:
-        """Paint of all markers near their expected places, and which of them it is sure of."""
-        found = self._known.paint.look(expected)
-        got = found.weight >= self._least
-        got &= found.rim <= self._rim * found.weight
-        got &= _larger(found.centroid_px - expected) <= self._alert
-        again = self._worth > got
-        if again.any() and self._clock % PATIENCE:
-            again &= self._lost_for <= LOST_STEP * PATIENCE
+    def _find(self, frame: ImageArray, expected: FloatArray) -> tuple[Moments, BoolArray]:
+        """Paint of all markers near their expected positions, and which of them are found."""
+        found = self._known.paint.look(frame, expected)
+        away = larger(found.centroid_px - expected)
+        got = found.weight >= self._paint_min
+        got &= found.rim <= self._rim_max * found.weight
+        got &= away <= SETTINGS.step_share * self._known.spacing_px
+        again = self._retried & ~got
+        if self._clock % SETTINGS.retry_frames:
+            again &= self._lost_for <= SETTINGS.retry_frames
         if not again.any():
             return found, got
-        return self._look_again(expected, found, got, np.flatnonzero(again))
+        return self._look_again(frame, expected, found, got, np.flatnonzero(again))
 
     def _look_again(
-        self, expected: FloatArray, found: Moments, got: BoolArray, again: IntArray
+        self,
+        frame: ImageArray,
+        expected: FloatArray,
+        found: Moments,
+        got: BoolArray,
+        again: IntArray,
     ) -> tuple[Moments, BoolArray]:
         """Look in wider windows for markers ``again``, where their neighbours' motion puts them."""
         known = self._known
         off = np.where(got[:, None], found.centroid_px - expected, 0.0)
-        likely = expected + self._beside(off, got)
+        likely = expected + self._neighbour_mean(off, got)
         centre = np.where(got[:, None], found.centroid_px, likely)
-        more = known.paint.look_at(again, centre, WIDER * self._margin)
+        wider = SETTINGS.wider_margins * self._margin
+        more = known.paint.look_wider(frame, again, centre, wider)
         away = np.hypot(*(more.centroid_px - centre[again]).T)
-        others = np.concatenate([centre, np.full((1, 2), np.inf)])[known.rivals[again]]
-        gap = np.hypot(*np.moveaxis(others - centre[again][:, None], 2, 0)).min(
-            axis=1, initial=np.inf
-        )
-        sure = (more.weight >= self._least[again]) & (away <= GATE * gap)
-        sure &= more.rim <= (self._rim[again] + RIM_MORE) * more.weight
-        # A rim that holds paint of others: nothing of the marker's own lies beyond it.
-        whole = sure & (found.weight[again] > WHOLE * more.weight)
-        share = found.rim[again] / np.maximum(found.weight[again], 1e-6) + RIM_MORE
-        self._rim[again] = np.where(whole, np.maximum(self._rim[again], share), self._rim[again])
-        weight, centroid, rim = found.weight.copy(), found.centroid_px.copy(), found.rim.copy()
-        weight[again], centroid[again], rim[again] = more
-        got = got.copy()
-        got[again] = sure
-        return Moments(weight, centroid, rim), got
+        others = np.append(centre, [[np.inf, np.inf]], axis=0)[known.rivals[again]]
+        gap = np.linalg.norm(others - centre[again][:, None], axis=2).min(axis=1, initial=np.inf)
+        sure = (more.weight >= self._paint_min[again]) & (away <= SETTINGS.gate_share * gap)
+        sure &= more.rim <= (self._rim_max[again] + SETTINGS.rim_excess) * more.weight
+        for values, new in zip((*found, got), (*more, sure), strict=True):
+            values[again] = new
+        return found, got
 
-    def _beside(self, step: FloatArray, got: BoolArray) -> FloatArray:
+    def _neighbour_mean(self, step: FloatArray, got: BoolArray) -> FloatArray:
         """Mean step (m, 2) of each marker's neighbours that were found; 0 where none was.
 
         ``step`` is 0 for markers that were not found.
         """
-        # Complex numbers: one sum for both coordinates.
-        self._steps[:-1] = step.view(np.complex128)[:, 0]
-        total = self._steps.take(self._near).sum(axis=0)
-        # Mostly those that were found in the last frame.
-        if not np.array_equal(got, self._counted):
-            seen = np.append(got, False)[self._near]
-            self._counted, self._per_count = got, 1.0 / np.maximum(seen.sum(axis=0), 1)
-        total *= self._per_count
-        return np.asarray(total.view(np.float64).reshape(-1, 2))
+        values = np.zeros((len(step) + 1, 3))
+        values[:-1, :2], values[:-1, 2] = step, got
+        total = values.take(self._neighbours, axis=0).sum(axis=0)
+        return np.asarray(total[:, :2] / np.maximum(total[:, 2:], 1.0))
 
-    def _keep(self, found: Moments, got: BoolArray, since: float) -> SeenBy:
+    def _update(self, frame: ImageArray, found: Moments, got: BoolArray, since: float) -> Observed:
         """Take what was found as the new state."""
         known = self._known
-        lost = np.flatnonzero(~got)
-        step = found.centroid_px - self._place
-        step[lost] = 0.0
-        beside = self._beside(step, got)
-        step[lost] = beside[lost]
+        step = np.where(got[:, None], found.centroid_px - self._place, 0.0)
+        beside = self._neighbour_mean(step, got)
+        step[~got] = beside[~got]
         self._place = self._place + step
-        self._velocity = (0.5 * DAMPING / max(since, 1.0)) * (step + beside)
-        self._lost_for -= 1
-        self._lost_for[lost] += LOST_STEP + 1
-        np.maximum(self._lost_for, 0, out=self._lost_for)
-        np.minimum(self._lost_for, LOST_STEP * PATIENCE + 1, out=self._lost_for)
-        self._missed = 0
-        tips = self._place.take(known.tips, axis=0)
-        tips += known.tip_px
-        red = known.red.look(tips).weight
+        self._velocity = (0.5 * SETTINGS.damping / max(since, 1.0)) * (step + beside)
+        self._lost_for = np.where(got, 0, self._lost_for + 1)
+        self._rejected = 0
+        red = known.red.look(frame, self._place[known.tips] + known.tip_px).weight
         self._on = red > np.where(self._on, self._off_below, self._on_above)
-        self._seen_px[:-1] = self._place
-        self._seen_px[lost] = np.nan
-        np.multiply(found.weight, self._per_full, out=self._paint[:-1])
-        self._bits[known.tips] = self._on
-        back = self._back
-        return SeenBy(
-            position_px=self._seen_px.take(back, axis=0),
-            bits=self._bits.take(back),
-            paint=self._paint.take(back),
+        switch_on = np.zeros(len(got), dtype=np.bool_)
+        switch_on[known.tips] = self._on
+        return Observed(
+            position_px=self._of_bundle(np.where(got[:, None], self._place, np.nan), np.nan),
+            switch_on=self._of_bundle(switch_on, fill=False),
+            paint=self._of_bundle(found.weight / np.maximum(self._full, 1e-6), 0.0),
         )
 
-
-def _larger(away: FloatArray) -> FloatArray:
-    """Distance (m,) along x or y, whichever is larger."""
-    distance = np.abs(away)
-    return np.maximum(distance[:, 0], distance[:, 1])
-
-
-def _around(off: FloatArray, neighbours: IntArray) -> FloatArray:
-    """Median (m, 2) over each marker's neighbours; NaN where none is known."""
-    around = np.concatenate([off, np.full((1, 2), np.nan)])[neighbours]
-    out = np.full_like(off, np.nan)
-    seen = np.isfinite(around[:, :, 0]).any(axis=1)
-    out[seen] = np.nanmedian(around[seen], axis=1)
-    return out
+    def _of_bundle(self, values: NDArray[Any], fill: float) -> NDArray[Any]:
+        """Values of all markers of the bundle from those (m, …) of the ones shown here."""
+        out = np.full((len(self._bundle.colour), *values.shape[1:]), fill, dtype=values.dtype)
+        out[self._known.ids] = values
+        return out

@@ -1,7 +1,7 @@
-"""Eyes that set themselves by a rest frame: what paints look like in this light, and where.
+"""Calibration by a rest frame: what paints look like in this light, and where markers are.
 
-White balance, exposure and aged paint change the hue and the chroma of each paint, and lend a tint
-to the wall. All of it is read where markers are expected: there is paint of a known name.
+White balance, exposure and aged paint change the hue and chroma of each paint, and tint the wall.
+All of it is measured where markers are expected, which show paint of a known name.
 """
 
 from collections.abc import Sequence
@@ -16,60 +16,69 @@ from phytac_decoder.vision.segmentation import HUE_COSINE_MIN, ColourModel, chec
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
 
-ACROSS = 21
-"""Samples across the window of each marker."""
-HALF_px = (3.0, 60.0)
-"""Least and largest distance from a marker's place to the edge of its window."""
-HALF_SHARE = 0.6
-"""That distance over the way to the nearest other marker."""
-COSINE_WIDE = 0.5
-"""Chroma within 60 degrees of a paint's expected hue may be that paint's."""
-CORE = 0.7
-"""Samples of this share of a marker's strongest chroma, and more, are its own, without edges."""
-CORE_SAMPLES = 4
-"""A marker shows its paint in at least so many samples."""
-STRONG = 90.0
-"""Percentile of a marker's painted samples that counts as its strongest chroma."""
-LEVELS_LEAST = 4.0
-"""Least chroma of paint, grey levels."""
-SHOWN_MIN = 0.5
-"""Share of each paint's markers that must show it."""
-APART_MIN_deg = 50.0
-"""Hues that are nearer to each other cannot be told."""
-ROUNDS = 3
 LIT = 0.88
-"""Share of its full chroma that paint shows, fall-off of the light and all: the floor is a share of
-what is measured instead."""
-FLOOR_MAX, FLOOR_STEP = 0.6, 0.05
-"""Largest share of full chroma that may be asked of paint, and the steps in which it is raised."""
-HIGHER, GROWTH, GROWTH_ANYHOW = 0.1, 1.3, 0.005
-"""From this much higher down to a floor, paint may grow by this factor, and by this share of all
-samples besides."""
-SEEN_MOST, UNSEEN_MOST = 0.5, 0.1
-"""Most of all samples that may be of one paint: a marker's, and the tips'."""
+"""Share of its full chroma that paint shows with the light's fall-off: the floor is a share of what
+is measured instead."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Samples:
-    """Chroma of pixels around the expected places of n markers of one camera.
+class ColourSettings:
+    """How colours are measured; set on rendered frames in lights of 2700 to 9000 K.
 
     Attributes
     ----------
-    ids : (n,) int
-        Markers.
-    chroma : (n, p, 2) float
-        (Cr - 128, Cb - 128).
+    across : int
+        Samples across the window of each marker.
+    half_px : (float, float)
+        Least and largest distance from a marker's position to the edge of its window,
+    half_share : float
+        and that distance over the distance to the nearest other marker.
+    hue_cosine_min : float
+        Chroma within 60 degrees of a paint's expected hue may be that paint's.
+    core : float
+        Samples of this share of a marker's strongest chroma, and more, are without edges.
+    core_samples : int
+        A marker shows its paint in at least so many samples.
+    chroma_min : float
+        Least chroma of paint, grey levels.
+    shown_min : float
+        Share of each paint's markers that must show it.
+    separation_min_deg : float
+        Nearer hues cannot be distinguished.
+    floor_max, floor_step : float
+        Largest share of full chroma that is required of paint, and the steps towards it.
+    floor_above, growth, growth_anyway : float
+        From this much above a floor down to it, paint may grow by the factor ``growth`` and by the
+        share ``growth_anyway`` of all samples.
+    paint_max, tip_max : float
+        Largest share of all samples that may be of one marker's paint, and of the tips'.
     """
 
-    ids: IntArray
-    chroma: FloatArray
+    across: int = 21
+    half_px: tuple[float, float] = (3.0, 60.0)
+    half_share: float = 0.6
+    hue_cosine_min: float = 0.5
+    core: float = 0.7
+    core_samples: int = 4
+    chroma_min: float = 4.0
+    shown_min: float = 0.5
+    separation_min_deg: float = 50.0
+    floor_max: float = 0.6
+    floor_step: float = 0.05
+    floor_above: float = 0.1
+    growth: float = 1.3
+    growth_anyway: float = 0.005
+    paint_max: float = 0.5
+    tip_max: float = 0.1
+
+
+SETTINGS = ColourSettings()
 
 
 def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
     """Bundle for this sensor in this light: its colours, rest positions and tips as measured.
 
-    All that takes a bundle (``measure_frame``, ``Follower``, …) takes this one. What a rest frame
-    does not show is kept as it was.
+    What the rest frame does not show stays as it was.
 
     Parameters
     ----------
@@ -81,7 +90,7 @@ def calibrate_rest(bundle: Bundle, rest_frames: Frames) -> Bundle:
     Raises
     ------
     InputError
-        If paints cannot be told in the frame, or it is none of this sensor.
+        If paints cannot be distinguished in the frame, or it is none of this sensor.
     """
     frames = one_frame_per_camera(bundle, rest_frames)
     lit = replace(bundle, colours=calibrated_colours(bundle, frames))
@@ -113,29 +122,28 @@ def calibrated_colours(bundle: Bundle, frames: Sequence[ImageArray]) -> ColourMo
     InputError
         If fewer than half of a paint's markers show it, or two paints look alike.
     """
-    samples = [_sampled(bundle, number, frame) for number, frame in enumerate(frames)]
-    chroma = np.concatenate([item.chroma for item in samples])
-    paint = np.concatenate([bundle.colour[item.ids] for item in samples])
-    return fit_colours(bundle.colours, chroma, paint)
+    each = [_sampled(bundle, number, frame) for number, frame in enumerate(frames)]
+    ids, chroma = (np.concatenate(part) for part in zip(*each, strict=True))
+    return fit_colours(bundle.colours, chroma, bundle.colour[ids])
 
 
-def _sampled(bundle: Bundle, number: int, frame: ImageArray) -> Samples:
-    """Chroma around the places of all markers that a camera shows."""
+def _sampled(bundle: Bundle, number: int, frame: ImageArray) -> tuple[IntArray, FloatArray]:
+    """Markers (n,) that a camera shows, and chroma (n, p, 2) around their expected positions."""
     camera, rest = bundle.cameras[number], bundle.shown_by(number).rest_px
     check_image(frame, width_px=camera.width_px, height_px=camera.height_px)
     ids = np.flatnonzero(np.isfinite(rest).all(axis=1))
     place = rest[ids]
     gap = np.linalg.norm(place[:, None] - place[None], axis=2)
     np.fill_diagonal(gap, np.inf)
-    half = np.clip(HALF_SHARE * gap.min(axis=1, initial=np.inf), *HALF_px)
-    step = np.linspace(-1.0, 1.0, ACROSS)
+    half = np.clip(SETTINGS.half_share * gap.min(axis=1, initial=np.inf), *SETTINGS.half_px)
+    step = np.linspace(-1.0, 1.0, SETTINGS.across)
     x, y = (
         np.clip(np.rint(place[:, k, None] + half[:, None] * step), 0, size - 1).astype(np.int64)
         for k, size in enumerate((camera.width_px, camera.height_px))
     )
     pixels = frame[y[:, :, None], x[:, None, :]].reshape(len(ids), -1, 3)
     ycc = cv2.cvtColor(np.ascontiguousarray(pixels), cv2.COLOR_BGR2YCrCb)
-    return Samples(ids=ids, chroma=ycc[:, :, 1:].astype(np.float64) - 128.0)
+    return ids, ycc[:, :, 1:].astype(np.float64) - 128.0
 
 
 def fit_colours(model: ColourModel, chroma: FloatArray, paint: IntArray) -> ColourModel:
@@ -151,9 +159,9 @@ def fit_colours(model: ColourModel, chroma: FloatArray, paint: IntArray) -> Colo
         Paint of each marker.
     """
     now, seen = model, np.unique(paint)
-    for _ in range(ROUNDS):
+    for _ in range(3):  # hues far off are seen in part at first
         level = _levels(now, chroma, paint)
-        _refuse_unseen(model, level, paint)
+        _check_seen(model, level, paint)
         centre = np.stack([np.nanmedian(level[paint == k], axis=0) for k in seen])
         now = replace(model, chroma=_full(model, centre, seen))
     return replace(now, floor=_floor(now, chroma, seen))
@@ -165,12 +173,13 @@ def _levels(model: ColourModel, chroma: FloatArray, paint: IntArray) -> FloatArr
     along = chroma @ unit.T
     size = np.linalg.norm(chroma, axis=2)
     ahead = np.take_along_axis(along, paint[:, None, None], axis=2)[:, :, 0]
-    own = (ahead >= along.max(axis=2)) & (ahead >= COSINE_WIDE * size) & (size >= LEVELS_LEAST)
-    own &= own.sum(axis=1, keepdims=True) >= CORE_SAMPLES
+    own = (ahead >= along.max(axis=2)) & (ahead >= SETTINGS.hue_cosine_min * size)
+    own &= size >= SETTINGS.chroma_min
+    own &= own.sum(axis=1, keepdims=True) >= SETTINGS.core_samples
     shows = own.any(axis=1)
     peak = np.full(len(paint), np.inf)
-    peak[shows] = np.nanpercentile(np.where(own, ahead, np.nan)[shows], STRONG, axis=1)
-    core = own & (ahead >= CORE * peak[:, None])
+    peak[shows] = np.nanpercentile(np.where(own, ahead, np.nan)[shows], 90.0, axis=1)
+    core = own & (ahead >= SETTINGS.core * peak[:, None])
     level = np.full((len(paint), 2), np.nan)
     level[shows] = np.nanmedian(np.where(core[:, :, None], chroma, np.nan)[shows], axis=1)
     return level
@@ -192,11 +201,11 @@ def _full(model: ColourModel, centre: FloatArray, seen: IntArray) -> FloatArray:
     np.fill_diagonal(cosine, -1.0)
     i, j = np.unravel_index(int(np.argmax(cosine)), cosine.shape)
     apart = float(np.degrees(np.arccos(np.clip(cosine[i, j], -1.0, 1.0))))
-    if apart < APART_MIN_deg:
+    if apart < SETTINGS.separation_min_deg:
         raise InputError(
-            f"{model.names[i]} and {model.names[j]} cannot be told in the rest frame: their hues "
-            f"are {apart:.0f} degrees apart (needed: {APART_MIN_deg:g}); set the camera's white "
-            "balance, and its exposure so that paint is not clipped"
+            f"{model.names[i]} and {model.names[j]} cannot be distinguished in the rest frame: "
+            f"their hues are {apart:.0f} degrees apart (needed: {SETTINGS.separation_min_deg:g}); "
+            "set the camera's white balance, and its exposure so that paint is not clipped"
         )
     return full
 
@@ -204,8 +213,8 @@ def _full(model: ColourModel, centre: FloatArray, seen: IntArray) -> FloatArray:
 def _floor(model: ColourModel, chroma: FloatArray, seen: IntArray) -> float:
     """Least share of full chroma that counts as paint.
 
-    A little lower, paint grows by its edges only, and most of what is sampled is none. Where that
-    is not so, wall or noise is taken for paint.
+    It is raised until, from a little above the floor down to it, paint grows by its edges only and
+    is the smaller part of the samples: otherwise wall or noise would count as paint.
 
     Parameters
     ----------
@@ -233,9 +242,9 @@ def _floor(model: ColourModel, chroma: FloatArray, seen: IntArray) -> float:
         return np.bincount(best[share >= floor], minlength=len(full)) / len(off)
 
     lowest = model.floor / LIT
-    most = np.where(np.isin(np.arange(len(full)), seen), SEEN_MOST, UNSEEN_MOST)
-    for floor in np.arange(lowest, FLOOR_MAX, FLOOR_STEP):
-        steady = GROWTH * painted(floor + HIGHER) + GROWTH_ANYHOW
+    most = np.where(np.isin(np.arange(len(full)), seen), SETTINGS.paint_max, SETTINGS.tip_max)
+    for floor in np.arange(lowest, SETTINGS.floor_max, SETTINGS.floor_step):
+        steady = SETTINGS.growth * painted(floor + SETTINGS.floor_above) + SETTINGS.growth_anyway
         if (painted(floor) <= np.minimum(steady, most)).all():
             return float(floor)
     raise InputError(
@@ -245,10 +254,10 @@ def _floor(model: ColourModel, chroma: FloatArray, seen: IntArray) -> float:
     )
 
 
-def _refuse_unseen(model: ColourModel, level: FloatArray, paint: IntArray) -> None:
+def _check_seen(model: ColourModel, level: FloatArray, paint: IntArray) -> None:
     for k in np.unique(paint):
         shows = np.isfinite(level[paint == k, 0])
-        if shows.mean() < SHOWN_MIN:
+        if shows.mean() < SETTINGS.shown_min:
             raise InputError(
                 f"{int(shows.sum())} of {len(shows)} {model.names[k]} markers show their colour in "
                 "the rest frame; is it in colour, lit, in focus, and of this sensor?"

@@ -1,14 +1,13 @@
-"""One frame of each camera in, a force on every marker out."""
+"""Markers and switches in one frame of each camera."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
 from phytac_decoder.estimation.contact_estimates import ContactDetection
 from phytac_decoder.io.bundle import Bundle
-from phytac_decoder.io.recorded_frames import whole_image
+from phytac_decoder.io.recorded_frames import read_image as read_image  # noqa: PLC0414 - also offered here
 from phytac_decoder.io.sensor_limits import id_list, markers_in_play, scene_words
 from phytac_decoder.pipeline.fault_detection import FaultDetector
 from phytac_decoder.vision.matching import Matched, fill_from_neighbours, match_markers
@@ -18,16 +17,16 @@ from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
 
 FOUND_MIN = 0.5
-"""A frame that shows fewer than this fraction of the markers is refused."""
+"""A frame that shows fewer than this fraction of the markers is rejected."""
 FOUND_WELL = 0.95
 """Below this fraction of markers found, forces are returned with a warning."""
 BLOBS_MAX = 8.0
 """A frame with more coloured blobs than this per marker is not a frame of the sensor."""
 CAMERA_SHIFT_MAX_px = 0.75
-"""A median shift of a camera's markers beyond this says that it has moved, not the shell."""
+"""A larger median shift of a camera's markers means that the camera has moved, not the shell."""
 
 WITHOUT_STIFFNESS = ("koi_inverse", "auto")
-"""Estimators that do without K·u."""
+"""Estimators that do not use K·u."""
 
 Frames = ImageArray | Sequence[ImageArray]
 """A frame of each camera, in the bundle's order; one camera's may stand alone."""
@@ -66,7 +65,7 @@ class Measured:
         estimator: str | None = None,
         found: ContactDetection | None = None,
     ) -> list[str]:
-        """Reasons to distrust these forces, each as a sentence; empty for a sound frame.
+        """Reasons to distrust these forces, one sentence each; empty for a sound frame.
 
         What the sensor can never read is in :meth:`phytac_decoder.io.bundle.Bundle.limits`.
 
@@ -77,52 +76,54 @@ class Measured:
         forces_N : (n,) float
             From :meth:`forces_N`.
         estimator : str, optional
-            That gave them; all of them if not given.
+            The one that gave them; all of them if not given.
         found : Found, optional
-            What ``auto`` has found in this frame already.
+            Contacts that ``auto`` has found in this frame.
         """
         out = []
-        share = float(self.found.mean())
-        if share < FOUND_WELL:
+        if float(self.found.mean()) < FOUND_WELL:
             out.append(
                 f"only {int(self.found.sum())} of {len(self.found)} markers were found; check "
                 "light, focus and what stands before the camera"
             )
-        still = True
-        for number in range(len(bundle.cameras)):
-            own = (bundle.read_by == number) & self.found & np.isfinite(self.shift_px[:, 0])
-            if not own.any():
-                continue
-            moved = np.median(self.shift_px[own], axis=0)
-            if float(np.linalg.norm(moved)) > CAMERA_SHIFT_MAX_px:
-                still = False
-                out.append(
-                    f"the whole image{bundle.of_camera(number)} has shifted by ({moved[0]:.1f}, "
-                    f"{moved[1]:.1f}) px: the camera has moved; take a new rest frame"
-                )
+        shifted = self._shifted_images(bundle)
+        out += shifted
         elsewhere = self.koi[~markers_in_play(bundle)[self.koi]]
         if len(elsewhere):
             out.append(
                 f"forces on {len(elsewhere)} switched receptors ({id_list(elsewhere)}) cannot be "
                 f"read: this decoder was made for {scene_words(bundle)}"
             )
-        if still:
-            out += self._doubts(bundle, forces_N, found)
+        if not shifted:
+            out += self._motion_faults(bundle, forces_N, found)
         useless = self.koi[~bundle.stiffness_usable[self.koi]]
         if len(useless) and estimator not in WITHOUT_STIFFNESS:
             out.append(
                 f"fem, fem_nn and fem_nn_identity cannot be used on {len(useless)} switched "
-                f"receptors ({id_list(useless)}): noise of their K·u drowns any force there; use "
+                f"receptors ({id_list(useless)}): noise of their K·u exceeds any force there; use "
                 "koi_inverse"
             )
         if len(self.koi) > 0.3 * len(self.found):
             out.append(f"{len(self.koi)} of {len(self.found)} switches read as on")
         return out
 
-    def _doubts(
+    def _shifted_images(self, bundle: Bundle) -> list[str]:
+        """Cameras whose markers have all shifted."""
+        out = []
+        for number in range(len(bundle.cameras)):
+            own = (bundle.read_by == number) & self.found & np.isfinite(self.shift_px[:, 0])
+            x, y = np.median(self.shift_px[own], axis=0) if own.any() else (0.0, 0.0)
+            if np.hypot(x, y) > CAMERA_SHIFT_MAX_px:
+                out.append(
+                    f"the whole image{bundle.of_camera(number)} has shifted by ({x:.1f}, {y:.1f}) "
+                    "px: the camera has moved; take a new rest frame"
+                )
+        return out
+
+    def _motion_faults(
         self, bundle: Bundle, forces_N: FloatArray, found: ContactDetection | None
     ) -> list[str]:
-        """What the markers' motion speaks against."""
+        """Contradictions between the markers' motion and the switches."""
         out = []
         if len(self.merged):
             out.append(
@@ -134,35 +135,22 @@ class Measured:
         if len(weak):
             least = bundle.threshold_N[weak].min()
             out.append(
-                f"{len(weak)} switched receptors ({id_list(weak)}) show no force, and {least:g} N or "
-                "more switch them on: stuck switches, or something red"
+                f"{len(weak)} switched receptors ({id_list(weak)}) show no force, and {least:g} N "
+                "or more switch them on: stuck switches, or something red"
             )
-        pressed, astray = motion.unexplained()
+        pressed, unexplained = motion.unexplained()
         if len(pressed):
             out.append(
                 f"{len(pressed)} markers ({id_list(pressed)}) moved as if pressed, and their "
                 "switches do not read as on: forces there are missing"
             )
-        elif len(astray):
+        elif len(unexplained):
             out.append(
-                f"{len(astray)} markers ({id_list(astray)}) are where no force on the switches that "
-                "are on puts them: something hides their paint, or has moved it; forces near them "
-                "are doubtful"
+                f"{len(unexplained)} markers ({id_list(unexplained)}) are where no force on the "
+                "switches that are on puts them: something hides their paint, or has moved it; "
+                "forces near them are doubtful"
             )
         return out
-
-
-def read_image(path: Path) -> ImageArray:
-    """Read an image file as BGR.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, cut off or not an image.
-    """
-    if not path.is_file():
-        raise InputError(f"no image at {path}")
-    return whole_image(path)
 
 
 def one_frame_per_camera(bundle: Bundle, frames: Frames) -> tuple[ImageArray, ...]:
@@ -187,7 +175,7 @@ def one_frame_per_camera(bundle: Bundle, frames: Frames) -> tuple[ImageArray, ..
 
 
 def locate_markers(bundle: Bundle, frames: Frames) -> tuple[Matched, BoolArray]:
-    """Marker positions and switch bits, each marker through the camera that reads it.
+    """Marker positions and switches (n,), each marker through the camera that reads it.
 
     Raises
     ------
@@ -195,23 +183,21 @@ def locate_markers(bundle: Bundle, frames: Frames) -> tuple[Matched, BoolArray]:
         If there is not one image for each camera, or one has another size than its camera, or
         shows too few markers.
     """
-    each = [
-        locate_in(bundle, number, image)
-        for number, image in enumerate(one_frame_per_camera(bundle, frames))
-    ]
-    markers = np.arange(len(bundle.colour))
-    position = np.stack([matched.position_px for matched, _ in each])[bundle.read_by, markers]
-    bits = np.stack([on for _, on in each])[bundle.read_by, markers]
-    merged = np.stack([matched.merged for matched, _ in each])[bundle.read_by, markers]
+    images = one_frame_per_camera(bundle, frames)
+    each = [locate_in(bundle, number, image) for number, image in enumerate(images)]
+    position, merged, switch_on = (
+        np.stack(part)[bundle.read_by, np.arange(len(bundle.colour))]
+        for part in zip(*((found.position_px, found.merged, on) for found, on in each), strict=True)
+    )
     found = np.isfinite(position[:, 0])
-    return Matched(position_px=position, found=found, merged=merged), bits
+    return Matched(position_px=position, found=found, merged=merged), switch_on
 
 
 def locate_in(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Matched, BoolArray]:
-    """Positions (px) and bits of all markers that one camera shows.
+    """Positions (px) and switches of all markers that one camera shows.
 
-    Those that another camera reads take part: their paint is then not mistaken for that of a
-    marker beside them.
+    Those that another camera reads are included, so that their paint is not assigned to a marker
+    beside them.
     """
     camera, shown = bundle.cameras[number], bundle.shown_by(number)
     check_image(image_bgr, width_px=camera.width_px, height_px=camera.height_px)
@@ -236,17 +222,17 @@ def locate_in(bundle: Bundle, number: int, image_bgr: ImageArray) -> tuple[Match
             f"a frame of the sensor {bundle.design!r}, lit and in focus{order}?"
         )
     own = np.where(matched.merged[:, None], np.nan, matched.position_px)
-    bits = read_switches(
+    switch_on = read_switches(
         blobs,
         shown.tips,
         red_index=bundle.colours.names.index("red"),
         shift_px=fill_from_neighbours(own - shown.rest_px, bundle.model.neighbours),
     )
-    return matched, bits
+    return matched, switch_on
 
 
 def rest_positions(bundle: Bundle, rest_bgr: Frames | None) -> FloatArray:
-    """Rest positions (n, 2) px: measured in the unloaded frames where there are any."""
+    """Rest positions (n, 2) px, measured in the unloaded frames if there are any."""
     if rest_bgr is None:
         return bundle.rest_px
     matched, _ = locate_markers(bundle, rest_bgr)
@@ -273,29 +259,36 @@ def measure_frame(
     InputError
         See :func:`locate_markers`.
     """
-    matched, bits = locate_markers(bundle, image_bgr)
+    matched, switch_on = locate_markers(bundle, image_bgr)
     rest = bundle.rest_px if rest_px is None else rest_px
     moved = np.where(matched.merged[:, None], np.nan, matched.position_px) - rest
-    bits = confirmed_switches(
-        bundle, bits, moved - np.where(bits[:, None], bundle.tip_bias_px, 0.0)
-    )
-    bias = np.where(bits[:, None], bundle.tip_bias_px, 0.0)
+    koi, shift = corrected_shift(bundle, switch_on, moved)
     return Measured(
-        koi=np.flatnonzero(bits),
-        shift_px=moved - bias,
+        koi=koi,
+        shift_px=shift,
         found=matched.found & ~matched.merged,
         merged=np.flatnonzero(matched.merged),
     )
 
 
-def confirmed_switches(bundle: Bundle, bits: BoolArray, shift_px: FloatArray) -> BoolArray:
-    """Bits (n,) without the doubtful ones that the markers' motion speaks against.
+def corrected_shift(
+    bundle: Bundle, switch_on: BoolArray, moved_px: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Key nodes (m,), and shifts (n, 2) px without the bias of the tips that are out."""
+    shift = moved_px - np.where(switch_on[:, None], bundle.tip_bias_px, 0.0)
+    switch_on = confirmed_switches(bundle, switch_on, shift)
+    bias = np.where(switch_on[:, None], bundle.tip_bias_px, 0.0)
+    return np.flatnonzero(switch_on), moved_px - bias
 
-    A switch whose red hardly tells on from off is on only if the inverse over all switches that
-    seem to be on finds its threshold's force there.
+
+def confirmed_switches(bundle: Bundle, switch_on: BoolArray, shift_px: FloatArray) -> BoolArray:
+    """Switches (n,) without the doubtful ones that contradict the markers' motion.
+
+    A switch with little red contrast is on only if the inverse over all switches that seem to be on
+    finds its threshold force there.
     """
-    doubtful = bits & ~bundle.tips.readable
+    doubtful = switch_on & ~bundle.tips.readable
     if not doubtful.any():
-        return bits
-    forces = bundle.model.forces("koi_inverse", shift_px, np.flatnonzero(bits))
-    return np.asarray(bits & ~(doubtful & (forces < bundle.threshold_N)))
+        return switch_on
+    forces = bundle.model.forces("koi_inverse", shift_px, np.flatnonzero(switch_on))
+    return np.asarray(switch_on & ~(doubtful & (forces < bundle.threshold_N)))

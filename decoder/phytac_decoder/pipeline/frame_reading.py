@@ -1,4 +1,4 @@
-"""What a decoder makes of one frame: forces on switches, contacts, reasons to distrust them."""
+"""The result of decoding one frame: forces, contacts, and reasons to distrust them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from phytac_shapes.arrays import FloatArray, IntArray
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """What a decoder makes of one frame.
+    """The result of decoding one frame.
 
     Attributes
     ----------
@@ -26,8 +26,8 @@ class Reading:
     valid : bool
         Whether the frame could be decoded at all.
     found : Found, optional
-        Contacts, by an estimator that finds them itself (``auto``); their forces are those on the
-        switches, and besides those of contacts that tripped none.
+        Contacts, by an estimator that finds them itself (``auto``): those on switches, and those
+        that tripped none.
     """
 
     koi: IntArray
@@ -38,12 +38,12 @@ class Reading:
 
     @classmethod
     def none(cls, reason: str) -> "Reading":
-        """Of a frame that could not be decoded, with the reason."""
+        """Reading of a frame that could not be decoded, with the reason."""
         nothing: IntArray = np.zeros(0, dtype=np.int64)
         return cls(koi=nothing, forces_N=np.zeros(0), warnings=(reason,), valid=False)
 
     @property
-    def silent(self) -> list[LocatedContact]:
+    def unswitched(self) -> list[LocatedContact]:
         """Contacts that tripped no switch."""
         contacts = self.found.contacts if self.found else []
         return [contact for contact in contacts if not len(contact.markers)]
@@ -51,49 +51,36 @@ class Reading:
 
 @dataclass(frozen=True, kw_only=True)
 class MarkerLoads:
-    """Where forces are summed: on key nodes, and on the markers nearest to contacts without one.
-
-    Attributes
-    ----------
-    markers : (k,) int
-        A marker may be named more than once.
-    force_N : (k,) float
-        On each.
-    """
+    """Forces ``force_N`` (k,) on ``markers`` (k,), in which a marker may occur more than once."""
 
     markers: IntArray
     force_N: FloatArray
 
 
 def marker_loads(reading: Reading, koi: IntArray, position_mm: FloatArray) -> MarkerLoads:
-    """Forces on some key nodes, and of contacts that tripped none.
+    """Forces on key nodes ``koi`` (m,), and of unswitched contacts on the markers nearest to them.
 
-    Parameters
-    ----------
-    reading : Reading
-        Of a frame.
-    koi : (m,) int
-        Key nodes whose forces are numbers.
-    position_mm : (n, 3) float
-        Markers on the outer face.
+    ``position_mm`` (n, 3) are the markers on the outer face.
     """
-    silent = reading.silent
-    beside = [nearest_marker(contact.point_mm, position_mm) for contact in silent]
+    unswitched = reading.unswitched
+    beside = [nearest_marker(contact.point_mm, position_mm) for contact in unswitched]
     return MarkerLoads(
         markers=np.concatenate([koi, np.array(beside, dtype=np.int64)]),
-        force_N=np.concatenate([reading.forces_N[koi], [contact.force_N for contact in silent]]),
+        force_N=np.concatenate(
+            [reading.forces_N[koi], [contact.force_N for contact in unswitched]]
+        ),
     )
 
 
 def nearest_marker(point_mm: FloatArray, position_mm: FloatArray) -> int:
-    """Number of the marker, of those at (n, 3), that is nearest to a point (3,)."""
+    """Number of the marker, of those at (n, 3), nearest to a point (3,)."""
     return int(np.argmin(np.linalg.norm(position_mm - point_mm, axis=1)))
 
 
 def read(
     bundle: Bundle, measured: Measured, estimator: str, *, before: Reading | None = None
 ) -> Reading:
-    """Forces and contacts of what one frame shows, each solved for once.
+    """Forces and contacts of one measured frame.
 
     Parameters
     ----------
@@ -104,7 +91,7 @@ def read(
     estimator : str
         One of the decoder's.
     before : Reading, optional
-        Of the frame before, by the same estimator: ``auto`` goes on from its contacts.
+        Of the frame before, by the same estimator: ``auto`` starts from its contacts.
     """
     koi = measured.koi
     if estimator == "auto":

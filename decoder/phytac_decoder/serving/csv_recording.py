@@ -5,35 +5,21 @@ import csv
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from phytac_decoder.serving.wire_protocol import Message
 from phytac_shapes.errors import OutputError
 
 COLUMNS = (
-    "sequence",
-    "timestamp_s",
-    "valid",
-    "contacts",
-    "contact",
-    "force_N",
-    "x_mm",
-    "y_mm",
-    "z_mm",
-    "markers",
-    "id",
-    "size_mm",
-    "since_s",
-    "region",
-    "sd_N",
-)
+    "sequence", "timestamp_s", "valid", "contacts", "contact", "force_N", "x_mm", "y_mm", "z_mm",
+    "markers", "id", "size_mm", "since_s", "region", "sd_N",
+)  # fmt: skip
 REGION_COLUMNS = ("sequence", "timestamp_s", "valid", "total_N")
 """Before one column for each region, ``region_NAME_N``."""
 
 
-class _Rows:
-    """Rows of a new CSV file, handed to the system at once: a kill loses none before it.
+class _CsvWriter:
+    """Writes rows of a new CSV file straight to the system: a killed program loses none.
 
     Parameters
     ----------
@@ -42,12 +28,12 @@ class _Rows:
     columns : sequence of str
         Its first line.
     option : str
-        Of the command, that names the file.
+        Option of the command that names the file.
 
     Raises
     ------
     OutputError
-        If it is there already, or cannot be written.
+        If it exists, or cannot be written.
     """
 
     def __init__(self, path: Path, columns: Sequence[str], option: str) -> None:
@@ -71,62 +57,35 @@ class _Rows:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self._file.close()
 
     def _put(self, rows: Sequence[Sequence[object]]) -> None:
         text = io.StringIO(newline="")
         csv.writer(text, lineterminator="\n").writerows(rows)
         data = text.getvalue().encode()
-        left = memoryview(data)
+        rest = memoryview(data)
         try:
-            while left:
-                left = left[self._file.write(left) :]
+            while rest:
+                rest = rest[self._file.write(rest) :]
         except OSError as error:
-            # Half a row would spoil those before it.
+            # Half a row would damage those before it.
             with contextlib.suppress(OSError):
                 self._file.truncate(self._whole_bytes)
             raise OutputError(f"{self._path} cannot be written ({error.strerror})") from None
         self._whole_bytes += len(data)
 
 
-class Recorder(_Rows):
-    """One row for each contact of each frame; a frame without any has one, with ``contacts`` 0.
-
-    Parameters
-    ----------
-    path : Path
-        File to make.
-
-    Raises
-    ------
-    OutputError
-        If it is there already, or cannot be written.
-    """
+class Recorder(_CsvWriter):
+    """One row for each contact of each frame; a frame without any has one, with ``contacts`` 0."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, COLUMNS, "--record")
 
     def add(self, message: Message) -> None:
-        """Write a frame's rows.
-
-        Raises
-        ------
-        OutputError
-            If the disk takes no more.
-        """
+        """Write a frame's rows; raises OutputError if the disk is full."""
         contacts = message["contacts"]
-        head = (
-            message["sequence"],
-            message["timestamp_s"],
-            int(message["valid"]),
-            len(contacts),
-        )
+        head = (message["sequence"], message["timestamp_s"], int(message["valid"]), len(contacts))
         rows = [
             (
                 *head,
@@ -146,34 +105,15 @@ class Recorder(_Rows):
         self.rows += len(rows) or 1
 
 
-class RegionRecorder(_Rows):
-    """One row for each frame: the force of every region.
-
-    Parameters
-    ----------
-    path : Path
-        File to make.
-    names : sequence of str
-        Of the regions.
-
-    Raises
-    ------
-    OutputError
-        If it is there already, or cannot be written.
-    """
+class RegionRecorder(_CsvWriter):
+    """One row for each frame: the force of every region, by the regions' names."""
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
         columns = [*REGION_COLUMNS, *(f"region_{name}_N" for name in names)]
         super().__init__(path, columns, "--record-regions")
 
     def add(self, message: Message) -> None:
-        """Write a frame's row.
-
-        Raises
-        ------
-        OutputError
-            If the disk takes no more.
-        """
+        """Write a frame's row; raises OutputError if the disk is full."""
         forces = [region["force_N"] for region in message["regions"]]
         head = (message["sequence"], message["timestamp_s"], int(message["valid"]))
         self._put([(*head, message["total_N"], *forces)])

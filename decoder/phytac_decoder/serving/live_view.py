@@ -1,7 +1,6 @@
-"""A live view of the forces in a browser, on this machine alone, that never slows the sensor.
+"""A live view of the forces in browsers of this machine, which cannot slow the sensor.
 
-Each browser is served by a thread of its own from the newest frames; one that reads slowly sees
-fewer of them. The sensor's loop only leaves its message.
+Each browser is served by a thread from the newest frames; one that reads slowly sees fewer of them.
 """
 
 import contextlib
@@ -12,7 +11,6 @@ from collections import deque
 from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -26,36 +24,29 @@ PORT = 8057
 LOOPBACK = "127.0.0.1"
 VIEWERS_MAX = 8
 PUSH_S = 1.0 / 30.0
-"""A browser is told no more often than this."""
+"""Least time between two messages to a browser."""
 KEPT = 4096
 """Frames whose forces wait to be drawn as curves: over 8 s at 480 fps."""
 CURVE_MAX = 64
-"""Points of the curves in one push; of more, the ends and what lies evenly between."""
-PATIENCE_S = 5.0
-"""A browser that takes nothing for this long is closed."""
-NAMES = ("127.0.0.1", "localhost", "[::1]")
-"""Hosts that a browser may have asked for: a page of another site may not read forces."""
-AROUND_GAP = np.pi / 2.0
-"""Markers with no gap around the axis beyond this stand around it."""
-POLE_SHARE = 0.35
-"""Markers this near the axis, of the farthest, stand on a pole."""
+"""Points of the curves in one message; of more, evenly chosen ones."""
 
 
 def unrolled(position_mm: FloatArray) -> FloatArray:
     """Markers (n, 3) laid out flat, (n, 2) mm: right and up.
 
-    Around the sensor's axis: unrolled, angle by mean radius to the right, the axis upward. With a
-    pole: as seen along the axis, distances from it true. A sheet: on its two long directions.
+    Markers with an angular gap of 90 degrees about the axis are a sheet, laid on its two long
+    directions. Others are unrolled, angle times mean radius to the right and the axis up; if one is
+    near the axis, it is a pole, and they are seen along the axis with true distances from it.
     """
     x, y, z = position_mm.T
     radius, angle = np.hypot(x, y), np.arctan2(y, x)
     ring = np.sort(angle)
     gap = float(np.diff(ring, append=ring[0] + 2.0 * np.pi).max())
-    if gap > AROUND_GAP or np.ptp(z) < 0.1 * max(float(np.ptp(x)), float(np.ptp(y))):
+    if gap > np.pi / 2.0 or np.ptp(z) < 0.1 * max(float(np.ptp(x)), float(np.ptp(y))):
         centred = position_mm - position_mm.mean(axis=0)
         _, vectors = np.linalg.eigh(centred.T @ centred)
         return np.asarray(centred @ vectors[:, :0:-1])
-    if radius.min() > POLE_SHARE * radius.max():
+    if radius.min() > 0.35 * radius.max():
         return np.column_stack([angle * radius.mean(), z])
     top = z[radius.argmin()]
     reach = np.hypot(radius, z - top)
@@ -109,20 +100,17 @@ class LiveView:
         return self
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, _kind: type[BaseException] | None, error: BaseException | None, _trace: object
     ) -> None:
         self.close("the source has ended" if error is None else "stopped")
 
     @property
     def url(self) -> str:
-        """Where to look."""
+        """Address for the browser."""
         return f"http://{LOOPBACK}:{self.port}/"
 
     def publish(self, message: Message) -> None:
-        """Leave a frame's message for whoever looks; returns at once."""
+        """Keep a frame's message for the browsers; returns at once."""
         forces = [region["force_N"] for region in message.get("regions", [])]
         point = [message["timestamp_s"], message["total_N"], *forces]
         with self._news:
@@ -132,7 +120,7 @@ class LiveView:
             self._news.notify_all()
 
     def close(self, reason: str = "stopped") -> None:
-        """Tell browsers that this is the end; close all. May be called twice."""
+        """Send browsers the end and its reason, and close all. May be called twice."""
         with self._news:
             self.ended = self.ended or reason
             self._news.notify_all()
@@ -144,9 +132,9 @@ class LiveView:
         self._thread.join(timeout=2.0)
 
     def wait_for_news(self, seen: int) -> tuple[int, bytes] | None:
-        """Number and JSON of what came after frame ``seen``; None if nothing did for a second.
+        """Number and JSON of the newest frame after ``seen``; None if none came for a second.
 
-        The last one says that the stream has ended.
+        At the end of the stream it is an end message, with number -1.
         """
         with self._news:
             self._news.wait_for(lambda: self.number > seen or self.ended, timeout=1.0)
@@ -159,8 +147,8 @@ class LiveView:
             points = [points[k] for k in chosen]
         return number, json_bytes({**(message or {}), "curve": points})
 
-    def come(self, step: int) -> bool:
-        """Count a browser in or out; whether there is room for it."""
+    def count_viewer(self, step: int) -> bool:
+        """Count a browser in or out; False if there are too many."""
         with self._news:
             if step > 0 and self.viewers >= VIEWERS_MAX:
                 return False
@@ -173,24 +161,25 @@ class _Http(ThreadingHTTPServer):
     block_on_close = False
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Say nothing: a browser that goes away is no fault."""
+        """Ignore it: a browser may close."""
 
 
 class _Handler(BaseHTTPRequestHandler):
     """The page, and its events."""
 
     view: LiveView
-    timeout = PATIENCE_S
+    timeout = 5.0
     protocol_version = "HTTP/1.0"
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002 - the base's name
-        """Say nothing."""
+        """Log nothing."""
 
     def do_GET(self) -> None:
         """Answer a request."""
         host = self.headers.get("Host", "").rsplit(":", 1)[0]
         routes: dict[str, Callable[[], None]] = {"/": self._page, "/events": self._events}
-        if host not in NAMES:
+        # A page of another site may not read forces.
+        if host not in {LOOPBACK, "localhost", "[::1]"}:
             self.send_error(HTTPStatus.FORBIDDEN, "This view is for this machine alone")
         elif self.path in routes:
             # A browser that closes is no error.
@@ -208,25 +197,27 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _events(self) -> None:
         view = self.view
-        if not view.come(1):
-            self.send_error(HTTPStatus.SERVICE_UNAVAILABLE, f"{VIEWERS_MAX} browsers look already")
+        if not view.count_viewer(1):
+            self.send_error(
+                HTTPStatus.SERVICE_UNAVAILABLE, f"{VIEWERS_MAX} browsers are connected already"
+            )
             return
         try:
             self._head("text/event-stream")
             self.end_headers()
-            self._tell(view.hello)
+            self._send(view.hello)
             seen = 0
             while seen >= 0:
                 news = view.wait_for_news(seen)
                 if news is None:
-                    # Finds out whether the browser is still there.
+                    # Fails if the browser has closed.
                     self.wfile.write(b": still here\n\n")
                     continue
                 seen, text = news
-                self._tell(text)
+                self._send(text)
                 time.sleep(PUSH_S)
         finally:
-            view.come(-1)
+            view.count_viewer(-1)
 
     def _head(self, kind: str) -> None:
         self.send_response(HTTPStatus.OK)
@@ -234,5 +225,5 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Cache-Control", "no-store")
         self.send_header("Content-Security-Policy", "default-src 'self' 'unsafe-inline'")
 
-    def _tell(self, text: bytes) -> None:
+    def _send(self, text: bytes) -> None:
         self.wfile.write(b"data: " + text + b"\n\n")

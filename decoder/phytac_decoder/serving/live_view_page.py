@@ -138,7 +138,7 @@ function drawTurned(force) {
   const reach = Math.max(...places.map(p => Math.hypot(...p.map((x, k) => x - middle[k]))), 1);
   const scale = 0.46 * Math.min(width, height) / reach;
   const [cy, sy, cp, sp] = [Math.cos(yaw), Math.sin(yaw), Math.cos(pitch), Math.sin(pitch)];
-  // The sensor's axis (z) stands upright; x to the right, depth grows towards the eye.
+  // The sensor's axis (z) stands upright; x to the right, depth grows towards the viewer.
   const turned = p => {
     const [x, y, z] = p.map((c, k) => c - middle[k]);
     const right = cy * x + sy * y, back = -sy * x + cy * y;

@@ -1,4 +1,4 @@
-"""The sensor's loop: frames in, forces out, and how it goes, once a second."""
+"""The sensor's loop from frames to messages, with its progress once a second."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError, OutputError, PhytacError
 
 Decode = Callable[[Frame], Reading]
-"""A frame to forces, in order; raises a PhytacError for one that it cannot read."""
+"""Decodes one frame after another; raises a PhytacError for one that it cannot read."""
 
 
 def frame_decoder(
@@ -41,7 +41,7 @@ def frame_decoder(
     InputError
         If there is no such estimator.
     """
-    _known(bundle, estimator)
+    check_estimator(bundle, estimator)
 
     def decode(frame: Frame) -> Reading:
         measured = measure_frame(bundle, frame.images, rest_px=rest_px)
@@ -55,7 +55,7 @@ def follow_decoder(
 ) -> Decode:
     """Decode frames in their order, markers followed from each to the next: much faster.
 
-    Frames may be missing; then the others' numbers tell for how long the markers have moved.
+    Frames may be missing: the numbers of the others show for how long the markers have moved.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def follow_decoder(
     InputError
         If there is no such estimator, or the rest frame is none of this sensor.
     """
-    _known(bundle, estimator)
+    check_estimator(bundle, estimator)
     follower, last = Follower(bundle, rest, stride=stride), -1
     before: Reading | None = None
 
@@ -87,7 +87,8 @@ def follow_decoder(
     return decode
 
 
-def _known(bundle: Bundle, estimator: str) -> None:
+def check_estimator(bundle: Bundle, estimator: str) -> None:
+    """Raise InputError if the bundle has no such estimator."""
     known = bundle.model.estimators
     if estimator not in known:
         raise InputError(f"the decoder has no estimator {estimator!r}; known: {', '.join(known)}")
@@ -95,7 +96,7 @@ def _known(bundle: Bundle, estimator: str) -> None:
 
 @dataclass(kw_only=True)
 class Progress:
-    """How the stream goes.
+    """Progress of a stream.
 
     Attributes
     ----------
@@ -106,11 +107,11 @@ class Progress:
     unread : int
         Of these, those that gave no forces.
     fps : float
-        Frames a second, since the last progress.
+        Frames per second, since the last report.
     latency_ms : list of float
-        From a frame at hand to its message published, since the last progress.
+        From each frame's arrival to its published message, since the last report.
     missed, skipped : int
-        Frames so far that went by while another was decoded, and that could not be read.
+        Frames so far that passed while another was decoded, and that could not be read.
     """
 
     seconds: float = 0.0
@@ -122,24 +123,17 @@ class Progress:
     latency_ms: list[float] = field(default_factory=list)
 
     def total(self) -> str:
-        """How it went, in one line for people."""
+        """Summary in one line."""
         return (
             f"{self.frames} frames in {self.seconds:.1f} s, {self.unread} unread, {self.skipped} "
             f"skipped, {self.missed} missed"
         )
 
     def text(self, *, clients: int, dropped: int) -> str:
-        """One line for people."""
+        """Report in one line."""
         p50, p99 = np.percentile(self.latency_ms, (50, 99)) if self.latency_ms else (0.0, 0.0)
-        more = "".join(
-            f", {count} {name}"
-            for count, name in (
-                (self.missed, "missed"),
-                (self.skipped, "skipped"),
-                (self.unread, "unread"),
-            )
-            if count
-        )
+        counts = {"missed": self.missed, "skipped": self.skipped, "unread": self.unread}
+        more = "".join(f", {count} {name}" for name, count in counts.items() if count)
         return (
             f"{self.seconds:6.0f} s  {self.fps:6.1f} fps  latency p50 {p50:.2f} p99 {p99:.2f} ms  "
             f"{clients} client{'' if clients == 1 else 's'}, {dropped} dropped{more}"
@@ -157,7 +151,7 @@ class Stream:
     decode : callable
         A frame to a reading.
     messages : Messages
-        Makes them; its ``started_unix_s`` is that of ``started_s``.
+        Its ``started_unix_s`` is that of ``started_s``.
     publish : callable
         Takes each message and returns at once.
     started_s : float
@@ -165,13 +159,13 @@ class Stream:
     imu : Imu, optional
         Motion samples to merge in.
     recorders : list of Recorder or RegionRecorder
-        Where contacts, and forces of regions, are kept.
+        Files for contacts and forces of regions.
     report : callable
-        Told about frames that cannot be decoded and a disk that is full.
+        Called with a line on frames that cannot be decoded and on a full disk.
     each_second : callable
-        Told how it goes.
+        Called with the progress.
     progress : Progress
-        How it has gone so far.
+        So far.
     """
 
     source: Source
@@ -195,15 +189,15 @@ class Stream:
             not valid, with the reason.
         """
         now, source = self.progress, self.source
-        reported_s, reported_frames, told_s = self.started_s, 0, -np.inf
+        reported_s, reported_frames, warned_s = self.started_s, 0, -np.inf
         for frame in source:
-            # Of the frames before this one; a camera goes on counting while it is decoded.
+            # Counted before decoding: a camera continues meanwhile.
             message = self._message(frame, source.missed + source.skipped)
             self.publish(message)
             if not message["valid"]:
                 now.unread += 1
-                if frame.ready_s - told_s > 1.0:
-                    told_s = frame.ready_s
+                if frame.ready_s - warned_s > 1.0:
+                    warned_s = frame.ready_s
                     self.report(f"frame {frame.number}: {message['warnings'][-1]}")
             self._record(message)
             now.frames += 1
@@ -239,6 +233,6 @@ class Stream:
             try:
                 recorder.add(message)
             except OutputError as error:
-                # A full disk is no reason to leave the robot without forces.
+                # The robot needs forces even if the disk is full.
                 self.report(f"recording stops: {error}")
                 self.recorders.remove(recorder)

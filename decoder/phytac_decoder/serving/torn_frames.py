@@ -1,8 +1,7 @@
-"""Frames that are partly, or wholly, the frame before: a cable, a driver or a camera that stopped.
+"""Torn and repeated frames: partly or wholly the frame before, by a fault of cable or camera.
 
-A sensor's noise changes nearly every row of a picture. Rows that used to change and are now the
-same to the last bit were not taken again. One frame alone cannot tell: both parts of a torn one may
-be sound pictures, of two moments.
+A camera's noise changes nearly every row of an image. Rows that used to change and are now equal to
+the last bit were not taken again.
 """
 
 from collections.abc import Sequence
@@ -16,25 +15,25 @@ from phytac_decoder.serving.sensor_loop import Decode
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 
 ROWS_COMPARED, BAND_px = 32, 640
-"""Rows of a picture that are looked at, evenly spaced, and how much of each."""
-LIVELY = 0.2
-"""Share of a row's bytes that noise changes from frame to frame, at least."""
+"""Rows of an image that are compared, evenly spaced, and the pixels of each."""
+CHANGED_SHARE_MIN = 0.2
+"""Least share of a row's bytes that noise changes from frame to frame."""
 FRAMES_CHANGED_MIN = 3
-"""Rows have a say that have changed from each of so many sound frames to the next."""
+"""Only rows that have changed in so many sound frames in a row are evaluated."""
 
 
 class TornFrameDetector:
-    """Holds each frame of a sequence against the one before.
+    """Compares each frame of a sequence with the one before.
 
-    Rows without noise, as in drawn pictures, black borders and still parts of compressed videos,
-    have no say.
+    Rows without noise, as in drawings, black borders and still parts of compressed videos, are not
+    evaluated.
     """
 
     def __init__(self) -> None:
         self._last: list[ImageArray] = []
         self._streak: list[IntArray] = []
 
-    def look(self, images: Sequence[ImageArray]) -> list[str]:
+    def check(self, images: Sequence[ImageArray]) -> list[str]:
         """Reasons to distrust the next frame, of each camera (h, w, 3); empty for a sound one."""
         rows = [_rows_of(image) for image in images]
         if [part.shape for part in rows] != [part.shape for part in self._last]:
@@ -43,29 +42,29 @@ class TornFrameDetector:
         out = []
         for number, (now, before) in enumerate(zip(rows, self._last, strict=True)):
             share, streak = _changed(now, before), self._streak[number]
-            text = _judged(share[streak >= FRAMES_CHANGED_MIN])
+            text = _verdict(share[streak >= FRAMES_CHANGED_MIN])
             if text:
                 out.append(text)
             else:
-                self._streak[number] = np.where(share >= LIVELY, streak + 1, 0)
+                self._streak[number] = np.where(share >= CHANGED_SHARE_MIN, streak + 1, 0)
         self._last = rows
         return out
 
 
 def with_torn_frame_check(decode: Decode) -> Decode:
-    """Decode frames in their order, and distrust those that are torn."""
-    tears = TornFrameDetector()
+    """Decode frames in their order, with a warning on those that are torn."""
+    detector = TornFrameDetector()
 
     def watching(frame: Frame) -> Reading:
-        told = tears.look(frame.images)
+        torn = detector.check(frame.images)
         reading = decode(frame)
-        return replace(reading, warnings=[*reading.warnings, *told]) if told else reading
+        return replace(reading, warnings=[*reading.warnings, *torn]) if torn else reading
 
     return watching
 
 
 def _rows_of(image: ImageArray) -> ImageArray:
-    """Parts of some of an image's rows, a copy: cameras may use their buffers again."""
+    """Parts of some of an image's rows, copied because cameras may reuse their buffers."""
     index = np.unique(np.linspace(0, len(image) - 1, ROWS_COMPARED).astype(np.int64))
     first = max(image.shape[1] - BAND_px, 0) // 4
     return np.asarray(image[index, first : first + BAND_px])
@@ -78,9 +77,9 @@ def _changed(rows: ImageArray, before: ImageArray) -> FloatArray:
     return np.asarray(differ / flat.shape[1])
 
 
-def _judged(share: FloatArray) -> str:
-    """What the changed share (r,) of rows that used to change says; "" for nothing."""
-    old, new = share == 0.0, share >= LIVELY
+def _verdict(share: FloatArray) -> str:
+    """Fault by the changed share (r,) of rows that used to change; "" for none."""
+    old, new = share == 0.0, share >= CHANGED_SHARE_MIN
     if not old.any():
         return ""
     if old.all():

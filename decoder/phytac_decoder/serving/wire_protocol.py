@@ -1,7 +1,4 @@
-"""Messages of a force stream: what they hold, and how they stand on the wire.
-
-``docs/streaming.md`` is the description for those who read them.
-"""
+"""Messages of a force stream: their contents and framing, described in ``docs/streaming.md``."""
 
 import json
 import struct
@@ -27,9 +24,9 @@ VERSION = "1.2"
 FRAMINGS = ("lines", "length")
 """JSON lines, or each message after its length in bytes (4 bytes, big-endian)."""
 MESSAGE_MAX_BYTES = 1 << 24
-"""A longer message is a broken stream."""
+"""A longer message means a broken stream."""
 FORCE_LIMIT_N = 1e6
-"""What is beyond this is no force but a computation gone wrong."""
+"""A larger force is an error of the computation."""
 FORCE_DIGITS = 4
 POSITION_DIGITS = 3
 SIZE_DIGITS = 2
@@ -41,25 +38,25 @@ Message = dict[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class MessageBuilder:
-    """Makes the messages of one sensor's stream, frame after frame: contacts keep their ids.
+    """Builds the messages of one sensor's stream, frame after frame: contacts keep their ids.
 
     Attributes
     ----------
     bundle : Bundle
         The sensor's decoder.
     estimator : str
-        That gives the forces.
+        Force estimator.
     source : str
-        Where frames come from, in words.
+        Description of where frames come from.
     clock : str
-        What ``timestamp_s`` counts (see :attr:`phytac_decoder.io.frame_sources.Source.clock`).
+        What ``timestamp_s`` counts, see :class:`phytac_decoder.io.frame.Source`.
     started_unix_s : float
         Unix time at which ``decoded_s`` is 0.
     normals : (n, 3) float, optional
         Outward unit normals of the surface at the markers. Those of the tables of ``auto`` if not
-        given; without either there is no net vector.
+        given; without either there is no net force.
     regions : sequence of Region
-        Whose forces are told, see :func:`phytac_decoder.estimation.force_regions.load_regions`.
+        See :func:`phytac_decoder.estimation.force_regions.load_regions`.
     """
 
     bundle: Bundle
@@ -78,12 +75,12 @@ class MessageBuilder:
 
     @cached_property
     def tracker(self) -> ContactTracker:
-        """Knows the contacts so far."""
+        """Tracks contacts over frames."""
         return ContactTracker(spacing_mm=self.finder.spacing_mm)
 
     @cached_property
     def outward(self) -> FloatArray | None:
-        """Outward unit normals (n, 3) at the markers, where they are known."""
+        """Outward unit normals (n, 3) at the markers, if they are known."""
         locator = self.bundle.model.locator
         if self.normals is not None or locator is None:
             return self.normals
@@ -132,7 +129,7 @@ class MessageBuilder:
         missed: int = 0,
         imu: Message | None = None,
     ) -> Message:
-        """One frame's forces; forces that are no numbers are left out, with a warning.
+        """One frame's forces; those that are not finite are left out, with a warning.
 
         Parameters
         ----------
@@ -143,19 +140,19 @@ class MessageBuilder:
         timestamp_s : float
             When it was taken.
         decoded_s, latency_ms : float
-            When it was decoded, and how long after it was at hand.
+            When it was decoded, and how long after it was available.
         missed : int
             Frames before this one that were not decoded.
         imu : dict, optional
             Motion sample that belongs to it.
         """
         forces, koi = reading.forces_N, reading.koi
-        # Not so for NaN.
+        # False for NaN.
         good = np.abs(forces[koi]) <= FORCE_LIMIT_N
         warnings, broken = list(reading.warnings), koi[~good]
         if len(broken):
             warnings.append(
-                f"the forces on {len(broken)} markers ({id_list(broken)}) came out as no numbers; "
+                f"the forces on {len(broken)} markers ({id_list(broken)}) are not finite; "
                 "they are left out"
             )
         koi = koi[good]
@@ -224,8 +221,8 @@ class MessageBuilder:
 
 
 def _is_sound(located: LocatedContact) -> bool:
-    told = [located.sd_N, located.radius_mm, *located.point_mm]
-    return abs(located.force_N) <= FORCE_LIMIT_N and bool(np.isfinite(told).all())
+    others = [located.sd_N, located.radius_mm, *located.point_mm]
+    return abs(located.force_N) <= FORCE_LIMIT_N and bool(np.isfinite(others).all())
 
 
 def _as_found(located: LocatedContact) -> Contact:
@@ -240,7 +237,7 @@ def _as_found(located: LocatedContact) -> Contact:
 
 
 def end_message(reason: str) -> Message:
-    """The last message, with why the stream ends."""
+    """The last message, with the reason why the stream ends."""
     return {"type": "end", "reason": reason}
 
 
@@ -250,12 +247,9 @@ def _rounded(value: float, digits: int) -> float:
 
 
 def json_bytes(message: Message) -> bytes:
-    """UTF-8 JSON on one line, ASCII alone: some readers take other line ends for their own.
+    """JSON on one line of ASCII, because some readers split lines at other characters too.
 
-    Raises
-    ------
-    InputError
-        If it holds a number that is not finite.
+    Raises InputError for a number that is not finite.
     """
     try:
         text = json.dumps(message, separators=(",", ":"), allow_nan=False)
@@ -265,13 +259,7 @@ def json_bytes(message: Message) -> bytes:
 
 
 def framed(text: bytes, framing: str) -> bytes:
-    """One message's JSON as it stands on the wire.
-
-    Raises
-    ------
-    InputError
-        If there is no such framing, or the message is too long.
-    """
+    """One message's JSON with its framing; raises InputError if the message is too long."""
     check_framing(framing)
     if len(text) > MESSAGE_MAX_BYTES:
         raise InputError(f"a message of {len(text)} bytes is longer than {MESSAGE_MAX_BYTES}")
@@ -279,41 +267,26 @@ def framed(text: bytes, framing: str) -> bytes:
 
 
 def encode(message: Message, framing: str) -> bytes:
-    """A message as it stands on the wire.
-
-    Raises
-    ------
-    InputError
-        See :func:`json_bytes` and :func:`framed`.
-    """
+    """A message as bytes; raises InputError as :func:`json_bytes` and :func:`framed` do."""
     return framed(json_bytes(message), framing)
 
 
 def with_dropped(text: bytes, dropped: int) -> bytes:
-    """A message's JSON with the number of messages that its receiver was not sent.
-
-    The rest of it is the same for all receivers and made once.
-    """
+    """A message's JSON with the number of messages that were dropped for its receiver."""
     return text[:-1] + b',"dropped":%d}' % dropped
 
 
 def check_framing(framing: str) -> None:
-    """Refuse a framing that there is not.
-
-    Raises
-    ------
-    InputError
-        If there is none of this name.
-    """
+    """Raise InputError if there is no framing of this name."""
     if framing not in FRAMINGS:
         raise InputError(f"no format {framing!r} for a stream; known: {', '.join(FRAMINGS)}")
 
 
-ASK = "read it in the format that phytac serve was given (--format)"
+HINT = "read it in the format that phytac serve was given (--format)"
 
 
 class MessageSplitter:
-    """Bytes as they arrive, in pieces of any size, to messages.
+    """Splits bytes that arrive in pieces of any size into messages.
 
     Parameters
     ----------
@@ -327,13 +300,7 @@ class MessageSplitter:
         self._held = bytearray()
 
     def feed(self, data: bytes) -> list[Message]:
-        """Messages that are complete with these bytes.
-
-        Raises
-        ------
-        InputError
-            If they are no messages of a stream.
-        """
+        """Messages that these bytes complete; raises InputError if they are no stream."""
         self._held += data
         out = []
         while (text := self._next()) is not None:
@@ -356,7 +323,7 @@ class MessageSplitter:
         if length > MESSAGE_MAX_BYTES:
             raise InputError(
                 f"a message of {length} bytes or more; is this a stream in the format "
-                f"{self._framing!r} of phytac serve? {ASK}"
+                f"{self._framing!r} of phytac serve? {HINT}"
             )
         if not ready:
             return None
@@ -367,15 +334,15 @@ class MessageSplitter:
 
 def _parsed(text: bytes) -> Message:
     try:
-        message = json.loads(text, parse_constant=_refuse)
+        message = json.loads(text, parse_constant=_reject)
     except ValueError as error:
-        raise InputError(f"not a message of a stream: {cause_of(error)}; {ASK}") from None
+        raise InputError(f"not a message of a stream: {cause_of(error)}; {HINT}") from None
     except RecursionError:
-        raise InputError(f"not a message of a stream: nested too deeply; {ASK}") from None
+        raise InputError(f"not a message of a stream: nested too deeply; {HINT}") from None
     if not isinstance(message, dict) or not isinstance(message.get("type"), str):
-        raise InputError(f"not a message of a stream: no object with a 'type'; {ASK}")
+        raise InputError(f"not a message of a stream: no object with a 'type'; {HINT}")
     return message
 
 
-def _refuse(name: str) -> float:
+def _reject(name: str) -> float:
     raise ValueError(f"{name} is no number of JSON")

@@ -1,4 +1,4 @@
-"""Which blob is which marker: k-medoids-based coordinate matching to the rest frame."""
+"""Assignment of blobs to markers by k-medoids from the rest frame."""
 
 from dataclasses import dataclass
 
@@ -6,11 +6,6 @@ import numpy as np
 
 from phytac_decoder.vision.segmentation import Blobs
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-
-ROUNDS = 3
-"""Passes of assignment; each moves the medoids with their neighbourhood's motion."""
-BOX_MARGIN_px = 1.5
-"""A marker that was not found lies in another's paint if no farther from its box than this."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +19,7 @@ class Matched:
     found : (n,) bool
         Whether the marker was seen.
     merged : (n,) bool
-        Markers whose paint is one with another's: a place of theirs is that of neither.
+        Markers whose paint is one blob with another's: its centroid is that of neither.
     """
 
     position_px: FloatArray
@@ -40,17 +35,25 @@ def nearest_same_colour_px(rest_px: FloatArray, colour: IntArray) -> FloatArray:
     return np.asarray(distance.min(axis=1))
 
 
-def fill_from_neighbours(motion: FloatArray, neighbours: IntArray) -> FloatArray:
-    """Motion (n, 2) with that of markers that are not known (NaN) as their neighbours' median.
+def neighbour_median(values: FloatArray, neighbours: IntArray) -> FloatArray:
+    """Median (n, k) of the values (n, k) of each marker's neighbours (n, 8) that are not NaN.
 
-    0 where none of them is known.
+    NaN where none is known. Neighbours are -1 or n beyond a rim.
     """
-    around = np.concatenate([motion, np.full((1, 2), np.nan)])[neighbours]
-    lost = ~np.isfinite(motion[:, 0])
-    out = np.where(lost[:, None], 0.0, motion)
-    some = lost & np.isfinite(around[:, :, 0]).any(axis=1)
+    around = np.append(values, np.full((1, values.shape[1]), np.nan), axis=0)[neighbours]
+    out = np.full_like(values, np.nan)
+    some = np.isfinite(around[:, :, 0]).any(axis=1)
     out[some] = np.nanmedian(around[some], axis=1)
     return out
+
+
+def fill_from_neighbours(motion: FloatArray, neighbours: IntArray) -> FloatArray:
+    """Motion (n, 2) with that of unknown markers (NaN) replaced by their neighbours' median.
+
+    0 where none of the neighbours is known.
+    """
+    lost = ~np.isfinite(motion[:, :1])
+    return np.where(lost, np.nan_to_num(neighbour_median(motion, neighbours)), motion)
 
 
 def match_markers(
@@ -63,10 +66,9 @@ def match_markers(
     """Assign every blob to the medoid (expected position) nearest to it, of its own colour.
 
     As in the paper the number of clusters is known: one per marker, with the rest coordinates as
-    first medoids. A marker that paint or its own tip splits into several blobs gets the weighted
+    first medoids. A marker that its own tip splits into several blobs gets the weighted
     mean of all of them. After each pass the medoids move with the median motion of the marker and
-    its neighbours, so that a pressed marker that comes near another one's rest place is still
-    called by its own name.
+    its neighbours, so that a pressed marker near another one's rest position keeps its identity.
 
     Parameters
     ----------
@@ -85,15 +87,12 @@ def match_markers(
     gate = 0.6 * np.minimum(nearest_same_colour_px(rest_px, colour), 200.0)
     medoid = rest_px.copy()
     position, owner = np.full_like(rest_px, np.nan), np.full(len(blobs.colour), -1)
-    for _ in range(ROUNDS):
+    with_own = np.column_stack([np.arange(len(rest_px)), neighbours])
+    for _ in range(3):
         owner = _owners(blobs, medoid, colour, gate)
         position = _centroids(blobs, owner, len(rest_px))
         motion = position - rest_px
-        around = np.concatenate([motion, np.full((1, 2), np.nan)])[neighbours]
-        both = np.concatenate([motion[:, None], around], axis=1)
-        seen = np.isfinite(both[:, :, 0]).any(axis=1)
-        shift = np.zeros_like(rest_px)
-        shift[seen] = np.nanmedian(both[seen], axis=1)
+        shift = np.nan_to_num(neighbour_median(motion, with_own))
         own = np.isfinite(motion[:, 0])
         shift[own] = (shift[own] + motion[own]) / 2.0
         medoid = rest_px + shift
@@ -154,14 +153,14 @@ def _centroids(blobs: Blobs, owner: IntArray, count: int) -> FloatArray:
 def _merged(
     blobs: Blobs, owner: IntArray, medoid: FloatArray, colour: IntArray, found: BoolArray
 ) -> BoolArray:
-    """Markers (n,) that were not found, and lie in the paint of another one, and that one."""
+    """Markers (n,) that were not found and lie in the paint of another one, and that one."""
+    margin_px = 1.5
     out = np.zeros(len(found), dtype=np.bool_)
     named = np.flatnonzero(owner >= 0)
     for lost in np.flatnonzero(~found):
         box = blobs.box_px[named]
         inside = np.all(
-            (medoid[lost] >= box[:, :2] - BOX_MARGIN_px)
-            & (medoid[lost] <= box[:, 2:] + BOX_MARGIN_px),
+            (medoid[lost] >= box[:, :2] - margin_px) & (medoid[lost] <= box[:, 2:] + margin_px),
             axis=1,
         )
         whose = owner[named[inside & (blobs.colour[named] == colour[lost])]]

@@ -1,4 +1,4 @@
-"""Eyes: paint masks in YCbCr and sub-pixel blob centroids."""
+"""Segmentation: paint masks in YCbCr and sub-pixel blob centroids."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,20 +14,14 @@ from phytac_shapes.errors import InputError
 
 HUE_COSINE_MIN = 0.80
 """Chroma within about 37 degrees of a paint's own hue belongs to that paint."""
-RAMP = 0.2
-"""Chroma over the floor, as a fraction of the full one, from which on a pixel counts in full."""
-LEAST = 1e-6
-"""Of a painted pixel: none counts for nothing."""
-LABELS_MAX = 65000
-"""Most labels that 16-bit labelling is trusted with."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ColourModel:
     """Hue directions of the paints in the (Cr, Cb) plane.
 
-    A paint in shade keeps its hue and loses chroma, so a pixel's class is decided by direction,
-    and its coverage by how much of the paint's full chroma it has.
+    A paint in shade keeps its hue and loses chroma, so a pixel's class depends on the direction,
+    and its coverage on its share of the paint's full chroma.
 
     Attributes
     ----------
@@ -38,21 +32,20 @@ class ColourModel:
     floor : float
         Least chroma of a painted pixel, as a fraction of its paint's full chroma.
     ramp : float
-        Pixels count for their share of full chroma; from the floor on so much higher up less than
-        that, down to nothing: one that is about to fall below it does not pull the centroid, and
-        brightness moves none, as it would if all counted for what they have above the floor.
+        Pixels count by their share of full chroma, reduced linearly to zero over this range above
+        the floor, so that a pixel near the floor does not pull the centroid.
     """
 
     names: tuple[str, ...]
     chroma: FloatArray
     floor: float = 0.3
-    ramp: float = RAMP
+    ramp: float = 0.2
 
     def counts(self, share: FloatArray) -> FloatArray:
-        """What pixels with a share of their paint's full chroma count; 0 below the floor."""
+        """Weights of pixels by their share of their paint's full chroma; 0 below the floor."""
         whole = np.clip(share, 0.0, 1.0)
         if self.ramp > 0.0:
-            whole = whole * np.clip((share - self.floor) / self.ramp, LEAST, 1.0)
+            whole = whole * np.clip((share - self.floor) / self.ramp, 1e-6, 1.0)
         return np.where(share >= self.floor, whole, 0.0)
 
     @classmethod
@@ -76,6 +69,13 @@ class ColourModel:
         table = np.where(ok, best + 1, 0).astype(np.uint8)
         return table, self.counts(along / full)
 
+    @cached_property
+    def coverage_tables(self) -> NDArray[np.float32]:
+        """Coverage (k, 65536) by each paint over Cr · 256 + Cb; 0 where the class is another."""
+        classes, coverage = self._tables
+        own = classes == 1 + np.arange(len(self.names))[:, None]
+        return np.where(own, coverage.T, 0.0).astype(np.float32)
+
     def classify(self, image_bgr: ImageArray) -> tuple[ImageArray, NDArray[np.uint16]]:
         """Class of each pixel (h, w) uint8 and its flat index into the (Cr, Cb) tables."""
         ycc = cv2.cvtColor(image_bgr, cv2.COLOR_BGR2YCrCb)
@@ -85,7 +85,7 @@ class ColourModel:
         return self._tables[0][flat], flat
 
     def coverage(self, flat: NDArray[np.uint16], colour: int) -> FloatArray:
-        """How much of a paint's full chroma pixels have, in [0, 1]."""
+        """Coverage of pixels by a paint, in [0, 1]."""
         return np.asarray(self._tables[1][flat, colour])
 
 
@@ -106,7 +106,7 @@ class Blobs:
     box_px : (m, 4) int
         Left, top, right and bottom pixel of each.
     labels : (h, w) int32 or None
-        1 + blob index of each pixel, 0 outside blobs; only where asked for.
+        1 + blob index of each pixel, 0 outside blobs; if requested.
     """
 
     colour: IntArray
@@ -188,7 +188,7 @@ def _components(mask: ImageArray, area_min_px: int) -> tuple[NDArray[Any], IntAr
     # 16-bit labels are three times faster; a label starts at the beginning of a run of pixels, so
     # an image with fewer runs than 16-bit numbers cannot overflow them.
     runs = cv2.countNonZero(cv2.compare(mask[:, 1:], mask[:, :-1], cv2.CMP_GT)) + len(mask)
-    kind = cv2.CV_16U if runs < LABELS_MAX else cv2.CV_32S
+    kind = cv2.CV_16U if runs < 65000 else cv2.CV_32S
     count, own, stats, _ = cv2.connectedComponentsWithStats(mask, ltype=kind)
     keep = stats[:, cv2.CC_STAT_AREA] >= area_min_px
     keep[0] = False

@@ -1,4 +1,4 @@
-"""The digital channel: red tips in the image to bits b_1 … b_n."""
+"""The digital channel: which switches are on, by the red tips in the image."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,10 +9,10 @@ from phytac_decoder.vision.segmentation import Blobs
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 RED_AREA_MIN_px = 4.0
-"""Least red that counts as a tip."""
+"""Least red area that counts as a tip."""
 RED_RATIO_MIN = 1.3
-"""A switch can be read if its tip, when out, shows this many times its red at rest and more: what
-tells is half way between, and tips as printed and as pressed show an eighth more or less."""
+"""A switch can be read if its tip, when out, shows this many times its red at rest or more: the
+threshold is half way between, and printed and pressed tips show an eighth more or less."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,27 +33,26 @@ class TipModel:
 
     @cached_property
     def readable(self) -> BoolArray:
-        """Switches (n,) whose red tells on from off.
+        """Switches (n,) whose red differs enough between on and off.
 
-        A camera that looks straight into a hole sees the resting tip too: such a switch tells
-        little, whatever its threshold.
+        A camera that looks straight into a hole sees the resting tip too.
         """
         return np.asarray(self.red_on_px > RED_RATIO_MIN * self.red_rest_px + RED_AREA_MIN_px)
 
     def blind(self, played: BoolArray) -> IntArray:
-        """Switches (b,) among those that matter (n,) whose red does not tell."""
+        """Unreadable switches (b,) among those in play (n,)."""
         return np.flatnonzero(~self.readable & played)
 
     @property
     def threshold_px(self) -> FloatArray:
-        """A switch is on when it shows more red than this: half way between off and on."""
+        """Red area (n,) above which a switch is on: half way between off and on."""
         return np.maximum(0.5 * (self.red_rest_px + self.red_on_px), RED_AREA_MIN_px)
 
 
 def read_switches(
     blobs: Blobs, tips: TipModel, *, red_index: int, shift_px: FloatArray
 ) -> BoolArray:
-    """Bits (n,): each red blob counts for the tip expected nearest to it.
+    """Which switches (n,) are on: each red blob counts for the tip expected nearest to it.
 
     Parameters
     ----------
@@ -64,7 +63,7 @@ def read_switches(
     red_index : int
         Class of the red paint.
     shift_px : (n, 2) float
-        Shift of each marker in this frame: the tip moves with it; NaN counts as none.
+        Shift of each marker in this frame, with which the tip moves; NaN counts as none.
     """
     count = len(tips.on_px)
     pick = np.flatnonzero(blobs.colour == red_index)

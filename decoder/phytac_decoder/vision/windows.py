@@ -1,257 +1,286 @@
-"""Small square windows of a frame, one per spot of paint: its weight and centroid, fast.
+"""Square windows of a frame, one per spot of paint: the paint's area and centroid.
 
-A table over chroma (Cr, Cb), the colour model's own, gives each paint's coverage, and a matrix
-product sums the moments. Spots of one paint share no pixel: a
-window is cut half way between their edges.
+The colour model's coverage table over chroma (Cr, Cb) weights each pixel, and one matrix product
+per window size sums the moments. Windows of spots of one paint are cut at the border half way
+between them, so that no pixel counts for two spots.
 """
 
-from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from phytac_decoder.vision.colour_codes import Floats32, Picture
-from phytac_decoder.vision.window_batches import Block, Cuts, Space
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
-SLACK_px = (0.4, 1.0)
-"""A window is laid anew once its spot has moved this far: the less, the nearer rivals are."""
-SLACK_SHARE = 0.5
-"""Share of the clear way from a spot's edge to its border that either spot may move before."""
-CLASS_COST = 7000.0
-"""What another size of window costs in calls, in samples."""
-BLOCK_px = 1 << 16
-"""Windows of one size are split into blocks of so many pixels: they stay in the cache."""
-CALLS_px = 16000
-"""What turning pixels into codes costs in calls, for each block, in pixels of a whole frame."""
-PIXEL_COST = 1.2
-"""What it costs for a window's pixel over what it costs for one of a whole frame."""
+Floats32 = NDArray[np.float32]
+
+GROUP_OVERHEAD = 7000
+"""Windows of two sizes are read as one size if that costs fewer samples than this more."""
+GROUP_SAMPLES_MAX = 1 << 16
+"""Samples of windows that are read together: larger arrays leave the processor's cache."""
+SLACK_px = 0.75
+"""A window is placed and cut again after its spot has moved this far."""
 
 
 class Moments(NamedTuple):
-    """Paint of spots; arrays over m of them.
+    """Paint of m spots.
 
     ``weight`` (m,) px is the paint's area with partial pixels counted in part, ``centroid_px``
-    (m, 2) its centroid (no place at all without paint), ``rim`` (m,) the weight in the
-    outermost pixels of the window.
+    (m, 2) its centroid (meaningless without paint), ``rim`` (m,) the weight in the outermost
+    pixels of the window.
     """
 
     weight: FloatArray
     centroid_px: FloatArray
     rim: FloatArray
 
+    @classmethod
+    def of(cls, sums: Floats32, corner: IntArray) -> "Moments":
+        """Moments of weights, first moments and rims (m, 4) about the windows' corners (m, 2)."""
+        total = sums.astype(np.float64)
+        weight = total[:, 0]
+        centroid = total[:, 1:3] / np.maximum(weight, 1e-6)[:, None] + corner
+        return cls(weight, centroid, total[:, 3])
 
-class Windows:
-    """Windows that follow n spots of paint, in :func:`window_order`, over one camera's frames.
+
+def larger(offset: FloatArray) -> FloatArray:
+    """Size (m,) of offsets (m, 2) along x or y, whichever is larger."""
+    x, y = np.abs(offset).T
+    return np.asarray(np.maximum(x, y))
+
+
+def border_lines(own: FloatArray, rivals: FloatArray) -> Floats32:
+    """Borders half way between m spots and r rivals each.
+
+    Parameters
+    ----------
+    own : (m, 2) float
+        Spots, from their windows' corners, px.
+    rivals : (m, r, 2) float
+        Rivals minus spots, px.
+
+    Returns
+    -------
+    (m, r, 3) float32
+        Coefficients of 1, x and y: clipped to 0 … 1 they are the share with which the pixel at
+        (x, y) from the window's corner counts.
+    """
+    gap = np.maximum(np.hypot(rivals[:, :, 0], rivals[:, :, 1]), 1e-6)[:, :, None]
+    unit = rivals / gap
+    offset = 0.5 * (gap + 1.0) + (own[:, None] * unit).sum(axis=2, keepdims=True)
+    return np.concatenate([offset, -unit], axis=2, dtype=np.float32)
+
+
+class WindowGroup:
+    """Windows of one size, read together.
+
+    Parameters
+    ----------
+    spots : (m,) int
+        Numbers of the windows' spots, ordered by paint.
+    paint : (m,) int
+        Their paints: rows of ``tables``.
+    side, stride : int
+        Pixels per side, and from one sample to the next.
+    tables : (k, 65536) float32
+        Coverage of each paint over Cr · 256 + Cb.
+
+    Attributes
+    ----------
+    mask : (m, samples) float32
+        Share with which each sample counts.
+    """
+
+    def __init__(
+        self, spots: IntArray, paint: IntArray, side: int, stride: int, tables: Floats32
+    ) -> None:
+        self.spots, self.side, self.stride = spots, side, stride
+        offset = np.arange(0, side, stride, dtype=np.float32)
+        self._rows, self._row = len(offset), np.dtype((np.void, 3 * side))
+        x, y = (part.ravel() for part in np.meshgrid(offset, offset))
+        rim = (x == 0) | (y == 0) | (x == offset[-1]) | (y == offset[-1])
+        self._plane = np.stack([np.ones_like(x), x, y])
+        # One sample stands for stride² pixels.
+        self._basis = np.float32(stride**2) * np.column_stack([*self._plane, rim])
+        self.mask = np.ones((len(spots), len(x)), dtype=np.float32)
+        self._cover = np.empty_like(self.mask)
+        edges = [0, *(np.flatnonzero(np.diff(paint)) + 1).tolist(), len(spots)]
+        self._lookups = [
+            (slice(start * len(x), stop * len(x)), tables[paint[start]][None])
+            for start, stop in pairwise(edges)
+            if stop > start
+        ]
+        # One long row: OpenCV's vector instructions leave the end of each row to slower ones.
+        pixels = len(spots) * self._rows * side
+        self._ycc: ImageArray = np.empty((1, pixels, 3), dtype=np.uint8)
+        self._planes: list[ImageArray] = [np.empty((1, pixels), dtype=np.uint8) for _ in range(3)]
+        self._chroma: ImageArray = np.empty((1, pixels, 2), dtype=np.uint8)
+
+    def cut(self, rows: IntArray, lines: Floats32) -> None:
+        """Cut windows ``rows`` (m,) by borders (m, r, 3); each sample counts by the nearest."""
+        last = self._plane[1, -1]
+        # The least value that a border has in the window is that of its farthest corner.
+        least = lines[:, :, 0] + last * np.minimum(lines[:, :, 1:], 0.0).sum(axis=2)
+        crossing = (least < 1.0).any(axis=0)
+        used = lines[:, crossing]
+        share = (used.reshape(-1, 3) @ self._plane).reshape(*used.shape[:2], self.mask.shape[1])
+        self.mask[rows] = np.maximum(share.min(axis=1, initial=1.0), 0.0)
+
+    def coverage(self, frame: ImageArray, corner: IntArray) -> Floats32:
+        """Coverage (m, samples) in windows with first pixels ``corner`` (m, 2), as cut."""
+        height, width = frame.shape[:2]
+        side, stride = self.side, self.stride
+        # All windows there can be, by their first pixels; each row is one item, copied as a whole.
+        windows = np.ndarray(
+            ((height - side) * width + width - side + 1, self._rows),
+            self._row,
+            buffer=frame,
+            strides=(3, 3 * width * stride),
+        )
+        pixels = windows[corner[:, 1] * width + corner[:, 0]].view(np.uint8).reshape(1, -1, 3)
+        cv2.cvtColor(pixels, cv2.COLOR_BGR2YCrCb, dst=self._ycc)
+        cv2.split(self._ycc, self._planes)
+        # Cb first: the low byte.
+        cv2.merge([self._planes[2], self._planes[1]], self._chroma)
+        codes = self._chroma.view(np.uint16).reshape(-1, side)[:, ::stride].reshape(1, -1)
+        cover = self._cover.reshape(1, -1)
+        for part, table in self._lookups:
+            cv2.LUT(codes[:, part], table, dst=cover[:, part])
+        self._cover *= self.mask
+        return self._cover
+
+    def sums(self, frame: ImageArray, corner: IntArray) -> Floats32:
+        """Weight, first moments about the windows' corners, and rim: (m, 4)."""
+        return np.asarray(self.coverage(frame, corner) @ self._basis)
+
+
+class PaintWindows:
+    """Windows that follow n spots of paint over one camera's frames.
 
     Parameters
     ----------
     half_px : (n,) float
         From a spot's centre to the edge of its window.
-    reach_px : (n,) float
-        From there to the edge of its paint.
     paint : (n,) int
         Its paint: row of ``tables``.
     tables : (k, 65536) float32
-        From :func:`coverage_tables`.
+        From :meth:`phytac_decoder.vision.segmentation.ColourModel.coverage_tables`.
     rivals : (n, r) int
         Spots of the same paint nearby, nearest first; n for none.
-    skew_px : (n, r) float
-        How much nearer to the rival the border lies than half way: half of how much the spot
-        reaches farther towards the rival than the rival does towards it.
-    picture : Picture
-        What to look at, as it is at each look.
+    size_px : (int, int)
+        Width and height of the frames.
     stride : (n,) int
-        2 takes every other pixel in both directions, and so on.
+        2 reads every other pixel in both directions, and so on.
     """
 
     def __init__(
         self,
         *,
         half_px: FloatArray,
-        reach_px: FloatArray,
         paint: IntArray,
         tables: Floats32,
         rivals: IntArray,
-        skew_px: FloatArray,
-        picture: Picture,
+        size_px: tuple[int, int],
         stride: IntArray,
     ) -> None:
         count = len(half_px)
-        height, width = picture.codes.shape
-        size_px = width, height
-        self._picture, self._size, self._tables = picture, np.array(size_px), tables
-        self._rivals, self._skew, self._paint, self._stride = rivals, skew_px, paint, stride
-        self._rival_of = np.ascontiguousarray(rivals.T)
-        self._side = _sides(half_px, stride, size_px)
-        self._alone = (rivals == count).all(axis=1)
-        self._reach, self._slack = reach_px, np.full((count, 1), SLACK_px[1])
+        self._size, self._tables = np.array(size_px), tables
+        self._rivals, self._paint, self._stride = rivals, paint, stride
+        self._side = self._odd_side(half_px, stride)
+        for step in np.unique(stride):
+            self._side[stride == step] = _merged_sizes(self._side[stride == step], step)
         self._anchor = np.full((count, 2), np.inf)
-        self._origin, self._corner = np.zeros((count, 2)), np.zeros(count, dtype=np.int64)
-        self._sums = np.zeros((count, 4), dtype=np.float32)
-        kinds = np.unique(np.column_stack([stride, self._side]), axis=0).tolist()
-        parts = []
-        for step, each in kinds:
-            spots = np.flatnonzero((self._side == each) & (stride == step))
-            most = max(BLOCK_px // (len(range(0, each, step)) * each), 1)
-            pieces = np.array_split(spots, -(-len(spots) // most))
-            parts += [(piece, each, step) for piece in pieces]
-        space = Space.of([(len(spots), side, step) for spots, side, step in parts])
-        self._blocks = [self._block(spots, side, step, space) for spots, side, step in parts]
-        # What each look hands to each block.
-        self._work = [
-            (block, self._corner[block.part], self._sums[block.part]) for block in self._blocks
-        ]
-        self._firsts = [block.first for block in self._blocks]
-        self._steps = np.array([1, size_px[0]])
-        self.pixels = sum(block.mask.size for block in self._blocks)
-
-    def _block(self, spots: IntArray, side: int, stride: int, space: Space) -> Block:
-        paint = self._paint[spots]
-        change = [0, *(np.flatnonzero(np.diff(paint)) + 1).tolist(), len(spots)]
-        tables = [
-            (start, stop, self._tables[paint[start]][None])
-            for start, stop in pairwise(change)
-            if stop > start
-        ]
-        return Block(
-            first=int(spots[0]),
-            spots=len(spots),
-            side=side,
-            stride=stride,
-            paints=tables,
-            space=space,
-            picture=self._picture,
-        )
-
-    def look(self, centre_px: FloatArray) -> Moments:
-        """Moments of all spots, where each is expected: (n, 2), finite."""
-        moved = np.abs(centre_px - self._anchor) > self._slack
-        if moved.any():
-            self._follow(moved.any(axis=1), centre_px)
-        for block, corner, sums in self._work:
-            block.sums(corner, sums)
-        return _moments(self._sums, self._origin)
-
-    def look_at(self, spots: IntArray, centre_px: FloatArray, more_px: float) -> Moments:
-        """Moments of ``spots`` (m,) in windows that reach ``more_px`` farther than usual.
-
-        Parameters
-        ----------
-        centre_px : (n, 2) float
-            Where all spots are expected: the others are rivals.
-        """
-        stride = int(self._stride[spots].min())
-        half = (int(self._side[spots].max()) // 2 + more_px) / stride
-        most = (int(self._size.min()) - 1) // (2 * stride)
-        side = 2 * stride * min(int(np.ceil(half)), most) + 1
-        order = np.argsort(self._paint[spots], kind="stable")
-        own, sides = spots[order], np.full(len(spots), side)
-        block = self._block(own, side, stride, Space.of([(len(own), side, stride)]))
-        origin = self._placed(centre_px[own], sides)
-        rows = np.arange(len(own))
-        block.lay(rows, self._cuts(own, origin, sides, centre_px), slice(None))
-        sums = np.zeros((len(own), 4), dtype=np.float32)
-        block.sums(origin @ self._steps, sums)
-        back = np.argsort(order)
-        return _moments(sums[back], origin[back])
+        self._corner = np.zeros((count, 2), dtype=np.int64)
+        self._groups = []
+        for step, side in np.unique(np.column_stack([stride, self._side]), axis=0).tolist():
+            spots = np.flatnonzero((self._side == side) & (stride == step))
+            spots = spots[np.argsort(paint[spots], kind="stable")]
+            samples = len(spots) * len(range(0, side, step)) ** 2
+            for part in np.array_split(spots, -(-samples // GROUP_SAMPLES_MAX)):
+                self._groups.append(WindowGroup(part, paint[part], side, step, tables))
 
     @property
-    def convert_cost(self) -> float:
-        """What it costs to turn each window into codes by itself, in pixels of a whole frame."""
-        pixels = sum(block.mask.size * block.stride for block in self._blocks)
-        return PIXEL_COST * pixels + CALLS_px * len(self._blocks)
+    def pixels(self) -> int:
+        """Pixels read of each frame."""
+        return sum(group.mask.size for group in self._groups)
 
-    def border_weight(self) -> FloatArray:
-        """Paint (n,) px of each spot, where the last look saw it, on a border to a rival."""
-        out = np.zeros(len(self._sums))
-        for block, corner, _ in self._work:
-            cover = block.cover(corner).reshape(block.mask.shape)
-            on = np.where(block.mask < 1.0, cover, 0.0)
-            out[block.part] = on.sum(axis=(1, 2)) * block.stride**2
+    def look(self, frame: ImageArray, centre_px: FloatArray) -> Moments:
+        """Moments of all spots, near where each is expected: (n, 2), finite."""
+        moved = larger(centre_px - self._anchor) > SLACK_px
+        if moved.any():
+            self._place(moved, centre_px)
+        sums = np.empty((len(moved), 4), dtype=np.float32)
+        for group in self._groups:
+            sums[group.spots] = group.sums(frame, self._corner[group.spots])
+        return Moments.of(sums, self._corner)
+
+    def look_wider(
+        self, frame: ImageArray, spots: IntArray, centre_px: FloatArray, more_px: float
+    ) -> Moments:
+        """Moments of ``spots`` (m,) in windows that reach ``more_px`` farther than usual.
+
+        ``centre_px`` (n, 2) is where all spots are expected: the others are rivals.
+        """
+        stride = self._stride[spots].min()
+        half = self._side[spots].max() // 2 + more_px
+        (side,) = self._odd_side(np.array([half]), stride)
+        order = np.argsort(self._paint[spots], kind="stable")
+        own = spots[order]
+        group = WindowGroup(own, self._paint[own], int(side), int(stride), self._tables)
+        corner = self._corners(centre_px[own], side)
+        group.cut(np.arange(len(own)), self._lines(own, corner, centre_px))
+        back = np.argsort(order)
+        return Moments.of(group.sums(frame, corner)[back], corner[back])
+
+    def border_weight(self, frame: ImageArray) -> FloatArray:
+        """Paint (n,) px of each spot, as placed in the last look, on a border to a rival."""
+        out = np.zeros(len(self._side))
+        for group in self._groups:
+            cover = group.coverage(frame, self._corner[group.spots])
+            on_border = np.where(group.mask < 1.0, cover, 0.0).sum(axis=1)
+            out[group.spots] = on_border * group.stride**2
         return out
 
-    def _placed(self, centre: FloatArray, side: IntArray) -> IntArray:
+    def _odd_side(self, half: FloatArray, stride: IntArray) -> IntArray:
+        """Pixels per side (m,), an odd number of samples, that fits into the frame."""
+        most = np.maximum((int(self._size.min()) - 1) // (2 * stride), 1)
+        steps = np.clip(np.ceil(half / stride).astype(np.int64), 1, most)
+        return np.asarray(2 * stride * steps + 1)
+
+    def _corners(self, centre: FloatArray, side: IntArray) -> IntArray:
         """First column and row (m, 2) of windows around centres (m, 2)."""
-        corner = np.rint(centre).astype(np.int64) - (side // 2)[:, None]
-        return np.asarray(np.minimum(np.maximum(corner, 0), self._size - side[:, None]))
+        side = np.reshape(side, (-1, 1))
+        corner = np.rint(centre).astype(np.int64) - side // 2
+        return np.asarray(np.clip(corner, 0, self._size - side))
 
-    def _follow(self, moved: BoolArray, centre: FloatArray) -> None:
-        """Lay windows anew where spots, or their rivals, have moved."""
-        which = np.flatnonzero(moved)
-        self._anchor[which] = centre[which]
-        origin = self._placed(centre[which], self._side[which])
-        self._origin[which], self._corner[which] = origin, origin @ self._steps
-        near = np.append(moved, False)[self._rival_of].any(axis=0)
-        near |= moved
-        near &= ~self._alone
-        spots = np.flatnonzero(near)
-        if len(spots) == 0:
-            return
-        cuts = self._cuts(spots, self._origin[spots], self._side[spots], centre)
-        clear = SLACK_SHARE * (cuts.nearest - self._reach[spots])
-        least, most = SLACK_px
-        self._slack[spots, 0] = np.minimum(np.maximum(clear, least), most)
-        edges = np.searchsorted(spots, self._firsts).tolist()
-        for block, start, stop in zip(self._blocks, edges, [*edges[1:], len(spots)], strict=True):
-            if stop > start:
-                block.lay(spots[start:stop] - block.first, cuts, slice(start, stop))
-
-    def _cuts(
-        self, spots: IntArray, origin: FloatArray | IntArray, side: IntArray, centre: FloatArray
-    ) -> Cuts:
-        everywhere = np.concatenate([centre, np.full((1, 2), 1e6)])
+    def _lines(self, spots: IntArray, corner: IntArray, centre: FloatArray) -> Floats32:
         own = centre[spots]
-        return Cuts.between(
-            own - origin,
-            everywhere[self._rivals[spots]] - own[:, None],
-            self._skew[spots],
-            side.astype(np.float64) - 1.0,
-        )
+        rivals = np.append(centre, [[1e6, 1e6]], axis=0)[self._rivals[spots]]
+        return border_lines(own - corner, rivals - own[:, None])
+
+    def _place(self, moved: BoolArray, centre: FloatArray) -> None:
+        """Place windows of moved spots (n,) again; cut them and those of their rivals."""
+        self._anchor[moved] = centre[moved]
+        self._corner[moved] = self._corners(centre[moved], self._side[moved])
+        near = moved | np.append(moved, False)[self._rivals].any(axis=1)
+        lines = self._lines(np.flatnonzero(near), self._corner[near], centre)
+        number = np.cumsum(near) - 1
+        for group in self._groups:
+            rows = np.flatnonzero(near[group.spots])
+            if len(rows):
+                group.cut(rows, lines[number[group.spots[rows]]])
 
 
-def _moments(sums: Floats32, origin: FloatArray | IntArray) -> Moments:
-    """Moments of sums (m, 4) over windows with corners ``origin``."""
-    total = sums.astype(np.float64)
-    weight = total[:, 0]
-    centroid = total[:, 1:3]
-    centroid /= np.maximum(weight, 1e-6)[:, None]
-    centroid += origin
-    return Moments(weight, centroid, total[:, 3])
-
-
-def window_order(
-    half_px: FloatArray, paint: IntArray, stride: IntArray, size_px: tuple[int, int]
-) -> IntArray:
-    """Order (n,) in which :class:`Windows` wants its spots: by window, then by paint."""
-    return np.lexsort((paint, _sides(half_px, stride, size_px), stride))
-
-
-def _sides(half_px: FloatArray, stride: IntArray, size_px: tuple[int, int]) -> IntArray:
-    """Pixels a side (n,) of windows; an odd number of samples."""
-    most = np.maximum((min(size_px) - 1) // (2 * stride), 1)
-    steps = np.clip(np.ceil(half_px / stride).astype(np.int64), 1, most)
-    side: IntArray = 2 * stride * steps + 1
-    for each in np.unique(stride):
-        side[stride == each] = _grouped(side[stride == each], int(each))
-    return side
-
-
-def _grouped(side: IntArray, stride: int) -> IntArray:
-    """Sides (n,) rounded up to a few: fewest pixels, with a price on each further size."""
-    sizes, count = np.unique(side, return_counts=True)
-    most = len(sizes)
-    best: list[tuple[float, Sequence[int]]] = [(0.0, ())]
-    for stop in range(1, most + 1):
-        area = (float(sizes[stop - 1]) / stride) ** 2
-        choices = [
-            (
-                best[start][0] + CLASS_COST + area * float(count[start:stop].sum()),
-                (*best[start][1], stop - 1),
-            )
-            for start in range(stop)
-        ]
-        best.append(min(choices))
-    chosen = sizes[list(best[most][1])]
-    return np.asarray(chosen[np.searchsorted(chosen, side)])
+def _merged_sizes(side: IntArray, stride: int) -> IntArray:
+    """Sides (n,) rounded up to a few sizes."""
+    sizes, counts = np.unique(side, return_counts=True)
+    while len(sizes) > 1:
+        more = counts[:-1] * np.diff((sizes / stride) ** 2)
+        least = int(np.argmin(more))
+        if more[least] > GROUP_OVERHEAD:
+            break
+        counts[least + 1] += counts[least]
+        sizes, counts = np.delete(sizes, least), np.delete(counts, least)
+    return np.asarray(sizes[np.searchsorted(sizes, side)])
