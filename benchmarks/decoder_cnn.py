@@ -9,6 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.cnn_baseline import (
+    TrainedCnn,
+    TrainingSettings,
+    marker_forces,
+    places_in_frame,
+    read_frames,
+    train_cnn,
+)
 from benchmarks.decoder_data import SEED, data_folder, data_set, job_of, origin, small_design
 from benchmarks.decoder_speed import SMALL, before_camera
 from benchmarks.harness import Table
@@ -17,8 +25,6 @@ from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import camera_of
 from phytac_design.simulation.run.job import Job
-from phytac_design.training.cnn import CnnTrained, Lessons, train_cnn
-from phytac_design.training.cnn_data import marker_forces, places_in_frame, read_frames
 from phytac_design.training.evaluation.scores import Bootstrap
 from phytac_design.training.levenberg_marquardt import split_samples
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -68,8 +74,8 @@ def job(*, quick: bool) -> tuple[str, Job, tuple[int, ...]]:
 
 
 def learn(
-    name: str, made: Job, samples: Samples, order: IntArray, how: Lessons
-) -> tuple[CnnTrained, IntArray]:
+    name: str, made: Job, samples: Samples, order: IntArray, how: TrainingSettings
+) -> tuple[TrainedCnn, IntArray]:
     """Train on samples in a given order, shared out 8.5 : 0.5 : 1; and those it learnt from."""
     images = read_frames(data_folder() / name, order)
     training, validation, _ = split_samples(len(order), seed=SEED)
@@ -81,7 +87,7 @@ def learn(
         training=training,
         validation=validation,
         seed=SEED,
-        lessons=how,
+        settings=how,
     )
     return trained, np.sort(order[training])
 
@@ -100,7 +106,7 @@ def _places(made: Job) -> FloatArray:
     return places_in_frame(camera.project(markers.tip_mm), size)
 
 
-def judge(name: str, trained: CnnTrained, samples: Samples, held: IntArray) -> ContactForces:
+def judge(name: str, trained: TrainedCnn, samples: Samples, held: IntArray) -> ContactForces:
     """Contacts of held-out samples as the network reads them."""
     truth, touches = samples.truth, samples.touches
     if truth is None or touches is None:
@@ -129,7 +135,7 @@ def add_rows(table: Table, *, quick: bool) -> None:
     usable = np.flatnonzero(samples.status != FAILED)
     # The rig goes column by column: drawn at random, no side is left out.
     order = np.random.default_rng(SEED).permutation(usable)
-    how = Lessons(epochs=2) if quick else Lessons()
+    how = TrainingSettings(epochs=2) if quick else TrainingSettings()
     about = f"{origin(name, meta)}; {CONDITIONS}"
     for count in counts:
         trained, taught = learn(name, made, samples, order[:count], how)
@@ -148,7 +154,7 @@ def add_rows(table: Table, *, quick: bool) -> None:
 def _add(
     table: Table,
     count: int,
-    trained: CnnTrained,
+    trained: TrainedCnn,
     known: ContactForces,
     found: ContactForces,
     about: str,

@@ -217,7 +217,7 @@ def _difference_rows(table: Table, head: str, alone: DecodedFilm, followed: Deco
             for a, b in zip(one.found.contacts, two.found.contacts, strict=True)
         ]
     went = sum(
-        bool(two.found and two.found.stand and two.found.stand.age) for two in followed.readings
+        bool(two.found and two.found.state and two.found.state.age) for two in followed.readings
     )
     table.add(
         f"{head}: auto, gone on against by itself: forces apart, p99",

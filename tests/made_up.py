@@ -8,7 +8,7 @@ from phytac_shapes.arrays import FloatArray
 
 def found_of(*contacts: LocatedContact, shift_px: FloatArray) -> ContactDetection:
     """What a frame told, made up."""
-    return ContactDetection(contacts=list(contacts), misfit=1.0, shift_px=shift_px)
+    return ContactDetection(contacts=list(contacts), reduced_chi2=1.0, shift_px=shift_px)
 
 
 def at(

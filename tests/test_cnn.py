@@ -9,15 +9,18 @@ import numpy as np
 import pytest
 import torch
 
-from phytac_design.datasets.samples import FAILED
-from phytac_design.training.cnn import CnnTrained, Lessons, parameter_count, train_cnn
-from phytac_design.training.cnn_data import (
+from benchmarks.cnn_baseline import (
     FRAME_PX,
+    TrainedCnn,
+    TrainingSettings,
     marker_forces,
+    parameter_count,
     places_in_frame,
     read_frames,
     reduced,
+    train_cnn,
 )
+from phytac_design.datasets.samples import FAILED
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import InputError, NumericalError
 from tests.decoder.drawn_samples import drawn
@@ -26,7 +29,7 @@ WIDTH, HEIGHT = 32, 24
 REST_PX = np.array([[x, y] for y in (5.5, 11.5, 17.5) for x in (5.5, 15.5, 25.5)])
 PLACES = places_in_frame(REST_PX, (WIDTH, HEIGHT))
 COUNT, TRAIN = 100, 60
-QUICK = Lessons(epochs=30, patience=30, batch=10, rate=1e-3)
+QUICK = TrainingSettings(epochs=30, patience=30, batch=10, rate=1e-3)
 
 
 def pictures(seed: int) -> tuple[FloatArray, BoolArray, FloatArray]:
@@ -44,7 +47,7 @@ def pictures(seed: int) -> tuple[FloatArray, BoolArray, FloatArray]:
     return np.repeat(grey[..., None], 3, axis=3).astype(np.float32), on, force
 
 
-def learn(seed: int = 0, **changes: Any) -> CnnTrained:
+def learn(seed: int = 0, **changes: Any) -> TrainedCnn:
     images, on, force = pictures(1)
     given: dict[str, Any] = {
         "images": images,
@@ -53,24 +56,24 @@ def learn(seed: int = 0, **changes: Any) -> CnnTrained:
         "places": PLACES,
         "training": np.arange(TRAIN),
         "validation": np.arange(TRAIN, 75),
-        "lessons": QUICK,
+        "settings": QUICK,
     } | changes
     return train_cnn(given.pop("images"), given.pop("on"), given.pop("force_N"), seed=seed, **given)
 
 
 @pytest.fixture(scope="module")
-def trained() -> CnnTrained:
+def trained() -> TrainedCnn:
     return learn()
 
 
-def test_the_number_of_parameters_is_the_papers(trained: CnnTrained) -> None:
+def test_the_number_of_parameters_is_the_papers(trained: TrainedCnn) -> None:
     convolutions = 448 + 3480 + 13888 + 36928 + 73856
     hidden = (301 + 1) * 656 + (656 + 1) * 656 + 657
     assert parameter_count() == trained.parameters == convolutions + hidden == 758_361
     assert round(parameter_count() / 1e3, 1) == 758.4
 
 
-def test_it_learns_forces_it_has_not_seen(trained: CnnTrained) -> None:
+def test_it_learns_forces_it_has_not_seen(trained: TrainedCnn) -> None:
     images, on, force = pictures(2)
     found = trained.forces(images, on)
     guess = np.abs(force[on] - force[on].mean()).mean()
@@ -82,15 +85,15 @@ def test_it_learns_forces_it_has_not_seen(trained: CnnTrained) -> None:
     assert trained.forces(np.repeat(trained.rest[None], COUNT, axis=0), on)[on].max() < 1.5
 
 
-def test_the_rest_frame_is_found_among_pressed_ones(trained: CnnTrained) -> None:
+def test_the_rest_frame_is_found_among_pressed_ones(trained: TrainedCnn) -> None:
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     gap = (x - REST_PX[:, 0, None, None]) ** 2 + (y - REST_PX[:, 1, None, None]) ** 2
     still = 120.0 - 80.0 * np.exp(-gap / 4.5).sum(axis=0)
     np.testing.assert_allclose(trained.rest[..., 0], still, atol=1.0)
 
 
-def test_the_seed_decides(trained: CnnTrained) -> None:
-    few = {"lessons": replace(QUICK, epochs=2)}
+def test_the_seed_decides(trained: TrainedCnn) -> None:
+    few = {"settings": replace(QUICK, epochs=2)}
     state = torch.random.get_rng_state()
     first, again, other = learn(3, **few), learn(3, **few), learn(4, **few)
     assert torch.equal(torch.random.get_rng_state(), state)
@@ -110,11 +113,11 @@ def test_it_stops_when_nothing_is_gained(monkeypatch: pytest.MonkeyPatch) -> Non
         return shuffle(count)
 
     monkeypatch.setattr(torch, "randperm", counted)
-    stopped = learn(force_N=shuffled, lessons=replace(QUICK, patience=3, epochs=60))
+    stopped = learn(force_N=shuffled, settings=replace(QUICK, patience=3, epochs=60))
     assert len(rounds) == stopped.rounds + 3 < 60
 
 
-def test_it_sees_around_a_marker(trained: CnnTrained) -> None:
+def test_it_sees_around_a_marker(trained: TrainedCnn) -> None:
     at = 4
     on = np.zeros((2, 9), dtype=np.bool_)
     on[:, at] = True
@@ -126,14 +129,14 @@ def test_it_sees_around_a_marker(trained: CnnTrained) -> None:
     assert abs(changed - still) > 0.1
 
 
-def test_no_force_pulls(trained: CnnTrained) -> None:
+def test_no_force_pulls(trained: TrainedCnn) -> None:
     images, on, _ = pictures(2)
     bias = {"head.bias": trained.weights["head.bias"] - 100.0}
     pulling = replace(trained, weights=trained.weights | bias)
     np.testing.assert_array_equal(pulling.forces(images, on), 0.0)
 
 
-def test_a_batch_of_any_size_gives_the_same(trained: CnnTrained) -> None:
+def test_a_batch_of_any_size_gives_the_same(trained: TrainedCnn) -> None:
     images, on, _ = pictures(2)
     whole = trained.forces(images, on)
     np.testing.assert_allclose(trained.forces(images[:1], on[:1]), whole[:1], atol=1e-5)
@@ -144,7 +147,7 @@ def test_a_batch_of_any_size_gives_the_same(trained: CnnTrained) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"training": np.arange(80)}, "cannot both teach and say when to stop"),
+        ({"training": np.arange(80)}, "in both training and validation"),
         ({"validation": np.arange(0)}, "carries a force in 0 samples"),
         ({"force_N": np.zeros((COUNT, 9))}, "carries a force in 60 samples"),
         ({"places": PLACES[:8]}, "places"),
@@ -152,17 +155,17 @@ def test_a_batch_of_any_size_gives_the_same(trained: CnnTrained) -> None:
         ({"images": np.zeros((COUNT, HEIGHT, WIDTH), dtype=np.float32)}, "frames"),
     ],
 )
-def test_what_teaches_nothing_is_refused(changes: dict[str, Any], message: str) -> None:
+def test_unusable_training_data_are_rejected(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         learn(**changes)
 
 
-def test_a_loss_that_is_no_number_is_told() -> None:
+def test_a_loss_that_is_no_number_raises() -> None:
     with pytest.raises(NumericalError, match="lower the rate"):
-        learn(lessons=replace(QUICK, rate=1e30, epochs=2, patience=2))
+        learn(settings=replace(QUICK, rate=1e30, epochs=2, patience=2))
 
 
-def test_frames_of_another_size_are_refused(trained: CnnTrained) -> None:
+def test_frames_of_another_size_are_rejected(trained: TrainedCnn) -> None:
     images, on, _ = pictures(2)
     with pytest.raises(InputError, match="reduce frames to that size"):
         trained.forces(images[:, :20], on)

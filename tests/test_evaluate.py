@@ -64,7 +64,8 @@ def judge(tmp_path: Path) -> Callable[..., Path]:
             meta = metas[number] if metas else toy_meta()
             write_samples(folders[-1], samples, meta)
         settings = {"out": tmp_path / "result", "progress": lambda _: None} | options
-        return evaluate(tmp_path / "decoder", folders, **settings).out
+        evaluate(tmp_path / "decoder", folders, **settings)
+        return Path(settings["out"])
 
     return run
 
@@ -123,7 +124,7 @@ def test_missed_and_false_switches_failed_samples_and_light_touches_are_counted(
     np.testing.assert_allclose(value[3:], samples.touches.force_N[4:])
 
 
-def test_contacts_that_share_a_switch_are_judged_by_what_its_owner_carries() -> None:
+def test_contacts_that_share_a_switch_are_evaluated_by_what_its_owner_carries() -> None:
     samples = toy_samples(1, contacts_max=1)
     assert samples.touches is not None
     two = {
@@ -188,7 +189,7 @@ def test_places_are_shares_of_the_way() -> None:
     np.testing.assert_allclose(where.around, [0.0, 0.25, 0.95], atol=1e-12)
 
 
-def test_files_say_what_was_found(judge: Callable[..., Path]) -> None:
+def test_files_hold_the_results(judge: Callable[..., Path]) -> None:
     samples = toy_samples(60, noise_px=0.1)
     out = judge(samples)
     facts = facts_of(out)
@@ -214,7 +215,7 @@ def test_files_say_what_was_found(judge: Callable[..., Path]) -> None:
     assert "in simulation" in text
 
 
-def test_pictures_can_be_looked_at_and_change_with_the_data(judge: Callable[..., Path]) -> None:
+def test_pictures_are_readable_and_change_with_the_data(judge: Callable[..., Path]) -> None:
     out = judge(toy_samples(40, noise_px=0.1))
     first = {path.name: path.read_bytes() for path in sorted(out.glob("*.png"))}
     assert sorted(first) == [
@@ -253,7 +254,7 @@ def test_dots_stand_where_they_belong() -> None:
     assert abs(low[1] - high[1]) < 2.0
 
 
-def test_real_data_claim_nothing_of_their_switches(judge: Callable[..., Path]) -> None:
+def test_real_data_report_nothing_about_their_switches(judge: Callable[..., Path]) -> None:
     real = replace(toy_meta(), simulated=False, route="camera", seed=None)
     out = judge(toy_samples(30), metas=(real,))
     assert facts_of(out)["switches"] is None
@@ -300,7 +301,7 @@ def test_light_touches_and_failures_reach_the_tables(judge: Callable[..., Path])
         judge(replace(samples, truth=empty, bits=dark, bits_read=dark))
 
 
-def test_what_cannot_be_judged_is_refused(judge: Callable[..., Path], tmp_path: Path) -> None:
+def test_what_cannot_be_evaluated_is_rejected(judge: Callable[..., Path], tmp_path: Path) -> None:
     samples = toy_samples(10)
     bare = replace(samples, bits=None, bits_read=None, shift_px=None, touches=None, truth=None)
     with pytest.raises(InputError, match="holds no points"):
@@ -329,7 +330,7 @@ def wider(bundle: Bundle) -> ForceModel:
     return replace(bundle.model, compliance_px=np.eye(2 * N + 2)[:, ::2])
 
 
-def test_a_design_tells_heights_and_sides(tmp_path: Path) -> None:
+def test_a_design_gives_heights_and_sides(tmp_path: Path) -> None:
     design = small()
     bundle = replace(TOY, design=design.name, design_hash=design_hash(design))
     save_bundle(bundle, tmp_path / "decoder")
@@ -354,9 +355,7 @@ def test_a_design_tells_heights_and_sides(tmp_path: Path) -> None:
     assert "By side" in (tmp_path / "there" / "tables.md").read_text()
 
 
-def test_judging_on_what_was_learnt_from_is_told(
-    judge: Callable[..., Path], tmp_path: Path
-) -> None:
+def test_evaluation_on_training_data_warns(judge: Callable[..., Path], tmp_path: Path) -> None:
     said: list[str] = []
     judge(toy_samples(), progress=said.append)
     assert not any("was trained on" in text for text in said)

@@ -58,23 +58,23 @@ def test_the_file_computes_what_numpy_does(
     bundle: Path, tmp_path: Path, name: str, count: int
 ) -> None:
     out = tmp_path / "deep" / "network.onnx"
-    done = export_onnx(bundle, out, estimator=name)
+    difference = export_onnx(bundle, out, estimator=name)
     network, x = load_bundle(bundle).model.networks[name], features(count)
     (answer,) = ReferenceEvaluator(str(out)).run(["stiffness_N_per_mm"], {"features_mm": x})
     found = np.asarray(answer, dtype=np.float64)
     wanted = network(x)
     assert found.shape == (count,)
     np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-12 * np.abs(wanted).max())
-    assert done.difference <= 1e-12
+    assert difference <= 1e-12
     assert [path.name for path in out.parent.iterdir()] == ["network.onnx"]
 
 
 def test_the_file_explains_itself(bundle: Path, tmp_path: Path) -> None:
     out = tmp_path / "network.onnx"
-    done = export_onnx(bundle, out)
+    export_onnx(bundle, out)
     model = onnx.load(out)
     onnx.checker.check_model(model, full_check=True)
-    assert [(item.domain, item.version) for item in model.opset_import] == [("", done.opset)]
+    assert [(item.domain, item.version) for item in model.opset_import] == [("", onnx_export.OPSET)]
     ends = (*model.graph.input, *model.graph.output)
     sizes = [[d.dim_param or d.dim_value for d in e.type.tensor_type.shape.dim] for e in ends]
     assert [e.name for e in ends] == ["features_mm", "stiffness_N_per_mm"]
@@ -136,7 +136,7 @@ def test_a_file_that_computes_something_else_is_not_left(
     assert out.read_bytes() == before
 
 
-def test_what_cannot_be_exported_is_refused(bundle: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_exported_is_rejected(bundle: Path, tmp_path: Path) -> None:
     known = r"has no network 'fem' .its networks: fem_nn, fem_nn_identity."
     with pytest.raises(InputError, match=known):
         export_onnx(bundle, tmp_path / "x.onnx", estimator="fem")

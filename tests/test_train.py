@@ -75,7 +75,8 @@ def learn(context: Context, data: Path, tmp_path: Path) -> Callable[..., Path]:
 
     def run(*sets: Path, name: str = "decoder", **options: object) -> Path:
         settings = {"accuracy": "draft", "progress": lambda _: None} | options
-        return train(DESIGN, sets or [data], tmp_path / name, **settings).out
+        train(DESIGN, sets or [data], tmp_path / name, **settings)
+        return tmp_path / name
 
     return run
 
@@ -112,14 +113,14 @@ def test_the_same_inputs_give_the_same_bundle(learn: Callable[..., Path]) -> Non
     assert plain[0] == plain[1] != plain[2]
 
 
-def test_fewer_samples_can_be_learnt_from(learn: Callable[..., Path]) -> None:
+def test_fewer_samples_can_be_used(learn: Callable[..., Path]) -> None:
     facts = json.loads((learn(samples=60) / TABLE).read_text())
     assert sum(facts["samples"].values()) == 60
-    with pytest.raises(InputError, match="201 samples were asked for, the data hold 200"):
+    with pytest.raises(InputError, match="201 samples are wanted, the data hold 200"):
         learn(samples=201)
 
 
-def test_inputs_alone_teach_the_networks_the_same(
+def test_inputs_alone_train_the_networks_the_same(
     learn: Callable[..., Path], context: Context, tmp_path: Path
 ) -> None:
     samples = pressed(context, 200, 0)
@@ -141,7 +142,7 @@ def test_inputs_alone_teach_the_networks_the_same(
         learn(tmp_path / "low", name="low-decoder")
 
 
-def test_several_sets_are_learnt_from_together(
+def test_several_sets_are_used_together(
     learn: Callable[..., Path], context: Context, data: Path, tmp_path: Path
 ) -> None:
     write_samples(tmp_path / "more", pressed(context, 40, 1), meta_of("tiny", HASH))
@@ -244,7 +245,7 @@ def test_picked_samples_joined_again_are_the_same() -> None:
     again = join_samples(
         [select_samples(whole, np.arange(4)), select_samples(whole, np.arange(4, 9))]
     )
-    # Sequences are told apart between sets, and reasons come sorted.
+    # Sequences are distinct between sets, and reasons come sorted.
     numbered = np.unique(whole.sequence[:4], return_inverse=True)[1]
     later = np.unique(whole.sequence[4:], return_inverse=True)[1] + numbered.max() + 1
     expected = replace(whole, sequence=np.concatenate([numbered, later]))
@@ -300,7 +301,7 @@ def test_parts_share_no_sequence_and_hold_no_failed_sample(context: Context) -> 
     assert sorted(np.concatenate(times)) == list(range(10, 40))
 
 
-def test_data_that_cannot_be_used_are_refused(
+def test_data_that_cannot_be_used_are_rejected(
     learn: Callable[..., Path], context: Context, data: Path, tmp_path: Path
 ) -> None:
     samples = pressed(context, 20, 3)
@@ -323,7 +324,7 @@ def test_data_that_cannot_be_used_are_refused(
         learn(data.parent / "broken")
     with pytest.raises(InputError, match="no data set was given"):
         train(DESIGN, [], tmp_path / "decoder", progress=lambda _: None)
-    with pytest.raises(InputError, match="2 samples that did not fail cannot be shared out"):
+    with pytest.raises(InputError, match="2 samples that did not fail cannot be split"):
         learn(samples=2)
 
 
@@ -351,8 +352,8 @@ def test_the_command(context: Context, data: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     assert "koi_inverse" in done.output
-    told = CliRunner().invoke(app, [*words, "--json"])
-    facts = json.loads(told.stdout)
+    done = CliRunner().invoke(app, [*words, "--json"])
+    facts = json.loads(done.stdout)
     assert facts["out"] == str(tmp_path / "out")
     assert facts["trainers"]["fem_nn"]["seconds"] > 0.0
     refused = CliRunner().invoke(app, ["train", "nowhere", str(data)])

@@ -20,7 +20,7 @@ def export_onnx(
 ) -> None:
     """Write a decoder's network as ONNX, checked equal to the decoder's own."""
     try:
-        from phytac_design.training.onnx_export import INPUT, OUTPUT
+        from phytac_design.training.onnx_export import INPUT, OPSET, OUTPUT
         from phytac_design.training.onnx_export import export_onnx as run
     except ModuleNotFoundError as error:
         if error.name != "onnx":
@@ -28,19 +28,19 @@ def export_onnx(
         raise InputError(
             "the package onnx is missing; install it with: pip install 'phytac-design[train]'"
         ) from None
-    done = run(bundle, out, estimator=estimator)
+    difference = run(bundle, out, estimator=estimator)
     if as_json:
         facts = {
-            "out": str(done.out),
-            "estimator": done.estimator,
+            "out": str(out),
+            "estimator": estimator,
             "input": INPUT,
             "output": OUTPUT,
-            "opset": done.opset,
-            "difference": done.difference,
+            "opset": OPSET,
+            "difference": difference,
         }
         typer.echo(json.dumps(facts, indent=1))
         return
     typer.echo(
-        f"{done.out}: network of {done.estimator}, {INPUT} to {OUTPUT}, opset {done.opset}; equal "
-        f"to the decoder's within {done.difference:.1g} of the largest stiffness"
+        f"{out}: network of {estimator}, {INPUT} to {OUTPUT}, opset {OPSET}; equal "
+        f"to the decoder's within {difference:.1g} of the largest stiffness"
     )

@@ -1,4 +1,4 @@
-"""The commands that train and judge decoders."""
+"""The commands that train and evaluate decoders."""
 
 import json
 from pathlib import Path
@@ -21,17 +21,20 @@ def train(
         typer.Option(help="The decoder's own folder; exports/NAME/decoder-trained if not given."),
     ] = None,
     samples: Annotated[
-        int | None, typer.Option(min=1, help="Learn from the first so many samples; all.")
+        int | None,
+        typer.Option(min=1, help="Number of samples to use, the first ones; all if not given."),
     ] = None,
     start: Annotated[
         Path | None,
-        typer.Option(help="Another sensor's decoder, whose networks' weights are the start."),
+        typer.Option(help="Another sensor's decoder, whose network weights are the start."),
     ] = None,
     accuracy: Annotated[
         Preset, typer.Option(help="Fineness of the decoder's own mechanics.")
     ] = Preset.standard,
     seed: SeedOption = 0,
-    force: Annotated[bool, typer.Option(help="Take a folder that holds something else.")] = False,
+    force: Annotated[
+        bool, typer.Option(help="Overwrite a folder that holds something else.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Train the decoder of a design from data sets."""
@@ -39,10 +42,11 @@ def train(
     from phytac_design.workflows.train_decoder import train as run
 
     loaded = load_design(design)
-    done = run(
+    out = out or Path("exports") / loaded.name / "decoder-trained"
+    facts = run(
         loaded,
         data,
-        out or Path("exports") / loaded.name / "decoder-trained",
+        out,
         samples=samples,
         seed=seed,
         start=start,
@@ -51,13 +55,13 @@ def train(
         progress=say,
     )
     if as_json:
-        _print_json({"out": str(done.out)} | done.facts)
+        _print_json({"out": str(out)} | facts)
         return
-    parts = ", ".join(f"{count} {name}" for name, count in done.facts["samples"].items())
-    typer.echo(f"{done.out}: {parts} samples")
-    for name, facts in done.facts["trainers"].items():
-        typer.echo(f"  {name:16s} trained in {facts['seconds']:.1f} s")
-    for name, score in (done.facts["test"] or {}).items():
+    parts = ", ".join(f"{count} {name}" for name, count in facts["samples"].items())
+    typer.echo(f"{out}: {parts} samples")
+    for name, trainer in facts["trainers"].items():
+        typer.echo(f"  {name:16s} trained in {trainer['seconds']:.1f} s")
+    for name, score in (facts["test"] or {}).items():
         typer.echo(
             f"  {name:16s} test part: relative error {100.0 * score['relative_error']:.1f} %, "
             f"absolute error {score['absolute_error_mean_N']:.3f} N, {score['contacts']} contacts"
@@ -69,35 +73,39 @@ def evaluate(
     data: DataArgument,
     out: Annotated[
         Path | None,
-        typer.Option(help="The result's own folder; beside the decoder if not given."),
+        typer.Option(help="The result's own folder; next to the decoder if not given."),
     ] = None,
     design: Annotated[
         str | None,
-        typer.Option(help="The decoder's design, for heights and sides; looked for if not given."),
+        typer.Option(
+            help="The decoder's design, for heights and sides; searched for if not given."
+        ),
     ] = None,
     seed: SeedOption = 0,
-    force: Annotated[bool, typer.Option(help="Take a folder that holds something else.")] = False,
+    force: Annotated[
+        bool, typer.Option(help="Overwrite a folder that holds something else.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Judge every estimator of a decoder on data sets: tables, contacts, pictures."""
+    """Evaluate every estimator of a decoder on data sets: tables, contacts, figures."""
     from phytac_design.workflows.evaluate_decoder import evaluate as run
 
     folder = bundle.resolve()
-    done = run(
+    out = out or folder.with_name(f"{folder.name}-evaluation")
+    facts = run(
         bundle,
         data,
-        out or folder.with_name(f"{folder.name}-evaluation"),
+        out,
         design=design,
         seed=seed,
         force=force,
         progress=say,
     )
-    facts = done.facts
     if as_json:
-        _print_json({"out": str(done.out)} | facts)
+        _print_json({"out": str(out)} | facts)
         return
     typer.echo(
-        f"{done.out}: {facts['contacts']['judged']} contacts in {facts['samples']['judged']} "
+        f"{out}: {facts['contacts']['judged']} contacts in {facts['samples']['judged']} "
         f"samples; {facts['contacts']['tripped_none']} tripped no switch, "
         f"{facts['samples']['failed']} samples failed"
     )

@@ -1,4 +1,4 @@
-"""Samples of a sensor, simulated or measured: what was pressed, what was seen, and the truth."""
+"""Samples of a sensor, simulated or measured: contacts, observations and true forces."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -12,14 +12,12 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import InputError
 
 STATUSES = ("ok", "flagged", "failed")
-"""A flagged sample has its numbers and a reason to distrust them; a failed one has none."""
+"""A flagged sample has numbers and a reason to distrust them; a failed one has none."""
 THEORIES = ("rest", "linear", "large", "real")
-"""Where a sample's motion comes from; ``real`` is measured on a sensor."""
+"""Origin of a sample's motion; ``real`` is measured on a sensor."""
 INDENTERS = ("flat", "sphere", "cylinder")
 FAILED = STATUSES.index("failed")
 REAL = THEORIES.index("real")
-STEP_SHARE = 0.2
-"""Largest step of stored inputs over their noise: rounding moves them by a tenth of it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,13 +27,13 @@ class TouchRows:
     Attributes
     ----------
     sample : (c,) int
-        Sample each contact belongs to.
+        Sample of each contact.
     uv : (c, 2) float
         Centre, chart coordinates of the design's surface.
     point_mm : (c, 3) float
         Centre on the outer face, mm, sensor frame.
     radius_mm : (c,) float
-        Radius of the contact; a cylinder's half-width. 0 where it was not measured.
+        Radius of the contact; a cylinder's half-width. 0 if unknown.
     force_N : (c,) float
         Normal force, positive inward.
     indenter : (c,) int
@@ -67,11 +65,11 @@ class TruthRows:
     Attributes
     ----------
     sample, marker : (t,) int
-        Which switch.
+        The switch.
     force_N : (t,) float
         Share of its contact's force that the receptor carries; a contact's rows sum to its force.
     touch : (t,) int
-        Row of the contact in :class:`TouchRows` that presses most on it; -1 where none does.
+        Row of the contact in :class:`TouchRows` with the largest force on it; -1 for none.
     """
 
     sample: IntArray
@@ -87,13 +85,13 @@ class KeyNodeRows:
     Attributes
     ----------
     sample, marker : (k,) int
-        Which key node.
+        The key node.
     u_mm : (k, 9) float
         Apparent inward displacement of the node and of its eight neighbours.
     height_z_mm : (n,) float
         The tenth input, of every marker.
     stiffness_force_N : (k,) float
-        (K·U) at the node, what the FEM estimator alone says; the network adds k·u.
+        (K·U) at the node, the estimate of FEM alone; the network adds k·u.
     force_N : (k,) float
         True force carried by the node.
     step_mm, step_N : float
@@ -128,17 +126,17 @@ class Samples:
     sequence : (s,) int
         Samples with a common history (one press) share a number; see :func:`split_sequences`.
     light : (s,) float
-        Brightness of the light over that at the start; 1 where it was not measured.
+        Brightness of the light over that at the start; 1 if unknown.
     status, theory : (s,) int
         Index into ``STATUSES`` and ``THEORIES``.
     total_N : (s,) float
         Sum of the contacts' normal forces.
     contacts : (s,) int
-        Contacts at once.
+        Number of contacts.
     reasons : tuple of str
-        Sentences that say why samples are flagged or failed.
+        Reasons why samples are flagged or failed.
     reason_sample, reason_index : (r,) int
-        Sample and sentence of each remark; every sample that is not ok has at least one.
+        Sample and reason of each remark; every sample that is not ok has at least one.
     bits, bits_read : (s, n) bool or None
         Switches that were on, and those that were read as on.
     shift_px : (s, n, 2) float or None
@@ -172,11 +170,11 @@ class Samples:
         return len(self.time_s)
 
     def why(self, sample: int) -> list[str]:
-        """Why a sample is not ok, each as a sentence; empty for one that is."""
+        """Return the reasons why a sample is not ok."""
         return [self.reasons[i] for i in self.reason_index[self.reason_sample == sample]]
 
     def points(self) -> tuple[TouchRows, TruthRows, FloatArray, BoolArray]:
-        """Contacts, truth, shifts and switches read, of samples that hold them.
+        """Return contacts, truth, shifts and switches read.
 
         Raises
         ------
@@ -194,26 +192,26 @@ class Samples:
 
 @dataclass(frozen=True, kw_only=True)
 class DataSetInfo:
-    """What a data set is and where it comes from.
+    """Description and provenance of a data set.
 
     Attributes
     ----------
     simulated : bool
         Whether its numbers were computed; False for measurements of a real sensor.
     what : str
-        One plain sentence that says what it is.
+        Description, one sentence.
     design, design_hash : str
         Name of the design, and hash of the resolved design.
     route : str
         ``points`` or ``frames`` where simulated, ``camera`` where measured.
     seed : int or None
-        Of everything random; None for measurements.
+        Seed of everything random; None for measurements.
     hashes : dict of str
-        SHA-256 of what it was made from, by name: scenario, unit, log, bundle, ….
+        SHA-256 of its inputs by name: scenario, unit, log, bundle, ….
     notes : dict
-        Settings and figures of its making, plain JSON.
+        Settings and figures, plain JSON.
     frames : dict of str
-        SHA-256 of each picture in ``frames/``, by file name; filled in when it is written.
+        SHA-256 of each image in ``frames/``, by file name; set when it is written.
     """
 
     simulated: bool
@@ -228,9 +226,9 @@ class DataSetInfo:
 
 
 def truth_rows(bits: BoolArray, owner: IntArray, receptor_force_N: FloatArray) -> TruthRows:
-    """Rows of the switches that are on, from full arrays (s, n) each.
+    """Return rows of the switches that are on, from full arrays (s, n).
 
-    ``owner`` is the row of the contact that presses most on a switch, -1 where none does.
+    ``owner`` is the row of the contact with the largest force on a switch, -1 for none.
     """
     sample, marker = np.nonzero(bits)
     return TruthRows(
@@ -242,12 +240,12 @@ def truth_rows(bits: BoolArray, owner: IntArray, receptor_force_N: FloatArray) -
 
 
 def power_of_two_below(value: float) -> float:
-    """Largest power of two that is not above a positive value: multiples of it are exact."""
+    """Return the largest power of two up to a positive value; multiples of it are exact."""
     return float(2.0 ** np.floor(np.log2(value)))
 
 
 def key_nodes(model: ForceModel, samples: Samples, *, noise_px: float) -> KeyNodeRows:
-    """Inputs and outputs of the FEM-NN of samples whose points were kept (paper, eq. 2).
+    """Return inputs and outputs of the FEM-NN of samples with points (paper, eq. 2).
 
     A neighbour that was not found has u = 0, as in the decoder; a node that was not found has no
     row, and neither have failed samples.
@@ -255,11 +253,11 @@ def key_nodes(model: ForceModel, samples: Samples, *, noise_px: float) -> KeyNod
     Parameters
     ----------
     model : ForceModel
-        Of the sensor.
+        Force model of the sensor.
     samples : Samples
         With ``bits_read``, ``shift_px`` and ``truth``.
     noise_px : float
-        Standard deviation of each coordinate of a centroid; steps of storage follow from it.
+        Standard deviation of each coordinate of a centroid; it sets the steps of storage.
     """
     if samples.bits_read is None or samples.shift_px is None or samples.truth is None:
         raise InputError(
@@ -295,35 +293,29 @@ def key_nodes(model: ForceModel, samples: Samples, *, noise_px: float) -> KeyNod
 
 
 def inputs_alone(samples: Samples, rows: KeyNodeRows) -> Samples:
-    """Samples with the FEM-NN's inputs and outputs, without what they were made from."""
-    return replace(
-        samples,
-        key_nodes=rows,
-        bits=None,
-        bits_read=None,
-        shift_px=None,
-        touches=None,
-        truth=None,
-    )
+    """Return samples with the FEM-NN's inputs and outputs, without points and contacts."""
+    points: dict[str, Any] = dict.fromkeys(("bits", "bits_read", "shift_px", "touches", "truth"))
+    return replace(samples, key_nodes=rows, **points)
 
 
-def _step(noise: FloatArray, otherwise: float) -> float:
-    return power_of_two_below(STEP_SHARE * float(noise.min())) if len(noise) else otherwise
+def _step(noise: FloatArray, default: float) -> float:
+    # Rounding to a fifth of the noise changes the numbers by a tenth of it.
+    return power_of_two_below(0.2 * float(noise.min())) if len(noise) else default
 
 
 def split_sequences(samples: Samples, shares: Sequence[float], *, seed: int) -> list[IntArray]:
-    """Samples shared out at random, sorted in each part; a sequence stays in one part.
+    """Split samples at random, sorted in each part; a sequence stays in one part.
 
-    Failed samples are in none. Every part gets at least one sequence.
+    Failed samples are left out. Every part gets at least one sequence.
 
     Parameters
     ----------
     samples : Samples
-        To share out.
+        Samples to split.
     shares : sequence of float
         Share of each part, such as 0.85, 0.05, 0.10.
     seed : int
-        Of the draw.
+        Seed of the draw.
 
     Raises
     ------
@@ -346,10 +338,10 @@ def split_sequences(samples: Samples, shares: Sequence[float], *, seed: int) -> 
         )
     order = np.random.default_rng(seed).permutation(len(groups))
     part = np.zeros(len(groups), dtype=np.int64)
-    left = wanted * len(usable)
+    missing = wanted * len(usable)
     for number, group in enumerate(order):
-        # The first sequences go one to each part, the others to where most is missing.
-        chosen = number if number < len(wanted) else int(np.argmax(left))
+        # One sequence for each part first, then to the part that lacks most.
+        chosen = number if number < len(wanted) else int(np.argmax(missing))
         part[group] = chosen
-        left[chosen] -= size[group]
+        missing[chosen] -= size[group]
     return [usable[part[member] == number] for number in range(len(wanted))]

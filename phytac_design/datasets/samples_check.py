@@ -1,6 +1,6 @@
-"""The arrays of a data set's file: what each is, how it is stored, and whether they fit together.
+"""Schema of a data set's arrays: how each is stored, and checks that they fit together.
 
-``docs/datasets.md`` has the same table for readers.
+``docs/datasets.md`` has the same table.
 """
 
 from collections.abc import Mapping
@@ -10,30 +10,38 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_design.datasets.samples import FAILED, INDENTERS, STATUSES, THEORIES
+from phytac_design.datasets.samples import (
+    FAILED,
+    INDENTERS,
+    STATUSES,
+    THEORIES,
+    KeyNodeRows,
+    TouchRows,
+    TruthRows,
+)
 from phytac_shapes.errors import InputError
 
 MISSING = -(2**15)
-"""Stored for a shift of a marker that was not found."""
+"""Value of a shift of a marker that was not found."""
 COUNT_MAX = 2**31 - 1
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Stored:
-    """How one array is stored.
+    """Storage of one array.
 
     Attributes
     ----------
     part : str
         Part of the data set it belongs to.
     kinds : tuple of str
-        Types it may have; a second one, float32, is for ranges that the first does not hold.
+        Possible types; a second one, float32, is for ranges beyond the first.
     shape : tuple of str and int
-        Counts by name, and fixed sizes.
+        Counts by name, or fixed sizes.
     unit : str
-        Of its numbers, or of its numbers times ``step``.
+        Unit of the numbers, or of the numbers times ``step``.
     low, high : float
-        Least and largest number that may be stored, -inf and inf for any that is finite.
+        Bounds of the numbers; -inf and inf for any finite number.
     """
 
     part: str
@@ -47,71 +55,75 @@ class Stored:
 S, C, T, K = ("samples",), ("contacts",), ("truth",), ("key_nodes",)
 F8, I4, U1 = ("<f8",), ("<i4",), ("|u1",)
 ARRAYS: dict[str, Stored] = {
-    "time_s": Stored(part="samples", kinds=F8, shape=S, unit="s"),
-    "sequence": Stored(part="samples", kinds=I4, shape=S, low=0),
-    "light": Stored(part="samples", kinds=F8, shape=S, low=0),
-    "status": Stored(part="samples", kinds=U1, shape=S, high=len(STATUSES) - 1),
-    "theory": Stored(part="samples", kinds=U1, shape=S, high=len(THEORIES) - 1),
-    "total_N": Stored(part="samples", kinds=("<f4",), shape=S, unit="N", low=0),
-    "contacts": Stored(part="samples", kinds=("<u2",), shape=S),
-    "reason_sample": Stored(part="samples", kinds=I4, shape=("remarks",), low=0),
-    "reason_index": Stored(part="samples", kinds=I4, shape=("remarks",), low=0),
-    "bits": Stored(part="points", kinds=("|b1",), shape=("samples", "markers")),
-    "bits_read": Stored(part="points", kinds=("|b1",), shape=("samples", "markers")),
-    "shift_px": Stored(
-        part="points", kinds=("<i2", "<f4"), shape=("samples", "markers", 2), unit="px"
-    ),
-    "touch_sample": Stored(part="touches", kinds=I4, shape=C, low=0),
-    "touch_uv": Stored(part="touches", kinds=F8, shape=(*C, 2), unit="chart"),
-    "touch_point_mm": Stored(part="touches", kinds=F8, shape=(*C, 3), unit="mm"),
-    "touch_radius_mm": Stored(part="touches", kinds=F8, shape=C, unit="mm", low=0),
-    "touch_force_N": Stored(part="touches", kinds=F8, shape=C, unit="N", low=0),
-    "touch_indenter": Stored(part="touches", kinds=U1, shape=C, high=len(INDENTERS) - 1),
-    "touch_length_mm": Stored(part="touches", kinds=F8, shape=C, unit="mm", low=0),
-    "touch_turn_rad": Stored(part="touches", kinds=F8, shape=C, unit="rad"),
-    "touch_friction": Stored(part="touches", kinds=F8, shape=(*C, 2)),
-    "truth_sample": Stored(part="truth", kinds=I4, shape=T, low=0),
-    "truth_marker": Stored(part="truth", kinds=I4, shape=T, low=0),
-    "truth_force_N": Stored(part="truth", kinds=F8, shape=T, unit="N", low=0),
-    "truth_touch": Stored(part="truth", kinds=I4, shape=T, low=-1),
-    "key_sample": Stored(part="key_nodes", kinds=I4, shape=K, low=0),
-    "key_marker": Stored(part="key_nodes", kinds=I4, shape=K, low=0),
-    "key_u_mm": Stored(part="key_nodes", kinds=("<i2", "<f4"), shape=(*K, 9), unit="mm"),
-    "key_height_z_mm": Stored(part="key_nodes", kinds=F8, shape=("markers",), unit="mm"),
-    "key_stiffness_force_N": Stored(part="key_nodes", kinds=("<i2", "<f4"), shape=K, unit="N"),
-    "key_force_N": Stored(part="key_nodes", kinds=("<u2", "<f4"), shape=K, unit="N", low=0),
+    "time_s": Stored("samples", F8, S, "s"),
+    "sequence": Stored("samples", I4, S, low=0),
+    "light": Stored("samples", F8, S, low=0),
+    "status": Stored("samples", U1, S, high=len(STATUSES) - 1),
+    "theory": Stored("samples", U1, S, high=len(THEORIES) - 1),
+    "total_N": Stored("samples", ("<f4",), S, "N", low=0),
+    "contacts": Stored("samples", ("<u2",), S),
+    "reason_sample": Stored("samples", I4, ("remarks",), low=0),
+    "reason_index": Stored("samples", I4, ("remarks",), low=0),
+    "bits": Stored("points", ("|b1",), (*S, "markers")),
+    "bits_read": Stored("points", ("|b1",), (*S, "markers")),
+    "shift_px": Stored("points", ("<i2", "<f4"), (*S, "markers", 2), "px"),
+    "touch_sample": Stored("touches", I4, C, low=0),
+    "touch_uv": Stored("touches", F8, (*C, 2), "chart"),
+    "touch_point_mm": Stored("touches", F8, (*C, 3), "mm"),
+    "touch_radius_mm": Stored("touches", F8, C, "mm", low=0),
+    "touch_force_N": Stored("touches", F8, C, "N", low=0),
+    "touch_indenter": Stored("touches", U1, C, high=len(INDENTERS) - 1),
+    "touch_length_mm": Stored("touches", F8, C, "mm", low=0),
+    "touch_turn_rad": Stored("touches", F8, C, "rad"),
+    "touch_friction": Stored("touches", F8, (*C, 2)),
+    "truth_sample": Stored("truth", I4, T, low=0),
+    "truth_marker": Stored("truth", I4, T, low=0),
+    "truth_force_N": Stored("truth", F8, T, "N", low=0),
+    "truth_touch": Stored("truth", I4, T, low=-1),
+    "key_sample": Stored("key_nodes", I4, K, low=0),
+    "key_marker": Stored("key_nodes", I4, K, low=0),
+    "key_u_mm": Stored("key_nodes", ("<i2", "<f4"), (*K, 9), "mm"),
+    "key_height_z_mm": Stored("key_nodes", F8, ("markers",), "mm"),
+    "key_stiffness_force_N": Stored("key_nodes", ("<i2", "<f4"), K, "N"),
+    "key_force_N": Stored("key_nodes", ("<u2", "<f4"), K, "N", low=0),
 }
 """By name in the file, in its order."""
 PARTS = ("samples", "points", "touches", "truth", "key_nodes")
+ROWS: dict[str, tuple[Any, str]] = {
+    "touches": (TouchRows, "touch_"),
+    "truth": (TruthRows, "truth_"),
+    "key_nodes": (KeyNodeRows, "key_"),
+}
+"""Class of the rows of a part, and prefix of its arrays."""
 COUNTS = ("samples", "markers", "contacts", "truth", "key_nodes", "remarks")
 
 
 def names_of(parts: "list[str] | tuple[str, ...]") -> list[str]:
-    """Arrays of some parts."""
+    """Return the arrays of some parts."""
     return [name for name, stored in ARRAYS.items() if stored.part in parts]
 
 
 def shape_of(name: str, counts: Mapping[str, int]) -> tuple[int, ...]:
-    """Shape that an array has."""
+    """Return the shape of an array."""
     return tuple(counts[size] if isinstance(size, str) else size for size in ARRAYS[name].shape)
 
 
 def check_values(arrays: Mapping[str, NDArray[Any]], counts: Mapping[str, int], where: str) -> None:
-    """Check stored arrays of the right shapes: ranges, ids, order, and that they fit together.
+    """Check ranges, ids, order and consistency of stored arrays of the right shapes.
 
     Parameters
     ----------
     arrays : dict of arrays
         As stored, by name.
     counts : dict of int
-        See ``COUNTS``; ``reasons`` besides, the number of sentences.
+        See ``COUNTS``; also ``reasons``, the number of sentences.
     where : str
-        Start of an error's text: which data set.
+        Data set, the start of an error message.
 
     Raises
     ------
     InputError
-        If a number cannot be right.
+        If a number is invalid.
     """
     for name, array in arrays.items():
         _check_range(name, array, where)
@@ -132,7 +144,7 @@ def check_values(arrays: Mapping[str, NDArray[Any]], counts: Mapping[str, int], 
 
 
 def _check_ids(arrays: Mapping[str, NDArray[Any]], counts: Mapping[str, int], where: str) -> None:
-    """Ids are of things that there are, and rows in the order of their samples."""
+    """Check that ids exist and rows are in the order of their samples."""
     limits = {
         "_sample": counts["samples"],
         "_marker": counts["markers"],
@@ -149,7 +161,7 @@ def _check_ids(arrays: Mapping[str, NDArray[Any]], counts: Mapping[str, int], wh
 
 def _check_range(name: str, array: NDArray[Any], where: str) -> None:
     stored = ARRAYS[name]
-    # Shifts alone may be missing.
+    # Only shifts may be missing.
     values = array[~np.isnan(array)] if name == "shift_px" and array.dtype.kind == "f" else array
     if values.dtype.kind == "f" and not np.isfinite(values).all():
         raise _bad(where, f"{name} holds numbers that are not finite")
@@ -166,22 +178,20 @@ def _check_range(name: str, array: NDArray[Any], where: str) -> None:
 
 
 def _check_status(arrays: Mapping[str, NDArray[Any]], where: str) -> None:
-    """Every sample that is not ok says why, and no other does; failed ones hold no rows."""
+    """Check that just the samples that are not ok have reasons; failed ones have no key nodes."""
     status = arrays["status"]
-    said = np.zeros(len(status), dtype=np.bool_)
-    said[arrays["reason_sample"]] = True
-    silent = np.flatnonzero((status > 0) & ~said)
-    if len(silent):
-        raise _bad(where, f"sample {silent[0]} is {STATUSES[status[silent[0]]]} without a reason")
-    loud = np.flatnonzero((status == 0) & said)
-    if len(loud):
-        raise _bad(where, f"sample {loud[0]} is ok, but a reason speaks against it")
+    wrong = np.flatnonzero((status > 0) != np.isin(np.arange(len(status)), arrays["reason_sample"]))
+    if len(wrong):
+        name = STATUSES[status[wrong[0]]]
+        raise _bad(
+            where, f"sample {wrong[0]} is {name} {'with' if name == 'ok' else 'without'} a reason"
+        )
     if "key_sample" in arrays and np.any(status[arrays["key_sample"]] == FAILED):
         raise _bad(where, "key_sample names failed samples")
 
 
 def _check_pairs(start: str, arrays: Mapping[str, NDArray[Any]], markers: int, where: str) -> None:
-    """One row for each pair of sample and marker, in their order."""
+    """Check that there is one row for each pair of sample and marker, ascending."""
     pair = arrays[f"{start}_sample"].astype(np.int64) * markers + arrays[f"{start}_marker"]
     if np.any(np.diff(pair) <= 0):
         raise _bad(where, f"rows of {start}_marker are double or not in order")

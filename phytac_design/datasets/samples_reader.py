@@ -1,4 +1,4 @@
-"""Reading data sets that :mod:`phytac_design.datasets.samples_writer` wrote: all of it checked, or refused."""
+"""Reading of data sets of :mod:`phytac_design.datasets.samples_writer`, with checks of all contents."""
 
 import io
 import json
@@ -15,22 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phytac_design.datasets.samples import (
-    INDENTERS,
-    STATUSES,
-    THEORIES,
-    DataSetInfo,
-    KeyNodeRows,
-    Samples,
-    TouchRows,
-    TruthRows,
-)
+from phytac_design.datasets.samples import INDENTERS, STATUSES, THEORIES, DataSetInfo, Samples
 from phytac_design.datasets.samples_check import (
     ARRAYS,
     COUNT_MAX,
     COUNTS,
     MISSING,
     PARTS,
+    ROWS,
     check_values,
     names_of,
     shape_of,
@@ -39,11 +31,8 @@ from phytac_design.datasets.samples_writer import (
     FILE,
     FORMAT,
     FRAMES,
-    KEY,
     SCHEMA,
     TABLE,
-    TOUCH,
-    TRUTH,
     check_frame,
     file_hash,
     table_hash,
@@ -53,25 +42,13 @@ from phytac_shapes.errors import InputError, cause_of
 
 TABLE_BYTES_MAX = 2**28
 BYTES_MAX = 2**34
-"""A data set that would fill more memory than this is refused before it is unpacked."""
-HEADER_MAX = 4096
+"""Larger data sets are rejected before they are unpacked."""
 BROKEN = (
-    zipfile.BadZipFile,
-    zlib.error,
-    lzma.LZMAError,
-    struct.error,
-    EOFError,
-    KeyError,
-    NotImplementedError,
-    OSError,
-    OverflowError,
-    RuntimeError,
-    SyntaxError,
-    tokenize.TokenError,
-    TypeError,
-    ValueError,
-)
-"""What Python's zip and NumPy raise at files that are not what they should be."""
+    zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, KeyError,
+    NotImplementedError, OSError, OverflowError, RuntimeError, SyntaxError, tokenize.TokenError,
+    TypeError, ValueError,
+)  # fmt: skip
+"""Exceptions of Python's zip and NumPy for damaged files."""
 AGAIN = "copy it again from where it came, or make it again"
 
 
@@ -82,24 +59,24 @@ def read_samples(
     check_frames: bool = False,
     bytes_max: int = BYTES_MAX,
 ) -> tuple[Samples, DataSetInfo]:
-    """Read a data set back, with every check there is.
+    """Read a data set and check it.
 
     Parameters
     ----------
     folder : Path
         Holds ``dataset.json`` and ``samples.npz``.
     expect_design_hash : str, optional
-        Hash of the design that it must be of.
+        Required hash of the design.
     check_frames : bool
-        Also read the pictures and compare their hashes.
+        Also compare the hashes of the images.
     bytes_max : int
-        Most memory that its arrays may take.
+        Largest memory of its arrays.
 
     Raises
     ------
     InputError
-        If a file is missing, truncated, altered, of a newer schema, of another design, or holds
-        what it must not.
+        If a file is missing, truncated, altered, of a newer schema, of another design, or has
+        invalid contents.
     """
     table = _read_table(folder)
     if expect_design_hash is not None and table["design_hash"] != expect_design_hash:
@@ -122,7 +99,7 @@ def read_samples(
         ) from None
     if memory > bytes_max:
         raise InputError(
-            f"{folder} says that it holds {memory / 2**30:.3g} GiB of arrays, more than the "
+            f"{folder} declares {memory / 2**30:.3g} GiB of arrays, more than the "
             f"{bytes_max / 2**30:.3g} GiB allowed; raise bytes_max if that is right"
         )
     data = _read_file(folder, table)
@@ -214,7 +191,7 @@ def _text(value: Any) -> str:
 
 
 def _check_words(table: Mapping[str, Any]) -> None:
-    """Codes must mean what they mean here, and parts be those there are."""
+    """Check that codes have the same meaning here, and parts exist."""
     words = {"statuses": STATUSES, "theories": THEORIES, "indenters": INDENTERS}
     for name, known in words.items():
         if table[name] != list(known):
@@ -243,7 +220,7 @@ def _read_file(folder: Path, table: Mapping[str, Any]) -> bytes:
 def _unpacked(
     data: bytes, names: list[str], counts: Mapping[str, int], bytes_max: int
 ) -> dict[str, NDArray[Any]]:
-    """Arrays of an npz, each of just the shape and one of the types it must have."""
+    """Return the arrays of an npz, each of its shape and one of its types."""
     with zipfile.ZipFile(io.BytesIO(data)) as file:
         found = file.namelist()
         if sorted(found) != sorted(f"{name}.npy" for name in names):
@@ -262,15 +239,13 @@ def _array(
     with file.open(name) as member:
         if np.lib.format.read_magic(member) != (1, 0):
             raise ValueError(f"{name} is of another npy version")
-        shape, by_columns, dtype = np.lib.format.read_array_header_1_0(
-            member, max_header_size=HEADER_MAX
-        )
+        shape, by_columns, dtype = np.lib.format.read_array_header_1_0(member, max_header_size=4096)
         if dtype.str not in kinds or by_columns:
             raise ValueError(f"{name} is {dtype.str}, expected {' or '.join(kinds)}")
         if shape != expected:
             raise ValueError(f"{name} has shape {shape}, expected {expected}")
         size = int(np.prod(shape, dtype=object)) * dtype.itemsize
-        # Reading to the end is what makes zipfile compare its checksum.
+        # zipfile compares its checksum at the end of the file.
         data = member.read(size)
         if len(data) != size or member.read(1):
             raise ValueError(f"{name} is shorter or longer than its shape")
@@ -292,27 +267,22 @@ def _samples(
         name: float(entry["step"]) for name, entry in table["arrays"].items() if "step" in entry
     }
 
-    def rows(start: str, names: list[str]) -> dict[str, Any]:
-        return {name: values.pop(f"{start}_{name}") for name in names}
-
     parts: dict[str, Any] = {}
-    if "touch_sample" in values:
-        parts["touches"] = TouchRows(**rows("touch", TOUCH))
-    if "truth_sample" in values:
-        parts["truth"] = TruthRows(**rows("truth", TRUTH))
-    if "key_sample" in values:
-        parts["key_nodes"] = KeyNodeRows(
-            **rows("key", KEY),
-            step_mm=steps["key_u_mm"],
-            step_N=steps["key_stiffness_force_N"],
-        )
+    for part, (kind, prefix) in ROWS.items():
+        names = [name for name in names_of([part]) if name in values]
+        if names:
+            rows = {name.removeprefix(prefix): values.pop(name) for name in names}
+            if part == "key_nodes":
+                rows["step_mm"] = steps["key_u_mm"]
+                rows["step_N"] = steps["key_stiffness_force_N"]
+            parts[part] = kind(**rows)
     return Samples(markers=counts["markers"], reasons=reasons, **values, **parts)
 
 
 def _value(name: str, array: NDArray[Any], entry: Mapping[str, Any]) -> NDArray[Any]:
-    """Numbers as they are used: float64, int64, bool."""
+    """Return numbers as used: float64, int64, bool."""
     if entry["dtype"] != array.dtype.str:
-        raise ValueError(f"{name} is {array.dtype.str}, not {entry['dtype']} as it says")
+        raise ValueError(f"{name} is {array.dtype.str}, not {entry['dtype']}")
     if array.dtype.kind == "b":
         return array.copy()
     if array.dtype.kind in "iu" and len(ARRAYS[name].kinds) == 1:

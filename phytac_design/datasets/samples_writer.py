@@ -10,7 +10,7 @@ import re
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from hashlib import sha256
+from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from phytac_design.datasets.samples_check import (
     COUNTS,
     MISSING,
     PARTS,
+    ROWS,
     check_values,
     names_of,
     shape_of,
@@ -33,48 +34,46 @@ from phytac_shapes.errors import InputError, OutputError
 FORMAT, SCHEMA = "phytac-dataset", (1, 0)
 TABLE, FILE, FRAMES = "dataset.json", "samples.npz", "frames"
 SHIFT_STEP_PX = 2.0**-9
-"""0.002 px, a twentieth of a centroid's noise; a power of two, so that multiples are exact."""
+"""0.002 px, a twentieth of the noise of a centroid; multiples of a power of two are exact."""
 FORCE_STEP_N = 2.0**-10
 FRAME = re.compile(r"(\d{6,9})(_far)?\.(png|jpg)")
-LZMA_BYTES = (2**12, 2**20)
-"""Arrays of these sizes are packed with LZMA; deflate does as well below, and is faster above."""
-TOUCH = [name.removeprefix("touch_") for name in names_of(["touches"])]
-TRUTH = [name.removeprefix("truth_") for name in names_of(["truth"])]
-KEY = [name.removeprefix("key_") for name in names_of(["key_nodes"])]
 
 
 def write_samples(
     folder: Path, samples: Samples, meta: DataSetInfo, *, frames: Sequence[str] = ()
 ) -> DataSetInfo:
-    """Write a data set, whole or not at all; the same samples always give the same bytes.
+    """Write a data set, completely or not at all; equal samples give equal bytes.
 
     Parameters
     ----------
     folder : Path
-        Made if it is not there; other files in it are left alone.
+        Created if it does not exist; other files in it are kept.
     samples : Samples
-        What to write; parts that are None are left out.
-    meta : Meta
-        What it is; its ``frames`` are not used.
+        Samples; parts that are None are left out.
+    meta : DataSetInfo
+        Description; its ``frames`` are ignored.
     frames : sequence of str
-        Names of pictures that stand in ``folder/frames`` already (``000012.png``,
+        Names of images that are in ``folder/frames`` already (``000012.png``,
         ``000012_far.png`` of sample 12); their hashes become part of the data set.
 
     Returns
     -------
     Meta
-        With the pictures' hashes.
+        With the images' hashes.
 
     Raises
     ------
     InputError
-        If the samples do not fit together, or a picture is not there.
+        If the samples are inconsistent, or an image is missing.
     OutputError
         If the folder holds something else or cannot be written.
     """
     where = f"data set for {folder}"
     arrays, scales = _stored(samples, where)
-    counts = _counts(samples)
+    rows = (samples.touches, samples.truth, samples.key_nodes)
+    sizes = (0 if part is None else len(part.sample) for part in rows)
+    all_counts = (samples.count, samples.markers, *sizes, len(samples.reason_sample))
+    counts = dict(zip(COUNTS, all_counts, strict=True))
     for name, array in arrays.items():
         if array.shape != shape_of(name, counts):
             raise InputError(
@@ -82,9 +81,11 @@ def write_samples(
                 f"{counts['samples']} samples and {counts['markers']} markers"
             )
     check_values(arrays, counts | {"reasons": len(samples.reasons)}, where)
-    meta = replace(meta, frames={name: _frame_hash(folder, name, counts) for name in frames})
+    for name in frames:
+        check_frame(name, counts["samples"], where)
+    meta = replace(meta, frames={name: file_hash(folder / FRAMES / name) for name in frames})
     packed = _packed(arrays)
-    _own_folder(folder)
+    _check_folder(folder)
     table = _table(samples, meta, arrays, scales, counts, packed, where)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -95,8 +96,8 @@ def write_samples(
     return meta
 
 
-def _own_folder(folder: Path) -> None:
-    """Refuse to write over somebody else's file of the same name."""
+def _check_folder(folder: Path) -> None:
+    """Reject a folder with another program's file of the same name."""
     path = folder / TABLE
     try:
         if path.exists() and f'"{FORMAT}"' not in path.read_text(encoding="utf-8"):
@@ -106,7 +107,7 @@ def _own_folder(folder: Path) -> None:
 
 
 def _replace(path: Path, data: bytes) -> None:
-    """Write a file so that a crash leaves the old one, or the new one, and nothing between."""
+    """Write a file atomically: a crash leaves the old or the new one."""
     part = path.with_name(f".{path.name}.part")
     with part.open("wb") as file:
         file.write(data)
@@ -120,17 +121,10 @@ def _replace(path: Path, data: bytes) -> None:
         os.close(folder)
 
 
-def _counts(samples: Samples) -> dict[str, int]:
-    rows = (samples.touches, samples.truth, samples.key_nodes)
-    sizes = (0 if part is None else len(part.sample) for part in rows)
-    all_counts = (samples.count, samples.markers, *sizes, len(samples.reason_sample))
-    return dict(zip(COUNTS, all_counts, strict=True))
-
-
 def _stored(
     samples: Samples, where: str
 ) -> tuple[dict[str, NDArray[Any]], dict[str, dict[str, float]]]:
-    """Arrays as they are stored, and scale and step of those that are rounded."""
+    """Return arrays as stored, and scale and step of those that are rounded."""
     values: dict[str, Any] = {name: getattr(samples, name) for name in names_of(["samples"])}
     steps: dict[str, float] = {}
     points = {name: getattr(samples, name) for name in names_of(["points"])}
@@ -139,13 +133,12 @@ def _stored(
             raise InputError(f"{where}: {', '.join(points)} go together; give all or none")
         values |= points
         steps["shift_px"] = SHIFT_STEP_PX
-    if samples.touches is not None:
-        values |= {f"touch_{name}": getattr(samples.touches, name) for name in TOUCH}
-    if samples.truth is not None:
-        values |= {f"truth_{name}": getattr(samples.truth, name) for name in TRUTH}
-    if samples.key_nodes is not None:
-        rows = samples.key_nodes
-        values |= {f"key_{name}": getattr(rows, name) for name in KEY}
+    for part, (_, prefix) in ROWS.items():
+        rows = getattr(samples, part)
+        if rows is not None:
+            values |= {n: getattr(rows, n.removeprefix(prefix)) for n in names_of([part])}
+    rows = samples.key_nodes
+    if rows is not None:
         steps |= {
             "key_u_mm": rows.step_mm,
             "key_stiffness_force_N": rows.step_N,
@@ -162,35 +155,34 @@ def _stored(
 
 
 def _as_kind(values: NDArray[Any], name: str, where: str) -> NDArray[Any]:
-    """Values of the type they are stored as, refusing what it does not hold."""
+    """Return values of the stored type; reject those outside its range."""
     kind = np.dtype(ARRAYS[name].kinds[0])
     if kind.kind in "iu":
         limits = np.iinfo(kind)
-        fits = values.dtype.kind in "iub"
-        if fits and values.size:
-            fits = bool(limits.min <= values.min() and values.max() <= limits.max)
-        if not fits:
+        inside = (limits.min <= values) & (values <= limits.max)
+        if values.dtype.kind not in "iub" or not inside.all():
             raise InputError(f"{where}: {name} must be whole numbers within {kind}")
     return np.ascontiguousarray(values.astype(kind))
 
 
 def _rounded(values: FloatArray, step: float, name: str) -> tuple[NDArray[Any], dict[str, float]]:
-    """Multiples of a step as 16-bit numbers; as float32 where the range is too large for them."""
+    """Return multiples of a step as 16-bit numbers, or as float32 for a larger range."""
     whole, wide = (np.dtype(kind) for kind in ARRAYS[name].kinds)
     limits = np.iinfo(whole)
     number = np.rint(values / step) + 0.0
     known = number[~np.isnan(number)]
-    least = MISSING + 1 if whole.kind == "i" else 0
-    if known.size and (known.min() < least or known.max() > limits.max):
+    low = MISSING + 1 if whole.kind == "i" else 0
+    outside = known.size and (known.min() < low or known.max() > limits.max)
+    if outside or (name != "shift_px" and known.size < number.size):
         return (number * step).astype(wide), {"scale": 1.0, "step": step}
-    missing = MISSING if name == "shift_px" else limits.max + 1
-    if missing > limits.max and known.size < number.size:
-        return (number * step).astype(wide), {"scale": 1.0, "step": step}
-    return np.where(np.isnan(number), missing, number).astype(whole), {"scale": step, "step": step}
+    return np.where(np.isnan(number), MISSING, number).astype(whole), {"scale": step, "step": step}
 
 
 def _packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """NumPy's npz, with fixed times, order and compression."""
+    """Return NumPy's npz with fixed times, order and compression.
+
+    LZMA packs arrays of 4 KiB to 1 MiB better; below it gains nothing, and above it is slow.
+    """
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w") as file:
         for name, array in arrays.items():
@@ -198,14 +190,14 @@ def _packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
             np.lib.format.write_array(data, array, version=(1, 0), allow_pickle=False)
             info = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
             info.external_attr, info.create_system = 0o644 << 16, 3
-            tight = LZMA_BYTES[0] <= array.nbytes <= LZMA_BYTES[1]
-            info.compress_type = zipfile.ZIP_LZMA if tight else zipfile.ZIP_DEFLATED
+            lzma = 2**12 <= array.nbytes <= 2**20
+            info.compress_type = zipfile.ZIP_LZMA if lzma else zipfile.ZIP_DEFLATED
             file.writestr(info, data.getbuffer(), compresslevel=6)
     return out.getvalue()
 
 
 def check_frame(name: str, samples: int, where: str) -> None:
-    """Refuse the name of a picture that is of no sample."""
+    """Reject the name of an image of no sample."""
     found = FRAME.fullmatch(name)
     if found is None or int(found[1]) >= samples:
         raise InputError(
@@ -215,7 +207,7 @@ def check_frame(name: str, samples: int, where: str) -> None:
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal digits.
+    """Return the SHA-256 of a file, in hexadecimal digits.
 
     Raises
     ------
@@ -224,16 +216,13 @@ def file_hash(path: Path) -> str:
     """
     try:
         with path.open("rb") as file:
-            total = sha256()
-            while block := file.read(2**20):
-                total.update(block)
+            return file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror})") from None
-    return total.hexdigest()
 
 
 def table_hash(table: Mapping[str, Any]) -> str:
-    """SHA-256 of ``dataset.json`` without its own ``checksum``, however it is laid out."""
+    """Return the SHA-256 of ``dataset.json`` without its ``checksum``, in any formatting."""
     rest = {key: value for key, value in table.items() if key != "checksum"}
     text = json.dumps(rest, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return sha256(text.encode()).hexdigest()
@@ -248,7 +237,7 @@ def _table(
     packed: bytes,
     where: str,
 ) -> bytes:
-    """``dataset.json``."""
+    """Return ``dataset.json``."""
     described = {}
     for name, array in arrays.items():
         stored = ARRAYS[name]
@@ -286,8 +275,3 @@ def _table(
     except (TypeError, ValueError) as error:
         raise InputError(f"{where}: notes must be plain JSON ({error}); correct them") from None
     return (text + "\n").encode()
-
-
-def _frame_hash(folder: Path, name: str, counts: Mapping[str, int]) -> str:
-    check_frame(name, counts["samples"], f"data set for {folder}")
-    return file_hash(folder / FRAMES / name)

@@ -312,7 +312,7 @@ def interpolate_responses(places: ResponseTable, points_mm: FloatArray) -> Float
     out = np.zeros((len(points_mm), *places.shift_px.shape[1:]))
     for place in np.unique(nearest).tolist():
         own = np.flatnonzero(nearest == place)
-        x, y = places.laid(place, points_mm[own]).T
+        x, y = places.tangent_coordinates(place, points_mm[own]).T
         powers = np.stack([x**a * y**b / (FACTORIALS[a] * FACTORIALS[b]) for a, b in TERMS])
         out[own] = np.einsum("tm,tkr->mkr", powers, places.cubic(place))
     return out

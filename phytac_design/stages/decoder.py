@@ -1,4 +1,4 @@
-"""Train the paper's network, judge every estimator on held-out contacts, write the bundle."""
+"""Train the paper's network, evaluate all estimators on held-out contacts, write the bundle."""
 
 import time
 from dataclasses import replace
@@ -25,16 +25,14 @@ if TYPE_CHECKING:
 
 ACTIVATIONS: dict[str, Activation] = {"fem_nn": "rectified", "fem_nn_identity": "identity"}
 """Networks of the bundle: both readings of the paper's \"linear unit\"."""
-UNREAD_N = 1e4
-"""Threshold of switches that a scene's decoder does not read: the largest force of a design."""
-UNREAD_RED = 4.0
-"""Red over what tells on from off, that no such tip shows."""
+UNUSED_N = 1e4
+"""Threshold of switches that a scene's decoder does not use: the largest force of a design."""
 MIDDLE = (0.125, 0.792)
 """Middle of the sensor as fractions of its length: heights 15 to 95 mm of 120 (paper)."""
 
 
 def along_mm(context: Context, uv: FloatArray) -> FloatArray:
-    """Distance of chart positions from the near rim along the unwrapped surface, mm."""
+    """Return the distance of chart positions from the near rim along the unwrapped surface, mm."""
     low = context.surface.domain[0, 0]
     flat = context.surface.unwrap(uv)[:, 1]
     start = np.column_stack([np.full(len(uv), low), uv[:, 1]])
@@ -42,19 +40,19 @@ def along_mm(context: Context, uv: FloatArray) -> FloatArray:
 
 
 def length_mm(context: Context) -> float:
-    """Length of the sensor from rim to rim, along v0, mm."""
+    """Return the length of the sensor from rim to rim, along v0, mm."""
     (_, u1), (v0, _) = context.surface.domain
     return float(along_mm(context, np.array([[u1, v0]]))[0])
 
 
 def middle_mm(context: Context) -> tuple[float, float]:
-    """Heights that count as the middle of this sensor."""
+    """Return the bounds of the middle of this sensor, mm."""
     length = length_mm(context)
     return MIDDLE[0] * length, MIDDLE[1] * length
 
 
 def untrained_model(context: Context) -> ForceModel:
-    """Force model of the stages ``response`` and (if it ran) ``places``, without networks."""
+    """Return the force model of the stages ``response`` and (if it ran) ``places`` alone."""
     response = context.arrays("response")
     return ForceModel(
         shift_to_mm=response["shift_to_mm"],
@@ -68,30 +66,36 @@ def untrained_model(context: Context) -> ForceModel:
 
 
 def _locator(context: Context) -> "ContactLocator":
-    """The estimator ``auto`` by design, which knows what switches cannot be read."""
+    """Return the estimator ``auto`` by design, with its unreadable switches."""
     played = played_in(context)
-    return replace(locator_of(context), blind=_tips(context, played).blind(played))
+    return replace(locator_of(context), blind=_tips(context, "tip_", played).blind(played))
 
 
-def _tips(context: Context, played: BoolArray) -> "TipModel":
-    """Tips as the cameras that read them see them."""
+def _tips(
+    context: Context, prefix: str, played: BoolArray, camera: int | None = None
+) -> "TipModel":
+    """Return the tips as the cameras see them; of all arrays of a prefix, or of one camera's."""
     views = context.arrays("views")
-    return tips_in_play(
-        views["tip_on_px"], views["tip_red_rest_px"], views["tip_red_on_px"], played
+    own = slice(None) if camera is None else camera
+    on, red_rest, red_on = (
+        views[prefix + name][own] for name in ("on_px", "red_rest_px", "red_on_px")
     )
+    return tips_in_play(on, red_rest, red_on, played)
 
 
 def assemble_bundle(context: Context, model: ForceModel, notes: dict[str, Any]) -> "Bundle":
-    """Bundle from the stages ``views`` and ``response`` and a force model; of no design by name.
+    """Return the bundle of the stages ``views`` and ``response`` and a force model.
+
+    It has no design name yet, see :func:`finish`.
 
     Parameters
     ----------
     context : Context
-        With the folders of both stages.
+        Context with the results of both stages.
     model : ForceModel
-        As of :func:`untrained_model`, and what was trained on top of it.
+        Model of :func:`untrained_model`, trained or not.
     notes : dict
-        Where it comes from, plain JSON.
+        Provenance, plain JSON.
     """
     from phytac_decoder.io.bundle import Bundle, CameraView
     from phytac_design.simulation.expected_image import colour_model
@@ -100,16 +104,10 @@ def assemble_bundle(context: Context, model: ForceModel, notes: dict[str, Any]) 
     colours, classes = colour_model(design)
     readers = readers_of(context)
     played = played_in(context)
-    shown = [
-        CameraView(rest_px=rest, tips=tips_in_play(on, red_rest, red_on, played))
-        for rest, on, red_rest, red_on in zip(
-            views["shown_rest_px"],
-            views["shown_tip_on_px"],
-            views["shown_tip_red_rest_px"],
-            views["shown_tip_red_on_px"],
-            strict=True,
-        )
-    ]
+    shown = tuple(
+        CameraView(rest_px=rest_px, tips=_tips(context, "shown_tip_", played, camera))
+        for camera, rest_px in enumerate(views["shown_rest_px"])
+    )
     return Bundle(
         design="",
         design_hash="",
@@ -120,19 +118,19 @@ def assemble_bundle(context: Context, model: ForceModel, notes: dict[str, Any]) 
         position_mm=context.surface.point(context.markers.uv),
         rest_px=views["rest_px"],
         tip_bias_px=views["tip_bias_px"],
-        tips=_tips(context, played),
+        tips=_tips(context, "tip_", played),
         model=model,
-        # No force explains a switch out of play: it is doubted in every frame.
-        threshold_N=np.where(played, thresholds_N(design, context.markers), UNREAD_N),
+        # A switch out of play is reported as faulty in every frame: no force explains it.
+        threshold_N=np.where(played, thresholds_N(design, context.markers), UNUSED_N),
         noise_centroid_px=design.camera.noise_centroid_px,
         force_max_N=design.training.force_max_N,
-        shown=tuple(shown) if len(shown) > 1 else (),
+        shown=shown if len(shown) > 1 else (),
         notes=notes,
     )
 
 
 def played_in(context: Context) -> BoolArray:
-    """Receptors (n,) that the decoder reads: in a scene those in play."""
+    """Return the receptors (n,) that the decoder reads: in a scene those in play."""
     scope = scope_of(context)
     if scope is None:
         return np.ones(context.markers.count, dtype=np.bool_)
@@ -142,15 +140,15 @@ def played_in(context: Context) -> BoolArray:
 def tips_in_play(
     on_px: FloatArray, red_rest_px: FloatArray, red_on_px: FloatArray, played: BoolArray
 ) -> "TipModel":
-    """Tips as the decoder reads them.
+    """Return tips as the decoder reads them.
 
-    Of a switch out of play that cannot be read anyway, no amount of red counts; motion alone,
-    which explains nothing there, would else stand for it.
+    An unreadable switch out of play needs more red than any tip shows: otherwise the motion, which
+    means nothing there, would decide.
     """
     from phytac_decoder.vision.switch_detection import RED_RATIO_MIN, RED_AREA_MIN_px, TipModel
 
     tips = TipModel(on_px=on_px, red_rest_px=red_rest_px, red_on_px=red_on_px)
-    never = UNREAD_RED * (RED_RATIO_MIN * red_rest_px + RED_AREA_MIN_px)
+    never = 4.0 * (RED_RATIO_MIN * red_rest_px + RED_AREA_MIN_px)
     return replace(tips, red_on_px=np.where(played | tips.readable, red_on_px, never))
 
 
@@ -183,7 +181,7 @@ def run(context: Context, folder: Path) -> None:
 
 
 def scene_notes(context: Context) -> dict[str, Any]:
-    """What the bundle of a scene says of itself: forces are read on receptors in play alone."""
+    """Return the notes of a scene's bundle, which reads forces on receptors in play alone."""
     scene = context.scene
     if scene is None:
         return {}
@@ -197,7 +195,7 @@ def scene_notes(context: Context) -> dict[str, Any]:
 
 
 def train_networks(context: Context, model: ForceModel, data: Dataset) -> dict[str, Any]:
-    """Train the networks of the paper into ``model``, and say how they fit."""
+    """Train the networks of the paper into ``model``; return figures of the fit."""
     from phytac_design.training.levenberg_marquardt import split_samples, train_network
 
     rows = key_node_data(model, data)
@@ -214,7 +212,7 @@ def train_networks(context: Context, model: ForceModel, data: Dataset) -> dict[s
             "rounds": fit.rounds,
             "rmse_train_N": fit.rmse_train_N,
             "rmse_validation_N": fit.rmse_validation_N,
-            "rmse_test_split_N": _rmse(fit.network, rows.take(third)),
+            "rmse_test_split_N": rows.take(third).rmse_N(fit.network),
         }
     return training
 
@@ -222,7 +220,7 @@ def train_networks(context: Context, model: ForceModel, data: Dataset) -> dict[s
 def evaluate_estimators(
     context: Context, model: ForceModel, twin: dict[str, Any]
 ) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-    """Scores of every estimator on both held-out sets, and the forces (c,) that each decoded, N."""
+    """Return scores of every estimator on both held-out sets, and the decoded forces (c,), N."""
     from phytac_design.simulation.force_errors import contact_forces, score_contacts
 
     scores: dict[str, Any] = {}
@@ -249,13 +247,13 @@ def evaluate_estimators(
 
 
 def limit_facts(bundle: "Bundle") -> dict[str, Any]:
-    """What the sensor cannot read, as figures: noise of K·u in N, marker ids, sentences."""
+    """Return the limits of the sensor: noise of K·u in N, marker ids, sentences."""
     noise = bundle.noise_centroid_px * bundle.model.stiffness_noise_N_px
     inverse = bundle.noise_centroid_px * bundle.model.inverse_noise_N_px
     unusable = ~bundle.stiffness_usable
     sensitivity = np.linalg.norm(bundle.model.shift_to_mm, axis=1)
     observed = sensitivity > 0.0
-    # A scene's bundle reads no force off the receptors in play: their noise is no figure.
+    # A scene's bundle reads forces on receptors in play alone.
     in_play = bundle.notes.get("scene", {}).get("in_play", np.arange(len(noise)))
     noise, inverse = noise[in_play], inverse[in_play]
     return {
@@ -273,15 +271,9 @@ def limit_facts(bundle: "Bundle") -> dict[str, Any]:
     }
 
 
-def _rmse(network: Any, rows: Any) -> float:
-    """Force error (root mean square, N) of a network on some key nodes."""
-    error = rows.stiffness_force_N + network(rows.features) * rows.apparent_mm - rows.force_N
-    return float(np.sqrt((error**2).mean())) if len(error) else float("nan")
-
-
 def finish(design: Design, out: Path) -> None:
-    """Mark the exported bundle with the design it is of, and its named regions."""
-    from phytac_decoder.io.bundle_stamp import stamp_bundle
+    """Write the design's name, hash and regions into the exported bundle."""
+    from phytac_decoder.io.bundle import stamp_bundle
     from phytac_design.design.design_file import design_hash
     from phytac_design.layout.region_chart import design_regions
 

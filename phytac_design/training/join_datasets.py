@@ -1,70 +1,71 @@
-"""Some samples of a data set, and several data sets as one."""
+"""Selecting samples of a data set, and joining several data sets."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
-from phytac_design.datasets.samples import KeyNodeRows, Samples, TouchRows, TruthRows
+from phytac_design.datasets.samples import KeyNodeRows, Samples, TruthRows
+from phytac_design.datasets.samples_check import names_of
 from phytac_shapes.arrays import BoolArray, IntArray
 from phytac_shapes.errors import InputError
 
-PER_SAMPLE = ("time_s", "sequence", "light", "status", "theory", "total_N", "contacts")
-POINTS = ("bits", "bits_read", "shift_px")
-TOUCH = (
-    "sample", "uv", "point_mm", "radius_mm", "force_N", "indenter", "length_mm", "turn_rad",
-    "friction",
-)  # fmt: skip
-TRUTH = ("sample", "marker", "force_N", "touch")
-KEY = ("sample", "marker", "u_mm", "stiffness_force_N", "force_N")
+PER_SAMPLE = [name for name in names_of(["samples"]) if not name.startswith("reason_")]
+POINTS = names_of(["points"])
+ROWS = ("touches", "truth", "key_nodes")
+"""Parts with rows of their own, each with its sample."""
+SHARED = ("height_z_mm", "step_mm", "step_N")
+"""Fields of key nodes that are not rows."""
+
+
+def _names(rows: Any) -> list[str]:
+    return [field.name for field in fields(rows) if field.name not in SHARED]
 
 
 def select_samples(samples: Samples, index: IntArray) -> Samples:
-    """Some samples with all that belongs to them, renumbered from 0.
+    """Return some samples with everything that belongs to them, renumbered from 0.
 
     Parameters
     ----------
     samples : Samples
-        To choose from.
+        Samples to select from.
     index : (p,) int
-        Samples to keep, growing.
+        Samples to keep, ascending.
     """
     new = np.full(samples.count, -1)
     new[index] = np.arange(len(index))
-    told = new[samples.reason_sample] >= 0
+
+    def selected(rows: Any, keep: BoolArray) -> Any:
+        kept = {name: getattr(rows, name)[keep] for name in _names(rows)}
+        return replace(rows, **kept | {"sample": new[kept["sample"]]})
+
     parts: dict[str, Any] = {name: getattr(samples, name)[index] for name in PER_SAMPLE}
     for name in POINTS:
         value = getattr(samples, name)
         parts[name] = None if value is None else value[index]
-    touch_new = np.zeros(0, dtype=np.int64)
-    if samples.touches is not None:
-        keep = new[samples.touches.sample] >= 0
-        parts["touches"] = _rows(samples.touches, TOUCH, keep, new)
-        touch_new = np.where(keep, np.cumsum(keep) - 1, -1)
+    for name in ROWS:
+        rows = getattr(samples, name)
+        parts[name] = None if rows is None else selected(rows, new[rows.sample] >= 0)
     if samples.truth is not None:
-        truth = _rows(samples.truth, TRUTH, new[samples.truth.sample] >= 0, new)
-        # -1, no contact, finds the -1 at the end.
-        parts["truth"] = replace(truth, touch=np.append(touch_new, -1)[truth.touch])
-    if samples.key_nodes is not None:
-        nodes = samples.key_nodes
-        parts["key_nodes"] = _rows(nodes, KEY, new[nodes.sample] >= 0, new)
+        new_touch = np.zeros(0, dtype=np.int64)
+        if samples.touches is not None:
+            keep = new[samples.touches.sample] >= 0
+            new_touch = np.where(keep, np.cumsum(keep) - 1, -1)
+        # -1, no contact, selects the -1 at the end.
+        touch = np.append(new_touch, -1)[parts["truth"].touch]
+        parts["truth"] = replace(parts["truth"], touch=touch)
+    remarks = new[samples.reason_sample] >= 0
     return replace(
         samples,
-        reason_sample=new[samples.reason_sample[told]],
-        reason_index=samples.reason_index[told],
+        reason_sample=new[samples.reason_sample[remarks]],
+        reason_index=samples.reason_index[remarks],
         **parts,
     )
 
 
-def _rows(rows: Any, names: Sequence[str], keep: BoolArray, new: IntArray) -> Any:
-    """Rows of the samples that stay, with their new numbers."""
-    kept = {name: getattr(rows, name)[keep] for name in names}
-    return replace(rows, **kept | {"sample": new[kept["sample"]]})
-
-
 def join_samples(sets: Sequence[Samples]) -> Samples:
-    """Several data sets of one sensor as one; a part stays if all of them have it.
+    """Join data sets of one sensor; a part is kept if all of them have it.
 
     Sequences are renumbered, so that no two sets share one.
 
@@ -81,76 +82,54 @@ def join_samples(sets: Sequence[Samples]) -> Samples:
         )
     if len(sets) == 1:
         return sets[0]
-    first = np.concatenate([[0], np.cumsum([samples.count for samples in sets])]).tolist()
-    parts: dict[str, Any] = {
-        name: np.concatenate([getattr(samples, name) for samples in sets])
-        for name in PER_SAMPLE
-        if name != "sequence"
-    }
-    parts["sequence"] = _apart([samples.sequence for samples in sets])
-    for name in POINTS:
-        values = [getattr(samples, name) for samples in sets]
-        complete = all(value is not None for value in values)
-        parts[name] = np.concatenate(values) if complete else None
+    sequences = [np.unique(samples.sequence, return_inverse=True) for samples in sets]
     reasons = sorted({text for samples in sets for text in samples.reasons})
-    told = [
+    indices = [
         np.array([reasons.index(text) for text in samples.reasons], dtype=np.int64)
         for samples in sets
     ]
+    first = _starts([samples.count for samples in sets])
+    parts: dict[str, Any] = {
+        name: np.concatenate([getattr(samples, name) for samples in sets]) for name in PER_SAMPLE
+    }
+    parts["sequence"] = _shifted(
+        [member for _, member in sequences], _starts([len(names) for names, _ in sequences])
+    )
     parts["reason_index"] = np.concatenate(
-        [names[samples.reason_index] for names, samples in zip(told, sets, strict=True)]
+        [index[samples.reason_index] for index, samples in zip(indices, sets, strict=True)]
     )
     parts["reason_sample"] = _shifted([samples.reason_sample for samples in sets], first)
+    for name in POINTS:
+        values = [getattr(samples, name) for samples in sets]
+        parts[name] = None if any(value is None for value in values) else np.concatenate(values)
     touches = [samples.touches for samples in sets]
-    truths = [samples.truth for samples in sets]
-    nodes = [samples.key_nodes for samples in sets]
-    return Samples(
-        markers=counts[0],
-        reasons=tuple(reasons),
-        touches=_joined(TouchRows, TOUCH, touches, first),
-        truth=_joined(TruthRows, TRUTH, truths, first, touches),
-        key_nodes=_joined(KeyNodeRows, KEY, nodes, first),
-        **parts,
-    )
+    for name in ROWS:
+        rows = [getattr(samples, name) for samples in sets]
+        needed = [*rows, *touches] if name == "truth" else rows
+        parts[name] = None
+        if all(part is not None for part in needed):
+            parts[name] = _joined_rows(rows, first, [len(part.sample) for part in touches if part])
+    return Samples(markers=counts[0], reasons=tuple(reasons), **parts)
+
+
+def _joined_rows(rows: Sequence[Any], first: Sequence[int], touches: Sequence[int]) -> Any:
+    """Join rows of all sets; ``touches`` are the numbers of their contacts."""
+    values = {
+        name: np.concatenate([getattr(part, name) for part in rows]) for name in _names(rows[0])
+    }
+    values["sample"] = _shifted([part.sample for part in rows], first)
+    if isinstance(rows[0], TruthRows):
+        touch = _shifted([part.touch for part in rows], _starts(touches))
+        values["touch"] = np.where(values["touch"] >= 0, touch, -1)
+    if isinstance(rows[0], KeyNodeRows):
+        values["step_mm"] = min(part.step_mm for part in rows)
+        values["step_N"] = min(part.step_N for part in rows)
+    return replace(rows[0], **values)
+
+
+def _starts(counts: Sequence[int]) -> list[int]:
+    return [sum(counts[:number]) for number in range(len(counts))]
 
 
 def _shifted(parts: Sequence[IntArray], first: Sequence[int]) -> IntArray:
-    pairs = zip(parts, first[: len(parts)], strict=True)
-    return np.concatenate([part + start for part, start in pairs])
-
-
-def _apart(sequences: Sequence[IntArray]) -> IntArray:
-    """Numbers of sequences, counted on from set to set."""
-    out, start = [], 0
-    for sequence in sequences:
-        groups, member = np.unique(sequence, return_inverse=True)
-        out.append(member + start)
-        start += len(groups)
-    return np.concatenate(out)
-
-
-def _joined(
-    kind: Any,
-    names: Sequence[str],
-    parts: Sequence[Any],
-    first: Sequence[int],
-    touches: Sequence[Any] = (),
-) -> Any:
-    """Rows of all sets, or None if one lacks them."""
-    if any(part is None for part in (*parts, *touches)):
-        return None
-    values = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    values["sample"] = _shifted([part.sample for part in parts], first)
-    if kind is TruthRows:
-        before = np.concatenate([[0], np.cumsum([len(rows.sample) for rows in touches])])
-        values["touch"] = np.concatenate(
-            [
-                np.where(part.touch >= 0, part.touch + start, -1)
-                for part, start in zip(parts, before[:-1].tolist(), strict=True)
-            ]
-        )
-    if kind is KeyNodeRows:
-        values["height_z_mm"] = parts[0].height_z_mm
-        values["step_mm"] = min(part.step_mm for part in parts)
-        values["step_N"] = min(part.step_N for part in parts)
-    return kind(**values)
+    return np.concatenate([part + start for part, start in zip(parts, first, strict=True)])

@@ -1,7 +1,7 @@
 """Training of the FEM-NN with Levenberg-Marquardt."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -11,14 +11,13 @@ from phytac_decoder.estimation.cascade_network import (
     SHAPES,
     Activation,
     CascadeNetwork,
-    parameter_count,
+    layers_of,
 )
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError
 
-ROUNDS_MAX = 150
-PATIENCE = 12
-RESTARTS = 2
+ITERATIONS_MAX, PATIENCE, RESTARTS = 150, 12, 2
+"""Levenberg-Marquardt iterations; those without a lower validation error; random starts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,20 +45,22 @@ class KeyNodeData:
     sample: IntArray
 
     def take(self, samples: IntArray) -> "KeyNodeData":
-        """Rows of some samples only."""
+        """Return the rows of some samples."""
         keep = np.isin(self.sample, samples)
         return KeyNodeData(
-            features=self.features[keep],
-            apparent_mm=self.apparent_mm[keep],
-            stiffness_force_N=self.stiffness_force_N[keep],
-            force_N=self.force_N[keep],
-            sample=self.sample[keep],
+            **{field.name: getattr(self, field.name)[keep] for field in fields(self)}
         )
+
+    def rmse_N(self, network: CascadeNetwork) -> float:
+        """Return the force error (root mean square) of a network; NaN without rows."""
+        stiffness = network(self.features)
+        error = self.stiffness_force_N + stiffness * self.apparent_mm - self.force_N
+        return float(np.sqrt((error**2).mean())) if len(error) else float("nan")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainedNetwork:
-    """A trained network, how long it took, and its errors in newtons (root mean square)."""
+    """A trained network, its training time, and its force errors (root mean square)."""
 
     network: CascadeNetwork
     seconds: float
@@ -69,7 +70,7 @@ class TrainedNetwork:
 
 
 def split_samples(count: int, *, seed: int) -> tuple[IntArray, IntArray, IntArray]:
-    """Shuffle sample indices into 85 % training, 5 % validation and 10 % test (the paper's)."""
+    """Split sample indices at random: 85 % training, 5 % validation, 10 % test (paper)."""
     order = np.random.default_rng(seed).permutation(count)
     first, second = round(0.85 * count), round(0.90 * count)
     return order[:first], order[first:second], order[second:]
@@ -85,28 +86,26 @@ def train_network(
 ) -> TrainedNetwork:
     """Fit k = g(nn) so that (K·U)_i + k_i·u_i matches the true force (paper, eq. 2 and 3).
 
-    The label k_i = (F_i - (K·U)_i) / u_i is never formed: it is undefined as u → 0. The loss is
-    the force error itself, in which k enters only as k_i·u_i, so that a node that hardly moves
-    has hardly a say. Levenberg-Marquardt on all parameters; the parameters of the round with the
-    least validation error are kept.
+    The label k_i = (F_i - (K·U)_i) / u_i is not used, as it is undefined for u → 0. The loss is the
+    force error, in which k enters only as k_i·u_i, so that nodes that hardly move count little.
+    Levenberg-Marquardt on all parameters; those of the lowest validation error are kept.
 
     Parameters
     ----------
     training, validation : KeyNodeData
-        Rows to learn from, and rows that say when to stop.
+        Rows to fit to, and rows that decide when to stop.
     activation : str
         As in :class:`phytac_decoder.estimation.cascade_network.CascadeNetwork`.
     seed : int
-        Of the random starts.
+        Seed of the initial weights.
     start : CascadeNetwork, optional
-        Another sensor's network to start from instead. Its 351 numbers are taken as they are,
-        its scales are not: inputs and output are scaled as those of the new data, so that what
-        it knows carries over in proportion to the new sensor's own motion and stiffness.
+        Another sensor's network to start from instead. Its 351 parameters are used; the scales are
+        those of the new data, so that it adapts to the motion and stiffness of the new sensor.
 
     Raises
     ------
     InputError
-        If there are too few key nodes to learn from, or the start is a network of another kind.
+        If there are too few key nodes, or the start has another activation.
     """
     if len(training.force_N) < INPUTS + 1 or len(validation.force_N) < 1:
         raise InputError(
@@ -124,57 +123,29 @@ def train_network(
     scale_in[9] = max(float(np.abs(training.features[:, 9]).max()), 1e-9)
     u = np.abs(training.apparent_mm)
     scale_out = float(np.abs(training.force_N).mean() / max(float(u.mean()), 1e-9))
-    rows = [_Rows.of(data, scale_in, scale_out) for data in (training, validation)]
+    fitted, held_out = (
+        _Problem(data, scale_in, scale_out, activation) for data in (training, validation)
+    )
     starts = (
         [_initial(seed + restart) for restart in range(RESTARTS)]
         if start is None
         else [start.parameters]
     )
-    fits = [_fit(rows[0], rows[1], first, rectified=activation == "rectified") for first in starts]
-    best = min(fits, key=lambda fit: fit.rmse_validation)
+    fits = [_levenberg_marquardt(fitted, held_out, first) for first in starts]
+    rmse_validation, rmse_train, rounds, parameters = min(fits, key=lambda fit: fit[0])
     return TrainedNetwork(
         network=CascadeNetwork(
-            parameters=best.parameters,
-            activation=activation,
-            scale_in=scale_in,
-            scale_out=scale_out,
+            parameters=parameters, activation=activation, scale_in=scale_in, scale_out=scale_out
         ),
         seconds=time.perf_counter() - begin,
-        rounds=best.rounds,
-        rmse_train_N=best.rmse_train,
-        rmse_validation_N=best.rmse_validation,
+        rounds=rounds,
+        rmse_train_N=rmse_train,
+        rmse_validation_N=rmse_validation,
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Rows:
-    """Scaled inputs (m, 10), u times the output scale (m,), and what k·u should be (m,) N."""
-
-    x: FloatArray
-    u: FloatArray
-    goal_N: FloatArray
-
-    @classmethod
-    def of(cls, data: KeyNodeData, scale_in: FloatArray, scale_out: float) -> "_Rows":
-        return cls(
-            x=data.features / scale_in,
-            u=data.apparent_mm * scale_out,
-            goal_N=data.force_N - data.stiffness_force_N,
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Fit:
-    """Result of one start."""
-
-    rmse_validation: float
-    rmse_train: float
-    rounds: int
-    parameters: FloatArray
-
-
 def _initial(seed: int) -> FloatArray:
-    """He-scaled normal weights, zero biases, a small output layer."""
+    """Return He-scaled normal weights, zero biases, and a small output layer."""
     rng = np.random.default_rng(seed)
     parts = []
     for name, shape in SHAPES.items():
@@ -190,23 +161,18 @@ class CascadeDerivatives:
     """The network of ``phytac_decoder.estimation.cascade_network`` at one vector of parameters, with its derivatives."""
 
     def __init__(self, flat: FloatArray, x: FloatArray, *, rectified: bool) -> None:
-        w, start = {}, 0
-        for name, shape in SHAPES.items():
-            size = int(np.prod(shape))
-            w[name] = flat[start : start + size].reshape(shape)
-            start += size
-        self.w, self.x, self.rectified = w, x, rectified
-        self.first = self._activate(x @ w["w1"].T + w["b1"])
+        self.w, self.x, self.rectified = layers_of(flat), x, rectified
+        self.first = self._activate(x @ self.w["w1"].T + self.w["b1"])
         self.both = np.concatenate([x, self.first], axis=1)
-        self.second = self._activate(self.both @ w["w2"].T + w["b2"])
+        self.second = self._activate(self.both @ self.w["w2"].T + self.w["b2"])
         self.every = np.concatenate([self.both, self.second], axis=1)
-        self.value = self.every @ w["w3"][0] + w["b3"][0]
+        self.value = self.every @ self.w["w3"][0] + self.w["b3"][0]
 
     def _activate(self, values: FloatArray) -> FloatArray:
         return np.maximum(values, 0.0) if self.rectified else values
 
     def jacobian(self) -> FloatArray:
-        """Derivatives (m, 351) of the values by the parameters, by the chain rule."""
+        """Return derivatives (m, 351) of the values by the parameters."""
         m, out = len(self.x), self.w["w3"][0]
         second = np.broadcast_to(out[INPUTS + HIDDEN :], (m, HIDDEN))
         second = np.where(self.second > 0.0, second, 0.0) if self.rectified else second
@@ -223,47 +189,48 @@ class CascadeDerivatives:
         return np.concatenate([slopes[name].reshape(m, -1) for name in SHAPES], axis=1)
 
 
-def _fit(training: _Rows, validation: _Rows, first: FloatArray, *, rectified: bool) -> _Fit:
-    """One Levenberg-Marquardt run from one start."""
+class _Problem:
+    """Force residuals k·u - (F - K·U) of some key nodes, (m,) N."""
 
-    def residual_N(net: CascadeDerivatives, rows: _Rows) -> FloatArray:
-        return np.asarray(net.value * rows.u - rows.goal_N)
+    def __init__(
+        self, data: KeyNodeData, scale_in: FloatArray, scale_out: float, activation: Activation
+    ) -> None:
+        self.x = data.features / scale_in
+        self.u = data.apparent_mm * scale_out
+        self.goal_N = data.force_N - data.stiffness_force_N
+        self.rectified = activation == "rectified"
 
-    def rms(error: FloatArray) -> float:
-        return float(np.sqrt((error**2).mean()))
+    def at(self, flat: FloatArray) -> tuple[CascadeDerivatives, FloatArray, float]:
+        """Return the network, the residuals and their root mean square."""
+        network = CascadeDerivatives(flat, self.x, rectified=self.rectified)
+        residual = network.value * self.u - self.goal_N
+        return network, residual, float(np.sqrt((residual**2).mean()))
 
-    def at(flat: FloatArray, rows: _Rows) -> CascadeDerivatives:
-        return CascadeDerivatives(flat, rows.x, rectified=rectified)
 
-    flat = first
-    net = at(flat, training)
-    residual = residual_N(net, training)
-    damping, loss = 1e-2, rms(residual)
-    best = (rms(residual_N(at(flat, validation), validation)), loss, 0, flat)
-    unit = np.eye(parameter_count())
-    for step in range(1, ROUNDS_MAX + 1):
-        jacobian = net.jacobian() * training.u[:, None]
+def _levenberg_marquardt(
+    training: _Problem, validation: _Problem, first: FloatArray
+) -> tuple[float, float, int, FloatArray]:
+    """Return validation and training error, iterations and parameters of the best iteration."""
+    flat, damping = first, 1e-2
+    network, residual, loss = training.at(flat)
+    best = (validation.at(flat)[2], loss, 0, flat)
+    unit = np.eye(len(flat))
+    for step in range(1, ITERATIONS_MAX + 1):
+        jacobian = network.jacobian() * training.u[:, None]
         gram, gradient = jacobian.T @ jacobian, jacobian.T @ residual
         ridge = (np.trace(gram) / len(flat) + 1e-30) * unit
         improved = False
         for _ in range(8):
             trial = flat - np.linalg.solve(gram + damping * ridge, gradient)
-            tried = at(trial, training)
-            trial_residual = residual_N(tried, training)
-            if rms(trial_residual) < loss:
-                flat, net, residual, improved = trial, tried, trial_residual, True
-                loss = rms(residual)
+            tried = training.at(trial)
+            if tried[2] < loss:
+                flat, (network, residual, loss), improved = trial, tried, True
                 damping = max(damping / 5.0, 1e-9)
                 break
             damping = min(damping * 4.0, 1e9)
-        error = rms(residual_N(at(flat, validation), validation))
+        error = validation.at(flat)[2]
         if error < best[0]:
             best = (error, loss, step, flat)
         if not improved or step - best[2] > PATIENCE:
             break
-    return _Fit(
-        rmse_validation=best[0],
-        rmse_train=best[1],
-        rounds=best[2],
-        parameters=best[3].copy(),
-    )
+    return best

@@ -1,4 +1,8 @@
-"""What one sensor's own samples tell its locator: stiffness, priors, noise, correction, spread."""
+"""Training of the estimator ``auto`` from one sensor's own samples.
+
+Fitted are the stiffness, the priors, the noise, marker gains, a stiffness field, a correction of
+forces and their spread.
+"""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -8,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from phytac_decoder.estimation.contact_estimates import ContactDetection, LocatedContact
-from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
-from phytac_decoder.estimation.force_correction import ForceCorrection, fit_correction
+from phytac_decoder.estimation.contact_fit import ContactPrior
+from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.locator import ContactLocator
 from phytac_design.datasets.samples import FAILED, Samples, TouchRows
+from phytac_design.training.force_correction_fit import fit_correction
 from phytac_design.training.marker_gain import (
     CrossValidationFold,
     apply_gain,
@@ -24,39 +29,50 @@ from phytac_design.training.stiffness_field import StiffnessField
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError
 
-SCALE_SAMPLES = 100
-"""Samples that stiffness and noise are found with; more change them by less than their spread."""
-FIRST_SAMPLES, SCALE_ROUNDS = 50, 2
-"""Samples and rounds of a first look; gains of markers make up for what is left."""
-PLACE_LEAST_MM = 0.3
-"""No place is known better beforehand."""
-WORSE = 1.05
-"""Left-out forces that scatter by so much more say that few samples told unevenness wrong."""
-PARTS = 10
-"""Of the samples: each is read with gains that the others told."""
-NOISE_CHANGE = (0.25, 4.0)
-CORRECTION_LEAST = 10
-"""Fewer contacts tell a stiffness, and no more."""
-FLAT, SPHERE, CYLINDER = range(3)
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationSettings:
+    """Settings of the calibration, chosen on virtual prints."""
+
+    scale_samples: int = 100
+    """Samples that stiffness and noise are fitted to; more change them by less than their
+    spread."""
+    first_samples: int = 50
+    first_iterations: int = 2
+    """Samples and iterations of a first scaling; gains of markers make up for the rest."""
+    folds: int = 10
+    """Cross-validation folds: each is read with gains fitted to the others."""
+    scatter_growth_max: float = 1.05
+    """With few samples, the stiffness field is dropped if held-out forces scatter by more."""
+    noise_change: tuple[float, float] = (0.25, 4.0)
+    place_min_mm: float = 0.3
+    """Smallest standard deviation of the prior place."""
+    contacts_min: int = 10
+    """Contacts that a prior or a correction needs; fewer determine only the stiffness."""
+
+
+SETTINGS = CalibrationSettings()
+SPHERE, CYLINDER = 1, 2
+"""Indenters, see ``phytac_design.datasets.samples.INDENTERS``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactMatches:
-    """Contacts found, beside those that were pressed; arrays run over c contacts.
+    """Located contacts matched to known ones; arrays run over c contacts.
 
     Attributes
     ----------
     touch : (c,) int
         Row of the contact in the samples' touches.
     point_mm : (c, 3) float
-        Where it was found.
+        Located centre.
     force_N, sd_N : (c,) float
-        As found, before correction.
+        Located force and its standard deviation, before correction.
     signal_px : (c,) float
         Shift of all markers together, px per newton.
     truth_N : (c,) float
-        As pressed.
-    misfit : (s,) float
+        True force.
+    reduced_chi2 : (s,) float
         Of each sample.
     """
 
@@ -66,24 +82,29 @@ class ContactMatches:
     sd_N: FloatArray
     signal_px: FloatArray
     truth_N: FloatArray
-    misfit: FloatArray
+    reduced_chi2: FloatArray
 
 
 def match_contacts(locator: ContactLocator, samples: Samples, chosen: IntArray) -> ContactMatches:
-    """Find contacts in samples (k,), and match them to what was pressed by the switches tripped.
+    """Locate contacts in samples (k,), and match them to the known ones by their switches.
 
-    A contact that was found as two, or two that were found as one, are no match.
+    A contact that was located as two, or two that were located as one, do not match.
+
+    Raises
+    ------
+    InputError
+        If no contact matches.
     """
     touches, truth, shift, bits = samples.points()
     start = np.searchsorted(truth.sample, np.arange(samples.count + 1))
     rows: list[tuple[int, LocatedContact]] = []
-    misfit = []
+    chi2 = []
     for sample in chosen:
         koi = np.flatnonzero(bits[sample])
         if samples.status[sample] == FAILED or len(koi) == 0:
             continue
         found = locator.find(shift[sample], koi)
-        misfit.append(found.misfit)
+        chi2.append(found.reduced_chi2)
         own = slice(start[sample], start[sample + 1])
         rows += _matched(found, truth.marker[own], truth.touch[own])
     if not rows:
@@ -100,23 +121,23 @@ def match_contacts(locator: ContactLocator, samples: Samples, chosen: IntArray) 
         sd_N=np.array([contact.raw_sd_N for contact in contacts]),
         signal_px=np.array([contact.signal_px for contact in contacts]),
         truth_N=touches.force_N[index],
-        misfit=np.array(misfit),
+        reduced_chi2=np.array(chi2),
     )
 
 
 def _matched(
     found: ContactDetection, marker: IntArray, touch: IntArray
 ) -> list[tuple[int, LocatedContact]]:
+    """Return the matches of one sample, whose switches (t,) belong to contacts ``touch`` (t,)."""
     out = []
     for contact in found.contacts:
         pressed = np.unique(touch[np.isin(marker, contact.markers)])
         if len(pressed) != 1 or pressed[0] < 0:
             continue
-        others = [c for c in found.contacts if c is not contact]
         mine = marker[touch == pressed[0]]
-        if any(np.isin(c.markers, mine).any() for c in others):
-            continue
-        out.append((int(pressed[0]), contact))
+        others = [c for c in found.contacts if c is not contact]
+        if not any(np.isin(c.markers, mine).any() for c in others):
+            out.append((int(pressed[0]), contact))
     return out
 
 
@@ -128,70 +149,74 @@ def calibrate_locator(
     force_max_N: float,
     seed: int = 0,
 ) -> tuple[ContactLocator, dict[str, Any]]:
-    """A locator that knows its sensor, and what it learnt, as figures.
+    """Fit a locator to its sensor; return it with figures of the fit.
 
     Parameters
     ----------
-    locator : Locator
-        By design alone.
+    locator : ContactLocator
+        Locator by design alone.
     samples : Samples
-        Of the sensor.
+        Samples of the sensor.
     chosen : (k,) int
-        Samples to learn from; those with contacts alone count.
+        Samples to fit to; those without contacts are ignored.
     force_max_N : float
-        Greatest force it is meant for.
+        Largest force that the sensor is designed for.
     seed : int
-        Of the draw of those that stiffness and noise are found with.
+        Seed of the draw of the samples that stiffness and noise are fitted to.
 
     Raises
     ------
     InputError
-        If the samples hold no contacts that are found again.
+        If no contact of the samples is located again.
     """
     few = chosen
-    if len(chosen) > SCALE_SAMPLES:
-        few = np.random.default_rng(seed).permutation(chosen)[:SCALE_SAMPLES]
-    plain = replace(locator, correction=None, prior=learnt_prior(locator, samples, chosen))
-    plain, first = _scaled(plain, samples, few[:FIRST_SAMPLES], rounds=SCALE_ROUNDS)
-    seen, pressed = predict_residuals(plain, samples, chosen, _moments(plain, samples))
-    gain, parts, design = (
-        fit_gains(seen),
-        cross_validation_folds(seen, PARTS, samples.sequence[chosen]),
-        plain.places,
-    )
-    noise = _noise(plain.noise, *estimate_marker_noise(seen, parts))
-    uneven = StiffnessField(seen, parts, pressed, design, noise)
+    if len(chosen) > SETTINGS.scale_samples:
+        few = np.random.default_rng(seed).permutation(chosen)[: SETTINGS.scale_samples]
+    plain = replace(locator, correction=None, prior=_fit_prior(locator, samples, chosen))
+    first = 1.0
+    for _ in range(SETTINGS.first_iterations):
+        matches = match_contacts(plain, samples, few[: SETTINGS.first_samples])
+        plain, factor = _rescaled(plain, matches)
+        first *= factor
+    seen, known = predict_residuals(plain, samples, chosen, _moments(plain, samples))
+    gain, design = fit_gains(seen), plain.places
+    folds = cross_validation_folds(seen, SETTINGS.folds, samples.sequence[chosen])
+    each_px, switched_px = estimate_marker_noise(seen, folds)
+    usual_px = float(np.sqrt(np.mean(each_px**2)))
+    noise = replace(plain.noise, centroid_px=usual_px, ratio=each_px / usual_px)
+    if switched_px is not None:
+        noise = replace(noise, switched_px=switched_px)
     plain = replace(plain, noise=noise)
-    again = _left_out(plain, uneven, 1.0, parts, samples, chosen, few)
-    if len(chosen) <= SCALE_SAMPLES:
-        even = _left_out(plain, uneven.silenced(), 1.0, parts, samples, chosen, few)
-        if _scatter(again) > WORSE * _scatter(even):
-            uneven, again = uneven.silenced(), even
-    plain = replace(plain, places=apply_gain(uneven.told(), gain))
+    field = StiffnessField(seen, folds, known, design, plain.noise)
+    again = _cross_validated(plain, field, 1.0, folds, samples, chosen, few)
+    if len(chosen) <= SETTINGS.scale_samples:
+        even = _cross_validated(plain, field.disabled(), 1.0, folds, samples, chosen, few)
+        if _scatter(again) > SETTINGS.scatter_growth_max * _scatter(even):
+            field, again = field.disabled(), even
+    plain = replace(plain, places=apply_gain(field.table(), gain))
     plain, second = _rescaled(plain, again)
-    matches = _left_out(plain, uneven, second, parts, samples, chosen, chosen)
+    matches = _cross_validated(plain, field, second, folds, samples, chosen, chosen)
     box = plain.position_mm
-    empty = ForceCorrection.plain(
+    correction = ForceCorrection.plain(
         low_mm=box.min(axis=0),
         size_mm=max(float(np.ptp(box, axis=0).max()), 1e-9),
         force_max_N=force_max_N,
     )
-    correction = empty
-    if len(matches.force_N) >= CORRECTION_LEAST:
+    if len(matches.force_N) >= SETTINGS.contacts_min:
         correction = fit_correction(
-            empty,
+            correction,
             point_mm=matches.point_mm,
             force_N=matches.force_N,
             signal_px=matches.signal_px,
             sd_N=matches.sd_N,
             truth_N=matches.truth_N,
-            block=_blocks(samples, matches.touch),
+            block=press_blocks(samples, matches.touch),
         )
     facts = {
         "contacts": len(matches.force_N),
         "stiffness": first * second,
         "gain": float(np.sqrt(np.mean(gain**2))),
-        "uneven": uneven.speaks,
+        "uneven": field.enabled,
         "noise_px": plain.noise.centroid_px,
         "switched_px": plain.noise.switched_px,
         "place_mm": plain.prior.place_mm,
@@ -201,8 +226,8 @@ def calibrate_locator(
     return replace(plain, correction=correction), facts
 
 
-def _blocks(samples: Samples, touch: IntArray) -> IntArray:
-    """What contacts (c,) are left out together: those of a sequence of several samples."""
+def press_blocks(samples: Samples, touch: IntArray) -> IntArray:
+    """Return blocks of contacts (c,) that are left out together: those of one press."""
     touches, *_ = samples.points()
     sample = touches.sample[touch]
     sequence, count = np.unique(samples.sequence, return_counts=True)
@@ -211,33 +236,22 @@ def _blocks(samples: Samples, touch: IntArray) -> IntArray:
     return np.where(several, samples.sequence[sample], alone)
 
 
-def _scaled(
-    plain: ContactLocator, samples: Samples, chosen: IntArray, *, rounds: int
-) -> tuple[ContactLocator, float]:
-    """Locator as stiff and as noisy as samples (k,) say, and its stiffness over the one given."""
-    stiffness = 1.0
-    for _ in range(rounds):
-        plain, factor = _rescaled(plain, match_contacts(plain, samples, chosen))
-        stiffness *= factor
-    return plain, stiffness
-
-
 def _rescaled(plain: ContactLocator, matches: ContactMatches) -> tuple[ContactLocator, float]:
-    """The same by contacts that were found."""
+    """Return the locator with fitted stiffness and noise, and the stiffness over the old one."""
     factor = weighted_median(matches.truth_N / matches.force_N, matches.force_N / matches.sd_N)
-    change = float(np.clip(np.sqrt(np.median(matches.misfit)), *NOISE_CHANGE))
+    change = float(np.clip(np.sqrt(np.median(matches.reduced_chi2)), *SETTINGS.noise_change))
     noise = replace(plain.noise, centroid_px=plain.noise.centroid_px * change)
     return replace(plain, places=plain.places.scaled(factor), noise=noise), factor
 
 
 def _scatter(matches: ContactMatches) -> float:
-    """Mean of how far found forces are from the truth, over it, but for what all are off."""
+    """Return the mean relative error of forces after their common factor."""
     ratio = matches.force_N / matches.truth_N
     return float(np.mean(np.abs(ratio / np.median(ratio) - 1.0)))
 
 
 def _moments(plain: ContactLocator, samples: Samples) -> FloatArray:
-    """Second moments (c, 3) mm² of all contacts less the disc's; of unknown ones the usual."""
+    """Return second moments (c, 3) mm² of all contacts less the disc's; unknown ones by prior."""
     touches, *_ = samples.points()
     moments = np.tile(plain.prior.moments_mm2, (len(touches.force_N), 1))
     sized = np.flatnonzero(touches.radius_mm > 0.0)
@@ -245,94 +259,78 @@ def _moments(plain: ContactLocator, samples: Samples) -> FloatArray:
     return moments
 
 
-def _noise(before: ShiftNoise, each_px: FloatArray, switched_px: float | None) -> ShiftNoise:
-    """Noise of each marker, and of those whose switch is on."""
-    usual = float(np.sqrt(np.mean(each_px**2)))
-    return replace(
-        before,
-        centroid_px=usual,
-        ratio=each_px / usual,
-        switched_px=before.switched_px if switched_px is None else switched_px,
-    )
-
-
-def _left_out(
+def _cross_validated(
     plain: ContactLocator,
-    uneven: StiffnessField,
+    field: StiffnessField,
     stiffness: float,
-    parts: list[CrossValidationFold],
+    folds: list[CrossValidationFold],
     samples: Samples,
     chosen: IntArray,
     within: IntArray,
 ) -> ContactMatches:
-    """Contacts of samples (m,) among those chosen, each found with tables that others told."""
+    """Match the contacts of samples (m,), each located with tables fitted to the other folds."""
     found = []
-    for number, part in enumerate(parts):
-        rows = part.rows & np.isin(chosen, within)
-        own = apply_gain(uneven.told(without=number).scaled(stiffness), part.gain)
-        others = replace(plain, places=own)
-        with suppress(InputError):  # none of a few samples may be found again
-            found.append(match_contacts(others, samples, chosen[rows]))
+    for number, fold in enumerate(folds):
+        rows = fold.rows & np.isin(chosen, within)
+        table = apply_gain(field.table(without_fold=number).scaled(stiffness), fold.gain)
+        with suppress(InputError):  # of few samples none may match
+            found.append(match_contacts(replace(plain, places=table), samples, chosen[rows]))
     if not found:
         return match_contacts(plain, samples, within)
-    columns = {
-        f.name: np.concatenate([getattr(m, f.name) for m in found]) for f in fields(ContactMatches)
-    }
-    return ContactMatches(**columns)
+    return ContactMatches(
+        **{
+            column.name: np.concatenate([getattr(matches, column.name) for matches in found])
+            for column in fields(ContactMatches)
+        }
+    )
 
 
 def _moments_over_disc(locator: ContactLocator, touches: TouchRows, rows: IntArray) -> FloatArray:
-    """Second moments (k, 3) mm² of contacts' pressures, less those of the tables' disc."""
-    moments = pressure_moments(
-        {
-            "indenter": touches.indenter[rows],
-            "radius_mm": touches.radius_mm[rows],
-            "length_mm": touches.length_mm[rows],
-            "turn_rad": touches.turn_rad[rows],
-        }
-    )
+    """Return second moments (k, 3) mm² of contacts' pressures, less those of the tables' disc."""
+    names = ("indenter", "radius_mm", "length_mm", "turn_rad")
+    moments = pressure_moments({name: getattr(touches, name)[rows] for name in names})
     moments[:, [0, 2]] -= locator.places.radius_mm**2 / 4.0
     return moments
 
 
 def weighted_median(values: FloatArray, weights: FloatArray) -> float:
-    """Median of values (m,) that count by weights (m,)."""
+    """Return the median of values (m,) with weights (m,)."""
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(total, total[-1] / 2.0)])
 
 
-def learnt_prior(locator: ContactLocator, samples: Samples, chosen: IntArray) -> ContactPrior:
-    """How contacts of samples lie about the switches they tripped, and how large they are."""
+def _fit_prior(locator: ContactLocator, samples: Samples, chosen: IntArray) -> ContactPrior:
+    """Return the prior of places about the switches, and of second moments."""
     touches, truth = samples.touches, samples.truth
     if touches is None or truth is None:
         return locator.prior
     mine = np.isin(truth.sample, chosen) & (truth.touch >= 0)
     number = np.bincount(truth.touch[mine], minlength=len(touches.force_N))
-    # One switch, one place: several are weighted by forces that are not known here.
+    # Contacts with one switch: the places of several are weighted by unknown forces.
     alone = mine & (number[np.maximum(truth.touch, 0)] == 1)
     prior = locator.prior
-    if int(alone.sum()) >= CORRECTION_LEAST:
+    if int(alone.sum()) >= SETTINGS.contacts_min:
         gap = touches.point_mm[truth.touch[alone]] - locator.position_mm[truth.marker[alone]]
         each = float(np.sqrt(np.sum(gap**2, axis=1).mean() / 2.0))
-        prior = replace(prior, place_mm=max(each, PLACE_LEAST_MM))
+        prior = replace(prior, place_mm=max(each, SETTINGS.place_min_mm))
     sized = np.flatnonzero(np.isin(touches.sample, chosen) & (touches.radius_mm > 0.0))
-    if len(sized) >= CORRECTION_LEAST:
+    if len(sized) >= SETTINGS.contacts_min:
         moments = _moments_over_disc(locator, touches, sized)
         mean, sd = moments.mean(axis=0), np.maximum(moments.std(axis=0), 0.5)
         prior = replace(
             prior,
-            moments_mm2=(float(mean[0]), float(mean[1]), float(mean[2])),
-            moments_sd_mm2=(float(sd[0]), float(sd[1]), float(sd[2])),
+            moments_mm2=tuple(mean.tolist()),
+            moments_sd_mm2=tuple(sd.tolist()),
         )
     return prior
 
 
 def pressure_moments(touches: Mapping[str, Any]) -> FloatArray:
-    """Second moments xx, xy, yy (c, 3) mm² of indenters' pressures about their centres.
+    """Return second moments xx, xy, yy (c, 3) mm² of indenters' pressures about their centres.
 
-    An even disc of radius a has a²/4 along each axis, Hertz's ball a²/5, and a strip of half-width
-    b and length l b²/4 across (Hertz) and l²/12 along.
+    A uniform disc of radius a has a²/4 along each axis, a Hertzian sphere a²/5, and a strip of
+    half-width b and length l b²/4 across (Hertz) and l²/12 along.
     """
     kind, radius = touches["indenter"], touches["radius_mm"]
     share = np.where(kind == SPHERE, 0.2, 0.25)

@@ -1,10 +1,7 @@
-"""A decoder's cascade network as an ONNX file, for run times other than numpy."""
+"""Export of a decoder's cascade network to ONNX."""
 
-import os
 import tempfile
 from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,56 +16,35 @@ from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError, NumericalError, OutputError
 
 OPSET, IR_VERSION = 17, 8
-"""Of 2022, which today's run times all read."""
+"""Versions of 2022, which current run times support."""
 INPUT, OUTPUT, ROWS = "features_mm", "stiffness_N_per_mm", "key_nodes"
 TOLERANCE = 1e-6
 """Largest difference to numpy's, over the largest stiffness."""
-TRIED = 256
-"""Rows that are compared."""
-REACH = 4.0
-"""Compared rows reach so many times the scales of the inputs: both sides of every kink."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Exported:
-    """A network that was written.
-
-    Attributes
-    ----------
-    out : Path
-        The file.
-    estimator : str
-        Whose network it is.
-    difference : float
-        Largest difference to numpy's over the largest stiffness, on the rows that were compared.
-    opset : int
-        Version of ONNX's operators.
-    """
-
-    out: Path
-    estimator: str
-    difference: float
-    opset: int
-
-
-def export_onnx(bundle: Path, out: Path, *, estimator: str = "fem_nn") -> Exported:
-    """Write a decoder's network as ONNX, if what is written computes the same as numpy.
+def export_onnx(bundle: Path, out: Path, *, estimator: str = "fem_nn") -> float:
+    """Write a decoder's network as ONNX, if the file computes the same as numpy.
 
     Parameters
     ----------
     bundle : Path
         The decoder's folder.
     out : Path
-        File to write; an older one is replaced.
+        File to write; an existing one is replaced.
     estimator : str
-        Whose network: ``fem_nn`` or ``fem_nn_identity``.
+        Estimator of the network: ``fem_nn`` or ``fem_nn_identity``.
+
+    Returns
+    -------
+    float
+        Largest difference to numpy's over the largest stiffness, on the compared rows.
 
     Raises
     ------
     InputError
         If the decoder cannot be read or has no such network.
     NumericalError
-        If the file would not compute the same; none is left then.
+        If the file would not compute the same; then none is written.
     OutputError
         If the file cannot be written.
     """
@@ -83,27 +59,20 @@ def export_onnx(bundle: Path, out: Path, *, estimator: str = "fem_nn") -> Export
     model = network_model(network, provenance(decoder, bundle_hash(bundle), estimator))
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name}-")
-        part = Path(name)
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(model.SerializeToString(deterministic=True))
-            difference = compared(part, network)
-            part.chmod(0o644)
+        with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}-") as folder:
+            part = Path(folder) / out.name
+            part.write_bytes(model.SerializeToString(deterministic=True))
+            difference = max_difference(part, network)
             part.replace(out)
-        except BaseException:
-            with suppress(OSError):
-                part.unlink()
-            raise
     except OSError as error:
         raise OutputError(
             f"cannot write {out}: {error.strerror or error}; choose another file"
         ) from None
-    return Exported(out=out, estimator=estimator, difference=difference, opset=OPSET)
+    return difference
 
 
 def provenance(decoder: Bundle, sha256: str, estimator: str) -> dict[str, str]:
-    """What a reader of the file should know, as text."""
+    """Return the metadata of the file."""
     return {
         "what": f"stiffness that estimator {estimator} adds at a key node: force_N = (K·U)_i + "
         f"{OUTPUT} · u_i",
@@ -120,14 +89,14 @@ def provenance(decoder: Bundle, sha256: str, estimator: str) -> dict[str, str]:
 
 
 def network_model(network: CascadeNetwork, notes: Mapping[str, str]) -> onnx.ModelProto:
-    """The network as an ONNX model: features (m, 10) mm to stiffness (m,) N/mm, any m.
+    """Return the network as an ONNX model: features (m, 10) mm to stiffness (m,) N/mm.
 
     The same operations as :meth:`phytac_decoder.estimation.cascade_network.CascadeNetwork.__call__`, in double precision.
 
     Raises
     ------
     NumericalError
-        If it is not a sound model.
+        If ONNX's checker rejects it.
     """
     constants = {
         **network.layers(),
@@ -168,7 +137,7 @@ def network_model(network: CascadeNetwork, notes: Mapping[str, str]) -> onnx.Mod
         onnx.checker.check_model(model, full_check=True)
     except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError) as error:
         raise NumericalError(
-            f"the network is not a sound ONNX model: {error}; please report this"
+            f"the network is not a valid ONNX model: {error}; please report this"
         ) from None
     return model
 
@@ -183,8 +152,8 @@ def _layer(source: str, number: int, result: str, network: CascadeNetwork) -> li
     ]
 
 
-def compared(path: Path, network: CascadeNetwork) -> float:
-    """Largest difference of a file to the network itself, over the largest stiffness.
+def max_difference(path: Path, network: CascadeNetwork) -> float:
+    """Return the largest difference of a file to the network, over the largest stiffness.
 
     Raises
     ------
@@ -192,7 +161,8 @@ def compared(path: Path, network: CascadeNetwork) -> float:
         If it is more than ``TOLERANCE``.
     """
     rng = np.random.default_rng(0)
-    features = REACH * network.scale_in * rng.standard_normal((TRIED, INPUTS))
+    # Four times the scales of the inputs: both sides of every kink.
+    features = 4.0 * network.scale_in * rng.standard_normal((256, INPUTS))
     features[0] = 0.0
     wanted = network(features)
     worst = 0.0
@@ -214,6 +184,6 @@ def compared(path: Path, network: CascadeNetwork) -> float:
 
 
 def run(path: Path, features_mm: FloatArray) -> FloatArray:
-    """Stiffness (m,) N/mm of features (m, 10) mm by the file, with ONNX's own evaluator."""
+    """Return the stiffness (m,) N/mm of features (m, 10) mm, by ONNX's reference evaluator."""
     (out,) = ReferenceEvaluator(str(path)).run(None, {INPUT: features_mm})
     return np.asarray(out, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""A result's own folder: claimed before long work, written whole or not at all."""
+"""A result's own folder: reserved before long work, written completely or not at all."""
 
 import json
 import shutil
@@ -12,20 +12,20 @@ from phytac_shapes.errors import OutputError
 
 @contextmanager
 def reserve_folder(out: Path, table: str, design: str, *, force: bool) -> Iterator[None]:
-    """Make a folder for the work inside, or refuse one that holds something else.
+    """Create a folder for the work inside, or reject one that holds something else.
 
-    If the work fails and has written nothing, the folder goes again.
+    If the work fails and has written nothing, the folder is removed.
 
     Parameters
     ----------
     out : Path
         The folder.
     table : str
-        JSON file that marks it as such a result; its ``design`` names whose.
+        JSON file that marks it as such a result; its ``design`` is the design's name.
     design : str
         Name of the design.
     force : bool
-        Take it all the same.
+        Accept any folder.
 
     Raises
     ------
@@ -34,11 +34,11 @@ def reserve_folder(out: Path, table: str, design: str, *, force: bool) -> Iterat
     """
     try:
         if not force and out.is_dir() and any(out.iterdir()):
-            other = _design_in(out / table)
-            if other is None:
+            if not (out / table).is_file():
                 raise OutputError(
                     f"{out} is not empty and holds no {table}; choose another --out, or use --force"
                 )
+            other = _design_of(out / table)
             if other != design:
                 raise OutputError(
                     f"{out} belongs to the design {other!r}, not {design!r}; choose another --out, "
@@ -56,10 +56,8 @@ def reserve_folder(out: Path, table: str, design: str, *, force: bool) -> Iterat
             out.rmdir()
 
 
-def _design_in(table: Path) -> str | None:
-    """Name of the design of a result, "" if its table cannot be read, None if it has none."""
-    if not table.is_file():
-        return None
+def _design_of(table: Path) -> str:
+    """Return the name of a result's design; "" if its table cannot be read."""
     try:
         return str(json.loads(table.read_text(encoding="utf-8"))["design"])
     except (OSError, ValueError, KeyError, TypeError):
@@ -68,28 +66,26 @@ def _design_in(table: Path) -> str | None:
 
 @contextmanager
 def write_folder(out: Path, table: str) -> Iterator[Path]:
-    """A folder to write files into, which then move to ``out``, the table last.
+    """Yield a folder to write files into; they are then moved to ``out``, the table last.
 
     Raises
     ------
     OutputError
         If they cannot be written.
     """
-    scratch = Path()
     try:
-        scratch = Path(tempfile.mkdtemp(prefix=".part-", dir=out))
-        yield scratch
-        paths = sorted(scratch.iterdir(), key=lambda item: (item.name == table, item.name))
-        # A copy has the user's own permissions; some writers let only the owner read. All are made
-        # before the first takes its place: a full disk leaves what was there.
-        copies = [shutil.copyfile(path, scratch / f"{path.name}.copy") for path in paths]
-        (out / table).unlink(missing_ok=True)
-        for path, copy in zip(paths, copies, strict=True):
-            copy.replace(out / path.name)
+        with tempfile.TemporaryDirectory(
+            prefix=".part-", dir=out, ignore_cleanup_errors=True
+        ) as name:
+            yield Path(name)
+            paths = sorted(Path(name).iterdir(), key=lambda item: (item.name == table, item.name))
+            # Copies have the user's default permissions; some writers set stricter ones. All are
+            # made before the first is moved: a full disk leaves the old files.
+            copies = [shutil.copyfile(path, f"{path}.copy") for path in paths]
+            (out / table).unlink(missing_ok=True)
+            for path, copy in zip(paths, copies, strict=True):
+                Path(copy).replace(out / path.name)
     except OSError as error:
         raise OutputError(
             f"cannot write {out}: {error.strerror}; make room, or choose another --out"
         ) from None
-    finally:
-        if scratch != Path():
-            shutil.rmtree(scratch, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""What can be learnt from data: each trainer adds one estimator to a decoder's force model."""
+"""Trainers: each adds one estimator to a decoder's force model."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from phytac_decoder.estimation.cascade_network import Activation, CascadeNetwork
+from phytac_decoder.estimation.cascade_network import Activation
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle
 from phytac_design.datasets.samples import THEORIES
-from phytac_design.training.levenberg_marquardt import KeyNodeData, train_network
+from phytac_design.training.levenberg_marquardt import train_network
 from phytac_design.training.locator_calibration import calibrate_locator
 from phytac_design.training.training_data import Part
 from phytac_shapes.errors import InputError
@@ -21,18 +21,16 @@ LINEAR = (THEORIES.index("rest"), THEORIES.index("linear"))
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingTask:
-    """What a trainer is given.
+    """Inputs of a trainer.
 
     Attributes
     ----------
     bundle : Bundle
-        The decoder so far: its mechanics, and what the trainers before this one added.
-    training, validation : Part
-        To learn from, and to say when to stop.
-    test : Part
-        Held out: to be told of, never to learn from.
+        The decoder so far: its mechanics, and the results of earlier trainers.
+    training, validation, test : Part
+        Parts to fit to, to decide when to stop, and to report errors on.
     seed : int
-        Of everything random.
+        Seed of everything random.
     start : Bundle or None
         Another sensor's decoder to start from.
     """
@@ -46,11 +44,11 @@ class TrainingTask:
 
 
 Trainer = Callable[[TrainingTask], tuple[ForceModel, dict[str, Any]]]
-"""From a lesson to the bundle's force model with one more estimator, and facts, plain JSON."""
+"""Returns the bundle's force model with one more estimator, and facts, plain JSON."""
 
 
 def train_cascade(
-    lesson: TrainingTask, *, name: str, activation: Activation
+    task: TrainingTask, *, name: str, activation: Activation
 ) -> tuple[ForceModel, dict[str, Any]]:
     """Train the paper's network.
 
@@ -60,48 +58,42 @@ def train_cascade(
         If there are too few key nodes, or the decoder to start from has no such network.
     """
     start = None
-    if lesson.start is not None:
-        start = lesson.start.model.networks.get(name)
+    if task.start is not None:
+        start = task.start.model.networks.get(name)
         if start is None:
-            known = ", ".join(sorted(lesson.start.model.networks)) or "none"
+            known = ", ".join(sorted(task.start.model.networks)) or "none"
             raise InputError(
-                f"the decoder to start from, of {lesson.start.design}, has no network {name} "
+                f"the decoder to start from, of {task.start.design}, has no network {name} "
                 f"(its networks: {known}); train that one first, or leave --start out"
             )
     fit = train_network(
-        lesson.training.rows,
-        lesson.validation.rows,
+        task.training.rows,
+        task.validation.rows,
         activation=activation,
-        seed=lesson.seed,
+        seed=task.seed,
         start=start,
     )
-    model = lesson.bundle.model
+    model = task.bundle.model
     facts = {
         "rounds": fit.rounds,
         "rmse_training_N": fit.rmse_train_N,
         "rmse_validation_N": fit.rmse_validation_N,
-        "rmse_test_N": rmse_N(fit.network, lesson.test.rows),
+        "rmse_test_N": task.test.rows.rmse_N(fit.network),
     }
     return replace(model, networks={**model.networks, name: fit.network}), facts
 
 
-def rmse_N(network: CascadeNetwork, rows: KeyNodeData) -> float:
-    """Force error (root mean square, N) of a network on some key nodes; NaN for none."""
-    error = rows.stiffness_force_N + network(rows.features) * rows.apparent_mm - rows.force_N
-    return float(np.sqrt((error**2).mean())) if len(error) else float("nan")
+def calibrate_auto(task: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
+    """Calibrate ``auto``: stiffness, marker gains, noise, priors, correction, spread.
 
-
-def calibrate_auto(lesson: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
-    """Let ``auto`` know its sensor: stiffness, markers' gains, noise, priors, correction, spread.
-
-    Where all samples are of linear theory, its tables are cut to that too.
+    If all samples are of linear theory, its tables are reduced to the first order.
 
     Raises
     ------
     InputError
-        If the samples hold no contact that is found again.
+        If no contact of the samples is located again.
     """
-    model, samples = lesson.bundle.model, lesson.training.samples
+    model, samples = task.bundle.model, task.training.samples
     if model.locator is None or samples is None:
         missing = "tables in the decoder" if model.locator is None else "points in the data"
         return model, {"left": f"as designed: no {missing}"}
@@ -110,8 +102,8 @@ def calibrate_auto(lesson: TrainingTask) -> tuple[ForceModel, dict[str, Any]]:
         model.locator.linear if linear else model.locator,
         samples,
         np.arange(samples.count),
-        force_max_N=lesson.bundle.force_max_N,
-        seed=lesson.seed,
+        force_max_N=task.bundle.force_max_N,
+        seed=task.seed,
     )
     return replace(model, locator=locator), facts | {"orders": locator.places.orders}
 
@@ -121,4 +113,4 @@ TRAINERS: tuple[tuple[str, Trainer], ...] = (
     ("fem_nn_identity", partial(train_cascade, name="fem_nn_identity", activation="identity")),
     ("auto", calibrate_auto),
 )
-"""By estimator, in the order in which they run."""
+"""By estimator, in the order of execution."""

@@ -1,4 +1,4 @@
-"""Data sets to learn from: read, held against the design, and shared out."""
+"""Data sets for training: read, checked against the design, and split."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,24 +26,20 @@ from phytac_shapes.errors import InputError
 
 SHARES = (0.85, 0.05, 0.10)
 """Training, validation and test (paper)."""
-SAME_SHARE = 1e-4
-"""Norms of K of one accuracy differ less, of two by percents."""
-HEIGHT_MM = 1e-6
-"""Heights of markers that are the same differ by less than this."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DataSet:
-    """A data set and where it came from.
+    """A data set and its origin.
 
     Attributes
     ----------
     folder : Path
-        It was read from here.
-    samples, meta : Samples, Meta
-        What it holds.
+        Folder of the data set.
+    samples, meta : Samples, DataSetInfo
+        Its contents.
     sha256 : str
-        Of ``dataset.json``, which names the hash of all the rest.
+        Hash of ``dataset.json``, which contains the hashes of all other files.
     """
 
     folder: Path
@@ -53,13 +49,13 @@ class DataSet:
 
     @property
     def has_points(self) -> bool:
-        """Whether all markers' shifts, the switches and the truth were kept."""
+        """Whether the shifts of all markers, the switches and the truth are stored."""
         s = self.samples
         parts = (s.shift_px, s.bits, s.bits_read, s.touches, s.truth)
         return all(part is not None for part in parts)
 
     def facts(self) -> dict[str, Any]:
-        """What a reader should know of it, plain JSON."""
+        """Return its provenance, plain JSON."""
         return {
             "what": self.meta.what,
             "simulated": self.meta.simulated,
@@ -71,16 +67,16 @@ class DataSet:
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """One part of the data.
+    """One part of the split data.
 
     Attributes
     ----------
     count : int
-        Samples of it.
+        Number of samples.
     rows : KeyNodeData
-        Inputs and outputs of the networks, of all its samples.
+        Inputs and outputs of the networks.
     samples : Samples or None
-        Those whose points were kept, for trainers that need more than the networks' inputs.
+        Samples with points, for trainers that need more than the networks' inputs.
     """
 
     count: int
@@ -94,7 +90,7 @@ def read_data_sets(folders: Sequence[Path], *, design_hash: str) -> list[DataSet
     Raises
     ------
     InputError
-        If there are none, one cannot be read or is of another design, or a sample is there twice.
+        If there are none, one cannot be read or is of another design, or a sample occurs twice.
     """
     if not folders:
         raise InputError("no data set was given; name one or more folders of `phytac simulate`")
@@ -105,28 +101,28 @@ def read_data_sets(folders: Sequence[Path], *, design_hash: str) -> list[DataSet
         for other in sets:
             if other.sha256 == item.sha256:
                 raise InputError(
-                    f"{folder} and {other.folder} are the same data set: a sample would be learnt "
-                    "and judged, or counted twice; leave one of them out"
+                    f"{folder} and {other.folder} are the same data set: samples would be used for "
+                    "training and test, or counted twice; leave one of them out"
                 )
-            if shared := len(_marks(item.samples) & _marks(other.samples)):
+            if shared := len(_sample_keys(item.samples) & _sample_keys(other.samples)):
                 raise InputError(
                     f"{shared} samples of {folder} are in {other.folder} as well, and would be "
-                    "learnt and judged, or counted twice; leave one of the two out, or make one "
-                    "with another --seed"
+                    "used for training and test, or counted twice; leave one of the two out, or "
+                    "make one with another --seed"
                 )
         sets.append(item)
     return sets
 
 
-def _marks(samples: Samples) -> set[bytes]:
-    """What samples that show anything are known by, to the bit.
+def _sample_keys(samples: Samples) -> set[bytes]:
+    """Return the bytes of each sample's shifts, or of its network inputs without shifts.
 
-    It is their markers' shifts; where these were not kept, the networks' inputs.
+    Samples whose numbers are all 0 are left out.
     """
     nodes = samples.key_nodes
     if samples.shift_px is not None:
-        shows = np.any(np.nan_to_num(samples.shift_px) != 0.0, axis=(1, 2))
-        return {row.tobytes() for row in samples.shift_px[shows]}
+        moved = np.any(np.nan_to_num(samples.shift_px) != 0.0, axis=(1, 2))
+        return {row.tobytes() for row in samples.shift_px[moved]}
     if nodes is None:
         return set()
     first = np.flatnonzero(np.diff(nodes.sample)) + 1
@@ -134,18 +130,18 @@ def _marks(samples: Samples) -> set[bytes]:
 
 
 def bundle_hash(folder: Path) -> str:
-    """SHA-256 of a decoder's two files together."""
+    """Return the SHA-256 of a decoder's two files together."""
     names = ("bundle.json", "bundle.safetensors")
     return sha256("".join(file_hash(folder / name) for name in names).encode()).hexdigest()
 
 
 def check_inputs(item: DataSet, model: ForceModel, accuracy: str) -> None:
-    """Refuse a data set that a model cannot learn from.
+    """Reject a data set that a model cannot be trained with.
 
     Raises
     ------
     InputError
-        If it holds neither points nor inputs, or inputs that another model's mechanics made.
+        If it holds neither points nor inputs, or inputs of another model's mechanics.
     """
     if item.has_points:
         return
@@ -160,31 +156,27 @@ def check_inputs(item: DataSet, model: ForceModel, accuracy: str) -> None:
         raise InputError(
             f"{item.folder} holds inputs of the networks that were made at accuracy {made}, the "
             f"decoder is trained at {accuracy}, whose K·u is another; add --accuracy {made}, or "
-            "make the data with --keep points, which go with any"
+            "make the data with --keep points, which suit any accuracy"
         )
-    if not item.meta.simulated:
-        _check_mechanics(item, model)
-    if not np.allclose(nodes.height_z_mm, model.height_z_mm, rtol=0.0, atol=HEIGHT_MM):
+    norm, ours = item.meta.notes.get("stiffness_size_N_mm"), model.stiffness_size_N_mm
+    # Norms of K at one accuracy differ by less than 1e-4, at two by percents.
+    same = isinstance(norm, float) and abs(norm - ours) <= 1e-4 * ours
+    if not item.meta.simulated and not same:
+        got = "unknown norm" if norm is None else f"norm {norm:.6g} N/mm, here {ours:.6g}"
+        raise InputError(
+            f"{item.folder} holds inputs of the networks by the K·u of another decoder ({got}); "
+            "add --accuracy as that decoder was built with, or import with --keep points, which "
+            "suit any accuracy"
+        )
+    if not np.allclose(nodes.height_z_mm, model.height_z_mm, rtol=0.0, atol=1e-6):
         raise InputError(
             f"{item.folder} holds inputs of the networks whose marker heights are not this "
             "design's; make it again with this version of the program"
         )
 
 
-def _check_mechanics(item: DataSet, model: ForceModel) -> None:
-    """Refuse inputs that were measured, if other mechanics made them."""
-    made, ours = item.meta.notes.get("stiffness_size_N_mm"), model.stiffness_size_N_mm
-    if isinstance(made, float) and abs(made - ours) <= SAME_SHARE * ours:
-        return
-    got = "which one is not said" if made is None else f"norm {made:.6g} N/mm, here {ours:.6g}"
-    raise InputError(
-        f"{item.folder} holds inputs of the networks by the K·u of another decoder ({got}); add "
-        "--accuracy as that decoder was built with, or import with --keep points, which go with any"
-    )
-
-
 def rows_of(item: DataSet, model: ForceModel, noise_px: float) -> KeyNodeRows:
-    """Inputs and outputs of the networks: made from the points, or as they were kept."""
+    """Return inputs and outputs of the networks: from the points, or as stored."""
     kept = item.samples.key_nodes
     if kept is None or item.has_points:
         return key_nodes(model, item.samples, noise_px=noise_px)
@@ -199,25 +191,25 @@ def split_data_sets(
     seed: int,
     limit: int | None = None,
 ) -> tuple[Part, Part, Part]:
-    """Training, validation and test parts of all data sets together; sequences stay together.
+    """Split all data sets together into training, validation and test; sequences stay together.
 
     Parameters
     ----------
     sets : list of DataSet
-        Of one design.
+        Data sets of one design.
     model : ForceModel
-        Of that design, without networks.
+        Force model of that design, without networks.
     noise_px : float
         Standard deviation of each coordinate of a centroid.
     seed : int
-        Of the draw.
+        Seed of the draw.
     limit : int, optional
-        Use the first so many samples that did not fail.
+        Number of samples to use, the first ones that did not fail.
 
     Raises
     ------
     InputError
-        If there are fewer samples than that, or too few to share out, or no key node at all.
+        If there are fewer samples than that, too few to split, or no key node.
     """
     rows = [rows_of(item, model, noise_px) for item in sets]
     whole = join_samples(
@@ -227,8 +219,8 @@ def split_data_sets(
     if limit is not None:
         if not 0 < limit <= len(usable):
             raise InputError(
-                f"{limit} samples were asked for, the data hold {len(usable)} that did not fail; "
-                "ask for fewer, or simulate more"
+                f"{limit} samples are wanted, the data hold {len(usable)} that did not fail; "
+                "use fewer, or simulate more"
             )
         usable = usable[:limit]
     whole = select_samples(whole, usable)
@@ -236,11 +228,11 @@ def split_data_sets(
     if nodes is None or len(nodes.sample) == 0:
         raise InputError(
             f"none of {len(usable)} samples has a switch that was read as on and whose marker was "
-            "found: there is nothing to learn from; press harder, or on receptors"
+            "found: there is nothing to train with; press harder, or on receptors"
         )
     if len(usable) < len(SHARES):
         raise InputError(
-            f"{len(usable)} samples that did not fail cannot be shared out into training, "
+            f"{len(usable)} samples that did not fail cannot be split into training, "
             "validation and test; give more"
         )
     data = data_of(nodes)
@@ -253,7 +245,7 @@ def split_data_sets(
 
 
 def data_of(rows: KeyNodeRows) -> KeyNodeData:
-    """Rows of a data set as the networks' training takes them."""
+    """Return rows of a data set in the form of the networks' training."""
     return KeyNodeData(
         features=rows.inputs_mm,
         apparent_mm=rows.u_mm[:, 0],
@@ -264,7 +256,7 @@ def data_of(rows: KeyNodeRows) -> KeyNodeData:
 
 
 def _points(sets: Sequence[DataSet], at: IntArray, index: IntArray) -> Samples | None:
-    """Samples of a part whose points were kept; None if there are none."""
+    """Return samples of a part with points; None without any."""
     found = []
     for item, first in zip(sets, at[:-1].tolist(), strict=True):
         own = index[(index >= first) & (index < first + item.samples.count)] - first

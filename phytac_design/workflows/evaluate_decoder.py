@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,22 +32,6 @@ TABLE = "evaluation.json"
 FORMAT, SCHEMA = "phytac-evaluation", "1.0"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Evaluation:
-    """What an evaluation found.
-
-    Attributes
-    ----------
-    out : Path
-        Its folder.
-    facts : dict
-        What ``evaluation.json`` says.
-    """
-
-    out: Path
-    facts: dict[str, Any]
-
-
 def evaluate(
     bundle: Path,
     data: Sequence[Path],
@@ -58,8 +41,8 @@ def evaluate(
     seed: int = 0,
     force: bool = False,
     progress: Callable[[str], None] = print,
-) -> Evaluation:
-    """Judge every estimator of a decoder and write figures, tables and pictures.
+) -> dict[str, Any]:
+    """Evaluate every estimator of a decoder; write ``evaluation.json``, tables and figures.
 
     Parameters
     ----------
@@ -70,13 +53,18 @@ def evaluate(
     out : Path
         Folder for the result.
     design : str, optional
-        Shipped design or file, for heights and sides; looked for if not given.
+        Shipped design or file, for heights and sides; searched for by default.
     seed : int
-        Of the bootstrap.
+        Seed of the bootstrap.
     force : bool
         Overwrite what the folder holds.
     progress : callable
-        Called with a short text about what is being done.
+        Called with a short message at each step.
+
+    Returns
+    -------
+    dict
+        Contents of ``evaluation.json``.
 
     Raises
     ------
@@ -98,7 +86,7 @@ def evaluate(
         if item.sha256 in decoder.notes.get("data_sha256", ()):
             progress(
                 f"warning: {item.folder} is what this decoder was trained on: these are not "
-                "errors on samples that it has never seen"
+                "errors on unseen samples"
             )
     known = find_design(decoder, bundle, design)
     if known is None:
@@ -107,7 +95,11 @@ def evaluate(
             "heights and sides are left out; add --design FILE"
         )
     samples = join_samples([item.samples for item in sets])
-    check_markers(decoder, samples)
+    if samples.markers != len(decoder.colour):
+        raise InputError(
+            f"the data are of a sensor with {samples.markers} markers, the decoder of one with "
+            f"{len(decoder.colour)}; use data of the decoder's own design"
+        )
     with reserve_folder(out, TABLE, decoder.design, force=force):
         decoded = decode_contacts(
             decoder.model, samples, progress=lambda name: progress(f"evaluate: {name}")
@@ -144,16 +136,16 @@ def evaluate(
             (folder / "tables.md").write_text(tables_md(facts), encoding="utf-8")
             for name, picture in draw(facts, decoded).items():
                 (folder / name).write_bytes(picture)
-    return Evaluation(out=out, facts=facts)
+    return facts
 
 
 def find_design(decoder: Bundle, folder: Path, wanted: str | None) -> Design | None:
-    """Design of a decoder: the one wanted, the build's around it, or the shipped one, by its hash.
+    """Return the decoder's design: the given one, that of the build around it, or a shipped one.
 
     Raises
     ------
     InputError
-        If the wanted one is not the decoder's.
+        If the given one is not the decoder's.
     """
     if wanted is not None:
         design = load_design(wanted)
@@ -177,23 +169,14 @@ def find_design(decoder: Bundle, folder: Path, wanted: str | None) -> Design | N
     return None
 
 
-def check_markers(decoder: Bundle, samples: Samples) -> None:
-    """Refuse data of another number of markers than the decoder's."""
-    if samples.markers != len(decoder.colour):
-        raise InputError(
-            f"the data are of a sensor with {samples.markers} markers, the decoder of one with "
-            f"{len(decoder.colour)}; use data of the decoder's own design"
-        )
-
-
 def counts(sets: Sequence[DataSet], samples: Samples, decoded: DecodedContacts) -> dict[str, Any]:
-    """How many samples and contacts there are, and what became of them."""
+    """Return how many samples and contacts there are, by outcome."""
     status = np.bincount(samples.status, minlength=len(STATUSES))
-    theory = np.bincount(samples.theory[decoded.judged], minlength=len(THEORIES))
+    theory = np.bincount(samples.theory[decoded.evaluated], minlength=len(THEORIES))
     unseen = decoded.force_N[~decoded.tripped]
     return {
         "samples": dict(zip(STATUSES, status.tolist(), strict=True))
-        | {"judged": len(decoded.judged)},
+        | {"judged": len(decoded.evaluated)},
         "theories": dict(zip(THEORIES, theory.tolist(), strict=True)),
         "contacts": {
             "judged": int(decoded.tripped.sum()),
@@ -202,27 +185,22 @@ def counts(sets: Sequence[DataSet], samples: Samples, decoded: DecodedContacts) 
             "tripped_none_force_N_median": float(np.median(unseen)) if len(unseen) else None,
             "tripped_none_force_N_largest": float(unseen.max()) if len(unseen) else None,
         },
-        # What a real sensor's switches truly were is not known: read and true are the same there.
+        # The true switches of a real sensor are unknown: they are set to those that were read.
         "switches": decoded.switches() if all(item.meta.simulated for item in sets) else None,
     }
 
 
 def scores(decoded: DecodedContacts, groups: Groups, seed: int) -> dict[str, Any]:
-    """Errors of every estimator in every group."""
+    """Return errors of every estimator in every group."""
     bootstrap = Bootstrap(sample=decoded.sample, seed=seed)
-    return {
-        name: {
+    out: dict[str, Any] = {}
+    for name, estimate in decoded.decoded_N.items():
+        elsewhere = np.abs(decoded.elsewhere_N[name])
+        out[name] = {
             section: {
                 group: bootstrap.score(estimate, decoded.force_N, mask)
                 for group, mask in members.items()
             }
             for section, members in groups.items()
-        }
-        | {
-            "elsewhere_N": {
-                "mean": float(np.abs(decoded.elsewhere_N[name]).mean()),
-                "largest": float(np.abs(decoded.elsewhere_N[name]).max()),
-            }
-        }
-        for name, estimate in decoded.decoded_N.items()
-    }
+        } | {"elsewhere_N": {"mean": float(elsewhere.mean()), "largest": float(elsewhere.max())}}
+    return out

@@ -1,9 +1,9 @@
-"""``phytac train``: the decoder of a design from data sets."""
+"""``phytac train``: train the decoder of a design from data sets."""
 
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,26 +32,7 @@ TABLE = "training.json"
 FORMAT, SCHEMA = "phytac-training", "1.0"
 PARTS = ("training", "validation", "test")
 MECHANICS = [name for name in DECODER.needs if name != "twin"]
-"""Stages of a build that the decoder is made from, its simulated data apart."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Trained:
-    """What a training made.
-
-    Attributes
-    ----------
-    out : Path
-        The decoder's folder.
-    bundle : Bundle
-        The decoder.
-    facts : dict
-        What ``training.json`` says.
-    """
-
-    out: Path
-    bundle: Bundle
-    facts: dict[str, Any]
+"""Stages of a build that the decoder needs, without its simulated data."""
 
 
 def train(
@@ -65,8 +46,8 @@ def train(
     accuracy: str = "standard",
     force: bool = False,
     progress: Callable[[str], None] = print,
-) -> Trained:
-    """Train the decoder of a design and write it; the same inputs give the same bundle.
+) -> dict[str, Any]:
+    """Train the decoder of a design and write it; equal inputs give equal bundles.
 
     Parameters
     ----------
@@ -77,17 +58,22 @@ def train(
     out : Path
         The decoder's own folder.
     samples : int, optional
-        Learn from the first so many samples only.
+        Number of samples to use, the first ones.
     seed : int
-        Of the split and of the networks' random starts.
+        Seed of the split and of the networks' initial weights.
     start : Path, optional
-        Another sensor's decoder: its networks' weights are where training starts.
+        Another sensor's decoder, whose networks are the initial ones.
     accuracy : str
-        Preset of the decoder's own mechanics.
+        Preset of the decoder's mechanics.
     force : bool
         Overwrite what the folder holds.
     progress : callable
-        Called with a short text about what is being done.
+        Called with a short message at each step.
+
+    Returns
+    -------
+    dict
+        Contents of ``training.json``.
 
     Raises
     ------
@@ -122,7 +108,7 @@ def train(
             check_inputs(item, plain.model, accuracy)
         noise_px = design.camera.noise_centroid_px
         parts = split_data_sets(sets, plain.model, noise_px=noise_px, seed=seed, limit=samples)
-        bundle, taught = teach(plain, parts, seed, first, progress)
+        bundle, trained = run_trainers(plain, parts, seed, first, progress)
         held_out = held_out_scores(bundle, parts[2])
         notes = {
             "training_samples": parts[0].count,
@@ -141,20 +127,20 @@ def train(
             "data": [item.facts() for item in sets],
             "samples": dict(zip(PARTS, [part.count for part in parts], strict=True)),
             "key_nodes": dict(zip(PARTS, [len(part.rows.force_N) for part in parts], strict=True)),
-            "trainers": taught,
+            "trainers": trained,
             "test": held_out,
         }
         with write_folder(out, TABLE) as folder:
             save_bundle(bundle, folder)
             text = json.dumps(finite(facts), indent=1, sort_keys=True, ensure_ascii=False)
             (folder / TABLE).write_text(text + "\n", encoding="utf-8")
-    return Trained(out=out, bundle=bundle, facts=facts)
+    return facts
 
 
 def _notes(
     sets: Sequence[DataSet], seed: int, accuracy: str, start: Path | None, first: Bundle | None
 ) -> dict[str, Any]:
-    """Where a bundle comes from, as far as it is known before training."""
+    """Return the provenance of a bundle that is known before training."""
     notes: dict[str, Any] = {
         "data": "; ".join(item.meta.what for item in sets),
         "data_sha256": [item.sha256 for item in sets],
@@ -166,19 +152,19 @@ def _notes(
     return notes
 
 
-def teach(
+def run_trainers(
     bundle: Bundle,
     parts: tuple[Part, Part, Part],
     seed: int,
     start: Bundle | None,
     progress: Callable[[str], None],
 ) -> tuple[Bundle, dict[str, Any]]:
-    """Run all trainers in their order; the bundle with what they added, and their facts."""
+    """Run all trainers; return the bundle with their results, and their facts."""
     facts = {}
     for name, trainer in TRAINERS:
         progress(f"train: {name}")
         begin = time.perf_counter()
-        lesson = TrainingTask(
+        task = TrainingTask(
             bundle=bundle,
             training=parts[0],
             validation=parts[1],
@@ -186,7 +172,7 @@ def teach(
             seed=seed,
             start=start,
         )
-        model, found = trainer(lesson)
+        model, found = trainer(task)
         bundle = replace(bundle, model=model)
         facts[name] = found | {"seconds": round(time.perf_counter() - begin, 3)}
         progress(f"train: {name} {facts[name]['seconds']:.1f} s")
@@ -194,7 +180,7 @@ def teach(
 
 
 def held_out_scores(bundle: Bundle, test: Part) -> dict[str, Any] | None:
-    """Errors per contact on the test part, by estimator; None where no points were kept."""
+    """Return errors per contact on the test part, by estimator; None without points."""
     if test.samples is None:
         return None
     contacts = decode_contacts(bundle.model, test.samples)

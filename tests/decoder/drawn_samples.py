@@ -24,7 +24,7 @@ def drawn(seed: int, count: int = 7, markers: int = 9, *, keep: str = "all") -> 
     """Samples that fit together, with numbers drawn at random."""
     rng = np.random.default_rng(seed)
     status = rng.integers(0, 3, count)
-    told = np.flatnonzero(status)
+    flagged = np.flatnonzero(status)
     contacts = rng.integers(0, 4, count)
     owner_of = np.repeat(np.arange(count), contacts)
     c = len(owner_of)
@@ -72,8 +72,8 @@ def drawn(seed: int, count: int = 7, markers: int = 9, *, keep: str = "all") -> 
         total_N=np.bincount(owner_of, weights=touches.force_N, minlength=count).astype(np.float64),
         contacts=contacts,
         reasons=("too far", "not converged: ½ step"),
-        reason_sample=np.repeat(told, 2),
-        reason_index=np.tile([0, 1], len(told)),
+        reason_sample=np.repeat(flagged, 2),
+        reason_index=np.tile([0, 1], len(flagged)),
         bits=bits,
         bits_read=rng.random((count, markers)) < 0.3,
         shift_px=shift,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from phytac_decoder.estimation.contact_fit import ShiftNoise
-from phytac_decoder.estimation.locator import SILENT_MISFIT, ContactLocator
+from phytac_decoder.estimation.locator import SETTINGS, ContactLocator
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_shapes.arrays import FloatArray
 from tests.decoder.flat_sensor import MARKERS, flat_locator, nearest, shifts, together
@@ -51,7 +51,7 @@ def test_an_unread_contact_is_found_though_noise_is_presumed_too_much() -> None:
     assert nearest(unread) in second.markers
     # Noise by the design file, more than there is: what is missed is no misfit.
     missed = replace(timid, blind=timid.blind[:0]).find(both, np.array([nearest(loud)]))
-    assert missed.misfit < SILENT_MISFIT
+    assert missed.reduced_chi2 < SETTINGS.chi2_unexplained
     assert len(missed.contacts) == 1
     # Nor is what is missed alone.
     none = np.zeros(0, dtype=np.int64)

@@ -151,7 +151,7 @@ def test_tables_of_pairs_of_older_bundles_are_passed_over(tmp_path: Path) -> Non
     assert locator.places.walls is not None
 
 
-def test_bundle_without_it_says_so(tmp_path: Path) -> None:
+def test_bundle_without_it_raises(tmp_path: Path) -> None:
     save_bundle(toy_bundle(), tmp_path)
     model = load_bundle(tmp_path).model
     assert "auto" not in model.estimators
@@ -268,7 +268,7 @@ def _few(arrays: dict[str, Any]) -> None:
         (_all_lost, "wall_most holds 1, expected a number between 0 and 1"),
     ],
 )
-def test_damaged_tables_are_refused(
+def test_damaged_tables_are_rejected(
     damage: Callable[[dict[str, Any]], None], says: str, tmp_path: Path
 ) -> None:
     save_bundle(bundle(), tmp_path)
@@ -294,7 +294,9 @@ def test_damaged_tables_are_refused(
         (("prior",), None),
     ],
 )
-def test_damaged_settings_are_refused(keys: tuple[str, ...], value: object, tmp_path: Path) -> None:
+def test_damaged_settings_are_rejected(
+    keys: tuple[str, ...], value: object, tmp_path: Path
+) -> None:
     save_bundle(bundle(), tmp_path)
     path = tmp_path / "bundle.json"
     meta = json.loads(path.read_text())

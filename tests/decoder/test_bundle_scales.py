@@ -25,7 +25,7 @@ from phytac_shapes.errors import InputError
         ("scale_out", lambda _: 1e999),
     ],
 )
-def test_what_is_no_scale_is_refused(
+def test_what_is_no_scale_is_rejected(
     built: BuildResult, tmp_path: Path, name: str, change: Any
 ) -> None:
     folder = tmp_path / "decoder"

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.force_correction import ForceCorrection, fit_correction, fit_spread
+from phytac_decoder.estimation.force_correction import ForceCorrection
+from phytac_design.training.force_correction_fit import fit_correction, fit_spread
 from phytac_design.training.locator_calibration import (
     calibrate_locator,
     match_contacts,
@@ -108,7 +109,7 @@ def test_noise_of_switches_that_are_on_is_that_of_the_data() -> None:
 
 def drawn_shown(explained: FloatArray, left: FloatArray) -> PredictionResiduals:
     on = np.zeros(explained.shape[:2], dtype=np.bool_)
-    return PredictionResiduals(explained_px=explained, left_px=left, on=on)
+    return PredictionResiduals(predicted_px=explained, residual_px=left, on=on)
 
 
 @pytest.mark.parametrize("scale", [0.0, 0.1, 50.0])
@@ -135,7 +136,7 @@ def test_gains_and_noise_at_the_ends(scale: float, noise: float) -> None:
     assert np.median(each) == pytest.approx(max(noise, 1e-4), rel=0.4)
 
 
-def test_few_samples_tell_the_stiffness_alone() -> None:
+def test_few_samples_determine_the_stiffness_alone() -> None:
     learnt, facts = calibrate_locator(LOCATOR, TRAINING, np.arange(4), force_max_N=25.0)
     assert facts["contacts"] == 6
     assert facts["stiffness"] == pytest.approx(STIFFNESS, rel=0.06)
@@ -152,7 +153,7 @@ def test_same_samples_same_locator() -> None:
     assert (again.correction.weight == LEARNT.correction.weight).all()
 
 
-def test_samples_without_contacts_or_switches_are_refused() -> None:
+def test_samples_without_contacts_or_switches_are_rejected() -> None:
     with pytest.raises(InputError, match="no shifts, switches, contacts or truth"):
         match_contacts(LOCATOR, replace(TRAINING, touches=None), np.arange(3))
     dark = replace(TRAINING, bits_read=np.zeros_like(TRAINING.bits))

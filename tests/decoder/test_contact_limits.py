@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phytac_decoder.estimation.contact_grouping import REACH_SPACINGS, Contact, QuadricPatches
-from phytac_decoder.estimation.contact_tracker import HOLD_S, ContactTracker
+from phytac_decoder.estimation.contact_tracker import SETTINGS, ContactTracker
 from tests.decoder.test_contacts import FPS, PLANE, ids_of, press, spiral, tracker
 
 SPACING_MM = 5.0
@@ -68,7 +68,7 @@ def test_a_wide_contact_may_go_farther() -> None:
         assert (first.id == second.id) is same
 
 
-def test_a_fast_contact_is_not_looked_for_beyond_its_gate() -> None:
+def test_a_fast_contact_is_not_searched_for_beyond_its_gate() -> None:
     """It stops while frames are lost: to go on for all that time would take it past all gates."""
     watch = tracker()
     assert [alone(watch, 40.0 + 10.0 * k, 0.01 * k) for k in range(4)] == [0] * 4
@@ -78,7 +78,7 @@ def test_a_fast_contact_is_not_looked_for_beyond_its_gate() -> None:
 def test_speed_is_forgotten_over_a_pause() -> None:
     watch = tracker()
     assert [alone(watch, 40.0 + 10.0 * k, 0.01 * k) for k in range(4)] == [0] * 4
-    later = 0.03 + HOLD_S + 0.1
+    later = 0.03 + SETTINGS.hold_s + 0.1
     assert alone(watch, 70.0, later) == 0
     assert alone(watch, 56.0, later + 0.01) == 0
 
@@ -132,13 +132,13 @@ def test_more_pieces_than_merged_have_ids_of_their_own() -> None:
     assert found == [[0, 1], [0], [0, 2, 1], [0, 2, 1]]
 
 
-def test_a_contact_that_was_not_looked_for_in_time_is_a_new_one() -> None:
+def test_a_contact_that_was_not_found_in_time_is_a_new_one() -> None:
     """Frames in between may have been missed, or unreadable."""
     watch = ContactTracker(spacing_mm=10.0)
     assert [contact.id for contact in watch.update(at(20.0), 0.0)] == [0]
     assert watch.update([], 0.1) == []
-    (soon,) = watch.update(at(20.0), HOLD_S)
+    (soon,) = watch.update(at(20.0), SETTINGS.hold_s)
     assert (soon.id, soon.since_s) == (0, 0.0)
-    assert watch.update([], HOLD_S + 0.1) == []
+    assert watch.update([], SETTINGS.hold_s + 0.1) == []
     (late,) = watch.update(at(20.0), 60.0)
     assert (late.id, late.since_s) == (1, 60.0)

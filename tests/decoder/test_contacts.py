@@ -14,8 +14,7 @@ from phytac_decoder.estimation.contact_grouping import (
     group_key_nodes,
 )
 from phytac_decoder.estimation.contact_tracker import (
-    HOLD_FRAMES,
-    INSIDE_MAX,
+    SETTINGS,
     UNPAIRED_COST,
     ContactTracker,
     linear_assignment,
@@ -144,7 +143,7 @@ def test_size_is_that_of_an_even_disc() -> None:
         (contact,) = PLANE.find(forces, np.flatnonzero(forces))
         assert contact.size_mm == pytest.approx(2.0 * radius, abs=2.5)
         assert contact.position_mm == pytest.approx((97.0, 101.0, 0.0), abs=0.2)
-    # One marker tells no more than its own cell.
+    # The size from one marker is that of its cell.
     (alone,) = PLANE.find(np.eye(len(PLANE.position_mm))[820], np.array([820]))
     assert alone.size_mm == pytest.approx(5.0 * 2.0 / np.sqrt(3.0))
 
@@ -249,7 +248,7 @@ def test_a_split_gives_one_new_id() -> None:
 
 
 @pytest.mark.parametrize(
-    ("gone", "same"), [(1, True), (HOLD_FRAMES, True), (HOLD_FRAMES + 1, False)]
+    ("gone", "same"), [(1, True), (SETTINGS.hold_frames, True), (SETTINGS.hold_frames + 1, False)]
 )
 def test_a_contact_may_be_missed_but_not_lifted(gone: int, same: bool) -> None:
     here = (80.0, 70.0, 5.0, 6.0)
@@ -336,5 +335,5 @@ def test_a_hand_that_is_tapped_all_day_is_no_slower() -> None:
     tracker = ContactTracker(spacing_mm=PLANE.spacing_mm)
     _, (hand,) = hand_that_is_tapped(tracker, 40)
     (track,) = tracker._tracks.values()
-    assert 1 < len(track.inside) <= INSIDE_MAX
+    assert 1 < len(track.inside) <= SETTINGS.merged_max
     assert track.inside[0].id == hand.id

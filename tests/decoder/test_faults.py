@@ -22,7 +22,7 @@ from tests.decoder.test_follow import make_bundle as drawn_bundle
 
 PX_N = 0.33
 NOISE_px = 0.04
-STILL = "moved as if pressed, and their switches do not read as on"
+PRESSED_TEXT = "moved as if pressed, and their switches do not read as on"
 
 
 def make_bundle() -> Bundle:
@@ -87,14 +87,14 @@ def test_softening_is_not_taken_for_a_fault() -> None:
 
 def test_a_dead_switch_is_told_of() -> None:
     (text,) = told(read({30: 6.0, 84: 20.0}, (84,)))
-    assert STILL in text
+    assert PRESSED_TEXT in text
     assert "30" in text
     (alone,) = told(read({58: 4.0}, ()))
-    assert STILL in alone
+    assert PRESSED_TEXT in alone
     assert "58" in alone
     # Beside one that is on, too, if it carries most of the force.
     (beside,) = told(read({58: 5.0, 59: 15.0}, (58,)))
-    assert STILL in beside
+    assert PRESSED_TEXT in beside
     assert "(59)" in beside
 
 
@@ -238,7 +238,7 @@ def with_red(frame: ImageArray) -> ImageArray:
 FAULTS: dict[str, tuple[Callable[[], ImageArray], str]] = {
     "hidden": (lambda: shot(hidden=tuple(range(0, COUNT, 5))), "of 117 markers were found"),
     "fused": (lambda: bridged(shot()), "the paint of 2 markers (45, 46) is one"),
-    "dead": (lambda: shot(np.arange(COUNT) == 70), STILL),
+    "dead": (lambda: shot(np.arange(COUNT) == 70), PRESSED_TEXT),
     "stuck": (lambda: with_red(shot()), "(100) show no force"),
     "bumped": (lambda: np.roll(shot(), 3, axis=1), "the camera has moved"),
 }

@@ -199,7 +199,7 @@ def test_bundle_comes_back_as_it_was(tmp_path: Path) -> None:
         assert (tmp_path / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
 
 
-def test_spoilt_bundles_are_refused(tmp_path: Path) -> None:
+def test_damaged_bundles_are_rejected(tmp_path: Path) -> None:
     save_bundle(make_bundle(), tmp_path)
     meta_path, arrays_path = tmp_path / "bundle.json", tmp_path / "bundle.safetensors"
     meta, raw = meta_path.read_text(), arrays_path.read_bytes()
@@ -223,8 +223,8 @@ def test_spoilt_bundles_are_refused(tmp_path: Path) -> None:
     refused("is not a decoder bundle")
     meta_path.write_text(json.dumps({k: v for k, v in json.loads(meta).items() if k != "camera"}))
     refused("is not a decoder bundle: 'camera' is missing; rebuild")
-    spoilt = {**arrays, "stiffness": np.full_like(arrays["stiffness"], np.nan)}
-    save_file(spoilt, arrays_path)
+    damaged = {**arrays, "stiffness": np.full_like(arrays["stiffness"], np.nan)}
+    save_file(damaged, arrays_path)
     refused("stiffness holds numbers that are not finite")
     save_file({k: v for k, v in arrays.items() if k != "rest_px"}, arrays_path)
     refused("lacks 'rest_px'")
@@ -242,7 +242,7 @@ def test_spoilt_bundles_are_refused(tmp_path: Path) -> None:
         load_bundle(tmp_path / "nowhere")
 
 
-def test_an_unknown_activation_is_refused(tmp_path: Path) -> None:
+def test_an_unknown_activation_is_rejected(tmp_path: Path) -> None:
     bundle = make_bundle()
     odd = replace(bundle.model.networks["fem_nn"], activation="cubic")
     save_bundle(replace(bundle, model=replace(bundle.model, networks={"fem_nn": odd})), tmp_path)

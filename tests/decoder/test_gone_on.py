@@ -1,6 +1,7 @@
-"""Contacts that go on from frame to frame: as each frame by itself has them, sooner."""
+"""Warm starts: contacts followed from frame to frame equal those of each frame alone, sooner."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from unittest import mock
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from phytac_decoder.estimation import contact_fit
 from phytac_decoder.estimation.contact_estimates import ContactDetection
-from phytac_decoder.estimation.locator import LOOK, WORSE
+from phytac_decoder.estimation.locator import SETTINGS
 from phytac_shapes.arrays import FloatArray, IntArray
 from tests.decoder.flat_sensor import flat_locator, nearest, together
 
@@ -26,12 +27,12 @@ def frame(number: int, forces_N: tuple[float, float], slid_mm: float = 0.0) -> F
 
 
 def age_of(found: ContactDetection) -> int:
-    """Frames since its contacts were looked for."""
-    assert found.stand is not None
-    return found.stand.age
+    """Frames since its contacts were searched for."""
+    assert found.state is not None
+    return found.state.age
 
 
-def gone_on(
+def followed(
     shifts: Callable[[int], FloatArray], count: int, koi: IntArray = KOI
 ) -> tuple[list[ContactDetection], list[int]]:
     """Frames in their order, and how many rounds of fits each took."""
@@ -50,7 +51,7 @@ def test_contacts_that_move_and_grow_are_as_by_themselves() -> None:
     def shifts(k: int) -> FloatArray:
         return frame(k, (6.0 + 0.3 * k, 12.0 - 0.2 * k), slid_mm=0.1 * k)
 
-    found, rounds = gone_on(shifts, 12)
+    found, rounds = followed(shifts, 12)
     assert [age_of(each) for each in found] == list(range(12))
     alone = [LOCATOR.find(shifts(k), KOI) for k in range(12)]
     for one, other in zip(found, alone, strict=True):
@@ -71,14 +72,14 @@ def test_switches_that_come_and_go_beside_their_contact_are_its_own() -> None:
     assert age_of(LOCATOR.find(frame(2, (8.0, 8.0)), KOI, before=grown)) == 2
 
 
-def test_other_switches_are_looked_at_anew() -> None:
+def test_other_switches_are_searched_again() -> None:
     first = LOCATOR.find(frame(0, (8.0, 8.0)), KOI)
     away = np.array(sorted([*KOI, nearest(np.array([30.0, 6.0, 0.0]))]))
     for koi in (away, KOI[:1]):
         assert age_of(LOCATOR.find(frame(1, (8.0, 8.0)), koi, before=first)) == 0
 
 
-def test_a_switch_between_two_contacts_is_looked_at_anew() -> None:
+def test_a_switch_between_two_contacts_is_searched_again() -> None:
     middle, arm = np.array([30.0, 30.0, 0.0]), np.array([6.0, 0.0, 0.0])
     close = [middle - arm, middle + arm]
     clean = together(close, [8.0, 8.0]).reshape(-1, 2)
@@ -89,7 +90,7 @@ def test_a_switch_between_two_contacts_is_looked_at_anew() -> None:
     assert age_of(LOCATOR.find(clean, both, before=first)) == 0
 
 
-def test_what_they_no_longer_explain_is_looked_at_anew() -> None:
+def test_what_they_no_longer_explain_is_searched_again() -> None:
     """A third contact under the same switches, as strong as another's would be."""
     first = LOCATOR.find(frame(0, (8.0, 8.0)), KOI)
     third = np.array([45.0, 12.0, 0.0])
@@ -99,9 +100,9 @@ def test_what_they_no_longer_explain_is_looked_at_anew() -> None:
     found = LOCATOR.find(shift, KOI, before=first)
     assert age_of(found) == 0
     assert len(found.contacts) == 3
-    assert first.stand is not None
-    assert found.stand is not None
-    assert found.stand.misfit < WORSE * max(first.stand.misfit, 1.0)
+    assert first.state is not None
+    assert found.state is not None
+    assert found.state.reduced_chi2 < SETTINGS.chi2_growth_max * max(first.state.reduced_chi2, 1.0)
 
 
 def test_a_faint_contact_is_seen_within_a_few_frames() -> None:
@@ -114,9 +115,11 @@ def test_a_faint_contact_is_seen_within_a_few_frames() -> None:
         return (clean + noise).reshape(-1, 2)
 
     # Of many more markers it would change even less.
-    with mock.patch("phytac_decoder.estimation.locator.WORSE", 100.0):
-        found, _ = gone_on(shifts, 2 + LOOK)
-    assert [len(each.stand.fit.states) for each in found if each.stand][-1] == 3
+    with mock.patch(
+        "phytac_decoder.estimation.locator.SETTINGS", replace(SETTINGS, chi2_growth_max=100.0)
+    ):
+        found, _ = followed(shifts, 2 + SETTINGS.search_every_frames)
+    assert [len(each.state.fit.states) for each in found if each.state][-1] == 3
     assert age_of(found[1]) == 1
 
 
@@ -133,9 +136,10 @@ def test_a_contact_without_a_switch_that_is_lifted_is_gone() -> None:
 
 
 @pytest.mark.parametrize("switched", [True, False])
-def test_after_a_while_contacts_are_looked_for_anew(switched: bool) -> None:
+def test_after_a_while_contacts_are_searched_for_again(switched: bool) -> None:
     only = KOI if switched else KOI[:1] if KOI[0] == nearest(FIRST) else KOI[1:]
-    with mock.patch("phytac_decoder.estimation.locator.ANEW", (5, 3)):
+    often = replace(SETTINGS, reinitialise_after_frames=(5, 3))
+    with mock.patch("phytac_decoder.estimation.locator.SETTINGS", often):
         ages, before = [], None
         for k in range(7):
             before = LOCATOR.find(frame(k, (8.0, 8.0 if switched else 2.0)), only, before=before)

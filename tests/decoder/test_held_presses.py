@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.force_correction import ForceCorrection, fit_correction
-from phytac_design.training.locator_calibration import _blocks
+from phytac_decoder.estimation.force_correction import ForceCorrection
+from phytac_design.training.force_correction_fit import fit_correction
+from phytac_design.training.locator_calibration import press_blocks
 from phytac_design.training.marker_gain import cross_validation_folds
 from phytac_shapes.arrays import IntArray
 from tests.decoder.flat_samples import pressed
@@ -36,8 +37,8 @@ def test_frames_of_a_press_are_left_out_together() -> None:
         assert (one.gain == other.gain).all()
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_a_spread_is_that_of_presses_not_of_frames(told: bool) -> None:
+@pytest.mark.parametrize("known", [True, False])
+def test_a_spread_is_that_of_presses_not_of_frames(known: bool) -> None:
     """Each press is off by 10 %, its frames by the same: the others say nothing of that."""
     rng = np.random.default_rng(3)
     count = 40
@@ -52,17 +53,17 @@ def test_a_spread_is_that_of_presses_not_of_frames(told: bool) -> None:
         signal_px=np.ones(count * HELD),
         sd_N=0.004 * force[press],
         truth_N=truth[press],
-        block=press if told else None,
+        block=press if known else None,
     )
     got = float(learnt.spread_N(np.array([10.0]), np.array([0.04]))[0]) / 10.0
-    assert got > 0.07 if told else got < 0.03
+    assert got > 0.07 if known else got < 0.03
 
 
 def test_contacts_of_one_frame_are_no_frames_of_one_press() -> None:
     samples = pressed(12, seed=5)
     assert samples.touches is not None
     touch = np.arange(len(samples.touches.force_N))
-    assert len(np.unique(_blocks(samples, touch))) == len(touch)
+    assert len(np.unique(press_blocks(samples, touch))) == len(touch)
     held = replace(samples, sequence=samples.sequence // 3)
-    block = _blocks(held, touch)
+    block = press_blocks(held, touch)
     assert (block == held.sequence[samples.touches.sample]).all()

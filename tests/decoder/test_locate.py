@@ -8,14 +8,10 @@ import pytest
 
 from phytac_decoder.estimation import locator
 from phytac_decoder.estimation.contact_estimates import LocatedContact
-from phytac_decoder.estimation.contact_fit import (
-    ASTRAY,
-    OFF_SPACINGS,
-    ShiftObservation,
-    robust_cost,
-)
+from phytac_decoder.estimation.contact_fit import SETTINGS as FIT_SETTINGS
+from phytac_decoder.estimation.contact_fit import ShiftObservation, robust_cost
 from phytac_decoder.estimation.force_correction import ForceCorrection
-from phytac_decoder.estimation.locator import PRINT_SHARE, SILENT_MISFIT, SILENT_SURE
+from phytac_decoder.estimation.locator import SETTINGS
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.simulation.scenario.sections import SensorInstanceSection
 from phytac_shapes.arrays import FloatArray
@@ -100,18 +96,18 @@ def test_one_contact_between_places(force: float) -> None:
     assert contact.markers.tolist() == [nearest(at)]
 
 
-def test_points_about_their_own_places_are_laid_as_those_about_one() -> None:
+def test_points_about_one_place_or_each_its_own_have_the_same_coordinates() -> None:
     places = flat_places()
     tilted = replace(places, along=places.along + np.array([0.0, 0.0, 0.3]))
     points = np.random.default_rng(2).normal(size=(6, 3)) * [9.0, 9.0, 2.0]
     points[0] = tilted.point_mm[4]
     points[1] = tilted.point_mm[4] + [0.0, 0.0, 3.0]
-    many = tilted.laid(4, points)
-    one = tilted.beside([4] * len(points), points)
+    many = tilted.tangent_coordinates(4, points)
+    one = tilted.tangent_coordinates([4] * len(points), points)
     np.testing.assert_allclose(one, many, rtol=1e-12, atol=1e-12)
 
 
-def test_another_extent_is_told_from_another_force() -> None:
+def test_another_extent_differs_from_another_force() -> None:
     at, moments = point(33.0, 27.0), DISC + np.array([4.0, 1.5, -2.0])
     (contact,) = find(shifts(at, 10.0, moments), [nearest(at)])
     assert contact.force_N == pytest.approx(10.0, rel=5e-3)
@@ -144,29 +140,31 @@ def test_a_contact_without_a_switch_is_found_and_carries_no_receptor() -> None:
     assert np.flatnonzero(forces).tolist() == [nearest(loud)]
 
 
-@pytest.mark.parametrize(("spread", "told"), [(1.0, True), (0.9, True), (1.1, False)])
-def test_silent_contacts_are_told_by_the_spread_that_was_learnt(spread: float, told: bool) -> None:
+@pytest.mark.parametrize(("spread", "reported"), [(1.0, True), (0.9, True), (1.1, False)])
+def test_unswitched_contacts_are_reported_by_the_spread_that_was_fitted(
+    spread: float, reported: bool
+) -> None:
     """Noise is not all that a sensor's own data know: faint ones far off were none."""
     loud, silent = point(15.0, 15.0), point(45.0, 42.0)
     both = together([loud, silent], [10.0, 2.0]).reshape(-1, 2)
     (_, faint) = LOCATOR.find(both, np.array([nearest(loud)])).contacts
     plain = ForceCorrection.plain(low_mm=np.zeros(3), size_mm=60.0, force_max_N=25.0)
-    enough = faint.raw_N / (SILENT_SURE * faint.raw_sd_N)
+    enough = faint.raw_N / (SETTINGS.force_sd_min * faint.raw_sd_N)
     learnt = replace(LOCATOR, correction=replace(plain, spread=0.999 * spread * enough))
     found = learnt.find(both, np.array([nearest(loud)]))
-    assert len(found.contacts) == 1 + told
-    # It takes no force from the other, told or not.
+    assert len(found.contacts) == 1 + reported
+    # It takes no force from the other, reported or not.
     assert found.contacts[0].force_N == pytest.approx(10.0, rel=5e-3)
 
 
-def test_a_force_that_must_have_switched_is_not_silent() -> None:
+def test_a_force_that_must_have_switched_is_no_unswitched_contact() -> None:
     """A dead switch: what it hides is left to those who judge the frame."""
     loud, dead = point(15.0, 15.0), point(45.0, 42.0)
     both = together([loud, dead], [10.0, 15.0])
     found = LOCATOR.find(both.reshape(-1, 2), np.array([nearest(loud)]))
     (contact,) = found.contacts
     assert contact.force_N == pytest.approx(10.0, rel=0.01)
-    assert found.misfit > 10.0
+    assert found.reduced_chi2 > 10.0
     # Where its switch is on, it is a contact like any other.
     assert len(find(both, [nearest(loud), nearest(dead)])) == 2
 
@@ -188,7 +186,7 @@ def test_a_receptor_whose_tip_is_out_counts_less() -> None:
     at = point(30.0, 30.0)
     marker = nearest(at)
     seen = shifts(at, 8.0).reshape(-1, 2)
-    seen[marker] += (0.06, -0.04)  # not so far that it would be doubted
+    seen[marker] += (0.06, -0.04)  # not so far that it would be down-weighted
 
     def off_mm(switched_px: float) -> float:
         wary = replace(LOCATOR, noise=replace(LOCATOR.noise, switched_px=switched_px))
@@ -211,8 +209,8 @@ def test_a_marker_that_is_far_off_hardly_counts(off_px: tuple[float, float]) -> 
     assert np.linalg.norm(contact.point_mm - at) < 0.1
 
 
-def test_doubts_begin_where_a_marker_is_far_off_for_its_frame() -> None:
-    inverse, limit = np.full(200, 4.0), ASTRAY**2 * 2.0
+def test_down_weighting_begins_where_a_marker_is_far_off_for_its_frame() -> None:
+    inverse, limit = np.full(200, 4.0), FIT_SETTINGS.robust_threshold**2 * 2.0
     left = np.zeros(200)
     left[0] = np.sqrt(limit / 4.0)
     at_limit, share = robust_cost(left, inverse)
@@ -222,7 +220,7 @@ def test_doubts_begin_where_a_marker_is_far_off_for_its_frame() -> None:
     beyond, share = robust_cost(left, inverse)
     assert beyond == pytest.approx(limit * (1.0 + np.log(9.0)))
     np.testing.assert_allclose(share[:4], [1.0 / 9.0, 1.0 / 9.0, 1.0, 1.0])
-    # Where all are as far off, none is doubted; nor are those that were not found.
+    # Where all are as far off, none is down-weighted; nor are those that were not found.
     left[:] = left[0]
     inverse[:100] = 0.0
     total, share = robust_cost(left, inverse)
@@ -230,7 +228,7 @@ def test_doubts_begin_where_a_marker_is_far_off_for_its_frame() -> None:
     np.testing.assert_array_equal(share, 1.0)
 
 
-def test_the_share_of_a_doubted_marker_is_what_its_sum_grows_with() -> None:
+def test_the_share_of_a_down_weighted_marker_is_what_its_sum_grows_with() -> None:
     """Weights are half the sum's derivative over the residual, as iterating them needs."""
     left, inverse = np.random.default_rng(0).normal(size=(2, 40)) ** [[1], [2]]
     left[6:10] *= 30.0
@@ -248,7 +246,7 @@ def test_the_share_of_a_doubted_marker_is_what_its_sum_grows_with() -> None:
 
 def test_no_contact_lies_beyond_a_rim() -> None:
     """Of a load off the edge the tables say nothing; there is no surface to press on."""
-    reach_mm = OFF_SPACINGS * LOCATOR.places.spacing_mm
+    reach_mm = FIT_SETTINGS.place_distance_max * LOCATOR.places.spacing_mm
     for x in (-4.0, -6.0, -8.0):
         (contact,) = find(shifts(point(x, 30.0), 10.0), [nearest(point(3.0, 30.0))])
         assert -reach_mm - 1e-9 <= contact.point_mm[0] < 0.0
@@ -277,11 +275,11 @@ def test_what_is_left_without_a_place_is_not_fitted() -> None:
         noisy = shifts(at, 10.0) + rng.normal(0.0, 0.025, 2 * COUNT)
         with mock.patch.object(locator, "fit_contacts", wraps=locator.fit_contacts) as fitted:
             found = LOCATOR.find(noisy.reshape(-1, 2), np.array([nearest(at)]))
-        assert found.misfit > SILENT_MISFIT
+        assert found.reduced_chi2 > SETTINGS.chi2_unexplained
         assert fitted.call_count == 1
 
 
-def test_noise_alone_makes_no_silent_contact() -> None:
+def test_noise_alone_makes_no_unswitched_contact() -> None:
     at = point(30.0, 30.0)
     rng = np.random.default_rng(3)
     for _ in range(20):
@@ -292,7 +290,7 @@ def test_noise_alone_makes_no_silent_contact() -> None:
 def test_without_switches_nothing_is_solved() -> None:
     found = LOCATOR.find(shifts(point(30.0, 30.0), 5.0).reshape(-1, 2), np.zeros(0, dtype=int))
     assert found.contacts == []
-    assert found.misfit > 10.0
+    assert found.reduced_chi2 > 10.0
     assert not found.receptor_forces_N(COUNT).any()
 
 
@@ -317,19 +315,21 @@ def test_forces_of_an_unknown_print_are_no_surer_than_its_stiffness() -> None:
     seen = shifts(at, 8.0).reshape(-1, 2), np.array([nearest(at)])
     (unknown,) = LOCATOR.find(*seen).contacts
     assert unknown.sd_N == pytest.approx(np.hypot(unknown.raw_sd_N, 0.11 * 8.0), rel=1e-3)
-    taught = ForceCorrection.plain(
+    fitted = ForceCorrection.plain(
         low_mm=np.zeros(3),
         size_mm=60.0,
         force_max_N=25.0,
     )
-    (known,) = replace(LOCATOR, correction=taught).find(*seen).contacts
+    (known,) = replace(LOCATOR, correction=fitted).find(*seen).contacts
     assert known.sd_N == known.raw_sd_N == unknown.raw_sd_N < 0.05
 
 
 def test_scatter_of_prints_is_what_the_twin_presumes() -> None:
     unit = SensorInstanceSection()
     thickness = 2.3 * np.hypot(unit.thickness_share, unit.thickness_wave_share)
-    assert pytest.approx(np.hypot(unit.modulus_share, thickness), abs=0.005) == PRINT_SHARE
+    assert (
+        pytest.approx(np.hypot(unit.modulus_share, thickness), abs=0.005) == SETTINGS.stiffness_sd
+    )
 
 
 def test_forces_are_shared_by_overlap_and_sum_up() -> None:

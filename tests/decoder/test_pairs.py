@@ -16,7 +16,7 @@ from phytac_decoder.estimation.contact_fit import (
     initial_state,
 )
 from phytac_decoder.estimation.contact_shifts import ContactState, centre_of, predicted_shifts
-from phytac_decoder.estimation.locator import ContactLocator
+from phytac_decoder.estimation.locator import SETTINGS, ContactLocator
 from phytac_decoder.mechanics.interaction_table import INTERACTION_SHARE_MAX, InteractionTable
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.training.marker_gain import apply_gain
@@ -109,13 +109,13 @@ def test_contacts_at_once_no_longer_take_each_others_force(
     seen = pressed(points, force_N).reshape(-1, 2)
     plain = flat_locator()
     naive = np.abs(forces(plain.find(seen, koi)) / force_N - 1.0)
-    told = np.abs(forces(aware(plain).find(seen, koi)) / force_N - 1.0)
+    errors = np.abs(forces(aware(plain).find(seen, koi)) / force_N - 1.0)
     assert naive.max() > 0.04
-    assert told.max() < 0.004
-    assert told.max() < 0.1 * naive.max()
+    assert errors.max() < 0.004
+    assert errors.max() < 0.1 * naive.max()
 
 
-def test_one_contact_is_told_as_before() -> None:
+def test_one_contact_is_reported_as_before() -> None:
     at = np.array([31.0, 28.0, 0.0])
     seen, koi = shifts(at, 9.0).reshape(-1, 2), np.array([nearest(at)])
     plain = flat_locator()
@@ -176,9 +176,9 @@ def test_coordinates_between_places_are_a_cubic_in_both() -> None:
     axes = np.eye(4, 2 * len(MARKERS), dtype=np.float32)
     table = InteractionTable(grid=replace(grid, shift_px=rows), axes_px=axes)
     at = np.array([[21.3, 33.1, 0.0], [40.2, 18.7, 0.0], [11.0, 48.5, 0.0]])
-    told = table.between(at)
-    assert told.shape == (3, 2 * len(MARKERS))
-    for image, (i, k) in zip(told, [(1, 0), (2, 0), (2, 1)], strict=True):
+    shifts_px = table.between(at)
+    assert shifts_px.shape == (3, 2 * len(MARKERS))
+    for image, (i, k) in zip(shifts_px, [(1, 0), (2, 0), (2, 1)], strict=True):
         assert image[2] == pytest.approx(value(at[i], at[k]), abs=2e-4)
         assert not np.delete(image, 2).any()
 
@@ -208,7 +208,7 @@ def test_a_linear_sensor_has_no_mixed_terms() -> None:
     assert aware(flat_locator()).linear.places.pairs is None
 
 
-def test_one_that_is_suspected_is_not_told_and_takes_its_own_force(
+def test_a_tentative_contact_is_not_reported_and_takes_its_own_force(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Too faint to be sure of, and too strong to be left to its neighbour."""
@@ -222,15 +222,17 @@ def test_one_that_is_suspected_is_not_told_and_takes_its_own_force(
     (contact,) = found.contacts
     assert contact.force_N == pytest.approx(10.0, abs=0.02)
     np.testing.assert_allclose(found.shift_px, seen, atol=0.02)
-    # Tables that know nothing of pairs suspect nothing.
+    # Without an interaction table nothing is tentative.
     (alone,) = plain.find(seen.reshape(-1, 2), koi).contacts
     assert alone.force_N > 10.05
-    monkeypatch.setattr("phytac_decoder.estimation.locator.SUSPECTED_GAIN", 1e9)
-    (unsuspected,) = locator.find(seen.reshape(-1, 2), koi).contacts
-    assert unsuspected.force_N == alone.force_N
+    monkeypatch.setattr(
+        "phytac_decoder.estimation.locator.SETTINGS", replace(SETTINGS, tentative_chi2_drop=1e9)
+    )
+    (accepted,) = locator.find(seen.reshape(-1, 2), koi).contacts
+    assert accepted.force_N == alone.force_N
 
 
-def test_what_comes_to_light_with_one_that_is_suspected_is_suspected_too(
+def test_a_contact_found_only_with_a_tentative_one_is_tentative_too(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Where tables err by more than noise, one faint contact after another explains some of it."""
@@ -242,9 +244,9 @@ def test_what_comes_to_light_with_one_that_is_suspected_is_suspected_too(
         koi=np.array([44]),
     )
     begun = replace(
-        fit_without_contacts(seen, locator.noise), states=[state], cost=1000.0, misfit=2.0
+        fit_without_contacts(seen, locator.noise), states=[state], cost=1000.0, reduced_chi2=2.0
     )
-    monkeypatch.setattr(ContactLocator, "_silent", lambda *_: state.copy())
+    monkeypatch.setattr(ContactLocator, "_unswitched_start", lambda *_: state.copy())
     for falls, wanted in (
         ((50.0, 45.0, 5.0), [False, False, False]),
         ((30.0, 50.0, 5.0), [False, True, True]),
@@ -261,5 +263,5 @@ def test_what_comes_to_light_with_one_that_is_suspected_is_suspected_too(
             return replace(begun, states=found, cost=float(next(costs)))
 
         monkeypatch.setattr(ContactLocator, "_fit", fitted)
-        best = locator._searched(begun, seen)
-        assert [one.suspected for one in best.states] == wanted
+        best = locator._add_unswitched(begun, seen)
+        assert [one.tentative for one in best.states] == wanted

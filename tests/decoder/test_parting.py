@@ -46,7 +46,7 @@ def test_fingers_are_parted_though_noise_is_presumed_too_much() -> None:
     seen = together(places, [6.0, 6.0]).reshape(-1, 2)
     timid = replace(LOCATOR, noise=ShiftNoise(centroid_px=0.4))
     found = timid.find(seen, koi)
-    assert found.misfit < 0.1
+    assert found.reduced_chi2 < 0.1
     assert [contact.force_N for contact in found.contacts] == pytest.approx([6.0, 6.0], rel=0.05)
 
 

@@ -14,6 +14,7 @@ from phytac_decoder.estimation.force_regions import Region
 from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_decoder.pipeline import frame_reading as reading_module
 from phytac_decoder.pipeline.decode import Measured, measure_frame, read_image
+from phytac_decoder.pipeline.fault_detection import FaultSettings
 from phytac_decoder.pipeline.frame_reading import Reading, read
 from phytac_decoder.serving.csv_recording import Recorder
 from phytac_decoder.serving.wire_protocol import MessageBuilder, json_bytes
@@ -45,7 +46,9 @@ def located(force_N: float, point_mm: tuple[float, float, float], *markers: int)
 
 def reading(*contacts: LocatedContact) -> Reading:
     """Of these contacts."""
-    found = ContactDetection(contacts=list(contacts), misfit=1.0, shift_px=np.zeros(2 * COUNT))
+    found = ContactDetection(
+        contacts=list(contacts), reduced_chi2=1.0, shift_px=np.zeros(2 * COUNT)
+    )
     forces = found.receptor_forces_N(COUNT)
     return Reading(koi=np.flatnonzero(forces), forces_N=forces, found=found)
 
@@ -143,7 +146,9 @@ def test_a_frame_is_fitted_once(
         return whole(model, *words, **more)
 
     monkeypatch.setattr(ForceModel, "contacts", counted)
-    monkeypatch.setattr("phytac_decoder.pipeline.fault_detection.EXCUSED_MOST", 1000)
+    monkeypatch.setattr(
+        "phytac_decoder.pipeline.fault_detection.SETTINGS", FaultSettings(excused_max=1000)
+    )
     got = read(bundle, measured, "auto")
     assert len(calls) == 1
     assert got.found
@@ -161,7 +166,7 @@ def test_forces_on_unreadable_switches_are_sent(
     unread = int(np.setdiff1d(np.arange(len(measured.found)), measured.koi)[0])
     contact = located(5.0, tuple(bundle.position_mm[unread]), unread)
     found = ContactDetection(
-        contacts=[contact], misfit=1.0, shift_px=np.zeros(2 * len(measured.found))
+        contacts=[contact], reduced_chi2=1.0, shift_px=np.zeros(2 * len(measured.found))
     )
     monkeypatch.setattr(ForceModel, "contacts", lambda *_, **__: found)
     got = reading_module.read(bundle, measured, "auto")

@@ -56,7 +56,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Samples]:
     return folder, read_samples(folder)[0]
 
 
-def test_damaged_files_are_refused(large: tuple[Path, Samples], tmp_path: Path) -> None:
+def test_damaged_files_are_rejected(large: tuple[Path, Samples], tmp_path: Path) -> None:
     folder, made = large
     files = {name: (folder / name).read_bytes() for name in ("samples.npz", "dataset.json")}
     for name, data in files.items():
@@ -78,7 +78,7 @@ def test_damaged_files_are_refused(large: tuple[Path, Samples], tmp_path: Path) 
         assert refused == 120 if name == "samples.npz" else refused > 90
 
 
-def test_damaged_arrays_with_right_hashes_are_refused(
+def test_damaged_arrays_with_right_hashes_are_rejected(
     large: tuple[Path, Samples], tmp_path: Path
 ) -> None:
     """The zip's own checks hold alone: only fields that say nothing of the data may change."""
@@ -125,7 +125,7 @@ BAD: dict[str, tuple[str, Any, str]] = {
     "other's touch": ("truth_touch", lambda a: a * 0 + a.max(), "contacts of other samples"),
     "status": ("status", lambda a: a + 2, "status must lie within -inf and 2"),
     "silent": ("status", lambda a: a * 0 + 1, "is flagged without a reason"),
-    "loud": ("status", lambda a: a * 0, "is ok, but a reason speaks against it"),
+    "loud": ("status", lambda a: a * 0, "is ok with a reason"),
     "order": ("touch_sample", lambda a: a[::-1].copy(), "not in the order of the samples"),
     "double": ("truth_marker", lambda a: a * 0, "double or not in order"),
     "count": ("contacts", lambda a: a + 1, "contacts does not count the rows"),
@@ -140,7 +140,7 @@ BAD: dict[str, tuple[str, Any, str]] = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_wrong_arrays_are_refused(whole: tuple[Path, Samples], tmp_path: Path, case: str) -> None:
+def test_wrong_arrays_are_rejected(whole: tuple[Path, Samples], tmp_path: Path, case: str) -> None:
     name, change, message = BAD[case]
     arrays = dict(np.load(whole[0] / "samples.npz"))
     changed = change(arrays[name])
@@ -175,7 +175,7 @@ TABLES: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("case", TABLES)
-def test_wrong_tables_are_refused(whole: tuple[Path, Samples], tmp_path: Path, case: str) -> None:
+def test_wrong_tables_are_rejected(whole: tuple[Path, Samples], tmp_path: Path, case: str) -> None:
     for name in ("samples.npz", "dataset.json"):
         (tmp_path / name).write_bytes((whole[0] / name).read_bytes())
     changes, message = TABLES[case]
@@ -229,7 +229,7 @@ def test_missing_arrays_file(whole: tuple[Path, Samples], tmp_path: Path) -> Non
         read_samples(tmp_path)
 
 
-def test_another_design_is_refused(whole: tuple[Path, Samples]) -> None:
+def test_another_design_is_rejected(whole: tuple[Path, Samples]) -> None:
     with pytest.raises(InputError, match="of the design 'none' with hash abababababab…, expected"):
         read_samples(whole[0], expect_design_hash="12" * 32)
 

@@ -195,7 +195,7 @@ def test_softness_is_lost_by_its_equation() -> None:
     assert lost_softness(np.array([[1e6], [0.0]]), 0.8) == (0.8, 0.0)
 
 
-def test_beyond_the_tables_the_response_goes_on_as_it_does_there() -> None:
+def test_beyond_the_tables_the_response_is_extrapolated_by_a_power_law() -> None:
     """A membrane's response per newton falls by the power 2/3; powers of the force run away."""
     forces = 25.0 * np.arange(1, 4) / 3.0
     law = (1.0 + forces / 5.0) ** (-2.0 / 3.0)
@@ -211,7 +211,7 @@ def test_beyond_the_tables_the_response_goes_on_as_it_does_there() -> None:
     true = (1.0 + 50.0 / 5.0) ** (-2.0 / 3.0)
     assert at(50.0, 25.0) == pytest.approx(true, rel=0.1)
     assert abs(at(50.0, np.inf) / true - 1.0) > 1.0
-    # What softens goes on softening.
+    # What softens softens further.
     soft = np.array([[1.0], [0.02]], dtype=np.float32)
     factors, grows = order_factors(soft, 40.0, 25.0)
     assert (factors @ soft)[0] == pytest.approx(1.0 + 0.02 * 40.0, rel=0.05)

@@ -1,4 +1,4 @@
-"""What samples tell of a print that answers contacts otherwise from place to place."""
+"""Stiffness field of a print that responds to contacts otherwise from place to place."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from phytac_design.training.marker_gain import (
     PredictionResiduals,
     predict_residuals,
 )
-from phytac_design.training.stiffness_field import StiffnessField
+from phytac_design.training.stiffness_field import SETTINGS, StiffnessField
 from phytac_shapes.arrays import BoolArray, FloatArray
 from tests.decoder.flat_samples import NOISE_PX, STIFFNESS, pressed
 from tests.decoder.flat_sensor import MARKERS, flat_locator
@@ -46,18 +46,18 @@ def parts_of(count: int, parts: int = 5) -> list[CrossValidationFold]:
     ]
 
 
-def told_by(samples: Samples) -> StiffnessField:
-    return StiffnessField(*looked_at(samples), PLAIN.places, PLAIN.noise)
+def field_of(samples: Samples) -> StiffnessField:
+    return StiffnessField(*compared(samples), PLAIN.places, PLAIN.noise)
 
 
-def looked_at(
+def compared(
     samples: Samples,
 ) -> tuple[PredictionResiduals, list[CrossValidationFold], KnownContacts]:
     seen, contacts = seen_of(samples)
     return seen, parts_of(samples.count), contacts
 
 
-def told_by_some(
+def field_of_some(
     seen: PredictionResiduals,
     parts: list[CrossValidationFold],
     contacts: KnownContacts,
@@ -71,10 +71,10 @@ def told_by_some(
         linear_N=contacts.linear_N[mine],
     )
     rest = [CrossValidationFold(rows=part.rows[keep], gain=part.gain) for part in parts]
-    return StiffnessField(seen.pick(keep), rest, pressed, PLAIN.places, PLAIN.noise).told()
+    return StiffnessField(seen.pick(keep), rest, pressed, PLAIN.places, PLAIN.noise).table()
 
 
-def left_px(samples: Samples, places: ResponseTable) -> float:
+def residual_px(samples: Samples, places: ResponseTable) -> float:
     """RMS of what tables leave of known contacts, less the noise."""
     touches = samples.touches
     assert touches is not None
@@ -82,17 +82,19 @@ def left_px(samples: Samples, places: ResponseTable) -> float:
     moments[:, [0, 2]] = (touches.radius_mm**2 - places.radius_mm**2)[:, None] / 4.0
     own = replace(PLAIN, places=places)
     seen, _ = predict_residuals(own, samples, np.arange(samples.count), moments)
-    return float(np.sqrt(max(float(np.mean(seen.left_px**2)) - NOISE_PX**2, 0.0)))
+    return float(np.sqrt(max(float(np.mean(seen.residual_px**2)) - NOISE_PX**2, 0.0)))
 
 
-def test_an_uneven_print_is_learnt_and_read_better() -> None:
+def test_an_uneven_print_is_fitted_and_read_better() -> None:
     own, fresh = (pressed(k, seed=s, uneven=hilly, noise=0.01) for k, s in ((160, 11), (80, 12)))
-    places = told_by(own).told()
-    assert left_px(fresh, places) < 0.5 * left_px(fresh, PLAIN.places)
+    places = field_of(own).table()
+    assert residual_px(fresh, places) < 0.5 * residual_px(fresh, PLAIN.places)
     errors = []
-    for share in (phytac_design.training.stiffness_field.SHARE, 0.0):
+    for share in (SETTINGS.share, 0.0):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(phytac_design.training.stiffness_field, "SHARE", share)
+            patch.setattr(
+                phytac_design.training.stiffness_field, "SETTINGS", replace(SETTINGS, share=share)
+            )
             learnt, _ = calibrate_locator(LOCATOR, own, np.arange(160), force_max_N=25.0)
         found = match_contacts(replace(learnt, correction=None), fresh, np.arange(80))
         assert learnt.correction is not None
@@ -102,25 +104,25 @@ def test_an_uneven_print_is_learnt_and_read_better() -> None:
 
 
 def test_an_even_print_stays_as_designed() -> None:
-    places = told_by(pressed(60, seed=13)).told()
+    places = field_of(pressed(60, seed=13)).table()
     change = np.linalg.norm(places.shift_px[:, 0] - PLAIN.places.shift_px[:, 0])
     assert change < 0.01 * np.linalg.norm(PLAIN.places.shift_px[:, 0])
 
 
 def test_a_part_left_out_is_as_if_it_were_never_seen() -> None:
     samples = pressed(40, seed=14, uneven=hilly)
-    seen, parts, contacts = looked_at(samples)
+    seen, parts, contacts = compared(samples)
     whole = StiffnessField(seen, parts, contacts, PLAIN.places, PLAIN.noise)
-    expected = told_by_some(seen, parts, contacts, ~parts[2].rows).shift_px
+    expected = field_of_some(seen, parts, contacts, ~parts[2].rows).shift_px
     change = np.abs(expected - PLAIN.places.shift_px).max()
-    off = np.abs(whole.told(without=2).shift_px - expected).max()
+    off = np.abs(whole.table(without_fold=2).shift_px - expected).max()
     assert off < 1e-3 * change
-    assert np.abs(whole.told().shift_px - expected).max() > 0.05 * change
+    assert np.abs(whole.table().shift_px - expected).max() > 0.05 * change
 
 
-def test_where_the_wall_stiffens_less_is_learnt_of_it() -> None:
+def test_where_the_wall_stiffens_less_is_in_the_field() -> None:
     """All powers of the force change by the same share of theirs along the first."""
-    places = told_by(pressed(60, seed=15, uneven=hilly)).told()
+    places = field_of(pressed(60, seed=15, uneven=hilly)).table()
     change = places.shift_px - PLAIN.places.shift_px
     first = PLAIN.places.shift_px[:, 0]
     softer = np.einsum("pn,pn->p", PLAIN.places.shift_px[:, 1], first) / np.sum(first**2, axis=1)
@@ -130,52 +132,54 @@ def test_where_the_wall_stiffens_less_is_learnt_of_it() -> None:
 
 def test_the_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     samples = pressed(30, seed=16, uneven=hilly)
-    seen, parts, contacts = looked_at(samples)
+    seen, parts, contacts = compared(samples)
     nobody = KnownContacts(
         row=np.zeros(0, dtype=np.int64), point_mm=np.zeros((0, 3)), linear_N=np.zeros(0)
     )
     nothing = StiffnessField(seen, parts, nobody, PLAIN.places, PLAIN.noise)
-    assert (nothing.told().shift_px == PLAIN.places.shift_px).all()
-    dark = replace(seen, left_px=np.full_like(seen.left_px, np.nan))
-    lost = StiffnessField(dark, parts, contacts, PLAIN.places, PLAIN.noise).told()
+    assert (nothing.table().shift_px == PLAIN.places.shift_px).all()
+    dark = replace(seen, residual_px=np.full_like(seen.residual_px, np.nan))
+    lost = StiffnessField(dark, parts, contacts, PLAIN.places, PLAIN.noise).table()
     np.testing.assert_allclose(lost.shift_px, PLAIN.places.shift_px, atol=1e-7)
-    # A marker that was lost in some frames is told by the rest; of the others nothing changes.
-    gone = seen.left_px.copy()
+    # A marker that was lost in some frames is estimated from the rest; others do not change.
+    gone = seen.residual_px.copy()
     gone[:15, 3] = np.nan
-    some = replace(seen, left_px=gone)
-    rows = StiffnessField(some, parts, contacts, PLAIN.places, PLAIN.noise).told().shift_px
-    full = StiffnessField(seen, parts, contacts, PLAIN.places, PLAIN.noise).told().shift_px
-    by_rest = told_by_some(seen, parts, contacts, np.arange(30) >= 15).shift_px
+    some = replace(seen, residual_px=gone)
+    rows = StiffnessField(some, parts, contacts, PLAIN.places, PLAIN.noise).table().shift_px
+    full = StiffnessField(seen, parts, contacts, PLAIN.places, PLAIN.noise).table().shift_px
+    by_rest = field_of_some(seen, parts, contacts, np.arange(30) >= 15).shift_px
     change = np.abs(by_rest - PLAIN.places.shift_px)[:, :, 6:8].max()
     assert np.abs(rows - by_rest)[:, :, 6:8].max() < 1e-3 * change
     others = np.setdiff1d(np.arange(2 * N), [6, 7])
     np.testing.assert_allclose(rows[:, :, others], full[:, :, others], atol=1e-6)
-    monkeypatch.setattr(phytac_design.training.stiffness_field, "MOST", 10)
+    monkeypatch.setattr(
+        phytac_design.training.stiffness_field, "SETTINGS", replace(SETTINGS, samples_max=10)
+    )
     few = [
-        StiffnessField(seen, parts, contacts, PLAIN.places, PLAIN.noise).told() for _ in range(2)
+        StiffnessField(seen, parts, contacts, PLAIN.places, PLAIN.noise).table() for _ in range(2)
     ]
     assert (few[0].shift_px == few[1].shift_px).all()
     assert not np.allclose(few[0].shift_px, full)
 
 
 @pytest.mark.parametrize(("count", "kept"), [(60, False), (130, True)])
-def test_few_samples_that_tell_it_wrong_are_not_believed(
+def test_with_few_samples_a_wrong_field_is_dropped(
     count: int, kept: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     samples = pressed(count, seed=3, uneven=hilly)
     _, facts = calibrate_locator(LOCATOR, samples, np.arange(count), force_max_N=25.0)
     assert facts["uneven"]
-    plain = StiffnessField.told
+    plain = StiffnessField.table
 
-    def wrong(self: StiffnessField, *, without: int | None = None) -> ResponseTable:
-        told = plain(self, without=without)
-        if not self.speaks:
-            return told
+    def wrong(self: StiffnessField, *, without_fold: int | None = None) -> ResponseTable:
+        table = plain(self, without_fold=without_fold)
+        if not self.enabled:
+            return table
         # Each left-out part is read a tenth too strong or too weak.
-        factor = 1.0 if without is None else 1.0 + 0.1 * (-1.0) ** without
-        return told.with_rows(np.float32(factor) * told.shift_px, None)
+        factor = 1.0 if without_fold is None else 1.0 + 0.1 * (-1.0) ** without_fold
+        return table.with_rows(np.float32(factor) * table.shift_px, None)
 
-    monkeypatch.setattr(StiffnessField, "told", wrong)
+    monkeypatch.setattr(StiffnessField, "table", wrong)
     facts = calibrate_locator(LOCATOR, samples, np.arange(count), force_max_N=25.0)[1]
     assert facts["uneven"] == kept
     assert (facts["spread"] > 3.0) == kept

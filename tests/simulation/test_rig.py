@@ -190,7 +190,7 @@ def test_inputs_alone(bring: Import, bundle: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"K·u of another decoder \(norm .* N/mm, here"):
         check_inputs(item, replace(model, stiffness=1.02 * model.stiffness), "draft")
     silent = replace(item, meta=replace(meta, notes={}))
-    with pytest.raises(InputError, match="which one is not said"):
+    with pytest.raises(InputError, match="unknown norm"):
         check_inputs(silent, model, "draft")
 
 

@@ -45,16 +45,11 @@ class CascadeNetwork:
     scale_out: float
 
     def layers(self) -> Mapping[str, FloatArray]:
-        """Weights by name."""
-        out, start = {}, 0
-        for name, shape in SHAPES.items():
-            size = int(np.prod(shape))
-            out[name] = self.parameters[start : start + size].reshape(shape)
-            start += size
-        return out
+        """Return the weights by name."""
+        return layers_of(self.parameters)
 
     def __call__(self, features: FloatArray) -> FloatArray:
-        """Stiffness k (m,) in N/mm for features (m, 10) in mm."""
+        """Return the stiffness k (m,) in N/mm for features (m, 10) in mm."""
         w = self.layers()
         x = features / self.scale_in
         first = self._activate(x @ w["w1"].T + w["b1"])
@@ -67,18 +62,28 @@ class CascadeNetwork:
         return np.maximum(values, 0.0) if self.activation == "rectified" else values
 
 
+def layers_of(parameters: FloatArray) -> dict[str, FloatArray]:
+    """Return the weights by name, from all parameters (351,)."""
+    out, start = {}, 0
+    for name, shape in SHAPES.items():
+        size = int(np.prod(shape))
+        out[name] = parameters[start : start + size].reshape(shape)
+        start += size
+    return out
+
+
 def parameter_count() -> int:
-    """Number of parameters, 351 as in the paper."""
+    """Return the number of parameters, 351 as in the paper."""
     return int(sum(np.prod(shape) for shape in SHAPES.values()))
 
 
 def network_features(
     apparent_mm: FloatArray, neighbours: IntArray, height_z_mm: FloatArray, koi: IntArray
 ) -> FloatArray:
-    """nn_i = [u_i, u of its eight neighbours, z_i] of each key node, (m, 10) mm (paper, eq. 2).
+    """Return nn_i = [u_i, u of eight neighbours, z_i] of key nodes, (m, 10) mm (paper, eq. 2).
 
-    A neighbour beyond a rim is on the clamped rim: its displacement is zero, which is what the
-    mechanics says too. At the seam of a closed surface neighbours wrap around.
+    A neighbour beyond a rim is on the clamped rim, as in the mechanics: its displacement is zero.
+    At the seam of a closed surface neighbours wrap around.
     """
     padded = np.append(apparent_mm, 0.0)
     return np.column_stack([apparent_mm[koi], padded[neighbours[koi]], height_z_mm[koi]])

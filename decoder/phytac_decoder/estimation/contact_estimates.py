@@ -1,4 +1,4 @@
-"""What the estimator ``auto`` tells of a frame: its contacts."""
+"""Results of the estimator ``auto`` for one frame."""
 
 from dataclasses import dataclass
 
@@ -15,18 +15,18 @@ class LocatedContact:
     Attributes
     ----------
     markers : (m,) int
-        Key nodes of interest that it tripped, and switches that cannot be read which it must have;
-        none for one found by motion alone that reaches no switch's threshold.
+        Switches that it turned on, and unreadable switches that it must have turned on; none for
+        a contact that was found by motion alone and reaches no switch's threshold.
     share : (m,) float
         Share of the force that each of them carries.
     force_N, sd_N : float
         Normal force, and its standard deviation.
     raw_N, raw_sd_N : float
-        The same before what was learnt from the sensor's own data, or is presumed of prints.
+        The same before the correction, or before the spread of prints is added.
     point_mm : (3,) float
         Centre, on the tangent plane of the outer face.
     radius_mm : float
-        Of the even disc with the same second moment.
+        Radius of the uniform disc with the same second moment.
     sd_mm : (2,) float
         Standard deviations of the centre, along and around.
     moments_mm2 : (3,) float
@@ -50,46 +50,46 @@ class LocatedContact:
 
 @dataclass(frozen=True, kw_only=True)
 class FitState:
-    """How the fit of a frame stands.
+    """The fit of a frame, from which the next frame starts.
 
     Attributes
     ----------
-    fit : Fit
-        With contacts that are suspected.
-    misfit : float
-        That of the last frame whose contacts were looked for anew.
+    fit : ContactFit
+        Fit, with tentative contacts.
+    reduced_chi2 : float
+        That of the last frame whose contacts were searched for.
     age : int
         Frames since that one.
     """
 
     fit: ContactFit
-    misfit: float
+    reduced_chi2: float
     age: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactDetection:
-    """What one frame tells.
+    """Contacts of one frame.
 
     Attributes
     ----------
-    contacts : list of Located
+    contacts : list of LocatedContact
         Those with switches first.
-    misfit : float
-        Weighted sum of squares of what is left, per number: 1 where noise is as expected.
+    reduced_chi2 : float
+        Weighted sum of squared residuals per degree of freedom: 1 where noise is as expected.
     shift_px : (2n,) float
-        What the contacts explain, and those that are suspected.
-    stand : Stand, optional
-        To go on from in the next frame.
+        Predicted shifts of all contacts, tentative ones included.
+    state : FitState, optional
+        Warm start of the next frame.
     """
 
     contacts: list[LocatedContact]
-    misfit: float
+    reduced_chi2: float
     shift_px: FloatArray
-    stand: FitState | None = None
+    state: FitState | None = None
 
     def receptor_forces_N(self, count: int) -> FloatArray:
-        """Force (n,) N on each marker: contacts' forces shared among their switches."""
+        """Return the force (n,) N on each marker: contacts' forces shared among their switches."""
         out = np.zeros(count)
         for contact in self.contacts:
             out[contact.markers] += contact.force_N * contact.share

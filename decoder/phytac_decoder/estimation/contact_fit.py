@@ -1,9 +1,8 @@
-"""The most likely contacts behind marker shifts, given their number: Gauss-Newton on tables.
+"""Maximum-a-posteriori contacts behind marker shifts, given their number: Gauss-Newton on tables.
 
-A marker that is far off says more about itself than about forces: a neighbour hides its paint, or
-something shines beside it. Once a fit stands, its part of the sum of squares grows with the
-logarithm alone, as in a distribution whose tails are a power (Huber 1981, ch. 7): it is weighted
-anew in each round.
+A marker that is far off is likely an outlier: a neighbour hides its paint, or something shines
+next to it. Once a fit has settled, the cost of such a marker grows only with the logarithm, as
+under a distribution with power-law tails (Huber 1981, ch. 7): iteratively reweighted least squares.
 """
 
 from collections.abc import Sequence
@@ -16,30 +15,39 @@ from phytac_decoder.mechanics.interaction_table import InteractionCache
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-ROUNDS = 8
-STILL = 2e-3
-"""Change of every force, relative, and of every centre, in cm, below which a fit ends."""
-STEP_MM, STEP_MM2 = 2.0, 4.0
-"""Longest steps of centre and moments in a round: what the cubic between places stands for."""
-FIRM = 3
-"""Rounds in which all markers count, so that a fit that starts badly does not doubt them."""
-ASTRAY = 2.5
-"""How far off a marker may be before it is doubted, over what is usual in the frame."""
-OFF_SPACINGS = 0.85
-"""A contact is within this many spacings of a place; half a diagonal of a square grid is 0.71."""
-FORCE_LEAST_N = 0.02
-FORCE_SD_N = 1e3
-"""Of a force nothing is known beforehand."""
+
+@dataclass(frozen=True, kw_only=True)
+class FitSettings:
+    """Settings of the fit, chosen on simulated contacts."""
+
+    iterations_max: int = 8
+    step_tolerance: float = 2e-3
+    """Change of every force, relative, and of every centre, in cm, below which a fit ends."""
+    step_mm: float = 2.0
+    step_mm2: float = 4.0
+    """Longest steps of centre and moments: the range of the cubic between places."""
+    unweighted_iterations: int = 3
+    """Iterations in which all markers count fully, so that a poor start rejects none."""
+    robust_threshold: float = 2.5
+    """Distance of a marker, over the usual one in the frame, from which it is down-weighted."""
+    place_distance_max: float = 0.85
+    """Largest distance of a contact from a place, in spacings; half a diagonal is 0.71."""
+    force_min_N: float = 0.02
+    force_sd_N: float = 1e3
+    """Prior standard deviation of a force: uninformative."""
+
+
+SETTINGS = FitSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactPrior:
-    """What is known of a contact before shifts are looked at.
+    """Prior of a contact before shifts are measured.
 
     Attributes
     ----------
     place_mm : float
-        Standard deviation, along and around, of its centre about the switches that it tripped.
+        Standard deviation, along and around, of its centre about the switches that it turned on.
     moments_mm2 : (3,) float
         Means of its second moments xx, xy, yy, less those of the tables' disc.
     moments_sd_mm2 : (3,) float
@@ -53,18 +61,18 @@ class ContactPrior:
 
 @dataclass(frozen=True, kw_only=True)
 class ShiftNoise:
-    """How far measured shifts are from those of the tables; standard deviations.
+    """Standard deviations of measured shifts about those of the tables.
 
     Attributes
     ----------
     centroid_px : float
-        Of a coordinate, as a rule.
+        Usual standard deviation of a coordinate.
     share : float
-        Of the explained shift besides: the tables are not exact.
+        Further standard deviation as a share of the predicted shift: the tables are not exact.
     switched_px : float
-        Of receptors whose red tip is out besides: how much paint it covers changes with the load.
+        Further standard deviation of receptors whose red tip is out: it covers paint.
     ratio : (2n,) float, optional
-        Of each coordinate (x0, y0, x1, …), over ``centroid_px``; 1 if not given.
+        Standard deviation of each coordinate (x0, y0, x1, …) over ``centroid_px``; default 1.
     """
 
     centroid_px: float
@@ -74,7 +82,7 @@ class ShiftNoise:
 
     @property
     def each_px(self) -> FloatArray | float:
-        """Of each coordinate, (2n,) or one for all."""
+        """Standard deviation of each coordinate, (2n,), or one for all."""
         return self.centroid_px if self.ratio is None else self.centroid_px * self.ratio
 
 
@@ -87,7 +95,7 @@ class ShiftObservation:
     shift_px : (2n,) float
         As (x0, y0, x1, y1, …); 0 where a marker was not found.
     found : (2n,) bool
-        Where it was.
+        Where it was found.
     koi : (m,) int
         Markers whose switch is on.
     """
@@ -103,32 +111,31 @@ class ContactFit:
 
     Attributes
     ----------
-    states : list of State
+    states : list of ContactState
         The contacts.
-    explained : (2n,) float
-        Their shifts, px.
+    predicted_px : (2n,) float
+        Their shifts.
     inverse : (2n,) float
-        Weights: the inverse of each shift's variance, less where a marker is doubted, 0 where it
-        was not found.
+        Weights: the inverse variance of each shift, reduced for outliers, 0 where a marker was not
+        found.
     covariance : (6c, 6c) float
-        Of all unknowns.
+        Covariance of all unknowns.
     cost : float
-        Weighted sum of squares of what is left, in which doubted markers count for the logarithm
-        of theirs, and of how far all is from what was presumed.
-    misfit : float
-        The first part per number: 1 where noise is as expected.
+        Robust sum of squared residuals and of deviations from the prior.
+    reduced_chi2 : float
+        The first part per degree of freedom: 1 where noise is as expected.
     """
 
     states: list[ContactState]
-    explained: FloatArray
+    predicted_px: FloatArray
     inverse: FloatArray
     covariance: FloatArray
     cost: float
-    misfit: float
+    reduced_chi2: float
 
 
 def contact_signal_px(state: ContactState) -> float:
-    """Shift of all markers together by the first newton, px."""
+    """Return the shift of all markers together by the first newton, px."""
     t = np.zeros(10)
     x, y = state.x[1:3]
     t[:6] = (1.0, x, y, x * x / 2.0, x * y, y * y / 2.0)
@@ -144,9 +151,9 @@ def initial_state(
     markers: IntArray | None = None,
     place_sd_mm: float | None = None,
 ) -> ContactState:
-    """A contact to begin with."""
+    """Return a contact at a point (3,) with a force, to start a fit from."""
     place = int(places.nearest(point_mm[None])[0])
-    xy = places.beside([place], point_mm[None])[0]
+    xy = places.tangent_coordinates([place], point_mm[None])[0]
     return ContactState(
         place=place,
         x=np.array([force_N, *xy, *prior.moments_mm2]),
@@ -164,108 +171,108 @@ def fit_contacts(
     *,
     prior: ContactPrior,
     noise: ShiftNoise,
-    firm: int = FIRM,
-    rounds: int = ROUNDS,
+    unweighted: int = SETTINGS.unweighted_iterations,
+    iterations: int = SETTINGS.iterations_max,
 ) -> ContactFit:
     """Move contacts to where they are most likely; changes ``states``.
 
-    All markers count in the first ``firm`` rounds; none need if the contacts begin where they were
-    a frame ago.
+    All markers count fully in the first ``unweighted`` iterations. A warm start from the frame
+    before needs none.
     """
-    weight = np.concatenate(
-        [
-            np.array([FORCE_SD_N, s.place_sd_mm, s.place_sd_mm, *prior.moments_sd_mm2]) ** -2.0
-            for s in states
-        ]
-    )
+    sd = [
+        [SETTINGS.force_sd_N, state.place_sd_mm, state.place_sd_mm, *prior.moments_sd_mm2]
+        for state in states
+    ]
+    weight = np.ravel(sd) ** -2.0
     switched = np.concatenate([2 * seen.koi, 2 * seen.koi + 1])
-    images = InteractionCache(pairs=places.pairs) if places.pairs else None
-    moved, doubting = np.inf, False
-    for number in range(rounds + 1):
-        parts = predicted_shifts(places, states, images)
+    cache = InteractionCache(pairs=places.pairs) if places.pairs else None
+    change, robust = np.inf, False
+    for number in range(iterations + 1):
+        parts = predicted_shifts(places, states, cache)
         total = np.sum([part[0] for part in parts], axis=0)
         slope = np.concatenate([part[1] for part in parts])
-        spread = noise.each_px**2 + (noise.share * total) ** 2
-        spread[switched] += noise.switched_px**2
-        inverse = np.where(seen.found, 1.0 / spread, 0.0)
-        left = seen.shift_px - total
-        off = _off(places, states, prior)
-        square, settled = float(left @ (inverse * left)), False
-        if doubting or number >= firm or moved < STILL:
-            square, share = robust_cost(left, inverse)
+        variance = noise.each_px**2 + (noise.share * total) ** 2
+        variance[switched] += noise.switched_px**2
+        inverse = np.where(seen.found, 1.0 / variance, 0.0)
+        residual = seen.shift_px - total
+        off = _prior_residual(places, states, prior)
+        square, settled = float(residual @ (inverse * residual)), False
+        if robust or number >= unweighted or change < SETTINGS.step_tolerance:
+            square, share = robust_cost(residual, inverse)
             inverse = inverse * share
-            settled = moved < STILL and (doubting or bool((share == 1.0).all()))
-            doubting = True
+            settled = change < SETTINGS.step_tolerance and (robust or bool((share == 1.0).all()))
+            robust = True
         hessian = (slope * inverse) @ slope.T + np.diag(weight)
-        # Ends where all has been looked at that is told.
-        if settled or number == rounds:
+        # Ends where everything that is returned has been computed.
+        if settled or number == iterations:
             break
-        step = np.linalg.solve(hessian, slope @ (inverse * left) - weight * off)
-        moved = _moved(places, states, step)
+        step = np.linalg.solve(hessian, slope @ (inverse * residual) - weight * off)
+        change = _take_step(places, states, step)
     return ContactFit(
         states=states,
-        explained=total,
+        predicted_px=total,
         inverse=inverse,
         covariance=np.linalg.inv(hessian),
         cost=square + float(off @ (weight * off)),
-        misfit=square / max(int(seen.found.sum()) - len(weight), 1),
+        reduced_chi2=square / max(int(seen.found.sum()) - len(weight), 1),
     )
 
 
 def fit_without_contacts(seen: ShiftObservation, noise: ShiftNoise) -> ContactFit:
-    """The fit of no contact at all."""
+    """Return the fit of no contact."""
     inverse = np.where(seen.found, 1.0 / np.square(noise.each_px), 0.0)
     return ContactFit(
         states=[],
-        explained=np.zeros(len(seen.shift_px)),
+        predicted_px=np.zeros(len(seen.shift_px)),
         inverse=inverse,
         covariance=np.zeros((0, 0)),
         cost=robust_cost(seen.shift_px, inverse)[0],
-        misfit=float(inverse @ seen.shift_px**2) / max(int(seen.found.sum()), 1),
+        reduced_chi2=float(inverse @ seen.shift_px**2) / max(int(seen.found.sum()), 1),
     )
 
 
-def robust_cost(left: FloatArray, inverse: FloatArray) -> tuple[float, FloatArray]:
-    """Sum of squares in which markers far off count for less, and the share (2n,) that they keep.
+def robust_cost(residual_px: FloatArray, inverse: FloatArray) -> tuple[float, FloatArray]:
+    """Return the robust sum of squares, and the share (2n,) of its weight that a marker keeps.
 
     Parameters
     ----------
-    left : (2n,) float
-        What is not explained, px.
+    residual_px : (2n,) float
+        Residuals.
     inverse : (2n,) float
         Inverse variances; 0 for a marker that was not found.
     """
-    square = (inverse * left**2).reshape(-1, 2).sum(axis=1)
+    square = (inverse * residual_px**2).reshape(-1, 2).sum(axis=1)
     usual = float(np.median(square[inverse[::2] > 0.0])) if np.any(inverse) else 0.0
-    # Of two coordinates.
-    limit = ASTRAY**2 * max(usual, 2.0)
+    # 2: the expected sum over two coordinates.
+    limit = SETTINGS.robust_threshold**2 * max(usual, 2.0)
     over = np.maximum(square / limit, 1.0)
     total = float(np.sum(np.minimum(square, limit) + limit * np.log(over)))
     return total, np.repeat(1.0 / over, 2)
 
 
-def _off(places: ResponseTable, states: Sequence[ContactState], prior: ContactPrior) -> FloatArray:
-    """How far contacts are from what is known beforehand, (6c,)."""
+def _prior_residual(
+    places: ResponseTable, states: Sequence[ContactState], prior: ContactPrior
+) -> FloatArray:
+    """Return the deviation of contacts from their priors, (6c,)."""
     x = np.array([state.x for state in states])
     starts = np.array([state.start_mm for state in states])
+    own = [state.place for state in states]
     off = np.zeros_like(x)
-    off[:, 1:3] = x[:, 1:3] - places.beside([state.place for state in states], starts)
+    off[:, 1:3] = x[:, 1:3] - places.tangent_coordinates(own, starts)
     off[:, 3:] = x[:, 3:] - np.array(prior.moments_mm2)
     return off.reshape(-1)
 
 
-_LONGEST = np.array([np.inf, STEP_MM, STEP_MM, STEP_MM2, STEP_MM2, STEP_MM2])
-
-
-def _moved(places: ResponseTable, states: Sequence[ContactState], step: FloatArray) -> float:
-    """Take a step, bounded; its size, see :data:`STILL`."""
+def _take_step(places: ResponseTable, states: Sequence[ContactState], step: FloatArray) -> float:
+    """Take a bounded step; return its size, see ``step_tolerance``."""
+    longest = np.repeat([np.inf, SETTINGS.step_mm, SETTINGS.step_mm2], (1, 2, 3))
     old = np.array([state.x for state in states])
-    new = old + np.clip(step.reshape(-1, UNKNOWNS), -_LONGEST, _LONGEST)
+    new = old + np.clip(step.reshape(-1, UNKNOWNS), -longest, longest)
     force = old[:, 0]
-    least = np.maximum(0.3 * force, FORCE_LEAST_N)
-    new[:, 0] = np.minimum(np.maximum(new[:, 0], least), 3.0 * force + 1.0)
-    aside = np.abs(new[:, 1:3] - old[:, 1:3]).max(axis=1) / 10.0
-    more = np.abs(new[:, 0] - force) / np.maximum(force, 0.5)
+    force_min = np.maximum(0.3 * force, SETTINGS.force_min_N)
+    new[:, 0] = np.minimum(np.maximum(new[:, 0], force_min), 3.0 * force + 1.0)
+    moved_cm = np.abs(new[:, 1:3] - old[:, 1:3]).max(axis=1) / 10.0
+    changed = np.abs(new[:, 0] - force) / np.maximum(force, 0.5)
     own = [state.place for state in states]
     points = places.point_mm[own] + new[:, 1:2] * places.along[own]
     points += new[:, 2:3] * places.around[own]
@@ -273,10 +280,10 @@ def _moved(places: ResponseTable, states: Sequence[ContactState], step: FloatArr
     for state, place, point, x in zip(states, nearest.tolist(), points, new, strict=True):
         if place != state.place:
             state.place, state.tables = place, places.cubic(place)
-            x[1:3] = places.beside([place], point[None])[0]
-        # Every place of the surface is nearer to the tables: beyond a rim there is none.
-        far = float(np.hypot(*x[1:3])) / (OFF_SPACINGS * places.spacing_mm)
+            x[1:3] = places.tangent_coordinates([place], point[None])[0]
+        # Farther from a place there is no surface: the contact would lie beyond a rim.
+        far = float(np.hypot(*x[1:3])) / (SETTINGS.place_distance_max * places.spacing_mm)
         if far > 1.0:
             x[1:3] /= far
         state.x = x
-    return float(max(aside.max(), more.max()))
+    return float(max(moved_cm.max(), changed.max()))

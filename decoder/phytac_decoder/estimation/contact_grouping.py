@@ -1,7 +1,7 @@
-"""Key nodes grouped to contacts: where each presses, how hard, and how wide it is.
+"""Key nodes grouped to contacts, with place, force and size.
 
-A place between markers is found on the surface that the markers themselves span: around each of
-them a quadric through it fits its nearest others (derived here).
+Places between markers lie on local quadric patches, each fitted through a marker and its nearest
+others (derived here).
 """
 
 from collections.abc import Sequence
@@ -13,12 +13,8 @@ import numpy as np
 
 from phytac_shapes.arrays import FloatArray, IntArray
 
-NEAREST = 12
-"""Markers that each local quadric is fitted to."""
-NEAR_SPACINGS = 1.5
-"""Quadrics of markers within so many spacings of the nearest one have a say in a place."""
 REACH_SPACINGS = 2.0
-"""A quadric is not asked farther from its marker than this."""
+"""Largest distance, in marker spacings, at which a quadric is evaluated."""
 
 Place = tuple[float, float, float]
 
@@ -30,20 +26,20 @@ class Contact:
     Attributes
     ----------
     markers : tuple of int
-        Its key nodes, in growing order.
+        Its key nodes, ascending.
     force_N : float
-        Sum of their forces.
+        Total force.
     position_mm : (x, y, z)
-        Mean of their places, weighted by force, brought to the surface.
+        Centroid by force, projected onto the surface.
     size_mm : float
-        Diameter of the disc that, pressed evenly, has the same spread of force; each marker's
-        force counts as spread over its own cell.
+        Diameter of the uniformly loaded disc with the same second moment; each marker's force is
+        spread over its own cell.
     id : int
-        Stays with the contact from frame to frame; -1 before it is tracked.
+        Constant from frame to frame; -1 before tracking.
     since_s : float
         When it was first seen, on the source's clock.
     sd_N : float, optional
-        Standard deviation of the force, where the estimator knows it.
+        Standard deviation of the force, where the estimator has it.
     """
 
     markers: tuple[int, ...]
@@ -56,14 +52,14 @@ class Contact:
 
 
 def group_key_nodes(koi: IntArray, neighbours: IntArray) -> list[list[int]]:
-    """Key nodes in groups that hang together, as rows of ``koi``, in growing order.
+    """Return connected groups of key nodes, as rows of ``koi``, ascending.
 
     Parameters
     ----------
     koi : (m,) int
         Markers.
     neighbours : (n, 8) int
-        Neighbour ids, -1 beyond a rim; one that is named by one side alone counts too.
+        Neighbour ids, -1 beyond a rim; one direction is enough.
     """
     of = {marker: row for row, marker in enumerate(koi.tolist())}
     label = list(range(len(of)))
@@ -87,15 +83,15 @@ def group_key_nodes(koi: IntArray, neighbours: IntArray) -> list[list[int]]:
 def assign_to_contacts(
     markers: Sequence[IntArray], koi: IntArray, neighbours: IntArray
 ) -> list[IntArray] | None:
-    """Rows of ``koi`` that are each contact's, by those that were its own a frame ago.
+    """Return rows of ``koi`` of each contact, by its markers in the frame before.
 
-    A switch that has come is that of the contact beside it. None where that is none or any of
-    several, or where a contact has lost all of its own.
+    A new switch belongs to the contact next to it. None if that is no contact or several, or if a
+    contact has lost all of its markers.
 
     Parameters
     ----------
     markers : sequence of (k,) int
-        Key nodes of each contact; a contact may have none, and gets none.
+        Key nodes of each contact; a contact without any gets none.
     koi : (m,) int
         Key nodes of this frame.
     neighbours : (n, 8) int
@@ -109,9 +105,9 @@ def assign_to_contacts(
         if len(of) != 1:
             return None
         rows[of.pop()].append(row)
-    if any(len(own) and not left for own, left in zip(markers, rows, strict=True)):
+    if any(len(own) and not now for own, now in zip(markers, rows, strict=True)):
         return None
-    return [np.array(left, dtype=np.int64) for left in rows]
+    return [np.array(now, dtype=np.int64) for now in rows]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,17 +133,17 @@ class QuadricPatches:
 
     @classmethod
     def through(cls, position_mm: FloatArray) -> "QuadricPatches":
-        """Fit it to markers (n, 3), each weighted by a Gaussian of its distance."""
+        """Fit quadrics to markers (n, 3), weighted by a Gaussian of their distance."""
         count = len(position_mm)
         gap = np.linalg.norm(position_mm[:, None] - position_mm[None], axis=2)
-        order = np.argsort(gap, axis=1)[:, 1 : NEAREST + 1]
+        order = np.argsort(gap, axis=1)[:, 1:13]
         near = np.take_along_axis(gap, order, axis=1)
-        # The middle of the four nearest: at a rim some of eight are missing.
+        # Of the four nearest: at a rim some of the eight neighbours are missing.
         spacing = np.median(near[:, :4], axis=1) if count > 1 else np.ones(count)
         offset = position_mm[order] - position_mm[:, None]
         weight = np.exp(-0.5 * (near / (1.5 * spacing[:, None])) ** 2)
         _, vectors = np.linalg.eigh(np.einsum("nk,nki,nkj->nij", weight, offset, offset))
-        # Eigenvalues grow: the last two vectors span the tangent plane.
+        # Eigenvalues ascend: the last two vectors span the tangent plane.
         axes = np.swapaxes(vectors[:, :, ::-1], 1, 2)
         x, y, z = np.moveaxis(np.einsum("nai,nki->nka", axes, offset), 2, 0)
         terms = np.stack([x, y, x * x, x * y, y * y], axis=2)
@@ -161,29 +157,29 @@ class QuadricPatches:
         )
 
     def nearest(self, point_mm: FloatArray, markers: Sequence[int]) -> FloatArray:
-        """Point (3,) of the face beside ``point_mm`` (3,), by those of ``markers`` nearest to it.
+        """Return the point (3,) of the face next to ``point_mm`` (3,), by ``markers``.
 
         Parameters
         ----------
         point_mm : (3,) float
-            At most about a marker's spacing off the face.
+            Within about a marker spacing of the face.
         markers : sequence of int
-            Markers around it; one at least.
+            Markers around it, at least one.
         """
         places = self.position_mm[markers]
         gap = np.linalg.norm(places - point_mm, axis=1)
         best = int(gap.argmin())
         spacing = float(self.spacing_mm[markers[best]])
-        beside = np.linalg.norm(places - places[best], axis=1) <= NEAR_SPACINGS * spacing
+        near = np.linalg.norm(places - places[best], axis=1) <= 1.5 * spacing
         total, out = 0.0, np.zeros(3)
-        for row in np.flatnonzero(beside):
+        for row in np.flatnonzero(near):
             share = exp(-2.0 * (gap[row] ** 2 - gap[best] ** 2) / spacing**2)
             out += share * self._onto(markers[int(row)], point_mm)
             total += share
         return np.asarray(out / total)
 
     def _onto(self, marker: int, point_mm: FloatArray) -> FloatArray:
-        """Point (3,) of one marker's quadric, along its normal."""
+        """Project a point (3,) onto one marker's quadric, along its normal."""
         axes, origin = self.axes[marker], self.position_mm[marker]
         x, y, _ = axes @ (point_mm - origin)
         far = sqrt(x * x + y * y) / (REACH_SPACINGS * float(self.spacing_mm[marker]))
@@ -195,7 +191,7 @@ class QuadricPatches:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactGrouper:
-    """Finds the contacts of a frame.
+    """Groups the key nodes of a frame to contacts.
 
     Attributes
     ----------
@@ -209,17 +205,17 @@ class ContactGrouper:
     neighbours: IntArray
 
     @cached_property
-    def skin(self) -> QuadricPatches:
+    def patches(self) -> QuadricPatches:
         """The outer face between the markers."""
         return QuadricPatches.through(self.position_mm)
 
     @cached_property
     def spacing_mm(self) -> float:
-        """Usual distance of neighbouring markers."""
-        return float(np.median(self.skin.spacing_mm))
+        """Median distance of neighbouring markers."""
+        return float(np.median(self.patches.spacing_mm))
 
     def find(self, forces_N: FloatArray, koi: IntArray) -> list[Contact]:
-        """Contacts, the strongest first.
+        """Return the contacts, the strongest first.
 
         Parameters
         ----------
@@ -228,7 +224,7 @@ class ContactGrouper:
         koi : (m,) int
             Key nodes of interest.
         """
-        # Plain lists: there are a dozen key nodes, and arrays of that size cost more to make.
+        # Plain lists are faster than arrays for a dozen key nodes.
         markers, forces = koi.tolist(), forces_N[koi].tolist()
         out = [
             self._contact([markers[row] for row in group], [forces[row] for row in group])
@@ -237,19 +233,19 @@ class ContactGrouper:
         return sorted(out, key=lambda contact: -contact.force_N)
 
     def _contact(self, markers: list[int], forces_N: list[float]) -> Contact:
-        # K·u may come out negative; a pull must not push the mean off the contact.
+        # K·u may be negative: such a force must not move the centroid off the contact.
         weight = np.array([max(force, 0.0) for force in forces_N])
         if not weight.sum() > 0.0:
             weight = np.ones(len(markers))
         weight /= weight.sum()
         places = self.position_mm[markers]
-        middle = weight @ places
-        # An even disc of radius r has the second moment r²/2, a square cell of side a has a²/6.
-        cell = float(weight @ self.skin.spacing_mm[markers] ** 2) / 6.0
-        moment = float(weight @ np.sum((places - middle) ** 2, axis=1)) + cell
+        centroid = weight @ places
+        # Second moments: r²/2 of a uniform disc of radius r, a²/6 of a square cell of side a.
+        cell = float(weight @ self.patches.spacing_mm[markers] ** 2) / 6.0
+        moment = float(weight @ np.sum((places - centroid) ** 2, axis=1)) + cell
         if len(markers) > 1:
-            middle = self.skin.nearest(middle, markers)
-        x, y, z = middle.tolist()
+            centroid = self.patches.nearest(centroid, markers)
+        x, y, z = centroid.tolist()
         return Contact(
             markers=tuple(markers),
             force_N=sum(forces_N),

@@ -1,4 +1,4 @@
-"""What contacts do to the markers' images, and how that goes with all that is unknown of them."""
+"""Shift model: marker shifts of contacts, and their derivatives by the contacts' unknowns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -22,19 +22,19 @@ class ContactState:
     Attributes
     ----------
     place : int
-        Place of the tables nearest to it.
+        Nearest place of the tables.
     x : (6,) float
-        Its unknowns; the centre in the tangent plane about that place.
+        Unknowns; the centre in the tangent plane about that place.
     start_mm : (3,) float
-        Where its switches say that it is.
+        Prior centre, by its switches.
     place_sd_mm : float
-        How well they do.
+        Standard deviation of the prior centre.
     tables : (10, k, 2n) float32
         Derivatives of the tables at the place.
     markers : (m,) int
         Switches that it was started from.
-    suspected : bool
-        It may be there: the others do not take its force, and it is not told.
+    tentative : bool
+        It is fitted with the others, so that they do not take its force, but not reported.
     """
 
     place: int
@@ -43,21 +43,25 @@ class ContactState:
     place_sd_mm: float
     tables: NDArray[np.float32]
     markers: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    suspected: bool = False
+    tentative: bool = False
 
     def copy(self) -> "ContactState":
-        """One that can be fitted on its own."""
+        """Return a copy with unknowns of its own."""
         return replace(self, x=self.x.copy())
 
 
 def predicted_shifts(
-    places: ResponseTable, states: Sequence[ContactState], images: InteractionCache | None = None
+    places: ResponseTable, states: Sequence[ContactState], cache: InteractionCache | None = None
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Shifts and slopes of each of all contacts at once, see :func:`single_contact_shifts`.
+    """Return shifts (2n,) and slopes (6, 2n) of simultaneous contacts, one pair each.
 
-    What a contact does to others, on its flat wall or by mixed terms, counts as its own slope; a
-    mixed term's shifts count half as the one's and half as the other's. ``images`` are those of
-    mixed terms, kept from where the contacts were before.
+    The effect of a contact on others, on its flat wall or by interactions, is part of its own
+    slope; the shifts of an interaction are divided equally. See :func:`single_contact_shifts`.
+
+    Parameters
+    ----------
+    cache : InteractionCache, optional
+        Interactions at earlier places of the contacts.
     """
     out = {}
     wall = places.walls.wall[[state.place for state in states]] if places.walls else None
@@ -70,15 +74,15 @@ def predicted_shifts(
     parts = [out[k] for k in range(len(states))]
     if places.pairs is None or len(states) == 1:
         return parts
-    images = images or InteractionCache(pairs=places.pairs)
+    cache = cache or InteractionCache(pairs=places.pairs)
     points = np.stack([centre_of(places, state) for state in states])
     return add_interactions(
-        images.between(points), np.array([state.x[0] for state in states]), parts
+        cache.between(points), np.array([state.x[0] for state in states]), parts
     )
 
 
 def centre_of(places: ResponseTable, state: ContactState) -> FloatArray:
-    """Centre (3,) mm of a contact."""
+    """Return the centre (3,) mm of a contact."""
     x, y = state.x[1:3]
     along, around = places.along[state.place], places.around[state.place]
     return np.asarray(places.point_mm[state.place] + x * along + y * around)
@@ -87,14 +91,14 @@ def centre_of(places: ResponseTable, state: ContactState) -> FloatArray:
 def single_contact_shifts(
     state: ContactState, orders: int, *, top_N: float = np.inf
 ) -> tuple[FloatArray, FloatArray]:
-    """Shifts (2n,) px of one contact alone, and their slopes (6, 2n) by its unknowns.
+    """Return shifts (2n,) px of a single contact, and their slopes (6, 2n) by its unknowns.
 
     Parameters
     ----------
     orders : int
-        Powers of the force in its tables; whatever rows there are besides are passed over.
+        Powers of the force in its tables; further rows are ignored.
     top_N : float
-        Largest force that the tables were made with.
+        Largest tabulated force.
     """
     f = float(state.x[0])
     rows = _rows(state, state.tables[:, :orders])
@@ -108,7 +112,7 @@ def single_contact_shifts(
 def _on_wall(
     places: ResponseTable, states: Sequence[ContactState]
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """The same of contacts that share a flat wall: more of its softness is lost than by each."""
+    """Return the same of contacts on one flat wall, which stiffen it for each other."""
     out = [single_contact_shifts(state, places.orders, top_N=places.top_N) for state in states]
     if len(states) == 1 or places.walls is None:
         return out
@@ -118,7 +122,7 @@ def _on_wall(
     for f, state in zip(force, states, strict=True):
         cubic = places.walls.cubic(near[state.place], weights[state.place], state.place)
         one = np.tensordot(_terms(state), cubic, axes=1)
-        # By unknowns: that of the force is per newton, as it stands.
+        # The slope by the force is per newton.
         one[1:] *= f
         stretch.append(one)
     order = np.arange(1, stretch[0].shape[1])
@@ -144,9 +148,10 @@ def _on_wall(
 def _lost(
     whole: FloatArray, stretch: Sequence[FloatArray], most: float
 ) -> tuple[float, list[FloatArray]]:
-    """Share v of its softness that a wall loses under slopes (k, r), and its own slopes (6,).
+    """Return the share v of softness that a wall loses under slopes (k, r), and its derivatives.
 
-    Those are by the unknowns of contacts whose slopes (6, k, r) by theirs are ``stretch``.
+    The derivatives (6,) are by the unknowns of contacts, of which the slopes have derivatives
+    ``stretch`` (6, k, r).
     """
     lost, grows = lost_softness(whole, most)
     powers = lost ** np.arange(len(whole))
@@ -155,17 +160,17 @@ def _lost(
 
 
 def _rows(state: ContactState, tables: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Rows (6, k, 2n) of shifts and their slopes, by derivatives (10, k, 2n) of tables."""
+    """Return rows (6, k, 2n) of shifts and their slopes, by derivatives (10, k, 2n) of tables."""
     rows = _terms(state) @ tables.reshape(10, -1)
     return np.asarray(rows.reshape(UNKNOWNS, *tables.shape[1:]))
 
 
 def _terms(state: ContactState) -> NDArray[np.float32]:
-    """What derivatives (10,) of the tables count for in shifts, and in their slopes, (6, 10).
+    """Return weights (6, 10) of the tables' derivatives in shifts and their slopes.
 
-    Rows: value, d/dx, d/dy, then what the moments go with.
+    Rows: value, d/dx, d/dy, then those by the moments.
     """
-    # Plain numbers, in one piece: this is asked for by each contact in each round of each frame.
+    # Plain numbers are faster: this runs for each contact in each iteration.
     _, x, y, m_xx, m_xy, m_yy = state.x.tolist()
     xx, xy, yy, hx, hy = x * x / 2.0, x * y, y * y / 2.0, x / 2.0, y / 2.0
     m_xx, m_yy = m_xx / 2.0, m_yy / 2.0

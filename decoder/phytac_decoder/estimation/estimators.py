@@ -14,13 +14,11 @@ from phytac_shapes.errors import InputError
 
 ESTIMATORS = ("fem", "fem_nn", "fem_nn_identity", "koi_inverse", "auto")
 """Names, in the order of every table."""
-HIDDEN_MOST = 0.99
-"""Share of a force's shifts, squared, that may be hidden before products are summed anew."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ForceModel:
-    """Everything the estimators need to know of one sensor; arrays run over n markers.
+    """Matrices, networks and tables of one sensor's estimators; arrays run over n markers.
 
     Attributes
     ----------
@@ -37,7 +35,7 @@ class ForceModel:
         Neighbour ids, -1 beyond a rim.
     networks : dict
         Trained networks by estimator name.
-    locator : Locator, optional
+    locator : ContactLocator, optional
         Finds contacts, for the estimator ``auto``.
     """
 
@@ -51,7 +49,7 @@ class ForceModel:
 
     @property
     def estimators(self) -> tuple[str, ...]:
-        """Names of the estimators that this model has all it needs for, in the order of tables."""
+        """Names of the available estimators, in the order of tables."""
         ready = {"fem", "koi_inverse", *self.networks}
         if self.locator is not None:
             ready.add("auto")
@@ -59,25 +57,25 @@ class ForceModel:
 
     @property
     def linear(self) -> "ForceModel":
-        """The same for data of a shell that is linear: ``auto`` by its linear tables."""
+        """The same for data of a linear shell: ``auto`` with its linear tables."""
         return self if self.locator is None else replace(self, locator=self.locator.linear)
 
     @property
     def best(self) -> str:
-        """The estimator to use where none is asked for."""
+        """The default estimator."""
         return "koi_inverse" if self.locator is None else "auto"
 
     def contacts(
         self, shift_px: FloatArray, koi: IntArray, *, before: ContactDetection | None = None
     ) -> ContactDetection:
-        """Contacts behind shifts (n, 2) px: place, size, force and its standard deviation.
+        """Return the contacts behind shifts (n, 2) px: place, size, force, standard deviation.
 
-        ``before`` is what the frame before showed, if there was one: then it is much faster.
+        ``before`` is the result of the frame before, for a warm start, which is much faster.
 
         Raises
         ------
         InputError
-            If the bundle has no tables for it.
+            If the bundle has no tables.
         """
         if self.locator is None:
             raise InputError(
@@ -87,21 +85,20 @@ class ForceModel:
         return self.locator.find(shift_px, koi, before=before)
 
     def apparent_mm(self, shift_px: FloatArray) -> FloatArray:
-        """Apparent u (n,) mm, positive inward, of pixel shifts (n, 2)."""
+        """Return the apparent u (n,) mm, positive inward, of pixel shifts (n, 2)."""
         return np.asarray(np.einsum("ni,ni->n", self.shift_to_mm, shift_px))
 
     @property
     def stiffness_size_N_mm(self) -> float:
-        """Norm of K: one number by which the mechanics behind K·u are known."""
+        """Norm of K: identifies the mechanics behind K·u."""
         return float(np.linalg.norm(self.stiffness))
 
     @cached_property
     def stiffness_noise_N_px(self) -> FloatArray:
         """Noise of (K·u)_i per pixel of centroid noise, (n,) N/px: the root of Σ (K_ij·|a_j|)².
 
-        Independent noise σ on every coordinate gives u_j the noise |a_j|·σ. K is as good as its
-        inverse allows, and |a_j| grows without bound where the camera looks along the normal;
-        infinite where u cannot be observed at all.
+        Independent noise σ of every coordinate gives u_j the noise |a_j|·σ. |a_j| diverges where
+        the camera looks along the normal; the noise is infinite where u cannot be observed.
         """
         spread = np.sum(self.shift_to_mm**2, axis=1)
         return np.where(spread > 0.0, np.sqrt(self.stiffness**2 @ spread), np.inf)
@@ -116,9 +113,9 @@ class ForceModel:
         return np.asarray(1.0 / np.maximum(signal, 1e-300))
 
     def forces(self, estimator: str, shift_px: FloatArray, koi: IntArray) -> FloatArray:
-        """Inward force (n,) N on every marker; zero off the key nodes of interest.
+        """Return the inward force (n,) N on every marker; zero off the key nodes of interest.
 
-        ``auto`` also finds forces on switches that the camera cannot read.
+        ``auto`` also locates forces on switches that the camera cannot read.
 
         Parameters
         ----------
@@ -147,12 +144,12 @@ class ForceModel:
 
     @cached_property
     def patterns(self) -> tuple[FloatArray, FloatArray]:
-        """Shifts (n, 2n) px/N, one row a force, and their products (n, n): rows side by side."""
+        """Shifts (n, 2n) px/N, one row per force, and their products (n, n)."""
         rows = np.ascontiguousarray(self.compliance_px.T)
         return rows, rows @ rows.T
 
     def _inverse(self, shift_px: FloatArray, koi: IntArray) -> FloatArray:
-        """Least squares d = C(:, KOI)·f over all markers that were seen, f >= 0."""
+        """Return the least-squares solution of d = C(:, KOI)·f over all found markers, f >= 0."""
         d = shift_px.reshape(-1)
         rows, products = self.patterns
         c = rows[koi]
@@ -162,11 +159,10 @@ class ForceModel:
             d = d.copy()
             d[unseen] = 0.0
             hidden = c[:, unseen]
-            left = np.einsum("ij,ij->i", hidden, hidden) <= HIDDEN_MOST * gram.diagonal()
-            if left.all():
+            if (np.einsum("ij,ij->i", hidden, hidden) <= 0.99 * gram.diagonal()).all():
                 gram -= hidden @ hidden.T
             else:
-                # Little is left of a difference: its rounding would count.
+                # The difference would be dominated by rounding.
                 c[:, unseen] = 0.0
                 gram = c @ c.T
         return nonnegative_least_squares(gram, c @ d)

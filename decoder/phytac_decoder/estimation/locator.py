@@ -1,11 +1,11 @@
-"""Contacts from marker shifts: how many there are, and the force, place and extent of each.
+"""The estimator ``auto``: how many contacts there are, and force, place and extent of each.
 
-Each group of neighbouring switches that are on starts a contact; the unknowns of a contact are its
-force, its centre and its second moments (:mod:`places`), and what is known of them beforehand
-stands in a prior. What is left is searched for contacts that tripped no switch: the place whose
-row explains most of it joins, as long as that is more than noise would. A switch that the camera
-cannot read stays silent whatever presses it: it neither starts a contact nor speaks against one,
-and where it is all that is pressed, markers' motion alone tells.
+Each group of neighbouring switches that are on starts a contact. The unknowns of a contact are its
+force, its centre and its second moments (:mod:`phytac_decoder.estimation.contact_shifts`), with a prior. The
+residual is then searched for unswitched contacts: the place whose response explains most of it is
+added, as long as the fit improves by more than noise would. A switch that the camera cannot read
+neither starts a contact nor excludes one; where only such switches are pressed, the motion of the
+markers decides alone.
 """
 
 from collections.abc import Sequence
@@ -15,10 +15,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from phytac_decoder.estimation import contact_fit
 from phytac_decoder.estimation.contact_estimates import ContactDetection, FitState, LocatedContact
 from phytac_decoder.estimation.contact_fit import (
-    FIRM,
-    ROUNDS,
     ContactFit,
     ContactPrior,
     ShiftNoise,
@@ -33,53 +32,58 @@ from phytac_decoder.estimation.contact_shifts import UNKNOWNS, ContactState, cen
 from phytac_decoder.estimation.force_correction import ForceCorrection
 from phytac_decoder.estimation.nonnegative import nonnegative_least_squares
 from phytac_decoder.mechanics.response_table import ResponseTable
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.discs import disc_overlap_share
 
-SILENT_MAX = 4
-"""Contacts without a switch that are looked for at most."""
-SILENT_GAIN = 40.0
-"""Fall of the weighted sum of squares from which on one is believed: six standard deviations, for
-tables are not exact, and what they leave looks like a contact to quiet markers."""
-SUSPECTED_GAIN = 20.0
-"""The same from which on one is fitted with the others, so that they do not take its force, but
-not told: on sensors whose tables know what contacts at once do to each other."""
-SILENT_MISFIT = 1.15
-"""Weighted sum of squares per number from which on something is left unexplained."""
-SILENT_SURE = 5.0
-"""Standard deviations, as they are told, that its force is from 0 at least: those learnt from the
-sensor's own data know of more than noise."""
-SILENT_OVER = 2.0
-"""A switch off may carry this many times its threshold: prints scatter, and places are guessed."""
-REACH = 1.5
-"""Of a contact beyond its centre, in radii of the tables' disc: patches are not all of a size."""
-START_N = 0.3
-"""Least force that a contact with a switch starts from."""
-PRINT_SHARE = 0.11
-"""Standard deviation of the stiffness of prints of one design, relative: 5 % of modulus, and 3 % of
-thickness as a whole and 3 % from place to place, to the power of 2.3. Forces of a decoder that has
-seen no data of its print are no surer."""
-WORSE = 1.15
-"""Contacts go on until what they leave has grown by so much: of 700 numbers it varies by 5 %."""
-WARM = 3
-"""Rounds of a fit that goes on from the frame before, at most: the next one goes on from there."""
-LOOK = 4
-"""Every so many frames that are gone on, what is left is searched for contacts without a switch."""
-ANEW = (480, 16)
-"""Frames after which contacts are looked for anew all the same, and where one of them tripped no
-switch."""
+
+@dataclass(frozen=True, kw_only=True)
+class LocatorSettings:
+    """Settings of the search for contacts, chosen on simulated contacts and virtual prints."""
+
+    unswitched_max: int = 4
+    """Largest number of contacts without a switch."""
+    chi2_drop: float = 40.0
+    """Drop of χ² for which a contact is accepted. That is six standard deviations, because the
+    errors of the tables look like contacts to quiet markers."""
+    tentative_chi2_drop: float = 20.0
+    """Drop of χ² for which a contact is fitted with the others, so that they do not take its
+    force, but not reported; on sensors with an interaction table."""
+    chi2_unexplained: float = 1.15
+    """Reduced χ² from which on a part of the motion is unexplained."""
+    force_sd_min: float = 5.0
+    """Standard deviations by which the force of an unswitched contact must exceed 0."""
+    threshold_excess_max: float = 2.0
+    """Largest force on a switch that is off, over its threshold: prints scatter."""
+    reach_radii: float = 1.5
+    """Extent of a contact beyond its centre, in radii of the tables' disc."""
+    start_force_N: float = 0.3
+    """Smallest force that a contact with a switch starts from."""
+    stiffness_sd: float = 0.11
+    """Relative standard deviation of the stiffness of prints of one design: 5 % of modulus, and
+    3 % of mean and 3 % of local thickness to the power of 2.3. It limits decoders that were not
+    calibrated on their print."""
+    chi2_growth_max: float = 1.15
+    """A warm start is kept until χ² has grown by this; of 700 shifts it varies by 5 %."""
+    warm_start_iterations: int = 3
+    search_every_frames: int = 4
+    """Warm-started frames between searches for unswitched contacts."""
+    reinitialise_after_frames: tuple[int, int] = (480, 16)
+    """Frames after which contacts are searched for again, without and with an unswitched one."""
+    moment_min: float = 0.2
+    """Smallest second moment of a contact, over that of the tables' disc."""
+
+
+SETTINGS = LocatorSettings()
 NO_MARKERS: IntArray = np.zeros(0, dtype=np.int64)
-SPREAD_LEAST = 0.2
-"""Least second moment of a contact over that of the tables' disc."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactLocator:
-    """Finds contacts of one sensor.
+    """Locates the contacts of one sensor.
 
     Attributes
     ----------
-    places : Places
+    places : ResponseTable
         Tables; scaled to the sensor's stiffness.
     position_mm : (n, 3) float
         Markers on the outer face.
@@ -89,10 +93,10 @@ class ContactLocator:
         Radius of a switch's footprint.
     threshold_N : (n,) float
         Force on it that turns the switch on.
-    prior, noise : Prior, Noise
-        What is known beforehand.
-    correction : Correction, optional
-        What was learnt from the sensor's own data.
+    prior, noise : ContactPrior, ShiftNoise
+        Prior of contacts, and noise of shifts.
+    correction : ForceCorrection, optional
+        Correction that was fitted to the sensor's own data.
     blind : (b,) int
         Switches that the camera cannot read.
     """
@@ -105,11 +109,11 @@ class ContactLocator:
     prior: ContactPrior
     noise: ShiftNoise
     correction: ForceCorrection | None = None
-    blind: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    blind: IntArray = field(default_factory=lambda: NO_MARKERS)
 
     @property
     def linear(self) -> "ContactLocator":
-        """The same with its tables' first power alone, for a shell that is linear."""
+        """The same with the first order of its tables alone, for a linear shell."""
         first = np.ascontiguousarray(self.places.shift_px[:, :1])
         return replace(self, places=replace(self.places, shift_px=first, pairs=None, walls=None))
 
@@ -135,137 +139,145 @@ class ContactLocator:
     def find(
         self, shift_px: FloatArray, koi: IntArray, *, before: ContactDetection | None = None
     ) -> ContactDetection:
-        """Contacts behind shifts (n, 2) px, NaN where a marker was not found.
+        """Return the contacts behind shifts (n, 2) px, NaN where a marker was not found.
 
-        Without a switch that is on there is no contact, and nothing is solved, unless some switch
-        cannot be read. Contacts of the frame ``before`` go on as long as each switch that is on is
-        one's own or beside one's own, and they explain what is seen as well as they did.
+        If no switch is on and all can be read, there is no contact and the solver is skipped.
+        Contacts of the frame ``before`` are a warm start as long as each switch that is on belongs
+        to one of them or is next to one, and the fit is as good.
+
+        Parameters
+        ----------
+        koi : (m,) int
+            Markers whose switch is on.
         """
         d = np.asarray(shift_px, dtype=np.float64).reshape(-1)
         found = np.isfinite(d)
         seen = ShiftObservation(shift_px=np.where(found, d, 0.0), found=found, koi=koi)
-        stand = self._gone_on(before.stand, seen) if before and before.stand else None
-        if stand is None:
-            best = self._switched(seen) if len(koi) else fit_without_contacts(seen, self.noise)
+        state = self._warm_start(before.state, seen) if before and before.state else None
+        if state is None:
+            best = self._fit_switched(seen) if len(koi) else fit_without_contacts(seen, self.noise)
             if len(koi) or len(self.blind):
-                best = self._searched(best, seen)
-            stand = FitState(fit=best, misfit=best.misfit)
-        return replace(self._told(stand.fit, koi), stand=stand)
+                best = self._add_unswitched(best, seen)
+            state = FitState(fit=best, reduced_chi2=best.reduced_chi2)
+        return replace(self._report(state.fit, koi), state=state)
 
-    def _gone_on(self, stand: FitState, seen: ShiftObservation) -> FitState | None:
-        """Contacts of the frame before in this one; None where they have to be looked for."""
-        states = stand.fit.states
-        aside = [state for state in states if not len(state.markers)]
-        if not states or stand.age >= ANEW[bool(aside)]:
+    def _warm_start(self, state: FitState, seen: ShiftObservation) -> FitState | None:
+        """Fit the contacts of the frame before; None where they must be searched for."""
+        states = state.fit.states
+        unswitched = [each for each in states if not len(each.markers)]
+        if not states or state.age >= SETTINGS.reinitialise_after_frames[bool(unswitched)]:
             return None
-        again = self._again(states, seen)
-        if again is None:
+        restarted = self._restarted(states, seen)
+        if restarted is None:
             return None
-        best = self._fit(again, seen, firm=0, rounds=WARM)
-        # Below 1 a fit by learnt noise is as good as can be.
+        best = self._fit(restarted, seen, warm=True)
+        # With fitted noise a value below 1 is as good as 1.
         good = 1.0 if self.noise.ratio is not None else 0.0
-        if best.misfit > WORSE * max(stand.misfit, good):
+        if best.reduced_chi2 > SETTINGS.chi2_growth_max * max(state.reduced_chi2, good):
             return None
         sd = np.sqrt(np.diagonal(best.covariance)[::UNKNOWNS])
-        for state, spread_N in zip(best.states, sd, strict=True):
-            least = SUSPECTED_GAIN if state.suspected else SILENT_GAIN
-            if not len(state.markers) and state.x[0] ** 2 < least * spread_N**2:
+        for each, sd_N in zip(best.states, sd, strict=True):
+            drop = SETTINGS.tentative_chi2_drop if each.tentative else SETTINGS.chi2_drop
+            if not len(each.markers) and each.x[0] ** 2 < drop * sd_N**2:
                 return None
-        age = stand.age + 1
-        look = age % LOOK == 0 and len(aside) < SILENT_MAX
-        if look and len(self._searched(best, seen).states) > len(best.states):
-            return None
-        return FitState(fit=best, misfit=stand.misfit, age=age)
+        age = state.age + 1
+        search = age % SETTINGS.search_every_frames == 0
+        if search and len(unswitched) < SETTINGS.unswitched_max:
+            more = self._add_unswitched(best, seen)
+            if len(more.states) > len(best.states):
+                return None
+        return FitState(fit=best, reduced_chi2=state.reduced_chi2, age=age)
 
-    def _again(
+    def _restarted(
         self, states: Sequence[ContactState], seen: ShiftObservation
     ) -> list[ContactState] | None:
-        """The same contacts, about where this frame's switches say that they are."""
+        """Return the contacts with this frame's switches; None if these do not fit to them."""
         rows = assign_to_contacts([state.markers for state in states], seen.koi, self.neighbours)
         if rows is None:
             return None
         force = self._switch_forces(seen)
         out = []
         for state, own in zip(states, rows, strict=True):
-            point = self._middle(seen.koi, force, own)[0] if len(own) else state.start_mm
+            point = self._centroid(seen.koi, force, own)[0] if len(own) else state.start_mm
             out.append(replace(state, start_mm=point, markers=seen.koi[own]))
         return out
 
-    def _switched(self, seen: ShiftObservation) -> ContactFit:
-        """Contacts that the switches tell."""
+    def _fit_switched(self, seen: ShiftObservation) -> ContactFit:
+        """Fit the contacts whose switches are on."""
         force = self._switch_forces(seen)
         starts = [self._start(seen.koi, force, rows) for rows in self._split(seen.koi, force)]
         best = self._fit(starts, seen)
-        # Noise that is only presumed may be far too much: then the misfit says little.
-        if self.noise.ratio is not None and best.misfit < SILENT_MISFIT:
+        # Noise that was not fitted may be far too large: then χ² is no criterion.
+        if self.noise.ratio is not None and best.reduced_chi2 < SETTINGS.chi2_unexplained:
             return best
         parts = self._split(seen.koi, force, reach_mm=self._reach_mm)
         if len(parts) > len(starts):
-            parted = [self._start(seen.koi, force, rows) for rows in parts]
-            more = self._fit(parted, seen)
-            if best.cost - more.cost >= SILENT_GAIN * (len(parted) - len(starts)):
-                best, starts = more, parted
-        for unread in self._unread_starts(seen):
-            more = self._fit([*starts, unread], seen)
-            if best.cost - more.cost >= SILENT_GAIN and self._could_be_silent(more, seen.koi):
-                best, starts = more, [*starts, unread]
+            separate = [self._start(seen.koi, force, rows) for rows in parts]
+            more = self._fit(separate, seen)
+            if best.cost - more.cost >= SETTINGS.chi2_drop * (len(separate) - len(starts)):
+                best, starts = more, separate
+        for start in self._unreadable_starts(seen):
+            more = self._fit([*starts, start], seen)
+            if best.cost - more.cost >= SETTINGS.chi2_drop and self._could_be_off(more, seen.koi):
+                best, starts = more, [*starts, start]
         return best
 
-    def _unread_starts(self, seen: ShiftObservation) -> list[ContactState]:
-        """Contacts on switches that cannot be read and that motion says are pressed."""
+    def _unreadable_starts(self, seen: ShiftObservation) -> list[ContactState]:
+        """Return contacts on unreadable switches that the motion shows as pressed."""
         if len(self.blind) == 0:
             return []
-        asked = np.union1d(seen.koi, self.blind)
-        force = self._switch_forces(replace(seen, koi=asked))
-        pressed = ~np.isin(asked, seen.koi) & (force >= self.threshold_N[asked])
-        parts = self._parts(asked, force, np.flatnonzero(pressed), self._reach_mm)
-        return [replace(self._start(asked, force, rows), markers=NO_MARKERS) for rows in parts]
+        both = np.union1d(seen.koi, self.blind)
+        force = self._switch_forces(replace(seen, koi=both))
+        pressed = ~np.isin(both, seen.koi) & (force >= self.threshold_N[both])
+        parts = self._parts(both, force, np.flatnonzero(pressed), self._reach_mm)
+        return [replace(self._start(both, force, rows), markers=NO_MARKERS) for rows in parts]
 
-    def _searched(self, best: ContactFit, seen: ShiftObservation) -> ContactFit:
-        """The same with contacts that no switch tells."""
+    def _add_unswitched(self, best: ContactFit, seen: ShiftObservation) -> ContactFit:
+        """Add contacts that no switch shows, as long as the fit improves."""
         koi = seen.koi
-        # Without them, what tables err by where contacts are at once looks like contacts.
-        suspecting, sure = len(koi) > 0 and self.places.pairs is not None, True
-        for _ in range(SILENT_MAX):
-            unexplained = not best.states or best.misfit >= SILENT_MISFIT
-            if not unexplained and not suspecting:
+        # Without an interaction table its errors look like contacts: then none is tentative.
+        allow_tentative, accepted = len(koi) > 0 and self.places.pairs is not None, True
+        for _ in range(SETTINGS.unswitched_max):
+            unexplained = not best.states or best.reduced_chi2 >= SETTINGS.chi2_unexplained
+            if not unexplained and not allow_tentative:
                 break
-            least = SUSPECTED_GAIN if suspecting else SILENT_GAIN
-            another = self._silent(best, seen, least)
-            if another is None:
+            drop = SETTINGS.tentative_chi2_drop if allow_tentative else SETTINGS.chi2_drop
+            start = self._unswitched_start(best, seen, drop)
+            if start is None:
                 break
-            more = self._fit([*best.states, another], seen)
+            more = self._fit([*best.states, start], seen)
             gain = best.cost - more.cost
-            if gain < least or not self._could_be_silent(more, koi):
+            if gain < drop or not self._could_be_off(more, koi):
                 break
-            if not len(koi) and not len(self._unread(more.states[-1])):
+            if not len(koi) and not len(self._unreadable_on(more.states[-1])):
                 break
-            # What only comes to light with one that is suspected is no surer.
-            sure = sure and unexplained and gain >= SILENT_GAIN
-            more.states[-1].suspected = not sure
+            # A contact that is found only with a tentative one is tentative too.
+            accepted = accepted and unexplained and gain >= SETTINGS.chi2_drop
+            more.states[-1].tentative = not accepted
             best = more
         return best
 
     def _fit(
-        self,
-        states: list[ContactState],
-        seen: ShiftObservation,
-        *,
-        firm: int = FIRM,
-        rounds: int = ROUNDS,
+        self, states: list[ContactState], seen: ShiftObservation, *, warm: bool = False
     ) -> ContactFit:
-        own = [state.copy() for state in states]
+        cold = contact_fit.SETTINGS
         return fit_contacts(
-            self.places, own, seen, prior=self.prior, noise=self.noise, firm=firm, rounds=rounds
+            self.places,
+            [state.copy() for state in states],
+            seen,
+            prior=self.prior,
+            noise=self.noise,
+            unweighted=0 if warm else cold.unweighted_iterations,
+            iterations=SETTINGS.warm_start_iterations if warm else cold.iterations_max,
         )
 
     @property
     def _reach_mm(self) -> float:
-        """Switches farther from a contact's hardest pressed one may be another's."""
-        return REACH * self.places.radius_mm + self.footprint_mm
+        """Switches farther from a contact's most loaded one may belong to another contact."""
+        return SETTINGS.reach_radii * self.places.radius_mm + self.footprint_mm
 
     def _switch_forces(self, seen: ShiftObservation) -> FloatArray:
-        """Force (m,) N on each switch that is on, by the compliance inverse."""
+        """Return the force (m,) N on each switch that is on, by the compliance inverse."""
         gram = self._gram[np.ix_(seen.koi, seen.koi)]
         if not seen.found.all():
             lost = self._columns[np.ix_(~seen.found, seen.koi)]
@@ -275,7 +287,7 @@ class ContactLocator:
     def _split(
         self, koi: IntArray, force_N: FloatArray, *, reach_mm: float = np.inf
     ) -> list[IntArray]:
-        """Rows of each group of neighbouring switches, and of each part that is within reach."""
+        """Return rows of each group of neighbouring switches, and of each part within reach."""
         return [
             rows
             for group in group_key_nodes(koi, self.neighbours)
@@ -283,14 +295,15 @@ class ContactLocator:
         ]
 
     def _start(self, koi: IntArray, force_N: FloatArray, rows: IntArray) -> ContactState:
-        """A contact on switches ``koi[rows]`` by the forces on all."""
-        point, most = self._middle(koi, force_N, rows)
-        return initial_state(self.places, self.prior, point, max(most, START_N), markers=koi[rows])
+        """Return a contact on switches ``koi[rows]``, by the forces on all."""
+        point, total = self._centroid(koi, force_N, rows)
+        force = max(total, SETTINGS.start_force_N)
+        return initial_state(self.places, self.prior, point, force, markers=koi[rows])
 
-    def _middle(
+    def _centroid(
         self, koi: IntArray, force_N: FloatArray, rows: IntArray
     ) -> tuple[FloatArray, float]:
-        """Where switches ``koi[rows]`` say that their contact is (3,), and their force."""
+        """Return the centroid (3,) of switches ``koi[rows]`` by force, and their total force."""
         weight = np.maximum(force_N[rows], 1e-3)
         point = weight @ self.position_mm[koi[rows]] / weight.sum()
         return point, float(force_N[rows].sum())
@@ -298,7 +311,7 @@ class ContactLocator:
     def _parts(
         self, koi: IntArray, force_N: FloatArray, rows: IntArray, reach_mm: float
     ) -> list[IntArray]:
-        """Rows of ``koi`` around the hardest pressed one, then around that of the rest, …."""
+        """Return rows of ``koi`` around the most loaded one, then around that of the rest, …."""
         parts = []
         while len(rows):
             top = rows[np.argmax(force_N[rows])]
@@ -308,16 +321,16 @@ class ContactLocator:
             rows = rows[~mine]
         return parts
 
-    def _silent(
-        self, best: ContactFit, seen: ShiftObservation, least: float
+    def _unswitched_start(
+        self, best: ContactFit, seen: ShiftObservation, drop: float
     ) -> ContactState | None:
-        """The contact that would explain most of what is left; None if none explains so much."""
-        left = best.inverse * (seen.shift_px - best.explained)
-        pull = self._first @ left.astype(np.float32)
+        """Return the contact that explains most of the residual; None below a drop of χ²."""
+        weighted = best.inverse * (seen.shift_px - best.predicted_px)
+        pull = self._first @ weighted.astype(np.float32)
         size = np.maximum(self._squares @ best.inverse.astype(np.float32), 1e-12)
         gain = np.where(pull > 0.0, pull, 0.0) ** 2 / size
         place = int(np.argmax(gain))
-        if gain[place] < least:
+        if gain[place] < drop:
             return None
         return initial_state(
             self.places,
@@ -328,84 +341,80 @@ class ContactLocator:
         )
 
     def _carried(self, state: ContactState) -> FloatArray:
-        """Force (n,) N of a contact on each switch."""
+        """Return the force (n,) N of a contact on each switch."""
         radius = float(self._radii([state])[0])
         gap = np.linalg.norm(centre_of(self.places, state) - self.position_mm, axis=1)
         share = disc_overlap_share(gap, radius, self.footprint_mm)
         return np.asarray(float(state.x[0]) * share)
 
-    def _unread(self, state: ContactState) -> IntArray:
-        """Switches (u,) that cannot be read and that a contact must have turned on."""
+    def _unreadable_on(self, state: ContactState) -> IntArray:
+        """Return the unreadable switches (u,) that a contact must have turned on."""
         on = self._carried(state)[self.blind] >= self.threshold_N[self.blind]
         return self.blind[on]
 
-    def _could_be_silent(self, found: ContactFit, koi: IntArray) -> bool:
-        """Whether the last contact would leave off all switches that are off."""
+    def _could_be_off(self, found: ContactFit, koi: IntArray) -> bool:
+        """Return whether the last contact agrees with every switch that reads off."""
         carried = self._carried(found.states[-1])
         carried[koi] = carried[self.blind] = 0.0
-        return bool((carried <= SILENT_OVER * self.threshold_N).all())
+        return bool((carried <= SETTINGS.threshold_excess_max * self.threshold_N).all())
 
     def _radii(self, states: Sequence[ContactState]) -> FloatArray:
-        """Radius (c,) mm of the even disc with each contact's mean second moment."""
+        """Return the radius (c,) mm of the uniform disc with each contact's mean second moment."""
         disc = self.places.radius_mm**2 / 2.0
-        spread = np.array([disc + state.x[3] + state.x[5] for state in states])
-        return np.asarray(np.sqrt(2.0 * np.maximum(spread, SPREAD_LEAST * disc)))
+        moment = np.array([disc + state.x[3] + state.x[5] for state in states])
+        return np.asarray(np.sqrt(2.0 * np.maximum(moment, SETTINGS.moment_min * disc)))
 
-    def _told(self, best: ContactFit, koi: IntArray) -> ContactDetection:
-        """Contacts in words of the user's: corrected, with their switches."""
-        sure = [k for k, state in enumerate(best.states) if not state.suspected]
-        if not sure:
-            return ContactDetection(contacts=[], misfit=best.misfit, shift_px=best.explained)
-        states = [best.states[k] for k in sure]
-        sd = np.sqrt(np.diagonal(best.covariance)).reshape(-1, UNKNOWNS)[sure]
+    def _report(self, best: ContactFit, koi: IntArray) -> ContactDetection:
+        """Return accepted contacts, with corrected forces and their switches."""
+        accepted = [k for k, state in enumerate(best.states) if not state.tentative]
+        out = ContactDetection(
+            contacts=[], reduced_chi2=best.reduced_chi2, shift_px=best.predicted_px
+        )
+        if not accepted:
+            return out
+        states = [best.states[k] for k in accepted]
+        sd = np.sqrt(np.diagonal(best.covariance)).reshape(-1, UNKNOWNS)[accepted]
         points = np.stack([centre_of(self.places, state) for state in states])
         radius = self._radii(states)
         raw = np.array([state.x[0] for state in states])
         gap, covered = self._covered(points, radius, koi)
-        # Where no disc reaches a switch, it belongs to the contact that it started.
-        started = np.array([self._among(state.markers, koi) for state in states])
+        # A switch that no disc reaches belongs to the contact that it started.
+        started = np.array([np.isin(koi, state.markers) for state in states])
         owner = np.argmax(raw[:, None] * covered + 1e-6 * started - 1e-9 * gap, axis=0)
         signal = np.array([contact_signal_px(state) for state in states])
         if self.correction is None:
-            force, spread_N = raw, np.hypot(sd[:, 0], PRINT_SHARE * raw)
+            force, spread_N = raw, np.hypot(sd[:, 0], SETTINGS.stiffness_sd * raw)
         else:
             force = raw * self.correction.factor(points, raw, signal)
             spread_N = self.correction.spread_N(force, sd[:, 0])
-        tripped = [koi[owner == k] for k in range(len(points))]
-        share = [covered[k, owner == k] for k in range(len(points))]
-        silent = np.array([len(on) == 0 for on in tripped])
-        told = np.flatnonzero(~silent | (force >= SILENT_SURE * spread_N))
-        for k in np.flatnonzero(silent):
-            tripped[k] = self._unread(states[k])
-            share[k] = self._covered(points[k : k + 1], radius[k : k + 1], tripped[k])[1][0]
-        contacts = [
-            LocatedContact(
-                markers=tripped[k],
-                share=(share[k] + 1e-6) / np.sum(share[k] + 1e-6),
-                force_N=float(force[k]),
-                sd_N=float(spread_N[k]),
-                raw_N=float(raw[k]),
-                raw_sd_N=float(sd[k, 0]),
-                point_mm=points[k],
-                radius_mm=float(radius[k]),
-                sd_mm=sd[k, 1:3],
-                moments_mm2=states[k].x[3:].copy(),
-                signal_px=float(signal[k]),
+        for k, state in enumerate(states):
+            on, share = koi[owner == k], covered[k, owner == k]
+            if len(on) == 0:
+                if not force[k] >= SETTINGS.force_sd_min * spread_N[k]:
+                    continue
+                on = self._unreadable_on(state)
+                share = self._covered(points[k : k + 1], radius[k : k + 1], on)[1][0]
+            out.contacts.append(
+                LocatedContact(
+                    markers=on,
+                    share=(share + 1e-6) / np.sum(share + 1e-6),
+                    force_N=float(force[k]),
+                    sd_N=float(spread_N[k]),
+                    raw_N=float(raw[k]),
+                    raw_sd_N=float(sd[k, 0]),
+                    point_mm=points[k],
+                    radius_mm=float(radius[k]),
+                    sd_mm=sd[k, 1:3],
+                    moments_mm2=state.x[3:].copy(),
+                    signal_px=float(signal[k]),
+                )
             )
-            for k in told
-        ]
-        contacts.sort(key=lambda contact: len(contact.markers) == 0)
-        return ContactDetection(contacts=contacts, misfit=best.misfit, shift_px=best.explained)
+        out.contacts.sort(key=lambda contact: len(contact.markers) == 0)
+        return out
 
     def _covered(
         self, points_mm: FloatArray, radius_mm: FloatArray, markers: IntArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Distance (c, m) mm of discs from switches, and the share of each disc on each."""
+        """Return distances (c, m) mm of discs from switches, and shares of each disc on each."""
         gap = np.linalg.norm(points_mm[:, None] - self.position_mm[markers][None], axis=2)
         return gap, disc_overlap_share(gap, radius_mm[:, None], self.footprint_mm)
-
-    def _among(self, markers: IntArray, koi: IntArray) -> BoolArray:
-        """Which of switches (m,) are among a contact's."""
-        mine = np.zeros(len(self.position_mm), dtype=np.bool_)
-        mine[markers] = True
-        return mine[koi]

@@ -1,4 +1,4 @@
-"""Least squares with unknowns that cannot be negative."""
+"""Non-negative least squares."""
 
 import numpy as np
 
@@ -8,8 +8,8 @@ from phytac_shapes.arrays import FloatArray
 def nonnegative_least_squares(gram: FloatArray, right: FloatArray) -> FloatArray:
     """Minimise ½ fᵀ G f − rᵀ f over f >= 0.
 
-    Block principal pivoting (Júdice and Pires 1994): whole sets change sides at once, and single
-    ones where that does not end. A few solves, where going one by one takes one for each force.
+    Block principal pivoting (Júdice and Pires 1994) exchanges whole sets, and single variables
+    where that cycles. It needs a few solves; active-set methods need one per unknown.
 
     Parameters
     ----------
@@ -21,7 +21,7 @@ def nonnegative_least_squares(gram: FloatArray, right: FloatArray) -> FloatArray
     size = len(right)
     tolerance = 1e-12 * max(float(np.abs(right).max(initial=0.0)), 1e-300)
     passive = np.ones(size, dtype=np.bool_)
-    least, patience = size + 1, 3
+    fewest, patience = size + 1, 3
     f = np.zeros(size)
     for _ in range(10 * size + 10):
         index = np.flatnonzero(passive)
@@ -31,8 +31,8 @@ def nonnegative_least_squares(gram: FloatArray, right: FloatArray) -> FloatArray
         count = int(wrong.sum())
         if count == 0:
             break
-        if count < least:
-            least, patience = count, 3
+        if count < fewest:
+            fewest, patience = count, 3
         elif patience > 0:
             patience -= 1
         else:

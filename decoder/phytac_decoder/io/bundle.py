@@ -1,13 +1,15 @@
-"""The bundle: the whole contract between design tool and decoder. JSON + safetensors, no pickles.
+"""The bundle: the contract between design tool and decoder. JSON and safetensors, no pickles.
 
-Schema policy: ``schema_version`` is ``MAJOR.MINOR``. A reader takes any bundle of its own major
-version whose minor is not newer than its own; fields are added with a minor step, and removed or
-given another meaning only with a major one.
+Schema policy: ``schema_version`` is ``MAJOR.MINOR``. A reader accepts any bundle of its own major
+version whose minor version is not newer than its own. A minor step adds fields; only a major step
+removes fields or changes their meaning.
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import file_digest
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +21,16 @@ from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.cascade_network import ACTIVATIONS, INPUTS, CascadeNetwork
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.force_regions import Region, regions_from_table, regions_to_table
-from phytac_decoder.estimation.locator import ContactLocator
 from phytac_decoder.io.bundle_camera import camera_from, camera_table
 from phytac_decoder.io.bundle_check import (
-    above_zero,
-    check_arrays,
-    check_count,
-    check_indices,
-    check_shown,
-    fault_of,
-    no_number,
+    ARRAYS,
+    SHOWN,
+    bounded,
+    check_bundle,
+    describe_fault,
     numbers,
-    positive,
+    positive_numbers,
+    reject_constant,
 )
 from phytac_decoder.io.bundle_locator import locator_arrays, locator_from, locator_table
 from phytac_decoder.io.sensor_limits import NOISE_SHARE_MAX, check_scene, limits_of, markers_in_play
@@ -42,23 +42,23 @@ from phytac_shapes.errors import InputError, cause_of
 
 SCHEMA = (1, 11)
 FORMAT = "phytac-decoder-bundle"
-ENDS = ("near", "far")
 META_BYTES_MAX = 1 << 26
 ARRAYS_BYTES_MAX = 1 << 33
-"""Largest files of a bundle that are read; that of a thousand markers has some 100 MB."""
-"""Ends of a sensor with two cameras, in their order."""
+"""Largest files of a bundle that are read; the bundle of a thousand markers has about 100 MB."""
+TIPS = {"tip_on_px": "on_px", "tip_red_rest_px": "red_rest_px", "tip_red_on_px": "red_on_px"}
+"""Attributes of a tip model by name of the array."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraView:
-    """What one camera shows of the unloaded sensor, of markers that another one reads too.
+    """One camera's view of the unloaded sensor, also of markers that the other camera reads.
 
     Attributes
     ----------
     rest_px : (n, 2) float
-        Predicted rest positions; NaN for markers that it does not show.
+        Predicted rest positions; NaN for markers that it does not see.
     tips : TipModel
-        What it shows of the red tips.
+        Appearance of the red tips.
     """
 
     rest_px: FloatArray
@@ -76,9 +76,9 @@ class Bundle:
     design_hash : str
         Hash of the resolved design it was made from.
     cameras : tuple of Camera
-        The cameras it expects, one or two; the near end's first.
+        One or two cameras; the near end's first.
     read_by : (n,) int
-        Camera that each marker is read through; all that is in px, is in that camera's image.
+        Camera that reads each marker; pixels of a marker are those of this camera.
     colours : ColourModel
         Paints; the markers' colours first, ``red`` among them.
     colour : (n,) int
@@ -90,21 +90,21 @@ class Bundle:
     tip_bias_px : (n, 2) float
         Shift of a marker's own centroid because its red tip is out and covers some of its paint.
     tips : TipModel
-        What is seen of the red tips.
+        Appearance of the red tips.
     model : ForceModel
-        Matrices and networks.
+        Force estimators.
     threshold_N : (n,) float
-        Force on each switch's footprint that turns it on: a receptor that is on carries some.
+        Force on each switch's footprint that turns the switch on.
     noise_centroid_px : float
         Standard deviation of each coordinate of a marker's centroid.
     force_max_N : float
-        Largest force that the sensor is meant for.
-    shown : tuple of Shown
-        What each camera shows; empty for one camera, which shows what it reads.
+        Largest force that the sensor is designed for.
+    shown : tuple of CameraView
+        View of each of two cameras; empty for one camera.
     regions : tuple of Region
         Named parts of the surface, such as fingers.
     notes : dict
-        Provenance: training data, seconds, accuracy; free of meaning to the decoder.
+        Provenance: training data, seconds, accuracy. The decoder uses only ``scene``.
     """
 
     design: str
@@ -127,33 +127,33 @@ class Bundle:
 
     @property
     def camera(self) -> Camera:
-        """The camera; of two, the near end's."""
+        """The camera; the near end's of two."""
         return self.cameras[0]
 
     def shown_by(self, number: int) -> CameraView:
-        """What a camera shows."""
+        """Return the view of a camera."""
         return (
             self.shown[number] if self.shown else CameraView(rest_px=self.rest_px, tips=self.tips)
         )
 
     def of_camera(self, number: int) -> str:
-        """Which camera, in a sentence; "" if there is but one."""
-        return f" of the {ENDS[number]} camera" if len(self.cameras) > 1 else ""
+        """Return " of the near camera" or " of the far camera"; "" for a single camera."""
+        return f" of the {('near', 'far')[number]} camera" if len(self.cameras) > 1 else ""
 
     @property
     def stiffness_usable(self) -> BoolArray:
-        """Markers (n,) at which K·u, and the networks on top of it, can tell a force from noise."""
+        """Markers (n,) at which the noise of K·u, and of the networks, is below the limit."""
         noise = self.noise_centroid_px * self.model.stiffness_noise_N_px
         return np.asarray(noise <= NOISE_SHARE_MAX * self.force_max_N)
 
     @property
     def force_readable(self) -> BoolArray:
-        """Markers (n,) at which any estimator can tell a force from noise."""
+        """Markers (n,) at which the noise of the best estimator is below the limit."""
         noise = self.noise_centroid_px * self.model.inverse_noise_N_px
         return np.asarray(noise <= NOISE_SHARE_MAX * self.force_max_N)
 
     def limits(self) -> list[str]:
-        """What this sensor cannot read whatever the frame, each as a sentence; empty for none."""
+        """Return what this sensor cannot read in any frame, one sentence each."""
         return limits_of(self)
 
 
@@ -184,47 +184,44 @@ def save_bundle(bundle: Bundle, folder: Path) -> None:
             }
             for name, net in model.networks.items()
         },
-        # The most usual one: up to schema 1.2 it was every marker's.
+        # The median; up to schema 1.2 all markers had the same threshold.
         "threshold_N": float(np.median(bundle.threshold_N)),
         "noise_centroid_px": float(bundle.noise_centroid_px),
         "force_max_N": float(bundle.force_max_N),
         "notes": bundle.notes,
     }
+    arrays = {name: attrgetter(attribute)(bundle) for name, (attribute, _) in ARRAYS.items()}
+    arrays |= {f"network.{name}": net.parameters for name, net in model.networks.items()}
     if model.locator is not None:
         meta["auto"] = locator_table(model.locator)
+        arrays |= locator_arrays(model.locator)
     if bundle.regions:
         meta["regions"] = regions_to_table(bundle.regions)
-    arrays = {
-        "colour": bundle.colour,
-        "position_mm": bundle.position_mm,
-        "rest_px": bundle.rest_px,
-        "tip_bias_px": bundle.tip_bias_px,
-        "tip_on_px": bundle.tips.on_px,
-        "tip_red_rest_px": bundle.tips.red_rest_px,
-        "tip_red_on_px": bundle.tips.red_on_px,
-        "shift_to_mm": model.shift_to_mm,
-        "stiffness": model.stiffness,
-        "compliance_px": model.compliance_px,
-        "height_z_mm": model.height_z_mm,
-        "neighbours": model.neighbours,
-        "read_by": bundle.read_by,
-        "threshold_N": bundle.threshold_N,
-    } | {f"network.{name}": net.parameters for name, net in model.networks.items()}
-    if model.locator is not None:
-        arrays |= locator_arrays(model.locator)
     if bundle.shown:
-        arrays |= {
-            "shown_rest_px": np.stack([item.rest_px for item in bundle.shown]),
-            "shown_tip_on_px": np.stack([item.tips.on_px for item in bundle.shown]),
-            "shown_tip_red_rest_px": np.stack([item.tips.red_rest_px for item in bundle.shown]),
-            "shown_tip_red_on_px": np.stack([item.tips.red_on_px for item in bundle.shown]),
-        }
+        attributes = ("rest_px", *(f"tips.{attribute}" for attribute in TIPS.values()))
+        for name, attribute in zip(SHOWN, attributes, strict=True):
+            arrays[name] = np.stack([attrgetter(attribute)(view) for view in bundle.shown])
     folder.mkdir(parents=True, exist_ok=True)
     save_file(
         {name: np.ascontiguousarray(value) for name, value in sorted(arrays.items())},
         folder / "bundle.safetensors",
     )
-    meta["arrays_sha256"] = _sha256(folder)
+    _write_meta(folder, meta | {"arrays_sha256": _sha256(folder)})
+
+
+def stamp_bundle(
+    folder: Path, *, design: str, design_hash: str, regions: Sequence[Region] = ()
+) -> None:
+    """Write a design's name, hash and named regions into a finished bundle's ``bundle.json``."""
+    meta = json.loads((folder / "bundle.json").read_text(encoding="utf-8"))
+    meta |= {"design": design, "design_hash": design_hash}
+    meta.pop("regions", None)
+    if regions:
+        meta["regions"] = regions_to_table(regions)
+    _write_meta(folder, meta)
+
+
+def _write_meta(folder: Path, meta: dict[str, Any]) -> None:
     text = json.dumps(meta, indent=1, sort_keys=True, ensure_ascii=False)
     (folder / "bundle.json").write_text(text + "\n", encoding="utf-8")
 
@@ -235,13 +232,13 @@ def _sha256(folder: Path) -> str:
 
 
 def load_bundle(folder: Path) -> Bundle:
-    """Read a bundle back, checking version, sizes and that every number is finite.
+    """Read a bundle; check its version, its sizes and that every number is finite.
 
     Raises
     ------
     InputError
-        If a file is missing, truncated, of a newer schema, its arrays don't fit together, or its
-        files are of two decoders.
+        If a file is missing, truncated or of a newer schema, if its arrays do not fit together,
+        or if the two files are of different decoders.
     """
     meta = _read_meta(folder)
     try:
@@ -252,37 +249,13 @@ def load_bundle(folder: Path) -> Bundle:
             f"{folder}/bundle.safetensors cannot be read ({cause_of(error)}); rebuild the decoder"
         ) from error
     try:
-        count = int(meta["markers"])
-        check_count(arrays, count, folder)
-        # Up to schema 1.2 there was one camera and one threshold.
-        tables = meta.get("cameras", [meta["camera"]])
-        arrays.setdefault("read_by", np.zeros(count, dtype=np.int64))
-        arrays.setdefault("threshold_N", np.full(count, float(meta["threshold_N"])))
-        check_arrays(arrays, count, sorted(meta["networks"]), folder)
-        check_indices(arrays, count, len(meta["colours"]["names"]), len(tables), folder)
-        check_shown(arrays, count, len(tables), folder)
-        locator = None
-        # Up to schema 1.3 there was none.
-        if "auto" in meta:
-            locator = locator_from(
-                meta["auto"],
-                arrays,
-                position_mm=arrays["position_mm"],
-                neighbours=arrays["neighbours"],
-                threshold_N=arrays["threshold_N"],
-                folder=folder,
-            )
-        cameras = tuple(camera_from(table, folder) for table in tables)
-        bundle = _assemble(meta, arrays, cameras, locator)
-        check_scene(bundle)
-        if locator is not None:
-            locator = replace(locator, blind=bundle.tips.blind(markers_in_play(bundle)))
-            bundle = replace(bundle, model=replace(bundle.model, locator=locator))
+        bundle = _assemble(meta, arrays, folder)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         raise InputError(
-            f"{folder}/bundle.json is not a decoder bundle: {fault_of(error)}; rebuild the decoder"
+            f"{folder}/bundle.json is not a decoder bundle: {describe_fault(error)}; rebuild the "
+            "decoder"
         ) from error
-    # A copy that was cut short leaves one file of each. Up to schema 1.10 none was told.
+    # An interrupted copy leaves files of two decoders. Up to schema 1.10 there was no hash.
     if "arrays_sha256" in meta and meta["arrays_sha256"] != _sha256(folder):
         raise InputError(
             f"{folder}: bundle.json and bundle.safetensors are of two decoders; build or train "
@@ -294,7 +267,7 @@ def load_bundle(folder: Path) -> Bundle:
 def _read_meta(folder: Path) -> dict[str, Any]:
     path = folder / "bundle.json"
     try:
-        meta = json.loads(read_text(path, bytes_max=META_BYTES_MAX), parse_constant=no_number)
+        meta = json.loads(read_text(path, bytes_max=META_BYTES_MAX), parse_constant=reject_constant)
     except OSError as error:
         raise InputError(
             f"no decoder bundle in {folder} ({error.strerror}); give the folder that holds "
@@ -321,29 +294,45 @@ def _read_meta(folder: Path) -> dict[str, Any]:
     return meta
 
 
-def _assemble(
-    meta: dict[str, Any],
-    arrays: dict[str, Any],
-    cameras: tuple[Camera, ...],
-    locator: ContactLocator | None,
-) -> Bundle:
-    for name, item in meta["networks"].items():
-        if item["activation"] not in ACTIVATIONS:
-            raise ValueError(f"network {name!r} has an unknown activation {item['activation']!r}")
-    networks = {
-        name: CascadeNetwork(
-            parameters=arrays[f"network.{name}"],
-            activation=item["activation"],
-            scale_in=np.array([above_zero(each) for each in numbers(item["scale_in"], INPUTS)]),
-            scale_out=float(numbers([item["scale_out"]], 1)[0]),
+def _assemble(meta: dict[str, Any], arrays: dict[str, Any], folder: Path) -> Bundle:
+    """Check the arrays and make the bundle."""
+    count = int(meta["markers"])
+    if "rest_px" not in arrays:
+        raise InputError(f"{folder}/bundle.safetensors lacks 'rest_px'; rebuild the decoder")
+    rows = len(np.atleast_1d(arrays["rest_px"]))
+    # Before any array is made of that size.
+    if count != rows:
+        raise InputError(
+            f"{folder}/bundle.safetensors: rest_px has {rows} rows, expected {count} for {count} "
+            "markers; the two files are of different builds"
         )
-        for name, item in meta["networks"].items()
-    }
-    several = len(cameras) > 1
-    return Bundle(
+    # Up to schema 1.2 there was one camera and one threshold.
+    tables = meta.get("cameras", [meta["camera"]])
+    arrays.setdefault("read_by", np.zeros(count, dtype=np.int64))
+    arrays.setdefault("threshold_N", np.full(count, float(meta["threshold_N"])))
+    check_bundle(
+        arrays,
+        markers=count,
+        colours=len(meta["colours"]["names"]),
+        cameras=len(tables),
+        networks=meta["networks"],
+        folder=folder,
+    )
+    model = ForceModel(
+        shift_to_mm=arrays["shift_to_mm"],
+        stiffness=arrays["stiffness"],
+        compliance_px=arrays["compliance_px"],
+        height_z_mm=arrays["height_z_mm"],
+        neighbours=arrays["neighbours"],
+        networks={
+            name: _network(name, table, arrays[f"network.{name}"])
+            for name, table in meta["networks"].items()
+        },
+    )
+    bundle = Bundle(
         design=str(meta["design"]),
         design_hash=str(meta["design_hash"]),
-        cameras=cameras,
+        cameras=tuple(camera_from(table, folder) for table in tables),
         read_by=arrays["read_by"],
         colours=ColourModel(
             names=tuple(meta["colours"]["names"]),
@@ -356,38 +345,45 @@ def _assemble(
         position_mm=arrays["position_mm"],
         rest_px=arrays["rest_px"],
         tip_bias_px=arrays["tip_bias_px"],
-        tips=TipModel(
-            on_px=arrays["tip_on_px"],
-            red_rest_px=arrays["tip_red_rest_px"],
-            red_on_px=arrays["tip_red_on_px"],
-        ),
-        model=ForceModel(
-            shift_to_mm=arrays["shift_to_mm"],
-            stiffness=arrays["stiffness"],
-            compliance_px=arrays["compliance_px"],
-            height_z_mm=arrays["height_z_mm"],
-            neighbours=arrays["neighbours"],
-            networks=networks,
-            locator=locator,
-        ),
+        tips=TipModel(**{attribute: arrays[name] for name, attribute in TIPS.items()}),
+        model=model,
         threshold_N=arrays["threshold_N"],
         # Up to schema 1.1 these were not stored.
-        noise_centroid_px=positive(meta.get("noise_centroid_px", 0.04), "noise_centroid_px"),
-        force_max_N=positive(meta.get("force_max_N", 25.0), "force_max_N"),
-        shown=tuple(_shown(arrays, number) for number in range(len(cameras) if several else 0)),
+        noise_centroid_px=bounded(meta.get("noise_centroid_px", 0.04), "noise_centroid_px"),
+        force_max_N=bounded(meta.get("force_max_N", 25.0), "force_max_N"),
+        shown=tuple(_view(arrays, number) for number in range(len(tables))) if tables[1:] else (),
         # Up to schema 1.4 there were none.
-        regions=regions_from_table(meta.get("regions", []), len(arrays["colour"])),
+        regions=regions_from_table(meta.get("regions", []), count),
         notes=dict(meta["notes"]),
     )
-
-
-def _shown(arrays: dict[str, Any], number: int) -> CameraView:
-    """What one of several cameras shows."""
-    return CameraView(
-        rest_px=arrays["shown_rest_px"][number],
-        tips=TipModel(
-            on_px=arrays["shown_tip_on_px"][number],
-            red_rest_px=arrays["shown_tip_red_rest_px"][number],
-            red_on_px=arrays["shown_tip_red_on_px"][number],
-        ),
+    check_scene(bundle)
+    # Up to schema 1.3 there was no locator.
+    if "auto" not in meta:
+        return bundle
+    locator = locator_from(
+        meta["auto"],
+        arrays,
+        position_mm=bundle.position_mm,
+        neighbours=model.neighbours,
+        threshold_N=bundle.threshold_N,
+        folder=folder,
     )
+    locator = replace(locator, blind=bundle.tips.blind(markers_in_play(bundle)))
+    return replace(bundle, model=replace(model, locator=locator))
+
+
+def _network(name: str, table: dict[str, Any], parameters: FloatArray) -> CascadeNetwork:
+    if table["activation"] not in ACTIVATIONS:
+        raise ValueError(f"network {name!r} has an unknown activation {table['activation']!r}")
+    return CascadeNetwork(
+        parameters=parameters,
+        activation=table["activation"],
+        scale_in=positive_numbers(table["scale_in"], INPUTS),
+        scale_out=float(numbers([table["scale_out"]], 1)[0]),
+    )
+
+
+def _view(arrays: dict[str, Any], number: int) -> CameraView:
+    """Return the view of one of two cameras."""
+    rest_px, *tips = (arrays[name][number] for name in SHOWN)
+    return CameraView(rest_px=rest_px, tips=TipModel(**dict(zip(TIPS.values(), tips, strict=True))))

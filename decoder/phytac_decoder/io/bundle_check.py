@@ -1,5 +1,6 @@
-"""Whether the arrays of a bundle fit together, before anything is made of them."""
+"""Checks of a bundle's arrays and numbers before anything is made of them."""
 
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,167 +10,157 @@ from phytac_decoder.estimation.cascade_network import parameter_count
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError
 
-INTEGERS = ("colour", "neighbours", "read_by")
-PARTIAL = ("tip_on_px", "shown_rest_px", "shown_tip_on_px")
-"""Arrays with NaN for what is not seen."""
-CAMERAS_MAX = 2
-NUMBER_MAX = 1e6
-"""Largest noise, px, and largest force, N, that a bundle may speak of."""
-SHOWN_LETTERS = 200
-"""Letters of a fault in a file that a message shows."""
+ARRAYS: dict[str, tuple[str, tuple[int | str, ...]]] = {
+    "colour": ("colour", ("n",)),
+    "position_mm": ("position_mm", ("n", 3)),
+    "rest_px": ("rest_px", ("n", 2)),
+    "tip_bias_px": ("tip_bias_px", ("n", 2)),
+    "tip_on_px": ("tips.on_px", ("n", 2)),
+    "tip_red_rest_px": ("tips.red_rest_px", ("n",)),
+    "tip_red_on_px": ("tips.red_on_px", ("n",)),
+    "read_by": ("read_by", ("n",)),
+    "threshold_N": ("threshold_N", ("n",)),
+    "shift_to_mm": ("model.shift_to_mm", ("n", 2)),
+    "stiffness": ("model.stiffness", ("n", "n")),
+    "compliance_px": ("model.compliance_px", ("2n", "n")),
+    "height_z_mm": ("model.height_z_mm", ("n",)),
+    "neighbours": ("model.neighbours", ("n", 8)),
+}
+"""Attribute of a bundle and shape of each array, for n markers."""
+SHOWN = ("shown_rest_px", "shown_tip_on_px", "shown_tip_red_rest_px", "shown_tip_red_on_px")
+"""Further arrays of a bundle of two cameras: the view of each."""
+Shapes = dict[str, tuple[int, ...]]
 
 
-def check_arrays(arrays: dict[str, Any], count: int, networks: list[str], folder: Path) -> None:
-    """Check what every bundle has.
-
-    Raises
-    ------
-    InputError
-        If an array is missing, of another shape or type, or not finite.
-    """
-    n = count
-    expected: dict[str, tuple[int, ...]] = {
-        "colour": (n,),
-        "position_mm": (n, 3),
-        "rest_px": (n, 2),
-        "tip_bias_px": (n, 2),
-        "tip_on_px": (n, 2),
-        "tip_red_rest_px": (n,),
-        "tip_red_on_px": (n,),
-        "shift_to_mm": (n, 2),
-        "stiffness": (n, n),
-        "compliance_px": (2 * n, n),
-        "height_z_mm": (n,),
-        "neighbours": (n, 8),
-        "read_by": (n,),
-        "threshold_N": (n,),
-    } | {f"network.{name}": (parameter_count(),) for name in networks}
-    _check(arrays, expected, n, folder)
-
-
-def check_count(arrays: dict[str, Any], count: int, folder: Path) -> None:
-    """Check the number of markers, before any array is made of that size.
+def check_bundle(
+    arrays: Mapping[str, Any],
+    *,
+    markers: int,
+    colours: int,
+    cameras: int,
+    networks: Collection[str],
+    folder: Path,
+) -> None:
+    """Check the arrays that every bundle has: shapes, types, finite numbers, ids.
 
     Raises
     ------
     InputError
-        If the arrays are of another number.
+        If an array is missing, of another shape or type, not finite or holds an id that does not
+        exist, or if a camera does not show a marker that it reads.
     """
-    if "rest_px" not in arrays:
-        raise InputError(f"{folder}/bundle.safetensors lacks 'rest_px'; rebuild the decoder")
-    found = len(np.atleast_1d(arrays["rest_px"]))
-    if count != found:
-        raise InputError(
-            f"{folder}/bundle.safetensors: rest_px has {found} rows, expected {count} for {count} "
-            "markers; the two files are of different builds"
-        )
-
-
-def check_shown(arrays: dict[str, Any], count: int, cameras: int, folder: Path) -> None:
-    """Check what a bundle of several cameras has besides: what each of them shows.
-
-    Raises
-    ------
-    InputError
-        See :func:`check_arrays`; also if a camera does not show a marker that it reads.
-    """
-    if not 1 <= cameras <= CAMERAS_MAX:
+    where, n = f"{folder}/bundle.safetensors", markers
+    if not 1 <= cameras <= 2:
         raise InputError(
             f"{folder}/bundle.json has {cameras} cameras, a sensor has one or two; rebuild the "
             "decoder"
         )
-    if cameras == 1:
-        return
-    expected: dict[str, tuple[int, ...]] = {
-        "shown_rest_px": (cameras, count, 2),
-        "shown_tip_on_px": (cameras, count, 2),
-        "shown_tip_red_rest_px": (cameras, count),
-        "shown_tip_red_on_px": (cameras, count),
+    sizes = {"n": n, "2n": 2 * n}
+    shapes: Shapes = {
+        name: tuple(sizes[size] if isinstance(size, str) else size for size in shape)
+        for name, (_, shape) in ARRAYS.items()
     }
-    _check(arrays, expected, count, folder)
-    own = arrays["shown_rest_px"][arrays["read_by"], np.arange(count)]
-    if not np.isfinite(own).all():
-        marker = int(np.flatnonzero(~np.isfinite(own).all(axis=1))[0])
-        raise InputError(
-            f"{folder}/bundle.safetensors: marker {marker} is read by a camera that does not show "
-            "it; rebuild the decoder"
-        )
+    shapes |= {f"network.{name}": (parameter_count(),) for name in sorted(networks)}
+    if cameras == 2:
+        shapes |= dict.fromkeys(SHOWN[:2], (2, n, 2)) | dict.fromkeys(SHOWN[2:], (2, n))
+    check_arrays(
+        arrays,
+        shapes,
+        where=where,
+        kinds=dict.fromkeys(("colour", "neighbours", "read_by"), np.int64),
+        # NaN marks what a camera does not see.
+        partial=("tip_on_px", *SHOWN[:2]),
+    )
+    for name, low, high in (("neighbours", -1, n), ("colour", 0, colours), ("read_by", 0, cameras)):
+        if arrays[name].min(initial=low) < low or arrays[name].max(initial=low) >= high:
+            raise InputError(
+                f"{where}: {name} points beyond the bundle's {high} entries; rebuild the decoder"
+            )
+    if cameras == 2:
+        own = arrays["shown_rest_px"][arrays["read_by"], np.arange(n)]
+        hidden = np.flatnonzero(~np.isfinite(own).all(axis=1))
+        if len(hidden):
+            raise InputError(
+                f"{where}: marker {hidden[0]} is read by a camera that does not show it; rebuild "
+                "the decoder"
+            )
 
 
-def _check(
-    arrays: dict[str, Any], expected: dict[str, tuple[int, ...]], count: int, folder: Path
+def check_arrays(
+    arrays: Mapping[str, Any],
+    shapes: Shapes,
+    *,
+    where: str,
+    kinds: Mapping[str, Any],
+    partial: Collection[str] = (),
+    prefix: str = "",
 ) -> None:
-    for name, shape in expected.items():
-        if name not in arrays:
-            raise InputError(f"{folder}/bundle.safetensors lacks {name!r}; rebuild the decoder")
-        if arrays[name].shape != shape:
-            raise InputError(
-                f"{folder}/bundle.safetensors: {name} has shape {arrays[name].shape}, "
-                f"expected {shape} for {count} markers; the two files are of different builds"
-            )
-        kind = np.int64 if name in INTEGERS else np.float64
-        if arrays[name].dtype != kind:
-            raise InputError(
-                f"{folder}/bundle.safetensors: {name} is {arrays[name].dtype}, expected "
-                f"{np.dtype(kind)}; rebuild the decoder"
-            )
-        if name not in PARTIAL and not np.isfinite(arrays[name]).all():
-            raise InputError(
-                f"{folder}/bundle.safetensors: {name} holds numbers that are not finite"
-            )
+    """Check that arrays exist, have their shapes and types, and hold finite numbers.
 
-
-def check_indices(
-    arrays: dict[str, Any], count: int, colours: int, cameras: int, folder: Path
-) -> None:
-    """Check that ids, colours and cameras are among those there are.
+    Parameters
+    ----------
+    shapes : dict
+        Expected shape by name.
+    where : str
+        File, the start of a message.
+    kinds : dict
+        Type by name where it is not float64.
+    partial : collection of str
+        Arrays that may hold NaN.
+    prefix : str
+        Start of the names in the file.
 
     Raises
     ------
     InputError
-        If one is not.
+        If one does not.
     """
-    for name, low, high in (
-        ("neighbours", -1, count),
-        ("colour", 0, colours),
-        ("read_by", 0, cameras),
-    ):
-        if arrays[name].min(initial=low) < low or arrays[name].max(initial=low) >= high:
+    for name, shape in shapes.items():
+        if name not in arrays:
+            raise InputError(f"{where} lacks '{prefix}{name}'; rebuild the decoder")
+        array, kind = arrays[name], np.dtype(kinds.get(name, np.float64))
+        if array.shape != shape:
             raise InputError(
-                f"{folder}/bundle.safetensors: {name} points beyond the bundle's {high} entries; "
-                "rebuild the decoder"
+                f"{where}: {prefix}{name} has shape {array.shape}, expected {shape}; the two files "
+                "are of different builds"
             )
+        if array.dtype != kind:
+            raise InputError(
+                f"{where}: {prefix}{name} is {array.dtype}, expected {kind}; rebuild the decoder"
+            )
+        if name not in partial and not np.isfinite(array).all():
+            raise InputError(f"{where}: {prefix}{name} holds numbers that are not finite")
 
 
-def fault_of(error: Exception) -> str:
-    """What is wrong with a table, in words of the file's, not of the program's."""
+def describe_fault(error: Exception) -> str:
+    """Return the fault of ``bundle.json``, in terms of the file."""
     if isinstance(error, KeyError):
         return f"{error} is missing"
     if isinstance(error, ValueError) and "broadcast" not in str(error):
-        return str(error)[:SHOWN_LETTERS]
-    return "a value is not of the kind or the size that it should be"
+        return str(error)[:200]
+    return "a value has the wrong type or size"
 
 
-def positive(value: Any, name: str) -> float:
-    """Number from 0 to ``NUMBER_MAX``."""
+def bounded(value: Any, name: str) -> float:
+    """Return a number from 0 to 1e6."""
     number = float(value)
-    if not 0.0 <= number <= NUMBER_MAX:
-        raise ValueError(f"{name} must lie within 0 and {NUMBER_MAX:g} (got {number:g})")
+    if not 0.0 <= number <= 1e6:
+        raise ValueError(f"{name} must lie between 0 and 1e6 (got {number:g})")
     return number
 
 
-def no_number(name: str) -> float:
-    """Refuse NaN and infinity, which JSON has not."""
+def reject_constant(name: str) -> float:
+    """Reject NaN and infinity, which JSON does not have."""
     raise ValueError(f"{name} is no number of JSON")
 
 
 def numbers(values: Any, count: int) -> FloatArray:
-    """So many finite numbers (count,).
+    """Return ``count`` finite numbers, (count,).
 
     Raises
     ------
     ValueError
-        If they are not.
+        If the values are something else.
     """
     out = np.asarray(values, dtype=np.float64)
     if out.shape != (count,) or not np.isfinite(out).all():
@@ -177,15 +168,20 @@ def numbers(values: Any, count: int) -> FloatArray:
     return out
 
 
-def above_zero(value: Any) -> float:
-    """A finite number above zero.
+def positive_numbers(values: Any, count: int) -> FloatArray:
+    """Return ``count`` finite numbers above zero, (count,).
 
     Raises
     ------
     ValueError
-        If it is not.
+        If the values are something else.
     """
-    number = float(numbers([value], 1)[0])
-    if number <= 0.0:
-        raise ValueError(f"expected a number above zero (got {value!r})")
-    return number
+    out = numbers(values, count)
+    if not (out > 0.0).all():
+        raise ValueError(f"expected numbers above zero (got {values!r})")
+    return out
+
+
+def above_zero(value: Any) -> float:
+    """Return a finite number above zero; raise ``ValueError`` for anything else."""
+    return float(positive_numbers([value], 1)[0])

@@ -1,13 +1,12 @@
-"""What contacts at once do to the markers' images, beyond the sum of what each does alone.
+"""Interactions of simultaneous contacts: marker shifts beyond the sum of single contacts.
 
-Koiter's second term of several forces holds, besides each one's own f²·S₂, a mixed term for each
-two of them, ::
+Koiter's second-order term of several forces contains f²·S₂ of each and a mixed term of each two, ::
 
     d ⊃ f₁·f₂·M(place₁, place₂)
 
-since one contact's stress and turn stiffen or soften the wall for the other. Images M of all places
-lie, but for a few hundredths, in a space of some dozen dimensions: tabulated are that space's
-axes, and M's coordinates over pairs of places.
+since the stress and rotation of one contact stiffen or soften the wall for the other. Up to a few
+percent, the images M of all places lie in a space of some dozen dimensions: tabulated are the axes
+of that space, and the coordinates of M over pairs of places.
 """
 
 from collections.abc import Sequence
@@ -21,36 +20,31 @@ from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_shapes.arrays import FloatArray
 
 INTERACTION_SHARE_MAX = 0.3
-"""Largest mixed term over what each of the two does alone: contacts that all but cover each other
-are no pair."""
-
-NEAR_MM = 0.05
-"""M changes over a patch, of some millimetres, and is a few hundredths of the response."""
-KEPT = 128
-"""Pairs of places whose blocks are kept; one of cylinder60 holds 100 kB."""
+"""Largest interaction over the shifts of each contact alone: the tables do not hold for contacts
+that nearly coincide."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class InteractionTable:
-    """Mixed terms over each two of p places.
+    """Interactions over each two of p places.
 
     Attributes
     ----------
-    grid : Places
+    grid : ResponseTable
         The places; their rows (p, p, r) are coordinates of M.
     axes_px : (r, 2n) float32
-        Images, px/N², that these count.
+        Images of the coordinates, px/N².
     """
 
     grid: ResponseTable
     axes_px: NDArray[np.float32]
 
     def scaled(self, stiffness: float) -> "InteractionTable":
-        """Those of a sensor that is stiffer by a factor."""
+        """Return the table of a sensor stiffer by a factor."""
         return replace(self, axes_px=self.axes_px / np.float32(stiffness**2))
 
     def between(self, points_mm: FloatArray) -> NDArray[np.float32]:
-        """M (k, 2n) px/N² of each two of points (c, 3), in the order of ``numpy.tril_indices``."""
+        """Return M (k, 2n) px/N² of each two of points (c, 3), in the order of ``tril_indices``."""
         places, counts = self.grid.shares(points_mm)
         own, weight = places.tolist(), counts.astype(np.float32)
         rows = [
@@ -60,11 +54,11 @@ class InteractionTable:
         return np.asarray(np.stack(rows) @ self.axes_px)
 
     def _block(self, one: int, other: int) -> NDArray[np.float32]:
-        """Coordinates (q, q·r) of M over the places around two places."""
+        """Return coordinates (q, q·r) of M over the places around two places."""
         block = self._blocks.get((one, other))
         if block is None:
-            if len(self._blocks) >= KEPT:
-                # The oldest.
+            # 128 blocks, of 100 kB each for cylinder60.
+            if len(self._blocks) >= 128:
                 del self._blocks[next(iter(self._blocks))]
             near, _ = self.grid.fits
             block = self.grid.shift_px[near[one][:, None], near[other]]
@@ -73,18 +67,18 @@ class InteractionTable:
 
     @cached_property
     def _blocks(self) -> dict[tuple[int, int], NDArray[np.float32]]:
-        """Contacts stay where they are for many rounds, and frames."""
+        """Blocks of recent pairs of places: contacts stay for many iterations and frames."""
         return {}
 
 
 @dataclass(kw_only=True)
 class InteractionCache:
-    """Mixed terms while one fit moves its contacts: made anew where they have moved.
+    """Interactions during one fit, computed again where contacts have moved.
 
     Attributes
     ----------
-    pairs : Pairs
-        Tables.
+    pairs : InteractionTable
+        The table.
     """
 
     pairs: InteractionTable
@@ -92,9 +86,12 @@ class InteractionCache:
     _images: NDArray[np.float32] | None = None
 
     def between(self, points_mm: FloatArray) -> NDArray[np.float32]:
-        """Those of points (c, 3), or of others less than :data:`NEAR_MM` away; as of the pairs."""
+        """Return M of points (c, 3), or of earlier points less than 0.05 mm away.
+
+        M changes over millimetres, and is a few percent of the response.
+        """
         last = self._points_mm
-        if self._images is None or last is None or np.abs(points_mm - last).max() > NEAR_MM:
+        if self._images is None or last is None or np.abs(points_mm - last).max() > 0.05:
             self._images, self._points_mm = self.pairs.between(points_mm), points_mm
         return self._images
 
@@ -104,20 +101,20 @@ def add_interactions(
     force_N: FloatArray,
     parts: Sequence[tuple[FloatArray, FloatArray]],
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Add mixed terms of c contacts to what each does alone.
+    """Return shifts and slopes of c contacts with their interactions.
 
     Parameters
     ----------
     images : (k, 2n) float32
         M px/N² of each two, see :meth:`InteractionTable.between`.
     force_N : (c,) float
-        Of the contacts.
+        Forces of the contacts.
     parts : sequence of ((2n,), (u, 2n)) float
-        Shifts of each, and their slopes by its unknowns, of which the first is the force: these
-        are changed. How M goes with the places is left out of them: it goes little.
+        Shifts of each, and their slopes by its unknowns, of which the first is the force; the
+        slopes are changed. They leave out the small change of M with the places.
     """
     size = np.array([np.linalg.norm(total) for total, _ in parts])
-    # Strictly below the diagonal, row by row, as those are.
+    # Strictly below the diagonal, row by row, as the images.
     i, k = np.array(_each_two(len(parts))).T
     both = force_N[i] * force_N[k]
     much = both * np.linalg.norm(images, axis=1)

@@ -1,19 +1,19 @@
-"""How contacts on one flat wall stiffen it for each other.
+"""Membrane stretching: how contacts on one flat wall stiffen it for each other.
 
-A flat wall that is pressed in stretches, and its tension stiffens it. To good accuracy that is one
-number for the whole wall (Berger 1955, the energy of a plate without the second invariant of its
-strains), under which the wall is linear. It goes with the integral of the wall's squared slope: of
-contacts j and k with forces f that is f_j f_k s_j·s_k summed over all pairs, s being what a newton
-of each does to the slopes, in as many numbers as tell their products. A wall of one mode of
-deflection loses the share v of its softness, ::
+A flat wall that is pressed in stretches, and its tension stiffens it. To good accuracy the tension
+is one number for the whole wall (Berger 1955, the energy of a plate without the second invariant
+of its strains), at which the wall is linear. It is proportional to the integral of the wall's
+squared slope: for contacts j and k with forces f the sum of f_j f_k s_j·s_k over all pairs, where
+s is the slope by a newton in coordinates that keep the products. A wall of one mode of deflection
+loses the share v of its softness, ::
 
     v / (1 - v) = |Σ_j f_j s_j(v)|²
 
-and all of its places answer by powers of v, as s itself does, since what is stiffer slopes less.
-Beside a contact tension is more than elsewhere, so that what it does alone goes by powers of its
-force, as large displacements have it; only what others take from its response besides goes by v,
-from that under it alone to that under all. Curved walls bend more than they stretch, here more
-and there less: of those :mod:`pairs` tells.
+and the responses of all places are powers of v, as is s itself, since a stiffer wall slopes less.
+Near a contact the tension is larger than elsewhere, so that its own response is tabulated by powers
+of its force, from large displacements. Only the reduction by other contacts is a function of v,
+between its value under the contact alone and under all. Curved walls bend more than they stretch,
+differently from place to place: see :mod:`phytac_decoder.mechanics.interaction_table`.
 """
 
 from dataclasses import dataclass, replace
@@ -24,17 +24,6 @@ from numpy.typing import NDArray
 
 from phytac_shapes.arrays import FloatArray, IntArray
 
-SURE = 1.1
-"""How far powers of the force hold beyond the largest that tables were made with."""
-NEAR_TOP = 2.0 / 3.0
-"""Share of that force from which to it the response tells how it goes on; at the very end the
-slope of a fitted power is anything."""
-STEEPEST = 1.0
-"""Largest exponent of the response per newton there, either way; a membrane's is -2/3."""
-
-STEPS, STILL = 40, 1e-12
-"""Looks for v, and the last change of it."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class BergerWall:
@@ -43,11 +32,11 @@ class BergerWall:
     Attributes
     ----------
     wall : (p,) int
-        Number of each place's wall; -1 where there is none.
+        Wall of each place; -1 where there is none.
     slopes : (p, k, r) float32
-        What a newton on each place does to its wall's slopes, by powers of v from 0.
+        Slopes of the wall by a newton on each place, by powers of v from 0.
     most : float
-        Largest v that the tables hold for.
+        Largest v that the tables are valid for.
     """
 
     wall: IntArray
@@ -60,7 +49,7 @@ class BergerWall:
         return int(self.slopes.shape[1]) - 1
 
     def scaled(self, stiffness: float) -> "BergerWall":
-        """Those of a sensor that is stiffer by a factor."""
+        """Return the walls of a sensor stiffer by a factor."""
         return replace(self, slopes=self.slopes / np.float32(stiffness))
 
     def cubic(self, near: IntArray, weights: NDArray[np.float32], place: int) -> FloatArray:
@@ -70,9 +59,9 @@ class BergerWall:
 
 
 def lost_softness(slopes: FloatArray, most: float) -> tuple[float, float]:
-    """Share v of its softness that a wall loses under slopes (k, r), and dv/d|slopes|².
+    """Return the share v of softness that a wall loses under slopes (k, r), and dv/d|slopes|².
 
-    v is at most ``most``; there it no longer grows.
+    v is at most ``most``; there its derivative is 0. Newton's method with bisection.
     """
     gram = slopes @ slopes.T
     square = np.zeros(2 * len(gram) - 1)
@@ -81,7 +70,7 @@ def lost_softness(slopes: FloatArray, most: float) -> tuple[float, float]:
     change = polynomial.polyder(square)
 
     def over(v: float) -> tuple[float, float]:
-        """What is asked for less what is lost, and its slope."""
+        """Return the residual of the equation of v, and its derivative."""
         size = float(polynomial.polyval(v, square))
         slope = float(polynomial.polyval(v, change))
         return (1.0 - v) * size - v, (1.0 - v) * slope - size - 1.0
@@ -90,12 +79,12 @@ def lost_softness(slopes: FloatArray, most: float) -> tuple[float, float]:
         return most, 0.0
     low, high = 0.0, most
     v = min(float(square[0]), 0.5) * most
-    for _ in range(STEPS):
-        left, slope = over(v)
-        low, high = (v, high) if left > 0.0 else (low, v)
-        step = v - left / slope if slope < 0.0 else low - 1.0
+    for _ in range(40):
+        residual, slope = over(v)
+        low, high = (v, high) if residual > 0.0 else (low, v)
+        step = v - residual / slope if slope < 0.0 else low - 1.0
         new = step if low < step < high else (low + high) / 2.0
-        if abs(new - v) <= STILL:
+        if abs(new - v) <= 1e-12:
             break
         v = new
     return v, (1.0 - v) / -min(over(v)[1], -1e-9)
@@ -104,17 +93,17 @@ def lost_softness(slopes: FloatArray, most: float) -> tuple[float, float]:
 def order_factors(
     rows: NDArray[np.float32], force_N: float, top_N: float
 ) -> tuple[FloatArray, FloatArray]:
-    """What orders (k,) of the response per newton count for under a force, and how that grows.
+    """Return factors (k,) of the orders of the response per newton at a force, and their growth.
 
-    Far beyond the force that tables were made with powers run away: there the response goes on as
-    it does up to that one, by a power of the force.
+    Above 1.1 times the largest tabulated force the response is extrapolated by a power law with
+    the exponent of the last third of the table, limited to ±1; a membrane's is -2/3.
 
     Parameters
     ----------
     rows : (k, 2n) float32
         Orders of the response.
     force_N, top_N : float
-        Where, and how far the tables go.
+        The force, and the largest tabulated force.
 
     Returns
     -------
@@ -122,12 +111,12 @@ def order_factors(
         Factors, and the logarithmic derivative of each by the force.
     """
     order = np.arange(len(rows))
-    within = min(force_N, SURE * top_N)
+    within = min(force_N, 1.1 * top_N)
     powers = within ** order.astype(np.float64)
     if within == force_N:
         return powers, order.astype(np.float64)
-    ends = top_N * np.array([[NEAR_TOP], [1.0]])
+    ends = top_N * np.array([[2.0 / 3.0], [1.0]])
     before, there = np.linalg.norm((ends**order).astype(np.float32) @ rows, axis=1) + 1e-30
-    exponent = float(np.clip(np.log(there / before) / -np.log(NEAR_TOP), -STEEPEST, STEEPEST))
+    exponent = float(np.clip(np.log(there / before) / np.log(1.5), -1.0, 1.0))
     scale = (force_N / within) ** exponent
     return scale * powers, np.full(len(rows), exponent)

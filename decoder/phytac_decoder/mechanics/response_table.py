@@ -1,17 +1,17 @@
-"""What a contact at any place does to the markers' images: tables over places, and between them.
+"""Response table of the estimator ``auto``: marker shifts of a contact at any place.
 
 A patch of force f about a place shifts the images by::
 
     d(f) = f·S₁ + f²·S₂ + f³·S₃
 
-with one row of each S per place, tabulated for an even disc. Between places the rows are a cubic
-in the tangent plane, fitted to the places around (moving least squares). What another patch of
-the same force does differs by its moments, to second order: a shift (x, y) of its centre, and
-second moments about it that are not the disc's, ::
+with one row of each S per place, tabulated for a uniform disc. Between places the rows are a cubic
+in the tangent plane, fitted to the places around (moving least squares). Another patch of the same
+force differs by its moments, to second order: a shift (x, y) of its centre, and the difference m
+of its second moments to the disc's, ::
 
     d = S(x, y) + ½·(m_xx ∂²S/∂x² + 2·m_xy ∂²S/∂x∂y + m_yy ∂²S/∂y²)
 
-so that one table serves discs, balls and edges of any size and turn (derived here).
+so that one table serves discs, spheres and edges of any size and orientation (derived here).
 """
 
 from collections.abc import Sequence
@@ -29,20 +29,14 @@ if TYPE_CHECKING:
     from phytac_decoder.mechanics.membrane_stretching import BergerWall
 
 FIT_PLACES = 20
-"""Places that a cubic is fitted to: twice its ten coefficients."""
+"""Number of places that a cubic is fitted to: twice its ten coefficients."""
 TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
 """Powers of x and y of the cubic."""
 FACTORIALS = (1.0, 1.0, 2.0, 6.0)
-LOPSIDED = 1.5
-"""Ratio of spreads of the places around from which on they are all on one side, as at a rim."""
-FADE = 4.0
-"""Weight of the farthest place that a cubic is fitted to, as exp(-FADE)."""
 FLAT_COSINE_DROP = 1e-4
-"""One less the cosine of the normals around a place on a flat wall: 0.8°."""
+"""Largest 1 - cos of the angle between normals on a flat wall: 0.8°."""
 FLATNESS_NEIGHBOURS = 8
-"""Places that are looked at for it."""
-CHUNK = 256
-"""Places handled together: bounds the memory."""
+"""Number of places whose normals are compared."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,15 +50,15 @@ class ResponseTable:
     along, around : (p, 3) float
         Unit tangents: away from the camera, and square to it.
     shift_px : (p, k, 2n) float32
-        S₁ … S_k: px per N, N², …, as (x0, y0, x1, y1, …). With walls, after these, px per N times
-        v, v², …: how the response goes with the softness that a wall has lost.
+        S₁ … S_k: px per N, N², …, as (x0, y0, x1, y1, …). With flat walls these are followed by
+        px per N of v, v², …: the response by the share v of softness that a wall has lost.
     radius_mm : float
-        Of the disc.
+        Radius of the disc.
     top_N : float
-        Largest force that the tables were made with.
-    pairs : Pairs, optional
-        What contacts at once do to each other.
-    walls : Walls, optional
+        Largest tabulated force.
+    pairs : InteractionTable, optional
+        Interactions of simultaneous contacts.
+    walls : BergerWall, optional
         Flat walls.
     """
 
@@ -92,7 +86,7 @@ class ResponseTable:
         return float(np.median(np.linalg.norm(gap, axis=1)))
 
     def scaled(self, stiffness: float) -> "ResponseTable":
-        """Tables of a sensor that is stiffer by a factor: d(f) becomes d(f / stiffness)."""
+        """Return the tables of a sensor stiffer by a factor: d(f) becomes d(f / stiffness)."""
         powers = np.ones(self.shift_px.shape[1])
         powers[: self.orders] = np.arange(1.0, self.orders + 1.0)
         rows = self.shift_px * (stiffness**-powers).astype(np.float32)[:, None]
@@ -104,18 +98,18 @@ class ResponseTable:
     def with_rows(
         self, shift_px: NDArray[np.float32], pairs: "InteractionTable | None"
     ) -> "ResponseTable":
-        """Other tables over the same places."""
+        """Return other tables over the same places."""
         return self._like(replace(self, shift_px=shift_px, pairs=pairs))
 
     def _like(self, out: "ResponseTable") -> "ResponseTable":
-        # Depends on the places alone, and takes a third of a second.
+        # These depend on the places alone, and computing them takes a third of a second.
         for known in ("fits", "flat"):
             if known in self.__dict__:
                 out.__dict__[known] = self.__dict__[known]
         return out
 
     def nearest(self, point_mm: FloatArray) -> IntArray:
-        """Number (m,) of the place nearest to each of points (m, 3)."""
+        """Return the index (m,) of the place nearest to each of points (m, 3)."""
         # |q|² - 2 p·q: |p|² is the same for all places.
         gap = self._squares - 2.0 * (point_mm @ self.point_mm.T)
         return np.asarray(np.argmin(gap, axis=1))
@@ -126,47 +120,51 @@ class ResponseTable:
 
     @cached_property
     def flat(self) -> BoolArray:
-        """Places (p,) on flat walls: those nearest to them look the same way."""
+        """Places (p,) on flat walls: the normals around them are parallel."""
         normal = np.cross(self.along, self.around)
         near = self.fits[0][:, :FLATNESS_NEIGHBOURS]
         return np.asarray(
             np.einsum("pqi,pi->pq", normal[near], normal).min(axis=1) > 1.0 - FLAT_COSINE_DROP
         )
 
-    def laid(self, place: int, points_mm: FloatArray) -> FloatArray:
-        """Tangent-plane coordinates (m, 2) of points (m, 3) about a place; chords keep lengths."""
-        arm = points_mm - self.point_mm[place]
-        return _laid(arm, self.along[place], self.around[place])
+    def tangent_coordinates(
+        self, places: int | Sequence[int] | IntArray, points_mm: FloatArray
+    ) -> FloatArray:
+        """Return tangent-plane coordinates (m, 2) of points (m, 3); lengths of chords are kept.
 
-    def beside(self, places: Sequence[int], points_mm: FloatArray) -> FloatArray:
-        """The same (m, 2) of points (m, 3), each about a place of its own."""
+        Parameters
+        ----------
+        places : int or (m,) int
+            The place about which, for all points or for each.
+        """
         arm = points_mm - self.point_mm[places]
-        return _laid(arm, self.along[places], self.around[places])
+        return _tangent_coordinates(arm, self.along[places], self.around[places])
 
     @cached_property
     def fits(self) -> tuple[IntArray, NDArray[np.float32]]:
-        """Places (p, q) that each cubic is fitted to, and what makes it of their rows, (p, 10, q).
+        """Places (p, q) that each cubic is fitted to, and its coefficients (p, 10, q).
 
         Coefficients are derivatives at the place: value, x, y, xx, xy, yy, xxx, xxy, xyy, yyy.
         """
         count = len(self.point_mm)
-        parts = [self._fitted(np.arange(k, min(k + CHUNK, count))) for k in range(0, count, CHUNK)]
+        # In chunks of 256 places, which bounds the memory.
+        parts = [self._fit(np.arange(k, min(k + 256, count))) for k in range(0, count, 256)]
         near, weights = zip(*parts, strict=True)
         return np.concatenate(near), np.concatenate(weights).astype(np.float32)
 
-    def _fitted(self, own: IntArray) -> tuple[IntArray, FloatArray]:
+    def _fit(self, own: IntArray) -> tuple[IntArray, FloatArray]:
         normal = np.cross(self.along, self.around)
         gap = self._squares - 2.0 * (self.point_mm[own] @ self.point_mm.T)
-        # On a thin sensor the far side is near: its normals tell.
+        # On a thin sensor the far side is near: its normals point the other way.
         gap[normal[own] @ normal.T <= 0.0] = np.inf
-        # The place itself first, whatever rounding says.
+        # The place itself first, regardless of rounding.
         gap[np.arange(len(own)), own] = -np.inf
         wanted = min(2 * FIT_PLACES, len(self.point_mm))
         near = np.argsort(gap, axis=1, kind="stable")[:, :wanted]
         far = np.isinf(np.take_along_axis(gap, near, axis=1))
         far[:, 0] = False
         arm = self.point_mm[near] - self.point_mm[own][:, None]
-        xy = _laid(arm, self.along[own][:, None], self.around[own][:, None])
+        xy = _tangent_coordinates(arm, self.along[own][:, None], self.around[own][:, None])
         best = _balanced(xy, far)[:, :FIT_PLACES]
         near, far = np.take_along_axis(near, best, axis=1), np.take_along_axis(far, best, axis=1)
         xy = np.take_along_axis(xy, best[:, :, None], axis=1)
@@ -174,62 +172,63 @@ class ResponseTable:
         size = np.where(size > 0.0, size, 1.0)
         xy = xy / size[:, None, None]
         basis = np.stack([xy[..., 0] ** a * xy[..., 1] ** b for a, b in TERMS], axis=2)
-        weight = np.where(far, 0.0, np.exp(-FADE * np.sum(xy**2, axis=2)))
+        # The farthest place has the weight exp(-4).
+        weight = np.where(far, 0.0, np.exp(-4.0 * np.sum(xy**2, axis=2)))
         fit = np.linalg.pinv(weight[:, :, None] * basis, rcond=1e-8) * weight[:, None]
         scale = np.array([FACTORIALS[a] * FACTORIALS[b] for a, b in TERMS])
         powers = size[:, None] ** np.array([a + b for a, b in TERMS])
         return near, fit * (scale / powers)[:, :, None]
 
     def shares(self, points_mm: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Place (m,) nearest to each of points (m, 3), and what rows count in the cubic there.
+        """Return the place (m,) nearest to each of points (m, 3), and weights of rows there.
 
-        Counts (m, q) are those of the rows of the places (q,) that it is fitted to, see
+        The weights (m, q) are those of the rows of the places that the cubic is fitted to, see
         :attr:`fits`.
         """
         place = self.nearest(points_mm)
-        x, y = self.beside(place.tolist(), points_mm).T
+        x, y = self.tangent_coordinates(place, points_mm).T
         xx, xy, yy = x * x / 2.0, x * y, y * y / 2.0
         cubic = (x * xx / 3.0, xx * y, x * yy, y * yy / 3.0)
         powers = np.stack([np.ones_like(x), x, y, xx, xy, yy, *cubic], axis=1)
         return place, np.einsum("mt,mtq->mq", powers, self.fits[1][place])
 
     def normals(self, points_mm: FloatArray) -> FloatArray:
-        """Outward unit normals (m, 3) at points (m, 3) of the outer face."""
+        """Return outward unit normals (m, 3) at points (m, 3) of the outer face."""
         place, counts = self.shares(points_mm)
         each = np.cross(self.along, self.around)[self.fits[0][place]]
         out = np.einsum("mq,mqi->mi", counts, each)
         return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
 
     def cubic(self, place: int) -> Any:
-        """Derivatives (10, k, 2n) float32 of the rows at a place; see :attr:`fits`."""
+        """Return derivatives (10, k, 2n) float32 of the rows at a place; see :attr:`fits`."""
         near, weights = self.fits
         rows = self.shift_px[near[place]].reshape(near.shape[1], -1)
         return (weights[place] @ rows).reshape(len(TERMS), *self.shift_px.shape[1:])
 
 
 def _balanced(xy: FloatArray, far: BoolArray) -> IntArray:
-    """Order (p, q) of the places (p, q, 2) around, nearest first.
+    """Return the order (p, q) of the places (p, q, 2) around, nearest first.
 
-    On a rim the nearest lie along it, on too few lines for a cubic across: there distances count
-    less the way in which the places spread less.
+    At a rim the nearest lie along it, on too few lines for a cubic across. There distances are
+    weighted by the spread of the places, so that those across come first.
     """
     weight = np.where(far, 0.0, 1.0)
     total = weight.sum(axis=1)
     mean = np.einsum("pq,pqi->pi", weight, xy) / total[:, None]
     from_mean = (xy - mean[:, None]) * weight[:, :, None]
     spread = np.einsum("pqi,pqj->pij", from_mean, from_mean) / total[:, None, None]
-    least, most = np.linalg.eigvalsh(spread).T
-    lopsided = most > LOPSIDED * least
+    low, high = np.linalg.eigvalsh(spread).T
+    one_sided = high > 1.5 * low
     square = np.sum(xy**2, axis=2)
     weighed = np.einsum("pqi,pij,pqj->pq", xy, spread, xy)
-    square = np.where(lopsided[:, None], weighed, square)
+    square = np.where(one_sided[:, None], weighed, square)
     square[far] = np.inf
     square[:, 0] = -np.inf
     return np.argsort(square, axis=1, kind="stable")
 
 
-def _laid(arm: FloatArray, along: FloatArray, around: FloatArray) -> FloatArray:
-    """Coordinates (…, 2) of arms (…, 3) in a tangent plane, as long as the arms."""
+def _tangent_coordinates(arm: FloatArray, along: FloatArray, around: FloatArray) -> FloatArray:
+    """Return coordinates (…, 2) of arms (…, 3) in a tangent plane, as long as the arms."""
     xy = np.stack([np.sum(arm * along, axis=-1), np.sum(arm * around, axis=-1)], axis=-1)
     flat = np.linalg.norm(xy, axis=-1)
     stretch = np.linalg.norm(arm, axis=-1) / np.where(flat > 0.0, flat, 1.0)

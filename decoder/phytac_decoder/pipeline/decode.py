@@ -77,7 +77,7 @@ class Measured:
             From :meth:`forces_N`.
         estimator : str, optional
             The one that gave them; all of them if not given.
-        found : Found, optional
+        found : ContactDetection, optional
             Contacts that ``auto`` has found in this frame.
         """
         out = []

@@ -1,46 +1,57 @@
-"""What speaks against a frame's forces: motion that no switch explains, switches without motion.
+"""Fault detection: motion that no switch explains, and switches without motion.
 
-Motion is held against the compliance of the key nodes and, with any sign, of their neighbours:
-where in its cell a contact presses, how wide it is, and large displacement are then not mistaken
-for a fault. Few markers that seem pressed all the same, as beside a rim, are held against the
-tables of ``auto`` as well, which know large displacement, where the decoder has them.
+Motion is compared with the compliance of the key nodes and, with any sign, of their neighbours.
+Where in its cell a contact presses, how wide it is, and large displacements are then not mistaken
+for a fault. If only a few markers seem pressed, as near a rim, the contacts of the estimator
+``auto`` are considered too, as its tables include large displacements.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from phytac_decoder.estimation.contact_estimates import ContactDetection
 from phytac_decoder.estimation.contact_grouping import group_key_nodes
-from phytac_decoder.estimation.locator import SILENT_MISFIT
+from phytac_decoder.estimation.locator import SETTINGS as LOCATOR_SETTINGS
 from phytac_decoder.io.bundle import Bundle
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-RIDGE = 1e-3
-"""Weight of a neighbour's own force against the motion it explains: neighbours are much alike."""
-PRESSED_TIMES, PRESSED_SHARE = 5.0, 0.06
-"""Unexplained motion is a press's that is as under so many times a switch's threshold, and this
-share of all force."""
-BESIDE_SHARE = 0.25
-"""Beside switches that are on, this share of their force as well."""
-NOISE_TIMES = 4.0
-"""And under the force of as many standard deviations of centroid noise."""
-STRAY_NOISES, STRAY_SHARE = 15.0, 0.2
-"""A marker is astray that is off by so many standard deviations of noise, and this share of the
-explained shift around it."""
-BLIND_TIMES, BLIND_SHARE = 4.0, 0.3
-"""A marker whose switch cannot be read is pressed that is off by what so many times the threshold
-makes, and this share of its explained shift."""
-RELEASED = 0.7
-"""A switch that is on carries this share of its threshold: below it lets go."""
-STRONG = 10.0
-"""A group of switches with so many times its threshold is not doubted."""
+
+@dataclass(frozen=True, kw_only=True)
+class FaultSettings:
+    """Settings, chosen on simulated faults of sensors of all shapes."""
+
+    ridge: float = 1e-3
+    """Penalty of a neighbour's force, over its gain: neighbours respond much alike."""
+    pressed_thresholds: float = 5.0
+    pressed_share: float = 0.06
+    pressed_noises: float = 4.0
+    """A marker seems pressed above the sum of so many thresholds of its switch, this share of all
+    force, and the force of so many standard deviations of centroid noise, …"""
+    beside_share: float = 0.25
+    """… and next to switches that are on, this share of their force."""
+    outlier_noises: float = 15.0
+    outlier_share: float = 0.2
+    """A marker is an outlier beyond so many standard deviations of noise, and this share of the
+    predicted shift around it."""
+    blind_thresholds: float = 4.0
+    blind_share: float = 0.3
+    """A marker with an unreadable switch is pressed beyond the shift by so many thresholds, and
+    this share of its predicted shift."""
+    release_share: float = 0.7
+    """Share of its threshold that a switch that is on carries at least: it releases below."""
+    strong_thresholds: float = 10.0
+    """A group of switches with so many times its threshold is trusted."""
+    excused_max: int = 2
+    """Largest number of pressed markers that ``auto`` may explain; around a dead switch more
+    markers seem pressed, nearly always."""
 
 
-EXCUSED_MOST = 2
-"""As many markers as seem pressed may be excused; under a dead switch more do, nearly always."""
+SETTINGS = FaultSettings()
 
 
 class FaultDetector:
-    """Motion of one frame, held against its switches.
+    """Motion of one frame, compared with its switches.
 
     Parameters
     ----------
@@ -50,8 +61,8 @@ class FaultDetector:
         Shift of each marker; NaN where not found.
     koi : (m,) int
         Switches that are on.
-    found : Found, optional
-        What ``auto`` has found in it already.
+    found : ContactDetection, optional
+        Result of ``auto`` for this frame, if it is known.
     """
 
     def __init__(
@@ -64,92 +75,93 @@ class FaultDetector:
         self.bundle, self.koi, self._found, model = bundle, koi, found, bundle.model
         self._rows, self._gram = model.patterns
         self.inverse_N = model.forces("koi_inverse", shift_px, koi)
-        self._plain = (self.inverse_N[koi] @ self._rows[koi]).reshape(-1, 2)
+        self._predicted = (self.inverse_N[koi] @ self._rows[koi]).reshape(-1, 2)
         self._seen = np.asarray(shift_px, dtype=np.float64)
-        # A marker that was not found does as it should.
-        self._shift = np.where(np.isfinite(shift_px), shift_px, self._plain)
+        # A marker that was not found has no residual.
+        self._shift = np.where(np.isfinite(shift_px), shift_px, self._predicted)
         self._right = self._rows @ self._shift.reshape(-1)
         neighbours = model.neighbours
         self._near = np.where(neighbours >= 0, neighbours, np.arange(len(neighbours))[:, None])
 
     def around(self, markers: IntArray) -> IntArray:
-        """Markers and their neighbours."""
+        """Return markers and their neighbours."""
         return np.union1d(markers, self._near[markers].ravel())
 
     def groups(self) -> list[IntArray]:
-        """Key nodes in groups of neighbours."""
+        """Return key nodes in groups of neighbours."""
         return [self.koi[rows] for rows in group_key_nodes(self.koi, self.bundle.model.neighbours)]
 
     def forces_on(self, markers: IntArray) -> FloatArray:
-        """Forces (k,) N of any sign on ``markers`` (k,) that explain the motion best."""
+        """Return forces (k,) N of any sign on ``markers`` (k,) that explain the motion best."""
         gram = self._gram[np.ix_(markers, markers)]
         own = gram.diagonal()
-        damped = gram + np.diag(RIDGE * own + 1e-12 * own.max(initial=0.0) + 1e-300)
+        damped = gram + np.diag(SETTINGS.ridge * own + 1e-12 * own.max(initial=0.0) + 1e-300)
         return np.asarray(np.linalg.solve(damped, self._right[markers]))
 
     def switches_without_force(self, forces_N: FloatArray) -> IntArray:
-        """Switches (k,) that are on where no force presses, by any estimator's forces (n,) N."""
+        """Return switches (k,) that are on without force, by any estimator's forces (n,) N."""
         threshold, out = self.bundle.threshold_N, [self.koi[:0]]
         for group in self.groups():
-            least = RELEASED * threshold[group].min()
+            release = SETTINGS.release_share * threshold[group].min()
             force = float(forces_N[group].sum())
-            if force > STRONG * least:
+            if force > SETTINGS.strong_thresholds * release:
                 continue
             others = np.setdiff1d(self.koi, group)
             rest = np.setdiff1d(self.around(others), self.around(group)) if len(others) else others
             both = np.concatenate([group, np.union1d(rest, others)])
             alone = float(self.forces_on(both)[: len(group)].sum())
-            if min(force, alone) < least:
+            if min(force, alone) < release:
                 out.append(group)
         return np.concatenate(out)
 
     def unexplained(self) -> tuple[IntArray, IntArray]:
-        """Markers that moved as if pressed, and others that are astray; (j,) and (k,)."""
+        """Return markers (j,) that moved as if pressed, and outliers (k,)."""
         bundle, model = self.bundle, self.bundle.model
         allowed = self.around(self.koi) if len(self.koi) else self.koi
         forces = self.forces_on(allowed)
         motion = (forces @ self._rows[allowed]).reshape(-1, 2)
         size = np.linalg.norm(motion, axis=1)
         off = np.linalg.norm(self._shift - motion, axis=1)
-        usual = STRAY_SHARE * size[self._near].max(axis=1, initial=0.0)
+        usual = SETTINGS.outlier_share * size[self._near].max(axis=1, initial=0.0)
         noise = bundle.noise_centroid_px
-        astray = off > STRAY_NOISES * noise + usual
+        outlier = off > SETTINGS.outlier_noises * noise + usual
         own = np.maximum(self._gram.diagonal(), 1e-300)
         as_force = (self._right - forces @ self._gram[allowed]) / own
         limit = (
-            PRESSED_TIMES * bundle.threshold_N
-            + PRESSED_SHARE * self.inverse_N.sum()
-            + NOISE_TIMES * noise * model.inverse_noise_N_px
+            SETTINGS.pressed_thresholds * bundle.threshold_N
+            + SETTINGS.pressed_share * self.inverse_N.sum()
+            + SETTINGS.pressed_noises * noise * model.inverse_noise_N_px
         )
         as_force[allowed] = forces
         for group in self.groups():
-            beside = BESIDE_SHARE * float(self.inverse_N[group].sum())
-            limit[self.around(group)] += beside
+            limit[self.around(group)] += SETTINGS.beside_share * float(self.inverse_N[group].sum())
         pressed = (as_force > limit) & bundle.force_readable
         pressed[self.koi] = False
-        suspects = np.flatnonzero(pressed | self._unread())
-        if self._excused(suspects, limit[suspects]):
+        suspects = np.flatnonzero(pressed | self._blind_pressed())
+        if self._explained_by_contacts(suspects, limit[suspects]):
             suspects = suspects[:0]
-        return suspects, np.flatnonzero(astray)
+        return suspects, np.flatnonzero(outlier)
 
-    def _excused(self, markers: IntArray, limit_N: FloatArray) -> bool:
-        """Whether contacts with switches explain all motion, without these markers (k,)."""
+    def _explained_by_contacts(self, markers: IntArray, limit_N: FloatArray) -> bool:
+        """Return whether contacts with switches explain all motion, without these markers (k,)."""
         model = self.bundle.model
-        if model.locator is None or not len(self.koi) or not 1 <= len(markers) <= EXCUSED_MOST:
+        few = 1 <= len(markers) <= SETTINGS.excused_max
+        if model.locator is None or not len(self.koi) or not few:
             return False
         found = self._found or model.contacts(self._seen, self.koi)
-        silent = any(len(contact.markers) == 0 for contact in found.contacts)
-        if silent or found.misfit > SILENT_MISFIT:
+        unswitched = any(len(contact.markers) == 0 for contact in found.contacts)
+        if unswitched or found.reduced_chi2 > LOCATOR_SETTINGS.chi2_unexplained:
             return False
-        left = np.nan_to_num(self._seen.reshape(-1) - found.shift_px)
+        residual = np.nan_to_num(self._seen.reshape(-1) - found.shift_px)
         own = np.maximum(self._gram.diagonal()[markers], 1e-300)
-        as_force = (self._rows[markers] @ left) / own
+        as_force = (self._rows[markers] @ residual) / own
         return bool((as_force <= limit_N).all())
 
-    def _unread(self) -> BoolArray:
-        """Markers (n,) that moved as if pressed and whose switches cannot be read.
+    def _blind_pressed(self) -> BoolArray:
+        """Return markers (n,) with an unreadable switch that moved as if pressed.
 
-        Theirs may be pressed beside one that is on, of which the rest is not suspected.
+        They may be pressed by a contact whose other switch is on, where :meth:`unexplained`
+        allows any force.
         """
         bundle = self.bundle
         blind = ~bundle.tips.readable
@@ -158,7 +170,7 @@ class FaultDetector:
             return blind
         own = np.arange(len(blind))
         unit = np.linalg.norm(self._rows.reshape(len(blind), -1, 2)[own, own], axis=1)
-        off = np.linalg.norm(self._shift - self._plain, axis=1)
-        limit = BLIND_TIMES * (bundle.threshold_N * unit + bundle.noise_centroid_px)
-        limit += BLIND_SHARE * np.linalg.norm(self._plain, axis=1)
+        off = np.linalg.norm(self._shift - self._predicted, axis=1)
+        limit = SETTINGS.blind_thresholds * (bundle.threshold_N * unit + bundle.noise_centroid_px)
+        limit += SETTINGS.blind_share * np.linalg.norm(self._predicted, axis=1)
         return np.asarray(blind & (off > limit))

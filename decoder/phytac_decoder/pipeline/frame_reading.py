@@ -25,7 +25,7 @@ class Reading:
         Reasons to distrust them.
     valid : bool
         Whether the frame could be decoded at all.
-    found : Found, optional
+    found : ContactDetection, optional
         Contacts, by an estimator that finds them itself (``auto``): those on switches, and those
         that tripped none.
     """

@@ -1,1 +1,1 @@
-"""How far a decoder's forces are from the truth."""
+"""Evaluation of decoders: errors of their forces."""

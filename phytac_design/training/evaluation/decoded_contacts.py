@@ -1,4 +1,4 @@
-"""Contacts of data sets, and what each estimator says of them."""
+"""Contacts of data sets, decoded by each estimator."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -21,19 +21,19 @@ class DecodedContacts:
     sample, touch : (c,) int
         Sample of each contact, and its row in the samples' touches.
     force_N : (c,) float
-        True force: the sum over the switches whose contact it is; where it tripped none, its own.
+        True force: the sum over the contact's switches; without a switch, the contact's own.
     tripped : (c,) bool
-        Whether it turned on a switch at all: what did not, no decoder of switches can see.
+        Whether it turned on a switch; other contacts cannot be seen by switches.
     read : (c,) bool
         Whether at least one of its switches was read as on.
     decoded_N : dict of (c,) float
-        By estimator: the sum of decoded forces over the switches whose contact it is.
-    judged : (j,) int
+        By estimator: the sum of decoded forces over the contact's switches.
+    evaluated : (j,) int
         Samples that did not fail.
     elsewhere_N : dict of (j,) float
-        By estimator: decoded force on receptors that no contact presses, per such sample.
+        By estimator: decoded force on receptors without a contact, per evaluated sample.
     missed, on, false, off : int
-        Switches that were on but not read, those on, those read but not on, those off.
+        Number of switches that were on but not read, on, read but not on, and off.
     """
 
     sample: IntArray
@@ -42,7 +42,7 @@ class DecodedContacts:
     tripped: BoolArray
     read: BoolArray
     decoded_N: dict[str, FloatArray]
-    judged: IntArray
+    evaluated: IntArray
     elsewhere_N: dict[str, FloatArray]
     missed: int
     on: int
@@ -50,7 +50,7 @@ class DecodedContacts:
     off: int
 
     def switches(self) -> dict[str, Any]:
-        """How well switches were read, plain JSON."""
+        """Return how well switches were read, plain JSON."""
         return {
             "on": self.on,
             "off": self.off,
@@ -73,18 +73,18 @@ def decode_contacts(
     Parameters
     ----------
     model : ForceModel
-        Of the sensor.
+        Force model of the sensor.
     samples : Samples
         With points, contacts and truth.
     estimators : list of str, optional
-        Names; all that the model has if not given.
+        Names; by default all of the model.
     progress : callable
-        Called with the name of the estimator at work.
+        Called with the name of each estimator.
 
     Raises
     ------
     InputError
-        If the samples lack something.
+        If the samples lack shifts, switches, contacts or truth.
     NumericalError
         If an estimator gives a force that is not a finite number.
     """
@@ -96,13 +96,13 @@ def decode_contacts(
             "the data with --keep points"
         )
     usable = samples.status != FAILED
-    judged = np.flatnonzero(usable)
+    evaluated = np.flatnonzero(usable)
     row = np.flatnonzero(truth.touch >= 0)
     owner = truth.touch[row]
     count = len(touches.sample)
 
     def per_touch(values: FloatArray) -> FloatArray:
-        """Sum (t,) values of the switches over their contacts."""
+        """Sum values (t,) of the switches over their contacts."""
         return np.bincount(owner, weights=values[row], minlength=count).astype(np.float64)
 
     tripped = np.bincount(owner, minlength=count) > 0
@@ -113,13 +113,13 @@ def decode_contacts(
     for name in estimators if estimators is not None else model.estimators:
         progress(name)
         forces = np.zeros(bits.shape)
-        for k in judged.tolist():
+        for k in evaluated.tolist():
             forces[k] = model.forces(name, shift[k], np.flatnonzero(read[k]))
         if not np.isfinite(forces).all():
             bad = int(np.flatnonzero(~np.isfinite(forces).all(axis=1))[0])
             raise NumericalError(
-                f"estimator {name} gives forces that are not numbers in sample {bad}; train it "
-                "again, or leave that sample out"
+                f"estimator {name} gives forces that are not numbers in sample {bad}; train "
+                "it again, or leave that sample out"
             )
         decoded[name] = per_touch(forces[truth.sample, truth.marker])[keep]
         on_contacts = np.bincount(
@@ -127,8 +127,8 @@ def decode_contacts(
             weights=forces[truth.sample[row], truth.marker[row]],
             minlength=samples.count,
         )
-        elsewhere[name] = (forces.sum(axis=1) - on_contacts)[judged]
-    seen_on, seen_read = bits[judged], read[judged]
+        elsewhere[name] = (forces.sum(axis=1) - on_contacts)[evaluated]
+    seen_on, seen_read = bits[evaluated], read[evaluated]
     return DecodedContacts(
         sample=touches.sample[keep],
         touch=keep,
@@ -136,7 +136,7 @@ def decode_contacts(
         tripped=tripped[keep],
         read=(per_touch(was_read) > 0.0)[keep],
         decoded_N=decoded,
-        judged=judged,
+        evaluated=evaluated,
         elsewhere_N=elsewhere,
         missed=int((seen_on & ~seen_read).sum()),
         on=int(seen_on.sum()),

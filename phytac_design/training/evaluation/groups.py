@@ -1,4 +1,4 @@
-"""Contacts in groups: by data set, by kind, by force, by place."""
+"""Groups of contacts: by data set, by kind, by force, by place."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,10 +17,9 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import InputError
 
 FORCE_EDGES_N = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 25.0, np.inf)
-"""The paper tells 0.5 to 25 N from below 5 N; the ranges between are ours."""
+"""The paper distinguishes 0.5 to 25 N and below 5 N; the other ranges are ours."""
 SMALL_N = 5.0
-HEIGHTS = 10
-SIDES = 8
+HEIGHTS, SIDES = 10, 8
 KINDS = ("single", "several", "grip")
 
 Groups = dict[str, dict[str, BoolArray]]
@@ -28,14 +27,14 @@ Groups = dict[str, dict[str, BoolArray]]
 
 @dataclass(frozen=True, kw_only=True)
 class ContactPositions:
-    """Where contacts are, c of them.
+    """Positions of contacts (c) on the surface.
 
     Attributes
     ----------
     along : (c,) float
-        Share of the way from the near to the far rim, along the surface.
+        Distance from the near rim over that of the far rim, along the surface.
     around : (c,) float
-        Share of the way around, or across a sheet: of the chart's v.
+        Share of the circumference, or of the width of a sheet: of the chart's v.
     """
 
     along: FloatArray
@@ -43,7 +42,7 @@ class ContactPositions:
 
 
 def contact_positions(design: Design, uv: FloatArray) -> ContactPositions:
-    """Places of chart positions ``uv`` (c, 2) on a design's surface."""
+    """Return positions of chart coordinates ``uv`` (c, 2) on a design's surface."""
     context = Context(design=design, accuracy=PRESETS["draft"], seed=0)
     low, high = context.surface.domain[1]
     return ContactPositions(
@@ -53,17 +52,12 @@ def contact_positions(design: Design, uv: FloatArray) -> ContactPositions:
 
 
 def kinds(sets: Sequence[DataSet], samples: Samples, decoded: DecodedContacts) -> IntArray:
-    """Index into ``KINDS`` of every contact, (c,): of a scenario of grips, or by its sample."""
-    grip = np.concatenate(
-        [np.full(item.samples.count, _is_grip(item), dtype=np.bool_) for item in sets]
-    )
+    """Return the index into ``KINDS`` of every contact, (c,)."""
+    scenarios = [item.meta.notes.get("scenario") for item in sets]
+    grips = [isinstance(each, dict) and each.get("kind") == "grips" for each in scenarios]
+    grip = np.repeat(grips, [item.samples.count for item in sets])
     alone = samples.contacts[decoded.sample] <= 1
     return np.where(grip[decoded.sample], 2, np.where(alone, 0, 1))
-
-
-def _is_grip(item: DataSet) -> bool:
-    scenario = item.meta.notes.get("scenario")
-    return isinstance(scenario, dict) and scenario.get("kind") == "grips"
 
 
 def groups_of(
@@ -72,26 +66,26 @@ def groups_of(
     decoded: DecodedContacts,
     where: ContactPositions | None,
 ) -> Groups:
-    """All groups, each a mask (c,) over the contacts that tripped a switch; empty ones left out.
+    """Return groups as masks (c,) of contacts that turned on a switch; empty groups are left out.
 
     Parameters
     ----------
     sets, samples : list of DataSet, Samples
-        The data sets, and they joined.
-    decoded : Decoded
-        Their contacts.
-    where : Places or None
-        Of the contacts; None where the design is not at hand.
+        The data sets, and the same joined.
+    decoded : DecodedContacts
+        Contacts of the joined samples.
+    where : ResponseTable or None
+        Positions of the contacts; None without the design.
 
     Raises
     ------
     InputError
-        If no contact tripped a switch.
+        If no contact turned on a switch.
     """
     on, force = decoded.tripped, decoded.force_N
     if not on.any():
         raise InputError(
-            f"none of {len(on)} contacts tripped a switch: there is nothing to judge; press "
+            f"none of {len(on)} contacts tripped a switch: there is nothing to evaluate; press "
             "harder, or on receptors"
         )
     kind = kinds(sets, samples, decoded)
@@ -132,7 +126,7 @@ def _range(low_N: float, high_N: float) -> str:
 
 
 def _distinct(names: Sequence[str]) -> list[str]:
-    """Names with a number where several are the same."""
+    """Append a number where several names are the same."""
     return [
         f"{name} ({names[: k + 1].count(name)})" if names.count(name) > 1 else name
         for k, name in enumerate(names)

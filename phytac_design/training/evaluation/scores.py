@@ -10,46 +10,9 @@ import numpy as np
 
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-RESAMPLES = 1000
-LEVEL = 0.95
+RESAMPLES, LEVEL = 1000, 0.95
 TOGETHER = 2_000_000
-"""Numbers held at once while medians are resampled."""
-
-
-def error_summary(estimate_N: FloatArray, truth_N: FloatArray) -> dict[str, float]:
-    """Errors of estimated against true forces, (c,) each; NaN where there is none.
-
-    Returns
-    -------
-    dict
-        ``accuracy`` is 1 − ``relative_error``, the mean of |error| / force (paper);
-        ``absolute_error_sd_N`` is the standard deviation of |error|, ``error_sd_N`` that of the
-        error with its sign, whose mean is ``bias_N``.
-    """
-    error = estimate_N - truth_N
-    size = np.abs(error)
-    if len(error) == 0:
-        return {"contacts": 0} | dict.fromkeys(METRICS, float("nan")) | MEDIANS_NONE
-    relative = size / truth_N
-    return {
-        "contacts": len(error),
-        "relative_error": float(relative.mean()),
-        "accuracy": float(1.0 - relative.mean()),
-        "relative_error_median": float(np.median(relative)),
-        "absolute_error_mean_N": float(size.mean()),
-        "absolute_error_sd_N": float(size.std()),
-        "absolute_error_median_N": float(np.median(size)),
-        "rmse_N": float(np.sqrt((error**2).mean())),
-        "bias_N": float(error.mean()),
-        "error_sd_N": float(error.std()),
-    }
-
-
-def _root(values: FloatArray) -> FloatArray:
-    # Rounding can bring a variance that is zero below it.
-    return np.sqrt(np.maximum(values, 0.0))
-
-
+"""Numbers in memory at once while medians are resampled."""
 METRICS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "relative_error": lambda m: m[0],
     "accuracy": lambda m: 1.0 - m[0],
@@ -61,19 +24,53 @@ METRICS: dict[str, Callable[[FloatArray], FloatArray]] = {
 }
 """From the means of |e|/F, |e|, e and e² over the contacts."""
 MEDIANS = {"relative_error_median": 0, "absolute_error_median_N": 1}
-MEDIANS_NONE = dict.fromkeys(MEDIANS, float("nan"))
+"""Row of |e|/F, |e|, e and e² whose median it is."""
+
+
+def _root(values: FloatArray) -> FloatArray:
+    # Rounding can make a variance of zero negative.
+    return np.sqrt(np.maximum(values, 0.0))
+
+
+def _errors(estimate_N: FloatArray, truth_N: FloatArray) -> FloatArray:
+    """Return |e|/F, |e|, e and e² of contacts, (4, c)."""
+    error = estimate_N - truth_N
+    size = np.abs(error)
+    return np.stack([size / truth_N, size, error, error**2])
+
+
+def error_summary(estimate_N: FloatArray, truth_N: FloatArray) -> dict[str, float]:
+    """Return errors of estimated against true forces, (c,) each; NaN without contacts.
+
+    Returns
+    -------
+    dict
+        ``accuracy`` is 1 − ``relative_error``, the mean of |error| / force (paper);
+        ``absolute_error_sd_N`` is the standard deviation of |error|, ``error_sd_N`` that of the
+        signed error, whose mean is ``bias_N``.
+    """
+    count = len(estimate_N)
+    if count == 0:
+        return {"contacts": 0} | dict.fromkeys((*METRICS, *MEDIANS), float("nan"))
+    errors = _errors(estimate_N, truth_N)
+    means = errors.mean(axis=1)
+    return (
+        {"contacts": count}
+        | {name: float(metric(means)) for name, metric in METRICS.items()}
+        | {name: float(np.median(errors[row])) for name, row in MEDIANS.items()}
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bootstrap:
-    """Resampled samples: contacts of one sample share its noise and its press, so stay together.
+    """Bootstrap over samples: contacts of one sample share its noise and its press.
 
     Attributes
     ----------
     sample : (c,) int
         Sample of each contact, any numbers.
     seed : int
-        Of the draws.
+        Seed of the draws.
     resamples : int
         Draws, with replacement, of as many samples as there are.
     """
@@ -84,13 +81,13 @@ class Bootstrap:
 
     @cached_property
     def groups(self) -> tuple[int, IntArray]:
-        """Number of samples that have a contact, and which of them each contact is of."""
+        """Number of samples that have a contact, and the index of each contact's sample."""
         names, member = np.unique(self.sample, return_inverse=True)
         return len(names), member
 
     @cached_property
     def weights(self) -> IntArray:
-        """How often each sample is drawn, (resamples, samples); the same for every estimator."""
+        """Draws of each sample, (resamples, samples); the same for every estimator."""
         count = self.groups[0]
         drawn = np.random.default_rng(self.seed).integers(0, count, (self.resamples, count))
         flat = drawn + count * np.arange(self.resamples)[:, None]
@@ -100,35 +97,28 @@ class Bootstrap:
     def score(
         self, estimate_N: FloatArray, truth_N: FloatArray, chosen: BoolArray
     ) -> dict[str, Any]:
-        """Errors over the chosen contacts, each with the interval of its resamples.
+        """Return errors over the chosen contacts, each with its bootstrap interval.
 
         Returns
         -------
         dict
-            ``contacts``, ``samples``, and by measure ``value``, ``low``, ``high``: the middle
-            95 % of the resamples. Below two samples there is no interval (NaN).
+            ``contacts``, ``samples``, and by measure ``value``, ``low``, ``high``: the central
+            95 % of the resamples; NaN for fewer than two samples.
         """
         plain = error_summary(estimate_N[chosen], truth_N[chosen])
         member = self.groups[1][chosen]
         samples = len(np.unique(member))
-        tails: dict[str, tuple[float, float]] = {}
+        tails = dict.fromkeys(plain, (float("nan"), float("nan")))
         if samples > 1:
-            error = (estimate_N - truth_N)[chosen]
-            size = np.abs(error)
-            tails = self._tails(np.stack([size / truth_N[chosen], size, error, error**2]), member)
-        nothing = (float("nan"), float("nan"))
-        return {"contacts": int(chosen.sum()), "samples": samples} | {
-            name: {
-                "value": value,
-                "low": tails.get(name, nothing)[0],
-                "high": tails.get(name, nothing)[1],
-            }
+            tails |= self._tails(_errors(estimate_N[chosen], truth_N[chosen]), member)
+        count = plain.pop("contacts")
+        return {"contacts": count, "samples": samples} | {
+            name: {"value": value, "low": tails[name][0], "high": tails[name][1]}
             for name, value in plain.items()
-            if name != "contacts"
         }
 
     def _tails(self, values: FloatArray, member: IntArray) -> dict[str, tuple[float, float]]:
-        """Intervals by measure, from (4, c) values of contacts."""
+        """Return intervals by measure, from errors (4, c) of contacts."""
         count = self.groups[0]
         sums = np.stack([np.bincount(member, weights=row, minlength=count) for row in values])
         contacts = self.weights @ np.bincount(member, minlength=count)
@@ -146,14 +136,13 @@ class Bootstrap:
     def _medians(
         self, values: FloatArray, member: IntArray, some: BoolArray
     ) -> Iterator[FloatArray]:
-        """Medians of the resamples, some at a time."""
+        """Yield medians of the resamples, some at a time."""
         order = np.argsort(values)
         ordered, owner = values[order], member[order]
         step = max(TOGETHER // len(values), 1)
         chosen = self.weights[some]
         for first in range(0, len(chosen), step):
             below = np.cumsum(chosen[first : first + step][:, owner], axis=1)
-            # The middle one, or the mean of the middle two.
             half = below[:, -1:] / 2.0
             low, high = (below >= half).argmax(axis=1), (below > half).argmax(axis=1)
             yield (ordered[low] + ordered[high]) / 2.0
@@ -162,19 +151,19 @@ class Bootstrap:
 def interval_coverage(
     force_N: FloatArray, sd_N: FloatArray, truth_N: FloatArray, *, level: float = 0.9
 ) -> float:
-    """Share of true forces inside the intervals that an estimator's standard deviations claim.
+    """Return the share of true forces inside the intervals of the standard deviations.
 
     Parameters
     ----------
     force_N, sd_N, truth_N : (c,) float
         Decoded force, its standard deviation, true force.
     level : float
-        What the intervals claim: 0.9 spans ±1.645 standard deviations of a normal error.
+        Nominal coverage: 0.9 spans ±1.645 standard deviations of a normal error.
 
     Returns
     -------
     float
-        Near ``level`` for an estimator that knows how good it is; NaN without contacts.
+        Near ``level`` for a calibrated estimator; NaN without contacts.
     """
     if len(force_N) == 0:
         return float("nan")

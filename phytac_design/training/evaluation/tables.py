@@ -1,4 +1,4 @@
-"""An evaluation as a table of contacts (CSV) and as tables to read (Markdown)."""
+"""An evaluation as a table of contacts (CSV) and as Markdown tables."""
 
 import csv
 import io
@@ -15,10 +15,16 @@ COLUMNS = (
     "sample", "contact", "kind", "x_mm", "y_mm", "z_mm", "along", "around", "radius_mm", "tripped",
     "read", "force_N", "estimator", "decoded_N", "error_N", "relative_error",
 )  # fmt: skip
-HEAD = (
-    "group", "estimator", "contacts", "accuracy (%)", "relative error (%)", "median (%)",
-    "absolute error (N)", "SD (N)", "RMSE (N)", "bias (N)",
-)  # fmt: skip
+COLUMNS_MD = (
+    ("accuracy (%)", "accuracy", 100.0, 1),
+    ("relative error (%)", "relative_error", 100.0, 1),
+    ("median (%)", "relative_error_median", 100.0, 1),
+    ("absolute error (N)", "absolute_error_mean_N", 1.0, 3),
+    ("SD (N)", "absolute_error_sd_N", 1.0, 3),
+    ("RMSE (N)", "rmse_N", 1.0, 3),
+    ("bias (N)", "bias_N", 1.0, 3),
+)
+"""Title, measure, factor and digits."""
 SECTIONS = {
     "contact": "Single contacts, several at once, grips",
     "small": "Below and from 5 N",
@@ -33,7 +39,7 @@ SECTIONS = {
 def contacts_csv(
     samples: Samples, decoded: DecodedContacts, where: ContactPositions | None, kind: Sequence[str]
 ) -> str:
-    """One line for every contact and estimator; what does not exist is empty."""
+    """Return one line for every contact and estimator; missing values are empty."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -59,36 +65,34 @@ def _short(value: float) -> str:
 
 
 def tables_md(facts: Mapping[str, Any]) -> str:
-    """The figures of ``evaluation.json`` as tables."""
+    """Return the figures of ``evaluation.json`` as tables."""
     level = 100.0 * facts["bootstrap"]["level"]
     samples, contacts, switches = facts["samples"], facts["contacts"], facts["switches"]
     simulated = all(item["simulated"] for item in facts["data"])
     theories = ", ".join(f"{n} {name}" for name, n in facts["theories"].items() if n)
-    judged = (
-        f"{samples['judged']} samples judged ({samples['flagged']} of them flagged; {theories}), "
-        f"{samples['failed']} that failed left out"
-    )
-    seen = (
-        f"{contacts['judged']} contacts judged ({contacts['all_switches_missed']} of them with "
-        f"every switch missed), {_unseen(contacts)}"
-    )
     lines = [
         f"# Forces of {facts['design']}, {'in simulation' if simulated else 'measured'}",
         "",
         *(f"- {item['what']}, {item['samples']} samples" for item in facts["data"]),
-        f"- {judged}",
-        f"- {seen}",
+        (
+            f"- {samples['judged']} samples evaluated ({samples['flagged']} of them flagged; "
+            f"{theories}), {samples['failed']} that failed left out"
+        ),
+        (
+            f"- {contacts['judged']} contacts evaluated ({contacts['all_switches_missed']} of them "
+            f"with every switch missed), {_unseen(contacts)}"
+        ),
     ]
     if switches is not None:
         lines.append(
             f"- switches: {switches['missed']} of {switches['on']} that were on were missed, "
             f"{switches['false']} of {switches['off']} that were off were read as on"
         )
-    said = (
+    legend = (
         f"In brackets: {level:g} % intervals by the bootstrap over samples. Accuracy is 1 − mean "
         "of |error| / force. SD is that of the absolute error."
     )
-    lines += ["", said]
+    lines += ["", legend]
     lines += _table("All contacts", facts["estimators"], "all")
     for section, title in SECTIONS.items():
         lines += _table(title, facts["estimators"], section)
@@ -112,30 +116,25 @@ def _unseen(contacts: Mapping[str, Any]) -> str:
 
 
 def _table(title: str, estimators: Mapping[str, Any], section: str) -> list[str]:
-    """One table: groups by estimator."""
+    """Return one table: groups by estimator."""
     groups = list(next(iter(estimators.values())).get(section, {}))
     if not groups:
         return []
-    head = [f"| {' | '.join(HEAD)} |", "|---" * len(HEAD) + "|"]
+    titles = ["group", "estimator", "contacts", *(title for title, *_ in COLUMNS_MD)]
+    head = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|"]
     lines = ["", f"## {title}", "", *head]
     for group in groups:
         for name, sections in estimators.items():
             score = sections[section][group]
             cells = [
-                _cell(score["accuracy"], 100.0, 1),
-                _cell(score["relative_error"], 100.0, 1),
-                _cell(score["relative_error_median"], 100.0, 1),
-                _cell(score["absolute_error_mean_N"], 1.0, 3),
-                _cell(score["absolute_error_sd_N"], 1.0, 3),
-                _cell(score["rmse_N"], 1.0, 3),
-                _cell(score["bias_N"], 1.0, 3),
+                _cell(score[measure], factor, digits) for _, measure, factor, digits in COLUMNS_MD
             ]
             lines.append(f"| {group} | {name} | {score['contacts']} | {' | '.join(cells)} |")
     return lines
 
 
 def _cell(measure: Mapping[str, float | None], factor: float, digits: int) -> str:
-    """A value with its interval."""
+    """Return a value with its interval."""
     value, low, high = (measure[key] for key in ("value", "low", "high"))
     if value is None:
         return "–"

@@ -1,60 +1,66 @@
 """The paper's end-to-end baseline: a convolutional network from camera frame to contact forces.
 
-Five convolutions of 3 × 3 halve the picture each, rectified linear. At a marker's place in the
-image without load, the picture's difference to that image and all five layers are read off between
-their pixels; these 299 numbers and the place go through two hidden layers to the marker's force.
-That is 758 361 parameters, the paper's 758.4 K, whose layers are not published.
+Five convolutions of 3 × 3 halve the image each, rectified linear. At a marker's position in the
+image without load, the difference of the image to that image and all five layers are interpolated;
+these 299 numbers and the position go through two hidden layers to the marker's force. That is
+758 361 parameters, the paper's 758.4 K, whose layers are not published.
 
-It knows nothing of mechanics. It is told which switches are on, as the FEM-NN is: the network says
-how much force each of them carries. (With as many parameters and an output of its own for each
-marker, 598 samples taught nothing: held-out errors stayed those of guessing the mean.)
+The network knows no mechanics. As for the FEM-NN, the switches that are on are given, and the
+network estimates how much force each of them carries. (With as many parameters and one output per
+marker, 598 samples taught nothing: held-out errors were those of the mean.)
+
+It serves the comparison in ``decoder_cnn.py``; no command and no bundle uses it.
 """
 
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 import torch
 from torch import nn
 from torch.nn import functional
 
-from phytac_design.training.cnn_data import COLOURS
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from phytac_design.datasets.samples import FAILED, Samples
+from phytac_design.datasets.samples_writer import FRAMES
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError, NumericalError
 
+FRAME_PX = (160, 120)
+"""Width and height of the reduced frame."""
+COLOURS = 3
 CHANNELS = (16, 24, 64, 64, 128)
-"""Of the convolutions; they and the hidden layers were chosen for the paper's number."""
+"""Channels of the convolutions; with the hidden layers chosen for the paper's number."""
 HIDDEN = 656
 KERNEL = 3
-TOGETHER = 64
-"""Frames at once where nothing is learnt."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lessons:
-    """How the network is trained.
+class TrainingSettings:
+    """Settings of the training.
 
     Attributes
     ----------
     epochs : int
-        Most rounds through the training frames.
+        Largest number of passes through the training frames.
     patience : int
-        It ends after so many rounds without a lower validation loss; the best round is kept.
+        Training ends after so many epochs without a lower validation loss; the best one is kept.
     batch : int
-        Frames to a step.
+        Frames per step.
     rate, decay : float
-        Learning rate and weight decay of AdamW; the rate falls to a third after each
-        ``patience`` / 3 rounds without gain.
+        Learning rate and weight decay of AdamW; the rate falls to a third after
+        ``patience`` / 3 epochs without improvement.
     dropout : float
-        Share of numbers dropped before each hidden layer in training.
+        Share of inputs dropped before each hidden layer in training.
     added : float
-        Share of training frames to which another one is added, and its forces to theirs: what
-        contacts do to a picture nearly adds up.
+        Share of training frames to which another one is added, with its forces: the effects of
+        contacts on an image are nearly additive.
     threads : int
-        Of the processor; with one the result does not depend on how many there are.
+        Processor threads; with one the result does not depend on their number.
     """
 
     epochs: int = 150
@@ -68,7 +74,7 @@ class Lessons:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CnnTrained:
+class TrainedCnn:
     """A trained network, how long it took, and its errors per marker (root mean square).
 
     Attributes
@@ -76,17 +82,17 @@ class CnnTrained:
     rest : (h, w, 3) float32
         Frame without load, blue, green, red: the median of the training frames.
     places : (n, 2) float
-        Of the markers in it, from -1 to 1 across and down.
+        Positions of the markers in it, from -1 to 1 across and down.
     scale_in, scale_out_N : float
-        A pixel's difference to it is divided by the one, outputs are multiplied by the other.
+        Divisor of pixel differences, and factor on outputs.
     weights : dict of array
-        By the layer's name.
+        Weights by the layer's name.
     seconds : float
-        Of training.
+        Training time.
     rounds : int
-        Rounds through the training frames until the best.
+        Epochs until the best.
     rmse_train_N, rmse_validation_N : float
-        Of the markers it is asked for.
+        Errors on receptors whose switches are on.
     """
 
     rest: FloatArray
@@ -110,7 +116,7 @@ class CnnTrained:
         Parameters
         ----------
         images : (s, h, w, 3) float32
-            Reduced frames of the size that was trained on, see :mod:`phytac_design.training.cnn_data`.
+            Reduced frames of the size that was trained on.
         on : (s, n) bool
             Switches.
 
@@ -146,23 +152,23 @@ def network(dropout: float = 0.0) -> Any:
     layers["first"] = nn.Linear(COLOURS + sum(CHANNELS) + 2, HIDDEN)
     layers["second"] = nn.Linear(HIDDEN, HIDDEN)
     layers["head"] = nn.Linear(HIDDEN, 1)
-    # A third less time on a processor than channel after channel.
+    # Channels last takes a third less time on a processor.
     return nn.ModuleDict(layers).to(memory_format=torch.channels_last)
 
 
 def outputs(model: Any, x: Any, places: Any, sample: Any, marker: Any) -> Any:
     """Scaled force (k,) on some markers of some frames x (s, 3, h, w); places are (n, 2)."""
-    seen = [_read_off(x, places, sample, marker)]
+    values = [_sample_at(x, places, sample, marker)]
     for k in range(len(CHANNELS)):
         x = functional.relu(model[f"conv{k}"](x))
-        seen.append(_read_off(x, places, sample, marker))
-    seen.append(places[marker])
-    out = model["drop"](torch.cat(seen, dim=1))
+        values.append(_sample_at(x, places, sample, marker))
+    values.append(places[marker])
+    out = model["drop"](torch.cat(values, dim=1))
     out = model["drop"](functional.relu(model["first"](out)))
     return model["head"](functional.relu(model["second"](out)))[:, 0]
 
 
-def _read_off(layer: Any, places: Any, sample: Any, marker: Any) -> Any:
+def _sample_at(layer: Any, places: Any, sample: Any, marker: Any) -> Any:
     """Values (k, c) of a layer (s, c, h, w) at markers' places, between its pixels."""
     at = places.expand(len(layer), -1, -1)[:, :, None]
     values = functional.grid_sample(layer, at, padding_mode="border", align_corners=False)
@@ -183,8 +189,8 @@ def train_cnn(
     training: IntArray,
     validation: IntArray,
     seed: int,
-    lessons: Lessons | None = None,
-) -> CnnTrained:
+    settings: TrainingSettings | None = None,
+) -> TrainedCnn:
     """Train the baseline; on one machine the same inputs give the same network.
 
     The loss is the mean squared error of the force on receptors whose switches are on.
@@ -198,13 +204,13 @@ def train_cnn(
     force_N : (s, n) float
         True force on every receptor.
     places : (n, 2) float
-        Of the markers in the frame without load, see :mod:`phytac_design.training.cnn_data`.
+        Positions of the markers in the frame without load.
     training, validation : (t,), (v,) int
-        Samples to learn from, and samples that say when to stop.
+        Training samples, and validation samples that decide when to stop.
     seed : int
-        Of the random weights, the order of frames, additions and dropout.
-    lessons : Lessons, optional
-        How.
+        Seed of the initial weights, the order of frames, additions and dropout.
+    settings : TrainingSettings, optional
+        Settings.
 
     Raises
     ------
@@ -215,7 +221,7 @@ def train_cnn(
     """
     _check(images, on, force_N, places)
     _check_parts(np.where(on, force_N, 0.0), training, validation)
-    how = lessons or Lessons()
+    settings = settings or TrainingSettings()
     begin = time.perf_counter()
     rest = np.median(images[training], axis=0)
     scale_in = max(float((images[training] - rest).std()), 1e-9)
@@ -227,14 +233,16 @@ def train_cnn(
         torch.from_numpy(on),
         torch.from_numpy(places.astype(np.float32)),
     )
-    with torch.random.fork_rng(devices=[]), _threads(how.threads):
+    with torch.random.fork_rng(devices=[]), _threads(settings.threads):
         torch.manual_seed(seed)
-        best = _fit(network(how.dropout), whole.take(training), whole.take(validation), how)
+        best = _fit(
+            network(settings.dropout), whole.take(training), whole.take(validation), settings
+        )
     if not best.weights:
         raise NumericalError(
-            f"train_cnn: the validation loss never was a number; lower the rate ({how.rate:g})"
+            f"train_cnn: the validation loss never was a number; lower the rate ({settings.rate:g})"
         )
-    return CnnTrained(
+    return TrainedCnn(
         rest=rest,
         places=places,
         scale_in=scale_in,
@@ -269,7 +277,7 @@ def _check(images: FloatArray, on: BoolArray, force_N: FloatArray, places: Float
 def _check_parts(carried_N: FloatArray, training: IntArray, validation: IntArray) -> None:
     if len(np.intersect1d(training, validation)):
         raise InputError(
-            "train_cnn: a sample cannot both teach and say when to stop; share them out again"
+            "train_cnn: a sample is in both training and validation; split the samples again"
         )
     for part in (training, validation):
         if not carried_N[part].max(initial=0.0) > 0.0:
@@ -295,16 +303,16 @@ class _Part(NamedTuple):
     places: Any
 
     def take(self, rows: Any) -> "_Part":
-        """Some samples alone."""
+        """Return some of the samples."""
         return _Part(self.x[rows], self.y[rows], self.on[rows], self.places)
 
     def outputs(self, model: Any) -> Any:
-        """Scaled forces (k,) that a network gives for the switches that are on."""
+        """Return scaled forces (k,) of a network on the switches that are on."""
         sample, marker = torch.nonzero(self.on, as_tuple=True)
         return outputs(model, self.x, self.places, sample, marker)
 
     def added(self, pool: "_Part", share: float) -> "_Part":
-        """To a share of the samples others of a pool are added."""
+        """Add other samples of a pool to a share of the samples."""
         other = pool.take(torch.randint(len(pool.x), (len(self.x),)))
         use = torch.rand(len(self.x)) < share
         return _Part(
@@ -315,16 +323,16 @@ class _Part(NamedTuple):
         )
 
 
-def _fit(model: Any, training: _Part, validation: _Part, how: Lessons) -> _Best:
-    optimiser = torch.optim.AdamW(model.parameters(), lr=how.rate, weight_decay=how.decay)
+def _fit(model: Any, training: _Part, validation: _Part, settings: TrainingSettings) -> _Best:
+    optimiser = torch.optim.AdamW(model.parameters(), lr=settings.rate, weight_decay=settings.decay)
     schedule = torch.optim.lr_scheduler.ReduceLROnPlateau(
-        optimiser, factor=1.0 / 3.0, patience=max(how.patience // 3, 1)
+        optimiser, factor=1.0 / 3.0, patience=max(settings.patience // 3, 1)
     )
     best = _Best({}, 0, float("inf"), float("inf"))
-    for number in range(1, how.epochs + 1):
+    for number in range(1, settings.epochs + 1):
         model.train()
-        for rows in torch.randperm(len(training.x)).split(how.batch):
-            part = training.take(rows).added(training, how.added)
+        for rows in torch.randperm(len(training.x)).split(settings.batch):
+            part = training.take(rows).added(training, settings.added)
             if not part.on.any():
                 continue
             optimiser.zero_grad()
@@ -334,7 +342,7 @@ def _fit(model: Any, training: _Part, validation: _Part, how: Lessons) -> _Best:
         schedule.step(found)
         if found < best.loss_validation:
             best = _Best(_numbers(model), number, _loss(model, training), found)
-        elif number - best.rounds >= how.patience:
+        elif number - best.rounds >= settings.patience:
             break
     return best
 
@@ -348,9 +356,9 @@ def _loss(model: Any, part: _Part) -> float:
 
 
 def _run(model: Any, part: _Part) -> FloatArray:
-    """Outputs of the network as it is used, in the order of the switches that are on."""
+    """Return outputs of the network without dropout, in the order of the switches that are on."""
     model.eval()
-    rows = torch.arange(len(part.x)).split(TOGETHER)
+    rows = torch.arange(len(part.x)).split(64)
     with torch.no_grad():
         found = [part.take(some).outputs(model).numpy() for some in rows]
     return np.concatenate([np.zeros(0, dtype=np.float32), *found])
@@ -370,3 +378,51 @@ def _threads(count: int) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+def places_in_frame(rest_px: FloatArray, size_px: tuple[int, int]) -> FloatArray:
+    """Places (n, 2) from -1 to 1 of pixel positions (n, 2) in frames of a width and height."""
+    return np.asarray((rest_px + 0.5) / np.asarray(size_px) * 2.0 - 1.0)
+
+
+def reduced(frame: ImageArray) -> FloatArray:
+    """A frame (h, w, 3) at the network's size, float32, by averaging areas."""
+    whole = frame.astype(np.float32)
+    return np.asarray(cv2.resize(whole, FRAME_PX, interpolation=cv2.INTER_AREA))
+
+
+def read_frames(folder: Path, samples: IntArray) -> FloatArray:
+    """Reduced frames (s, h, w, 3) of some samples of a data set that kept its frames.
+
+    Raises
+    ------
+    InputError
+        If one is missing or cannot be read; the data of two cameras have other names.
+    """
+    out = np.zeros((len(samples), FRAME_PX[1], FRAME_PX[0], COLOURS), dtype=np.float32)
+    for k, sample in enumerate(samples.tolist()):
+        path = folder / FRAMES / f"{sample:06d}.png"
+        frame = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
+        if frame is None:
+            raise InputError(
+                f"{path} is missing or no picture; the network needs frames of one camera, "
+                "kept by --keep frames"
+            )
+        out[k] = reduced(frame)
+    return np.asarray(out)
+
+
+def marker_forces(samples: Samples) -> FloatArray:
+    """True force on every receptor whose switch is on, 0 on the others, (s, n) N.
+
+    Raises
+    ------
+    InputError
+        If the samples do not hold the truth.
+    """
+    if samples.truth is None:
+        raise InputError("the samples hold no truth for training; make them with --keep frames")
+    out = np.zeros((samples.count, samples.markers))
+    np.add.at(out, (samples.truth.sample, samples.truth.marker), samples.truth.force_N)
+    out[samples.status == FAILED] = 0.0
+    return out
