@@ -21,7 +21,7 @@ from phytac_design.mechanics.switch.design import SwitchDesign, design_switch
 from phytac_design.mechanics.switch.feasible_range import Feasible, feasible_range
 from phytac_design.mechanics.switch.line_plot import line_plot, write_svg
 from phytac_design.mechanics.switch.materials import neo_hookean
-from phytac_design.mechanics.switch.report import curve_plot, range_over_modulus, range_plot
+from phytac_design.mechanics.switch.report import curve_plot
 from phytac_design.mechanics.switch.rubbers import rubber
 from phytac_design.mechanics.switch.space import Space
 from phytac_shapes.errors import DesignError
@@ -201,7 +201,7 @@ def switches(table: Table, *, quick: bool) -> None:
     found = feasible_range(soft, space)
     if found is None:
         raise DesignError("no switch fits the default space; check the space's defaults")
-    largest = 0.99 * found.most_N
+    largest = 0.99 * found.max_N
     asks = [(0.5, hard)] if quick else [(0.5, hard), *((f, soft) for f in (0.1, 0.2, 0.35))]
     if not quick:
         asks += [(0.5, soft)] if largest > 0.5 else []
@@ -224,20 +224,28 @@ def switches(table: Table, *, quick: bool) -> None:
             IMAGES / "switch_curves.svg",
             line_plot(curves, title="Threshold switches", labels=("stroke (mm)", "force (N)")),
         )
-        write_svg(IMAGES / "switch_range.svg", range_plot(found, np.linspace(0.5, 20.0, 40)))
+        modulus = np.linspace(0.5, 20.0, 40)
+        ends = modulus / found.modulus_MPa
+        lines = {
+            f"largest, wall {found.max_wall_mm:.2f} mm": (modulus, ends * found.max_N),
+            f"smallest, wall {found.min_wall_mm:.2f} mm": (modulus, ends * found.min_N),
+        }
+        title, labels = "Thresholds that fit the receptor", ("modulus (MPa)", "threshold (N)")
+        write_svg(IMAGES / "switch_range.svg", line_plot(lines, title=title, labels=labels))
 
 
 def _range_rows(table: Table, found: Feasible) -> None:
     for modulus in (1.0, SOFTER_MPa, 10.0):
-        low, high = range_over_modulus(found, np.array([modulus]))[0]
+        share = modulus / found.modulus_MPa
+        low, high = share * found.min_N, share * found.max_N
         for word, value in (("smallest", low), ("largest", high)):
             table.add(
                 f"{word} threshold that fits at {modulus:g} MPa",
                 float(value),
                 "N",
                 reference="-",
-                source=f"footprint 4.6 mm, hole 1.6, red 1.2, walls {found.least_wall_mm:.2f} to "
-                f"{found.most_wall_mm:.2f} mm",
+                source=f"footprint 4.6 mm, hole 1.6, red 1.2, walls {found.min_wall_mm:.2f} to "
+                f"{found.max_wall_mm:.2f} mm",
             )
 
 

@@ -2,8 +2,8 @@
 
 The sensor: cylinder60, made of another resin and wall than its design says. Synthetic camera
 data: the inward motion of every marker under presses of two patch sizes along the sensor, from a
-mesh that is finer than, and not aligned with, those of the calibration. Noise: 5 % of each
-displacement, 0.5 µm, and 1 % of the force of each press.
+mesh that is finer than, and not aligned with, those of the calibration. Noise: 5 % of
+each displacement, 0.5 µm, and 1 % of the force of each press.
 """
 
 import argparse
@@ -17,7 +17,11 @@ from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.calibration.calibration import calibrate
-from phytac_design.mechanics.calibration.calibration_result import Calibration, Name, Parameters
+from phytac_design.mechanics.calibration.calibration_result import (
+    Calibration,
+    Name,
+    ShellParameters,
+)
 from phytac_design.mechanics.calibration.measurements import Measurements
 from phytac_design.mechanics.calibration.probe_response import (
     ProbeResponse,
@@ -33,7 +37,7 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import PhytacError
 
-TRUTH = Parameters(modulus=2050.0, thickness=0.86, poisson=0.36)
+TRUTH = ShellParameters(modulus=2050.0, thickness=0.86, poisson=0.36)
 PEAK_MM = 0.06
 NOISE_RELATIVE, NOISE_FLOOR_MM, NOISE_FORCE = 0.05, 0.0005, 0.01
 RADII_MM = (3.0, 8.0)
@@ -178,7 +182,7 @@ def add_rows(table: Table, *, quick: bool) -> None:
     per_newton = truth(surface, rows, (64, 100) if quick else (124, 196))
     around = 48 if quick else 64
     exact = ProbeResponse(surface=surface, rows=rows, around=around)
-    design = Parameters(modulus=2200.0, thickness=0.8, poisson=0.38)
+    design = ShellParameters(modulus=2200.0, thickness=0.8, poisson=0.38)
     known = replace(design, poisson=TRUTH.poisson)
     start = time.perf_counter()
     clean = _fit(
@@ -213,7 +217,7 @@ def add_rows(table: Table, *, quick: bool) -> None:
     )
     grid = Table2d(exact, np.linspace(0.76, 0.94, 3 if quick else 4), np.array([0.33, 0.38, 0.43]))
     repeats = 10 if quick else 100
-    cases: tuple[tuple[str, Parameters, tuple[Name, ...]], ...] = (
+    cases: tuple[tuple[str, ShellParameters, tuple[Name, ...]], ...] = (
         ("ν known", known, ("poisson",)),
         ("ν fitted too", design, ()),
     )
@@ -233,7 +237,7 @@ def _ease(per_newton: FloatArray) -> float:
 def _fit(
     response: ResponseModel,
     data: Measurements,
-    start: Parameters,
+    start: ShellParameters,
     fixed: tuple[Name, ...],
 ) -> Calibration:
     return calibrate(
@@ -281,7 +285,7 @@ def _repeat_rows(table: Table, label: str, fits: list[Calibration]) -> None:
 
 
 def _refusal(
-    table: Table, grid: Table2d, rows: Measurements, per_newton: FloatArray, design: Parameters
+    table: Table, grid: Table2d, rows: Measurements, per_newton: FloatArray, design: ShellParameters
 ) -> None:
     """Displacements under the patches alone cannot part E and t: refused; with t fixed, fitted."""
     data = measured(rows, per_newton, 0)

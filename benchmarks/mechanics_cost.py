@@ -13,7 +13,6 @@ import sys
 import time
 from collections.abc import Callable
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +22,8 @@ from benchmarks.harness import Table, median_of
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.assembly import assemble, make_pattern
 from phytac_design.mechanics.shell.element import element_stiffness
-from phytac_design.mechanics.shell.factor import SOLVERS, SUPERLU, Factor
-from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
+from phytac_design.mechanics.shell.factor import SUPERLU
+from phytac_design.mechanics.shell.solve import clamped_model
 from phytac_shapes import Cylinder
 
 SIZES = ((36, 48), (62, 84), (114, 150), (200, 260), (370, 450))
@@ -51,35 +50,13 @@ def python(*arguments: str) -> str:
     return run.stdout
 
 
-def pardiso(table: Table, model: ShellModel, superlu_s: float) -> None:
-    """Add factorisation by PARDISO against SuperLU, where it is installed."""
-    if find_spec("pypardiso") is None:
-        print("pypardiso is not installed: comparison left out")
-        return
-    free = np.flatnonzero(~model.fixed.ravel())
-    matrix = model.stiffness[free][:, free]
-    loads = np.random.default_rng(0).normal(size=(len(free), 100))
-    for solver in SOLVERS:
-        seconds = median_of(partial(Factor, matrix, solver=solver), 3)
-        backend = Factor(matrix, solver=solver).backend
-        table.add(
-            f"speed: {solver}, scaling and factorisation, {len(free)} DOF",
-            seconds,
-            "s",
-            reference=superlu_s,
-            source="SuperLU's factorisation alone in the same run",
-            note=f"a hundred loads {median_of(partial(backend.solve, loads), 1):.2f}"
-            f" s; MKL_NUM_THREADS {os.environ['MKL_NUM_THREADS']}",
-        )
-
-
 def _mesh(along: int, around: int) -> ShellMesh:
     surface = Cylinder(diameter_outer_mm=60.0, length_mm=120.0)
     return chart_mesh(surface, thickness_mm=0.8, n_along=along, n_around=around)
 
 
 def solver(table: Table, *, quick: bool) -> None:
-    """Assembly against factorisation; our solver settings against SciPy's; PARDISO if there."""
+    """Assembly against factorisation; our solver settings against SciPy's."""
     from scipy.sparse.linalg import splu
 
     for size in ((24, 32),) if quick else ((48, 64), (70, 96)):
@@ -112,10 +89,9 @@ def solver(table: Table, *, quick: bool) -> None:
             target=">= 1",
             note=f"ours {ours_s:.3f} s",
         )
-        pardiso(table, model, ours_s)
 
 
-def measure(along: int, around: int, solver: str) -> dict[str, Any]:
+def measure(along: int, around: int) -> dict[str, Any]:
     """Seconds of each part and peak memory of one size, in this process."""
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (int(MEMORY_GiB * 2**30), hard))
@@ -128,7 +104,7 @@ def measure(along: int, around: int, solver: str) -> dict[str, Any]:
         seconds[name] = time.process_time() - start
         return out
 
-    model = clamped_model(mesh, modulus_MPa=MODULUS_MPa, poisson=POISSON, solver=solver)
+    model = clamped_model(mesh, modulus_MPa=MODULUS_MPa, poisson=POISSON)
     timed(
         "elements",
         lambda: element_stiffness(mesh.nodes_mm, mesh.quads, mesh.normals, poisson=POISSON),
@@ -157,12 +133,10 @@ def add_rows(
 ) -> None:
     """Seconds, memory and exponents over ``sizes``; the plot goes to ``image``."""
     found: dict[str, list[dict[str, Any]]] = {}
-    for solver in SOLVERS:
-        if solver == "pardiso" and find_spec("pypardiso") is None:
-            continue
+    for solver in ("superlu",):
         for along, around in sizes:
             try:
-                text = python("benchmarks.mechanics_cost", str(along), str(around), solver)
+                text = python("benchmarks.mechanics_cost", str(along), str(around))
             except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
                 why = str(getattr(error, "stderr", "") or error).strip().splitlines()[-1:]
                 print(f"{solver} stops at {along} × {around}: {why}", flush=True)
@@ -235,4 +209,4 @@ def plot(found: dict[str, list[dict[str, Any]]], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    print(json.dumps(measure(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3])))
+    print(json.dumps(measure(int(sys.argv[1]), int(sys.argv[2]))))

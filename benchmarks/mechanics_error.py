@@ -188,7 +188,6 @@ def sensor(table: Table, *, quick: bool) -> None:
                     extrapolated=found.extrapolated[..., k],
                     error=found.error[:, k],
                     relative=found.relative[[k]],
-                    rate=found.rate[[k]],
                     asymptotic=found.asymptotic[[k]],
                     elements=found.elements,
                 )
@@ -202,7 +201,7 @@ def sensor(table: Table, *, quick: bool) -> None:
             if radius == 6.0:
                 _each_marker(table, refine[0], found, truth)
         if radius == 6.0:
-            _cost(table, make, ((4, 2),) if quick else ((6, 3), (6, 3, 1)))
+            _cost(table, make, ((4, 2),) if quick else ((6, 3),))
     if quick or shutil.which("ccx") is None:
         return
     even = chart_mesh(surface, thickness_mm=wall, n_along=42, n_around=48)

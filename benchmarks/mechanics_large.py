@@ -8,7 +8,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import shutil
 import tempfile
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,11 @@ import numpy as np
 
 from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design
-from phytac_design.mechanics.large.batch import solve_batch
 from phytac_design.mechanics.large.contact_mesh import contact_mesh
 from phytac_design.mechanics.large.linear_error import check_linear
-from phytac_design.mechanics.large.load_path import solve_large, trace_arc, trace_displacement
+from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Equilibrium, Loading, System
+from phytac_design.mechanics.large.path_tracing import trace_arc, trace_displacement
 from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_patch, run_ccx
 from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
@@ -139,7 +138,6 @@ def add_rows(table: Table, *, quick: bool) -> None:
     _units(table)
     if shutil.which("ccx") is not None:
         _bricks(table, bricks=6 if quick else 12, ours=12 if quick else 48)
-    _batches(table, size_mm=3.0 if quick else 1.8, count=4 if quick else 32)
 
 
 def _jumps(table: Table, n: int) -> None:
@@ -186,7 +184,7 @@ def _arc(model: ShellModel, load: FloatArray, middle: int) -> list[Equilibrium]:
 
 def _negative_eigenvalues(model: ShellModel, load: FloatArray, state: Equilibrium) -> int:
     system = System(model, Loading(force=load))
-    K = system.tangent(system.shell.local(state.state), state.state, state.load_factor, None)
+    K = system.shell.tangent(system.shell.local(state.state))
     free = np.ix_(system.free, system.free)
     scaled = (system.scale[:, None] * K.toarray() * system.scale)[free]
     return int(np.sum(np.linalg.eigvalsh(0.5 * (scaled + scaled.T)) < 0.0))
@@ -262,56 +260,3 @@ def _bricks(table: Table, *, bricks: int, ours: int) -> None:
                     reference=large_cases.ROOF[12.7]["minimum"],
                     source="Sze, Liu and Lo 2004",
                 )
-
-
-def _batches(table: Table, *, size_mm: float, count: int) -> None:
-    """Samples over two processes against one, and against two independent batches at once."""
-    design, centre = load_design("cylinder60"), np.array([60.0, np.pi])
-    surface, wall = design.surface(), design.wall.thickness_mm
-    mesh = contact_mesh(
-        surface, thickness_mm=wall, centre_uv=centre, core_mm=12.0, size_mm=size_mm, growth=0.15
-    )
-    material = design.material
-    model = clamped_model(mesh, modulus_MPa=material.modulus_MPa, poisson=material.poisson)
-    unit = patch_loads(mesh, surface, centre[None], FINGERTIP_MM).toarray()
-    loads = unit * np.linspace(5.0, 25.0, count)
-    spans = []
-    start = time.perf_counter()
-    one = solve_batch(model, loads, workers=1)
-    spans.append(time.perf_counter() - start)
-    start = time.perf_counter()
-    two = solve_batch(model, loads, workers=2)
-    spans.append(time.perf_counter() - start)
-    start = time.perf_counter()
-    with ThreadPoolExecutor(2) as pool:
-        list(pool.map(lambda part: solve_batch(model, part, workers=1), (loads[:, ::2],) * 2))
-    spans.append(time.perf_counter() - start)
-    name = f"{count} samples of {int(np.sum(~model.fixed))} DOF"
-    load = f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; start-up included"
-    table.add(
-        f"large: {name}: seconds of one process over twice those of two",
-        spans[0] / (2.0 * spans[1]),
-        "-",
-        reference=1.0,
-        source="the same batch",
-        target=">= 0.8",
-        note=f"{spans[0]:.2f} s and {spans[1]:.2f} s; {load}",
-    )
-    table.add(
-        f"large: {name}: two independent half batches at once, seconds over those of one of two",
-        spans[2] / spans[1],
-        "-",
-        reference=1.0,
-        source="what the machine gives two processes",
-        target=">= 0.9",
-        note=f"{spans[2]:.2f} s; {load}",
-    )
-    pairs = zip(one, two, strict=True)
-    table.add(
-        f"large: {name}: samples that differ in any bit between one process and two",
-        sum(not np.array_equal(np.asarray(a.motion), np.asarray(b.motion)) for a, b in pairs),
-        "samples",
-        reference=0,
-        source="the same batch",
-        target="== 0",
-    )

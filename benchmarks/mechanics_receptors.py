@@ -29,10 +29,12 @@ from phytac_design.mechanics.shell import receptor_stiffness as rc
 from phytac_design.mechanics.shell.compliance import marker_compliance, point_motion
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import clamped_model
+from phytac_design.mechanics.solid.calculix import run_ccx
 from phytac_design.mechanics.solid.cell import Cell, cell_stiffness, ratio
-from phytac_design.mechanics.solid.load import solid_patch_load, tip_means
+from phytac_design.mechanics.solid.load import solid_patch_load
 from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes, coarsened, solid_mesh
-from phytac_design.mechanics.solid.solid_writers import run_ccx, write_solid_inp
+from phytac_design.mechanics.solid.solid_writers import write_solid_inp
+from phytac_design.mechanics.solid.tip_motion import tip_means
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import MissingPartError

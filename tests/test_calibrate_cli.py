@@ -82,11 +82,11 @@ def test_fitted_values_and_the_design_file(rig: Path) -> None:
     assert "exists already" in again.stderr
 
 
-def test_data_that_cannot_tell_are_refused_and_a_known_wall_helps(rig: Path) -> None:
+def test_data_that_do_not_determine_are_refused_and_a_known_wall_helps(rig: Path) -> None:
     words = ("calibrate", "small.toml", "own.csv", "--accuracy", "draft")
     out = phytac(*words, cwd=rig)
     assert out.returncode == 5
-    assert "cannot tell" in out.stderr
+    assert "do not determine" in out.stderr
     assert "--fix thickness" in out.stderr
     assert "Traceback" not in out.stderr
     fixed = phytac(*words, "--fix", "thickness", "--fix", "poisson", cwd=rig)

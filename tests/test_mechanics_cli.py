@@ -10,7 +10,7 @@ import pytest
 from phytac_design.design.design_file import to_toml
 from phytac_design.engine.stage import graphics_libraries
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.solid.solid_writers import run_ccx
+from phytac_design.mechanics.solid.calculix import run_ccx
 from tests.designs import small
 from tests.test_cli import phytac
 
@@ -37,7 +37,7 @@ def needs_ccx() -> None:
         pytest.skip("CalculiX (ccx) is not on PATH; apt install calculix-ccx")
 
 
-def test_press_tells_what_moves(folder: Path) -> None:
+def test_press_reports_the_motion(folder: Path) -> None:
     words = ("press", "small.toml", "--force", "12", "--at", "45", "--refine", "6")
     out = phytac(*words, "--json", "--vtu", "moved.vtu", cwd=folder)
     assert out.returncode == 0, out.stderr

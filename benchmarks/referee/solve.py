@@ -27,15 +27,15 @@ from benchmarks.referee.read import Solved, data_file, read_solved, sensor_hash,
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
-from phytac_design.mechanics.solid.load import solid_patch_load
-from phytac_design.mechanics.solid.partial_solid import AS_TABLES, PartMesh, PartSizes, part_mesh
-from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes
-from phytac_design.mechanics.solid.solid_writers import (
+from phytac_design.mechanics.solid.calculix import (
     ccx_version,
     read_convergence,
     run_ccx,
-    write_solid_inp,
+    write_reference_inp,
 )
+from phytac_design.mechanics.solid.load import solid_patch_load
+from phytac_design.mechanics.solid.partial_solid import AS_TABLES, PartMesh, PartSizes, part_mesh
+from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes
 from phytac_design.mechanics.solid.tip_motion import tips_motion, tips_turn
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
@@ -161,7 +161,7 @@ def solve_contact(
     load = total_load(this, mesh, contact)
     meshed = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        path = write_solid_inp(
+        path = write_reference_inp(
             Path(folder) / "job.inp",
             mesh,
             modulus_MPa=design.material.modulus_MPa * mesh.modulus_ratio,
@@ -170,8 +170,6 @@ def solve_contact(
             name=design.name,
             large=large,
             first=1.0 if max(contact.force_N) <= NEAR_N else 0.5,
-            tight=large,
-            everywhere=True,
         )
         tables = run_ccx(path)
         went = asdict(read_convergence(path)) if large else {}

@@ -52,7 +52,7 @@ def press(
     vtu: Annotated[Path | None, typer.Option(help="Moved mesh to write, for ParaView.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Press on the shell with a force: what moves, by which theory, and how sure that is."""
+    """Press on the shell with a force: motion, theory used, and estimated errors."""
     from phytac_design.design.design_file import load_design
     from phytac_design.layout import make_markers
     from phytac_design.mechanics.pressing import press as mechanics
@@ -105,7 +105,7 @@ def mesh(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write meshes with sets, section, material and a load step: ccx runs them as they are."""
+    """Write meshes with sets, section, material and a load step: ccx runs them unchanged."""
     from phytac_design.design.design_file import load_design
     from phytac_design.layout import make_markers
     from phytac_design.mechanics.pressing.contact_patch import parse_contact_patch

@@ -36,9 +36,9 @@ def switch(
     plot: Annotated[Path | None, typer.Option(help="Force–stroke curve to write, SVG.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Design the threshold switch: a soft bowl that snaps at the asked force.
+    """Design the threshold switch: a soft bowl that snaps at the given force.
 
-    What is not given is taken from the design's table of the switch.
+    Missing options come from the switch table of the design.
     """
     from phytac_design.design.design_file import load_design
     from phytac_design.mechanics.switch.design import design_switch
@@ -74,8 +74,8 @@ def switch(
     minded = warnings(made)
     others = sorted({region.threshold_N for region in own.regions} - {made.threshold_N})
     if threshold is None and others:
-        asked = ", ".join(f"{other:g}" for other in others)
-        minded.append(f"regions of this design ask for {asked} N besides: see --threshold-N")
+        more = ", ".join(f"{other:g}" for other in others)
+        minded.append(f"this design also has regions with {more} N: see --threshold-N")
     if as_json:
         plain = switch_dict(made) | {"design": loaded.name, "warnings": minded}
         typer.echo(json.dumps(plain, indent=1, ensure_ascii=False))

@@ -1,4 +1,4 @@
-"""How many threads a process takes, by its environment; nothing heavy is imported for it."""
+"""Number of threads of a process, set by its environment; imports nothing heavy."""
 
 import os
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 THREADS = "PHYTAC_THREADS"
 """Environment variable that bounds the threads; processes that run side by side set it to 1."""
 LIBRARIES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""What tells the common BLAS libraries how many threads to use, read when they load."""
+"""Environment variables that set the threads of the common BLAS libraries, read at load time."""
 
 
 @contextmanager

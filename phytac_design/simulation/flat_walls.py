@@ -259,7 +259,7 @@ def _edge_factor(
     found = []
     for count, force in ((1, top / 2.0), (1, top), (SEVERAL, top / 2.0)):
         load, motion = loads[:, :count].sum(axis=1), still[:, :count].sum(axis=1)
-        large = shell.shell.rough(force * load, force * motion)
+        large = shell.shell.approximate(force * load, force * motion)
         if large is None:
             continue
         seen = see.shift(shell.feet.large(large)).ravel() / force

@@ -4,35 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phytac_design.mechanics.indenter import INDENTERS, Indentations
 from phytac_design.simulation.contacts import Contacts
-from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.arrays import IntArray
 
-INDENTERS = ("flat", "sphere", "cylinder")
-"""Pressure of each: even over a disc; Hertz's over a disc; Hertz's across a strip, even along."""
+__all__ = ["INDENTERS", "Touches", "flat_touches"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Touches(Contacts):
-    """Contacts of many samples, with the indenter's shape; arrays run over c contacts.
-
-    Attributes
-    ----------
-    indenter : (c,) int
-        Index into ``INDENTERS``.
-    length_mm : (c,) float
-        Length of a cylinder's strip, whose half-width is ``radius_mm``; 0 for the others.
-    turn_rad : (c,) float
-        A cylinder's axis: angle from the direction of growing u in the tangent plane at the
-        centre, right-handed about the outward normal.
-    friction : (c, 2) float
-        Tangential over normal force, in the direction of growing u and square to it (right-handed
-        about the outward normal). Spread as the pressure is.
-    """
-
-    indenter: IntArray
-    length_mm: FloatArray
-    turn_rad: FloatArray
-    friction: FloatArray
+class Touches(Contacts, Indentations):
+    """Contacts of many samples, with the indenter's shape; arrays run over c contacts."""
 
     def of(self, sample: int) -> "Touches":
         """Contacts of one sample, as a set of one sample."""

@@ -9,7 +9,7 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import Readers
-from phytac_design.mechanics.large.fast_newton import Rough
+from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.solve import ShellModel
@@ -65,7 +65,7 @@ class DiscResponse:
         self.mesh, self.surface, self.model, self.orders = mesh, surface, model, orders
         self.holes = Holes.of(surface, markers.uv, receptor.diameter_hole_mm / 2.0)
         self.feet = ReceptorKinematics(mesh, surface, markers.uv, receptor.diameter_outer_mm / 2.0)
-        self.shell = Rough(model)
+        self.shell = QuasiNewtonSolver(model)
         most = design.training.force_max_N
         self.forces = most * np.arange(1, orders) / max(orders - 1, 1)
         self.solved = self.beyond = 0
@@ -153,7 +153,7 @@ class DiscResponse:
         """The same by large displacements; none where one of them cannot be solved."""
         out: list[FloatArray] = []
         for force in self.forces.tolist():
-            motion = self.shell.rough(force * load, force * first)
+            motion = self.shell.approximate(force * load, force * first)
             if motion is None:
                 return []
             out.append(motion)

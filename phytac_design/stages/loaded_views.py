@@ -1,6 +1,5 @@
 """What the camera sees when the sensor is pressed."""
 
-import os
 from dataclasses import asdict, dataclass
 from functools import reduce
 from pathlib import Path
@@ -47,7 +46,7 @@ class PressedShell:
 
         Also the samples behind it, none if linear theory was asked for; NaN where not solved.
         """
-        from phytac_design.mechanics.large.batch import solve_batch
+        from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
         from phytac_design.mechanics.shell.loads import patch_loads
 
         context, mesh = self.context, self.mesh
@@ -59,20 +58,18 @@ class PressedShell:
         if tolerance >= 1.0:
             linear = self.model.solve(unit).motion[mesh.marker_nodes]
             return forces[None, :, None, None] * np.moveaxis(linear, 2, 0)[:, None], []
-        done = solve_batch(
-            self.model,
-            (unit[:, :, None] * forces).reshape(len(unit), -1),
-            workers=len(os.sched_getaffinity(0)),
-            tolerance=tolerance,
-            progress=lambda k, of: context.progress(
-                f"under load: {k} of {of} large-displacement solves"
-            ),
-        )
+        solver, done = QuasiNewtonSolver(self.model), []
+        loads = (unit[:, :, None] * forces).reshape(len(unit), -1)
+        for load in loads.T:
+            done.append(solver.solve(load, tolerance=tolerance).sample)
+            context.progress(
+                f"under load: {len(done)} of {loads.shape[1]} large-displacement solves"
+            )
         motions = np.full((len(done), context.markers.count, 6), np.nan)
         for k, sample in enumerate(done):
             if sample.motion is not None:
                 motions[k] = sample.motion[mesh.marker_nodes]
-        return motions.reshape(len(uv), len(forces), -1, 6), list(done)
+        return motions.reshape(len(uv), len(forces), -1, 6), done
 
 
 def theory_facts(samples: list[Any], tolerance: float) -> dict[str, Any]:

@@ -21,8 +21,8 @@ READS = ("tubes", "cameras", "wall", "receptor", "switch", "mold", "print_rules"
 def run(context: Context, folder: Path) -> None:
     """Write ``switch/switches.json``, and a curve (JSON and SVG) for each threshold.
 
-    What does not fit is written down with its reason: the stage's gate stops the build, and with
-    ``--force`` the sensor is built without its switches.
+    A switch that does not fit is recorded with its reason: the stage's gate stops the build, and
+    with ``--force`` the sensor is built without its switches.
     """
     try:
         made = design_switches(context, folder)
@@ -85,15 +85,17 @@ def refusal(context: Context) -> str:
 
 
 def red_of(context: Context) -> dict[str, Any]:
-    """What the camera sees of the red tips against what the decoder needs, at the weakest switch.
+    """Red pixels of the tips in the camera against the decoder's minimum, at the weakest switch.
 
-    The picture is made with the design's stroke; the bowls' own is at least that.
+    The image uses the design's stroke; the bowls' own stroke is at least that.
     """
     views = context.arrays("views")
     rest, out = views["tip_red_rest_px"], views["tip_red_on_px"]
     needed = RED_RATIO_MIN * rest + RED_AREA_MIN_px
     worst = int(np.argmin(out - needed))
-    far = int(np.argmax(np.linalg.norm(context.markers.tip_mm - _eye_mm(context), axis=1)))
+    far = int(
+        np.argmax(np.linalg.norm(context.markers.tip_mm - _camera_position_mm(context), axis=1))
+    )
     return {
         "worst_marker": context.markers.name(worst),
         "worst_on_px": float(out[worst]),
@@ -105,7 +107,7 @@ def red_of(context: Context) -> dict[str, Any]:
     }
 
 
-def _eye_mm(context: Context) -> FloatArray:
+def _camera_position_mm(context: Context) -> FloatArray:
     from phytac_design.layout.cameras import cameras_of
 
     return cameras_of(context.design, context.surface)[0].position_mm

@@ -5,12 +5,11 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from phytac_design.mechanics.large.linear_error import check_linear, solve_auto
+from phytac_design.mechanics.large.linear_error import check_linear
 from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Loading
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification import large_cases
-from phytac_shapes.errors import NumericalError
 from tests.mechanics.conftest import Prototype
 
 
@@ -46,24 +45,9 @@ def test_estimate_is_within_a_factor_of_two_of_the_truth(name: str, factor: floa
     assert 1e-4 < truth < 0.6
 
 
-def test_auto_is_linear_only_where_that_is_good_enough() -> None:
-    model, load = shell("roof")
-    small = solve_auto(model, 0.01 * load, tolerance=0.05)
-    assert not small.large
-    np.testing.assert_array_equal(small.motion, model.solve(0.01 * load).motion[:, :, 0])
-    big = solve_auto(model, 0.3 * load, tolerance=0.05)
-    assert big.large
-    end = solve_large(model, Loading(force=0.3 * load))[0]
-    np.testing.assert_array_equal(big.motion, end.state.motion)
-    strict = solve_auto(model, 0.01 * load, tolerance=1e-6)
-    assert strict.large
-
-
-def test_no_load_has_no_error_and_a_bad_tolerance_is_refused() -> None:
+def test_no_load_has_no_error() -> None:
     model, load = shell("roof")
     assert check_linear(model, 0.0 * load).error == 0.0
-    with pytest.raises(NumericalError, match="tolerance must be positive"):
-        solve_auto(model, load, tolerance=0.0)
 
 
 def test_a_finger_on_the_prototype_needs_large_displacements(cylinder60: Prototype) -> None:

@@ -7,7 +7,7 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.meshing.grid import EDGE_NAMES, place
 from phytac_design.mechanics.meshing.mesh import (
-    LEAST_JACOBIAN,
+    MIN_SCALED_JACOBIAN,
     ShellMesh,
     chart_mesh,
     marker_mesh,
@@ -43,7 +43,7 @@ def check_sound(surface: Surface, mesh: ShellMesh) -> None:
     # No two nodes in one place: poles and seams are shared, not doubled.
     side = np.linalg.norm(np.diff(mesh.nodes_mm[edges], axis=1), axis=2)
     assert len(np.unique(np.round(mesh.nodes_mm / (0.2 * side.min())), axis=0)) == len(mesh.uv)
-    assert mesh.scaled_jacobian().min() >= LEAST_JACOBIAN
+    assert mesh.scaled_jacobian().min() >= MIN_SCALED_JACOBIAN
 
 
 @every_family

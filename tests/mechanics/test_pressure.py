@@ -4,22 +4,19 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
+from phytac_design.mechanics.indenter import CYLINDER, FLAT, INDENTERS, SPHERE
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh, plain_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.pressure import (
-    CYLINDER,
-    FLAT,
-    SPHERE,
-    Drilled,
     Holes,
-    footing,
+    PressureWithHoles,
+    check_indentations,
+    contact_frames,
     indentation_loads,
-    refuse_touches,
     tangent_frame,
 )
 from phytac_design.mechanics.shell.pressure_sharing import near_pairs, on_shell_share
 from phytac_design.mechanics.shell.solve import ShellModel
-from phytac_design.simulation.indenters import INDENTERS
 from phytac_shapes import Plane, Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.cylinder import Cylinder
@@ -73,7 +70,7 @@ def test_flat_without_friction_is_a_patch(radius: float) -> None:
 @pytest.mark.parametrize(
     ("surface", "mesh"), [(TUBE, TUBE_MESH), (SHEET, SHEET_MESH), (DOME, DOME_MESH)]
 )
-def test_resultants_are_those_asked_for(kind: int, surface: Surface, mesh: ShellMesh) -> None:
+def test_resultants_are_the_given_ones(kind: int, surface: Surface, mesh: ShellMesh) -> None:
     rng = np.random.default_rng(5)
     low, high = surface.domain.T
     uv = np.concatenate([[low, high, [low[0], high[1]]], rng.uniform(low, high, (24, 2))])
@@ -91,7 +88,10 @@ def test_resultants_are_those_asked_for(kind: int, surface: Surface, mesh: Shell
         side = (load - bare)[:, :3].sum(axis=0).T
         # Away from rims both are symmetric: no other component, and no moment about the centre,
         # but that of a strip askew on a tube, whose ends press past each other.
-        free = on_shell_share(surface, uv, 1.2 * footing(surface, touches).reach_mm + 3.0) == 1.0
+        free = (
+            on_shell_share(surface, uv, 1.2 * contact_frames(surface, touches).reach_mm + 3.0)
+            == 1.0
+        )
         assert free.sum() >= 5
         slack = 1e-9 if surface is SHEET else 0.02
         assert np.abs(bare[:, :3].sum(axis=0).T + normal)[free].max() < slack
@@ -141,13 +141,13 @@ def test_second_moments_converge_with_the_mesh(kind: int, along: float, across: 
     want = np.array([(length if kind == CYLINDER else radius) ** 2 / along, radius**2 / across])
     uv = np.array([[0.7, -1.1]])
     touches = make_touches(uv, kind, radius_mm=radius, length_mm=length, turn_rad=turn)
-    stand = footing(SHEET, touches)
+    frames = contact_frames(SHEET, touches)
     errors = []
     for size in (2.0, 1.0, 0.5):
         mesh = plain_mesh(SHEET, thickness_mm=WALL_MM, size_mm=size)
         weight = -nodal(mesh, SHEET, touches)[:, :3, 0] @ SHEET.normal(uv)[0]
-        arm = mesh.nodes_mm - stand.at
-        x, y = arm @ stand.axis[0], arm @ stand.across[0]
+        arm = mesh.nodes_mm - frames.at
+        x, y = arm @ frames.axis[0], arm @ frames.across[0]
         errors.append(np.array([weight @ x**2, weight @ y**2]) / want - 1.0)
         assert abs(weight @ (x * y)) < 0.02 * want.max()
     worst = np.abs(errors).max(axis=1)
@@ -178,8 +178,10 @@ def test_a_pole_is_a_place_like_any_other() -> None:
         # Growing u points away over the pole: turned by -v, seen from outside.
         for k in (1, 3) if kind == CYLINDER else (1, 2, 3):
             np.testing.assert_allclose(load[..., k], load[..., 0], atol=2e-5)
-    stand = footing(DOME, make_touches(uv, CYLINDER, radius_mm=2.0, length_mm=9.0, turn_rad=turn))
-    np.testing.assert_allclose(stand.axis[0], -stand.axis[1], atol=1e-9)
+    frames = contact_frames(
+        DOME, make_touches(uv, CYLINDER, radius_mm=2.0, length_mm=9.0, turn_rad=turn)
+    )
+    np.testing.assert_allclose(frames.axis[0], -frames.axis[1], atol=1e-9)
 
 
 def test_rims_take_part_of_a_touch_away() -> None:
@@ -304,25 +306,27 @@ BAD = [
 def test_touches_without_sense_are_refused(change: dict[str, float], match: str) -> None:
     good = {"radius_mm": 2.0, "length_mm": 9.0}
     uv = np.array([[10.0, 1.0]])
-    refuse_touches(TUBE, make_touches(uv, CYLINDER, **good))
+    check_indentations(TUBE, make_touches(uv, CYLINDER, **good))
     with pytest.raises(DesignError, match=match):
         indentation_loads(TUBE_MESH, TUBE, make_touches(uv, CYLINDER, **(good | change)))
 
 
 def test_places_and_kinds_without_sense_are_refused() -> None:
     with pytest.raises(DesignError, match="contact 1: the centre is off the surface"):
-        refuse_touches(TUBE, make_touches(np.array([[1.0, 9.0], [80.1, 0.0]]), 0, radius_mm=1.0))
+        check_indentations(
+            TUBE, make_touches(np.array([[1.0, 9.0], [80.1, 0.0]]), 0, radius_mm=1.0)
+        )
     with pytest.raises(DesignError, match="indenter is not known"):
-        refuse_touches(TUBE, make_touches(np.array([[1.0, 0.0]]), 3, radius_mm=1.0))
+        check_indentations(TUBE, make_touches(np.array([[1.0, 0.0]]), 3, radius_mm=1.0))
     with pytest.raises(DesignError, match="not finite"):
-        refuse_touches(TUBE, make_touches(np.array([[np.nan, 0.0]]), 0, radius_mm=1.0))
+        check_indentations(TUBE, make_touches(np.array([[np.nan, 0.0]]), 0, radius_mm=1.0))
     pulled = make_touches(np.array([[1.0, 0.0]]), 0, radius_mm=1.0)
     pulled.force_N[0] = -1.0
     with pytest.raises(DesignError, match="force_N is negative"):
-        refuse_touches(TUBE, pulled)
+        check_indentations(TUBE, pulled)
 
 
-def test_loads_do_not_depend_on_what_else_is_asked_for() -> None:
+def test_loads_do_not_depend_on_other_contacts() -> None:
     rng = np.random.default_rng(2)
     uv = rng.uniform(*DOME.domain.T, (60, 2))
     touches = make_touches(uv, SPHERE, radius_mm=rng.uniform(2.1, 3.9, 60), friction=(0.1, 0.2))
@@ -355,11 +359,11 @@ def test_nothing_presses_on_a_hole(kind: int) -> None:
     holes = Holes.of(SHEET, at[:1], 1.5)
     assert holes is not None
     touches = shaped(at, kind, friction=(0.1, 0.2))
-    pressure = Drilled(whole=footing(SHEET, touches), holes=holes)
+    pressure = PressureWithHoles(whole=contact_frames(SHEET, touches), holes=holes)
     radii = np.array([0.0, 1.2, 1.8])
     width = np.array([0.1])
     turned = np.cross(SHEET.normal(at[:1]), [[1.0, 0.0, 0.0]])
-    along = footing(SHEET, touches).axis[:1] if kind == CYLINDER else turned
+    along = contact_frames(SHEET, touches).axis[:1] if kind == CYLINDER else turned
     arm = radii[None, :, None] * along[:, None]
     whole = pressure.whole(np.array([0]), arm, width, width)[0]
     np.testing.assert_allclose(pressure(np.array([0]), arm, width, width)[0], whole * [0, 0, 1])

@@ -15,12 +15,12 @@ from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import clamped_model
+from phytac_design.mechanics.solid import calculix
 from phytac_design.mechanics.solid import solid_writers as solid_export
 from phytac_design.mechanics.solid import tetrahedra as solid_tets
-from phytac_design.mechanics.solid.load import solid_patch_load, tip_means
+from phytac_design.mechanics.solid.load import solid_patch_load
 from phytac_design.mechanics.solid.solid_mesh_tets import (
-    COARSEST,
-    SANE_NODES,
+    SETTINGS,
     SolidMesh,
     SolidSizes,
     coarsened,
@@ -29,6 +29,7 @@ from phytac_design.mechanics.solid.solid_mesh_tets import (
     solid_mesh,
 )
 from phytac_design.mechanics.solid.tetrahedra import Tetrahedra, jacobian_ratio, shape_tet
+from phytac_design.mechanics.solid.tip_motion import tip_means
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError, MissingPartError, NumericalError
@@ -97,9 +98,9 @@ def volume(mesh: Tetrahedra) -> float:
 
 def area(mesh: SolidMesh, faces: np.ndarray) -> float:
     corner = mesh.nodes_mm[mesh.triangles[faces]]
-    from phytac_design.mechanics.solid.load import _areas, cells
+    from phytac_design.mechanics.solid.load import cell_areas, cells
 
-    return float(_areas(corner, cells(12))[1].sum())
+    return float(cell_areas(corner, cells(12))[1].sum())
 
 
 def test_volume_is_that_of_the_cad(sensor: Sensor, mesh: SolidMesh) -> None:
@@ -113,7 +114,7 @@ def test_volume_is_that_of_the_cad(sensor: Sensor, mesh: SolidMesh) -> None:
     assert len(np.unique(mesh.tets)) == len(mesh.nodes_mm)
 
 
-def test_faces_have_their_closed_form_areas(sensor: Sensor, mesh: SolidMesh) -> None:
+def test_faces_have_their_closed_formcell_areas(sensor: Sensor, mesh: SolidMesh) -> None:
     outer, hole = 3.0, 1.6
     assert len(mesh.tips) == sensor.markers.count == 12
     for part in mesh.tips:
@@ -195,7 +196,7 @@ def test_plain_solid_in_ccx_moves_as_our_shell(tmp_path: Path) -> None:
     )
     text = path.read_text().replace("*END STEP", "*NODE PRINT, NSET=SPOT\nU\n*END STEP")
     path.write_text(text)
-    nodes, motion = solid_export.run_ccx(path)[0]["displacements", "SPOT"]
+    nodes, motion = calculix.run_ccx(path)[0]["displacements", "SPOT"]
     inward = -sensor.surface.normal(uv)[0]
     theirs = at_spot(mesh.nodes_mm[nodes] - spot, motion @ inward, inward)
     shell = chart_mesh(sensor.surface, thickness_mm=0.8, n_along=28, n_around=240)
@@ -217,9 +218,7 @@ def at_spot(arm: FloatArray, values: FloatArray, inward: FloatArray) -> float:
     return float(np.linalg.lstsq(np.column_stack(basis), values, rcond=None)[0][0])
 
 
-def job(
-    path: Path, mesh: SolidMesh, sensor: Sensor, load: FloatArray, *, large: bool = False
-) -> Path:
+def job(path: Path, mesh: SolidMesh, sensor: Sensor, load: FloatArray) -> Path:
     material = sensor.design.material
     return solid_export.write_solid_inp(
         path,
@@ -228,7 +227,6 @@ def job(
         poisson=material.poisson,
         load=load,
         name="test",
-        large=large,
     )
 
 
@@ -237,11 +235,20 @@ def test_job_with_receptors_runs_linear_and_large(tmp_path: Path) -> None:
     sensor = make_sensor(diameter=12.0, length=7.0, rows=1, columns=3)
     mesh = solid_mesh(sensor.design, sensor.surface, sensor.markers, sizes=SIZES)
     small = 1e-3 * solid_patch_load(mesh, sensor.surface, sensor.markers.uv[2], 3.0)
+    linear = job(tmp_path / "linear.inp", mesh, sensor, small)
+    large = calculix.write_reference_inp(
+        tmp_path / "large.inp",
+        mesh,
+        modulus_MPa=np.full(len(mesh.tets), sensor.design.material.modulus_MPa),
+        poisson=sensor.design.material.poisson,
+        load=small,
+        name="test",
+        large=True,
+    )
     motion = []
-    for large in (False, True):
-        path = job(tmp_path / f"job{large:d}.inp", mesh, sensor, small, large=large)
+    for path, key in ((linear, "TIPS"), (large, "ALL")):
         assert max(len(line) for line in path.read_text().splitlines()) <= 80
-        nodes, found = solid_export.run_ccx(path)[-1]["displacements", "TIPS"]
+        nodes, found = calculix.run_ccx(path)[-1]["displacements", key]
         everywhere = np.zeros_like(mesh.nodes_mm)
         everywhere[nodes] = found
         motion.append(tip_means(mesh) @ everywhere)
@@ -256,7 +263,7 @@ def test_ccx_that_fails_is_reported(sensor: Sensor, mesh: SolidMesh, tmp_path: P
     path = job(tmp_path / "bad.inp", mesh, sensor, np.zeros_like(mesh.nodes_mm))
     path.write_text(path.read_text().replace("*ELASTIC", "*NO SUCH CARD"))
     with pytest.raises(NumericalError, match=r"ccx failed on bad\.inp"):
-        solid_export.run_ccx(path)
+        calculix.run_ccx(path)
 
 
 def test_files_read_back(mesh: SolidMesh, tmp_path: Path) -> None:
@@ -294,8 +301,8 @@ def test_expected_nodes_are_about_right_and_bounded(sensor: Sensor, mesh: SolidM
     surface = long.surface()
     large = long, surface, make_markers(long, surface)
     factor, _, nodes = coarsened(*large, None)
-    assert 1.5 < factor < COARSEST
-    assert nodes <= SANE_NODES
+    assert 1.5 < factor < SETTINGS.max_factor
+    assert nodes <= SETTINGS.aimed_nodes
     with pytest.raises(DesignError, match=r"nodes at sizes × 0\.7, more than 1000000, .* GB"):
         coarsened(*large, 0.7)
     for wrong in (0.0, 2.1, np.nan):

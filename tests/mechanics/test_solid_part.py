@@ -12,7 +12,7 @@ from phytac_design.design.spec import Design
 from phytac_design.engine.stage import graphics_libraries
 from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.shell import receptor_stiffness as rc
-from phytac_design.mechanics.solid import solid_writers as solid_export
+from phytac_design.mechanics.solid import calculix
 from phytac_design.mechanics.solid.load import solid_patch_load
 from phytac_design.mechanics.solid.partial_solid import (
     PartMesh,
@@ -164,7 +164,7 @@ def solved(
     sensor: Sensor, mesh: PartMesh, path: Path, *, force: float = 1.0, large: bool = False
 ) -> FloatArray:
     load = force * solid_patch_load(mesh, sensor.surface, sensor.markers.uv[PRESSED], RADIUS_MM)
-    solid_export.write_solid_inp(
+    calculix.write_reference_inp(
         path,
         mesh,
         modulus_MPa=2200.0 * mesh.modulus_ratio,
@@ -173,10 +173,8 @@ def solved(
         name="test",
         large=large,
         first=1.0,
-        tight=large,
-        everywhere=True,
     )
-    nodes, found = solid_export.run_ccx(path)[-1]["displacements", "ALL"]
+    nodes, found = calculix.run_ccx(path)[-1]["displacements", "ALL"]
     motion = np.zeros_like(mesh.nodes_mm)
     motion[nodes] = found
     return tips_motion(mesh, sensor.markers, motion, far_mm=2.5)
@@ -193,20 +191,20 @@ def test_part_moves_as_the_whole_in_ccx(sensor: Sensor, mesh: PartMesh, tmp_path
     # A thousandth of a newton is linear; its job is one with increments.
     large = solved(sensor, mesh, tmp_path / "large.inp", force=1e-3, large=True)
     np.testing.assert_allclose(1e3 * large, part, atol=1e-3 * peak)
-    went = solid_export.read_convergence(tmp_path / "large.inp")
+    went = calculix.read_convergence(tmp_path / "large.inp")
     assert went.factor == 1.0
     assert went.increments == 1
     assert 1 <= went.iterations <= 4
-    assert went.residual < solid_export.TIGHT[0]
+    assert went.residual < calculix.TIGHT[0]
     with pytest.raises(NumericalError, match="no increments"):
-        solid_export.read_convergence(tmp_path / "absent.inp")
-    assert solid_export.ccx_version().count(".") == 1
+        calculix.read_convergence(tmp_path / "absent.inp")
+    assert calculix.ccx_version().count(".") == 1
 
 
 def test_bands_of_modulus_are_written_within_their_rounding(
     sensor: Sensor, mesh: PartMesh, tmp_path: Path
 ) -> None:
-    path = solid_export.write_solid_inp(
+    path = calculix.write_reference_inp(
         tmp_path / "bands.inp",
         mesh,
         modulus_MPa=2200.0 * mesh.modulus_ratio,
@@ -222,7 +220,7 @@ def test_bands_of_modulus_are_written_within_their_rounding(
         members = np.array(labels.split("\n", 1)[1].replace(",", " ").split(), dtype=np.int64) - 1
         assert np.isnan(modulus[members]).all()
         modulus[members] = float(rest.split("*ELASTIC\n", 1)[1].split(",", 1)[0])
-    step = solid_export.BAND * 2200.0 * mesh.modulus_ratio.max()
+    step = calculix.BAND * 2200.0 * mesh.modulus_ratio.max()
     assert np.abs(modulus - 2200.0 * mesh.modulus_ratio).max() <= 0.5001 * step
 
 
@@ -238,6 +236,6 @@ def test_convergence_is_that_of_the_last_increment_and_iteration(tmp_path: Path)
         "     1     1     1     2        0  0.8767E+01  0.4177E+01  0.0000E+00  0.0000E+00\n"
         "     1     2     1     1        0  0.1606E+00  0.7053E+00  0.0000E+00  0.0000E+00\n"
     )
-    assert solid_export.read_convergence(tmp_path / "a.inp") == solid_export.Convergence(
+    assert calculix.read_convergence(tmp_path / "a.inp") == calculix.Convergence(
         factor=0.875, increments=2, iterations=3, residual=0.001606, correction=0.007053
     )

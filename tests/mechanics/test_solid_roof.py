@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from phytac_design.mechanics.large.load_path import trace_displacement
 from phytac_design.mechanics.large.newton import Loading
+from phytac_design.mechanics.large.path_tracing import trace_displacement
 from phytac_design.mechanics.verification.large_cases import hinged_roof
 from phytac_design.mechanics.verification.solid_roof import solid_roof
 from phytac_shapes.errors import NumericalError

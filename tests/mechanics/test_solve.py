@@ -1,13 +1,11 @@
 """The model: balance with its supports, and refusal of what cannot be solved."""
 
-import sys
 from typing import Any
 
 import numpy as np
 import pytest
 
 from phytac_design.mechanics.meshing.mesh import chart_mesh
-from phytac_design.mechanics.shell.factor import Factor
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_design.mechanics.verification import cases
 from phytac_shapes.arrays import FloatArray
@@ -245,29 +243,3 @@ def test_no_load_gives_no_motion_and_no_error() -> None:
     solution = tube.solve(np.zeros((tube.fixed.size, 2)))
     assert np.all(solution.motion == 0.0)
     assert solution.error == 0.0
-
-
-def test_an_unknown_solver_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(NumericalError, match="superlu, pardiso"):
-        model(solver="gauss").solve(np.ones(6 * len(TUBE.nodes_mm)))
-
-
-def test_pardiso_missing_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pypardiso", None)
-    with pytest.raises(NumericalError, match="pip install pypardiso"):
-        model(solver="pardiso").solve(np.ones(6 * len(TUBE.nodes_mm)))
-
-
-def test_pardiso_finds_what_superlu_finds() -> None:
-    pytest.importorskip("pypardiso", reason="pypardiso is optional and not installed")
-    loads = np.random.default_rng(3).normal(size=(6 * len(TUBE.nodes_mm), 3))
-    other, plain = model(solver="pardiso"), model()
-    expected = plain.solve(loads).motion
-    np.testing.assert_allclose(
-        other.solve(loads).motion, expected, atol=1e-10 * np.abs(expected).max()
-    )
-    assert other.condition() == pytest.approx(plain.condition(), rel=0.5)
-    from scipy.sparse import csc_matrix
-
-    with pytest.raises(NumericalError, match="not positive definite"):
-        Factor(csc_matrix([[1.0, 2.0], [2.0, 1.0]]), solver="pardiso")

@@ -8,9 +8,10 @@ from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
 from phytac_design.mechanics.large import load_path
-from phytac_design.mechanics.large.load_path import solve_large, trace_arc, trace_displacement
+from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Equilibrium, Loading, System
-from phytac_design.mechanics.large.stability import negative_pivots, stray
+from phytac_design.mechanics.large.path_tracing import trace_arc, trace_displacement
+from phytac_design.mechanics.large.stability import negative_pivots, path_deviation
 from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
 from phytac_design.mechanics.verification import large_cases
 from phytac_shapes.errors import NumericalError
@@ -31,7 +32,7 @@ def sag(state: Equilibrium, middle: int) -> float:
 def exact_negatives(model: ShellModel, load: np.ndarray, state: Equilibrium) -> int:
     system = System(model, Loading(force=load))
     local = system.shell.local(state.state)
-    K = system.tangent(local, state.state, state.load_factor, None).toarray()
+    K = system.shell.tangent(local).toarray()
     K = (system.scale[:, None] * K * system.scale)[np.ix_(system.free, system.free)]
     return int(np.sum(np.linalg.eigvalsh(0.5 * (K + K.T)) < 0.0))
 
@@ -122,7 +123,7 @@ def test_without_the_guard_the_same_jump_is_silent(
     roof: tuple[ShellModel, np.ndarray, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     model, load, middle = roof
-    monkeypatch.setattr(load_path, "STRAY", np.inf)
+    monkeypatch.setattr(load_path, "PATH_DEVIATION_MAX", np.inf)
     end = solve_large(model, Loading(force=load), factors=[1.05 * LIMIT])[0]
     assert sag(end, middle) > 20.0
     assert not end.jumped
@@ -136,22 +137,22 @@ def test_a_pressed_shell_and_a_bending_strip_are_not_marked() -> None:
         assert (end.stable, end.jumped) == (True, False)
 
 
-def test_the_guard_objects_to_a_changed_sign_and_to_a_control_that_stands_still(
+def test_the_path_check_rejects_a_changed_sign_and_a_control_that_does_not_move(
     roof: tuple[ShellModel, np.ndarray, int],
 ) -> None:
     before, after = solve_large(roof[0], Loading(force=roof[1]), factors=[0.3, 0.33])
-    guard = load_path.Guard(pace=lambda _: 1.0, mark=lambda state: state.negative_pivots)
-    still = load_path.Guard(pace=lambda _: 0.0, mark=lambda state: state.negative_pivots)
-    assert not guard.left(before, after, 0.03)
-    assert guard.left(before, replace(after, negative_pivots=1), 0.03)
-    assert guard.left(before, after, 0.003)
-    assert still.left(before, after, 0.03)
+    check = load_path.PathCheck(pace=lambda _: 1.0, mark=lambda state: state.negative_pivots)
+    still = load_path.PathCheck(pace=lambda _: 0.0, mark=lambda state: state.negative_pivots)
+    assert not check.deviates(before, after, 0.03)
+    assert check.deviates(before, replace(after, negative_pivots=1), 0.03)
+    assert check.deviates(before, after, 0.003)
+    assert still.deviates(before, after, 0.03)
 
 
 def test_increments_do_not_go_on_for_ever(
     roof: tuple[ShellModel, np.ndarray, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(load_path, "MOST", 2)
+    monkeypatch.setattr(load_path, "SETTINGS", replace(load_path.SETTINGS, max_increments=2))
     with pytest.raises(NumericalError, match="2 increments did not suffice"):
         solve_large(roof[0], Loading(force=roof[1]), factors=[0.99 * LIMIT])
 
@@ -160,9 +161,9 @@ def test_stray_is_zero_on_a_straight_path_and_of_second_order_on_a_curved_one() 
     def departure(step: float) -> float:
         at = np.array([1.0, 1.0 + step])
         x, rate = np.stack([np.exp(at), np.sin(at)], 1), np.stack([np.exp(at), np.cos(at)], 1)
-        return stray(x[1] - x[0], step * rate[0], step * rate[1])
+        return path_deviation(x[1] - x[0], step * rate[0], step * rate[1])
 
     one = np.ones(3)
-    assert stray(2.0 * one, 2.0 * one, 2.0 * one) == 0.0
+    assert path_deviation(2.0 * one, 2.0 * one, 2.0 * one) == 0.0
     assert np.log2(departure(0.1) / departure(0.05)) == pytest.approx(2.0, abs=0.1)
-    assert stray(100.0 * one, one, one) == pytest.approx(0.99)
+    assert path_deviation(100.0 * one, one, one) == pytest.approx(0.99)

@@ -7,16 +7,14 @@ import numpy as np
 import pytest
 
 from phytac_design.mechanics.switch import cases
-from phytac_design.mechanics.switch import mesh as meshes
 from phytac_design.mechanics.switch.bowl import Bowl, bowl_model
-from phytac_design.mechanics.switch.buckling import Waves
+from phytac_design.mechanics.switch.buckling import CircumferentialModes
 from phytac_design.mechanics.switch.calculix import ccx_curve
 from phytac_design.mechanics.switch.curve import press_bowl, snap_of
 from phytac_design.mechanics.switch.material_fit import uniaxial_stress
 from phytac_design.mechanics.switch.materials import (
     Material,
     Ogden,
-    StVenantKirchhoff,
     Yeoh,
     bulk_of,
     neo_hookean,
@@ -27,7 +25,7 @@ from phytac_design.mechanics.switch.path import PathError
 SOFT = neo_hookean(modulus_MPa=10.0, poisson=0.49)
 BOWL = Bowl(diameter_mm=4.6, depth_mm=1.65, thickness_mm=0.25)
 LAWS = {
-    "linear": StVenantKirchhoff(modulus_MPa=2.0, poisson=0.3),
+    "linear": cases.StVenantKirchhoff(modulus_MPa=2.0, poisson=0.3),
     "neo-hookean": neo_hookean(modulus_MPa=2.0, poisson=0.499),
     "yeoh": Yeoh(coefficients_MPa=(0.4, -0.02, 0.004), bulk_MPa=40.0),
     "ogden": Ogden(
@@ -38,7 +36,7 @@ laws = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 
 
 def ring(material: Material) -> AxiModel:
-    mesh = meshes.rectangle(1.0, 2.0, 0.7, (2, 2))
+    mesh = cases.rectangle(1.0, 2.0, 0.7, (2, 2))
     held = np.zeros((len(mesh.nodes_mm), 2), dtype=bool)
     return AxiModel(mesh=mesh, material=material, held=held, tied=cases.NONE)
 
@@ -77,7 +75,7 @@ def test_waves_feel_no_rigid_motion(law: Material) -> None:
     rest = model.state(np.zeros(model.count))
     assert state
     assert rest
-    waves = Waves(model=model)
+    waves = CircumferentialModes(model=model)
     number, sign = waves.equations(1)
     r, z = model.mesh.nodes_mm.T
     one, none = np.ones_like(r), np.zeros_like(r)

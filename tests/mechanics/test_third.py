@@ -8,9 +8,9 @@ import pytest
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.large.corotational import Configuration
 from phytac_design.mechanics.large.cubic_stiffness import CHUNK, cubic_stiffness
-from phytac_design.mechanics.large.element_forces import Elastic
-from phytac_design.mechanics.large.fast_newton import Rough
-from phytac_design.mechanics.large.reference_configuration import Resting
+from phytac_design.mechanics.large.element_forces import ElementForces
+from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
+from phytac_design.mechanics.large.reference_configuration import ReferenceShell
 from phytac_design.mechanics.large.rotations import exponential
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
@@ -68,21 +68,21 @@ def test_along_a_motion_it_is_the_expansion_of_koiter(kind: str) -> None:
     (motion,) = drawn_motions(own, 1)
     load = own.stiffness @ motion
     load[own.fixed.ravel()] = 0.0
-    second, _ = Rough(own).series(load, motion)
+    second, _ = QuasiNewtonSolver(own).series(load, motion)
     push = -0.5 * force(own, whole(kind), motion, motion)
-    told = own.solve(push[:, None]).motion.reshape(-1)
-    assert np.linalg.norm(told - second) < 5e-3 * np.linalg.norm(second)
+    found = own.solve(push[:, None]).motion.reshape(-1)
+    assert np.linalg.norm(found - second) < 5e-3 * np.linalg.norm(second)
 
 
 def test_of_two_motions_it_is_the_second_difference_of_forces() -> None:
     own = model()
-    resting, (one, two) = Resting(own), drawn_motions(own, 2)
-    x, y = 1e-3 / resting.reach(one) * one, 1e-3 / resting.reach(two) * two
+    resting, (one, two) = ReferenceShell(own), drawn_motions(own, 2)
+    x, y = 1e-3 / resting.motion_size(one) * one, 1e-3 / resting.motion_size(two) * two
     each = [resting.internal(a * x + b * y) for a, b in ((1, 1), (-1, -1), (1, -1), (-1, 1))]
     wanted = (each[0] + each[1] - each[2] - each[3]) / 4.0
-    told = force(own, whole(), x, y)
+    found = force(own, whole(), x, y)
     # Forces on spins have a part more, which no disc's pressure has a share in.
-    moved = own.solve(np.stack([wanted, told], axis=1)).motion.reshape(-1, 2)
+    moved = own.solve(np.stack([wanted, found], axis=1)).motion.reshape(-1, 2)
     assert np.linalg.norm(moved[:, 0] - moved[:, 1]) < 1e-3 * np.linalg.norm(moved[:, 0])
 
 
@@ -109,8 +109,8 @@ def test_elements_apart_add_up_to_the_shell() -> None:
     parts = motion[rows].reshape(-1, 6)
     state = Configuration(displacement_mm=parts[:, :3].copy(), quaternion=exponential(parts[:, 3:]))
     total = np.zeros(own.fixed.size)
-    apart = Elastic(own, apart=slice(None))
+    apart = ElementForces(own, apart=slice(None))
     assert apart.size == rows.size
     np.add.at(total, rows.ravel(), apart.internal(state))
     total[own.fixed.ravel()] = 0.0
-    np.testing.assert_allclose(total, Resting(own).internal(motion), atol=1e-9)
+    np.testing.assert_allclose(total, ReferenceShell(own).internal(motion), atol=1e-9)

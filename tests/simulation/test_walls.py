@@ -113,7 +113,7 @@ def seen_and_told(one: Bench, forces: list[float]) -> tuple[FloatArray, FloatArr
     )
     loads, still = one.pressed.linear(uv, one.places.radius_mm)
     weight = np.array(forces)
-    large = one.pressed.shell.rough(loads @ weight, still @ weight)
+    large = one.pressed.shell.approximate(loads @ weight, still @ weight)
     assert large is not None
     seen = one.see.shift(one.pressed.feet.large(large)).ravel()
     points = one.pressed.surface.point(uv)

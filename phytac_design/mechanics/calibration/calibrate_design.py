@@ -10,7 +10,11 @@ from phytac_design.design.design_file import parse_design, to_toml
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.calibration.calibration import LIMIT, calibrate
-from phytac_design.mechanics.calibration.calibration_result import Calibration, Name, Parameters
+from phytac_design.mechanics.calibration.calibration_result import (
+    Calibration,
+    Name,
+    ShellParameters,
+)
 from phytac_design.mechanics.calibration.measurements import read_measurements
 from phytac_design.mechanics.calibration.probe_response import ProbeResponse
 from phytac_design.mechanics.shell.receptor_stiffness import receptor_stiffness, unknown_receptors
@@ -41,14 +45,14 @@ def calibrate_design(
     accuracy : str
         Preset: its ``refine`` sets the coarser of the two meshes.
     progress : callable
-        Called with a line about each round.
+        Called with a line about each iteration.
 
     Raises
     ------
     InputError
         If the file is not usable.
     NumericalError
-        If the data cannot tell the parameters.
+        If the data do not determine the parameters.
     """
     surface = design.surface()
     markers = make_markers(design, surface)
@@ -63,7 +67,7 @@ def calibrate_design(
         force_N=rows.force_N,
         displacement_mm=rows.displacement_mm,
         press=rows.press,
-        start=Parameters(
+        start=ShellParameters(
             modulus=design.material.modulus_MPa,
             thickness=design.wall.thickness_mm,
             poisson=design.material.poisson,

@@ -7,9 +7,9 @@ they were measured, as displacements, each weighted by its own noise::
 
 by Gauss-Newton with exact sensitivities. The Fisher information JᵀV⁻¹J gives the intervals
 (Student's t with as many degrees of freedom as there are presses beyond the parameters, widened
-by a share of what the extrapolation over two meshes changed) and says what the data cannot tell:
-a displacement goes with E·tⁿ, n from 1 (membrane) to 3 (bending), so that E and t part only where
-n differs from row to row.
+by a share of what the extrapolation over two meshes changed) and shows what the data do not
+determine: a displacement goes with E·tⁿ, n from 1 (membrane) to 3 (bending), so that E and t part
+only where n differs from row to row.
 """
 
 from collections.abc import Callable, Collection
@@ -17,13 +17,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phytac_design.mechanics.calibration.calibration_noise import Noise, estimate_noise, whiten
+from phytac_design.mechanics.calibration.calibration_noise import (
+    MeasurementNoise,
+    estimate_noise,
+    whiten,
+)
 from phytac_design.mechanics.calibration.calibration_result import (
-    LEVEL,
+    CONFIDENCE,
     NAMES,
     Calibration,
     Name,
-    Parameters,
+    ShellParameters,
 )
 from phytac_design.mechanics.calibration.probe_response import Response, ResponseModel
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -31,34 +35,45 @@ from phytac_shapes.errors import InputError, NumericalError
 
 LIMIT = 0.10
 """Widest half-interval of modulus and thickness, as a fraction, that is returned."""
-POISSON_LIMIT = 0.05
-"""Widest half-interval of Poisson's ratio for it to be fitted; else it is held."""
-ROWS_EACH = 5
-"""Fewest rows for each fitted parameter."""
 MAX_DISPLACEMENT_OVER_WALL = 0.1
 """Largest displacement over wall thickness: beyond, linear theory is off by more than about 3 %."""
-UNIT_FACTOR = 30.0
-"""Data this many times softer or stiffer than the design are in other units, not in error."""
-MISFIT = 0.5
-"""Largest share of the data's rms that may stay unexplained."""
-STEP_LOG, STEP_POISSON = 0.3, 0.05
-"""Longest Gauss-Newton step, in ln E and ln t, and in ν."""
-POISSON_MOST = 0.495
-WALL_FACTOR = 4.0
-"""A wall this many times thicker or thinner than the design's is not searched."""
-ROUNDS = 25
-LOST_AFTER, LOST_SPREAD = 3, 0.5
-"""Rounds after which a standard deviation this large (ln E, ln t) ends the search: hopeless."""
-MESH_SHARE = 0.25
-"""Share of what extrapolation over two meshes changed that is added to every half-interval.
 
-Chosen on one synthetic sensor (without it, intervals of t held in 84 of 100), then confirmed on
-another, with other parameters, mesh and noise (97; without it 75).
-"""
-CONVERGED = 0.05
-"""Largest last step, in standard deviations of the parameter."""
-TINY_STEP = 1e-7
-"""A step below this is rounding, however small the standard deviation."""
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationSettings:
+    """Limits of a fit."""
+
+    poisson_limit: float = 0.05
+    """Widest half-interval of Poisson's ratio for it to be fitted; else it is held."""
+    rows_per_parameter: int = 5
+    """Fewest rows for each fitted parameter."""
+    max_unit_factor: float = 30.0
+    """Data this many times softer or stiffer than the design are in other units, not in error."""
+    max_unexplained: float = 0.5
+    """Largest share of the data's rms that may stay unexplained."""
+    max_log_step: float = 0.3
+    max_poisson_step: float = 0.05
+    """Longest Gauss-Newton step, in ln E and ln t, and in ν."""
+    max_poisson: float = 0.495
+    max_wall_factor: float = 4.0
+    """A wall this many times thicker or thinner than the design's is not searched."""
+    max_iterations: int = 25
+    hopeless_after_iterations: int = 3
+    hopeless_deviation: float = 0.5
+    """Rounds after which a standard deviation this large (ln E, ln t) ends the search: hopeless."""
+    mesh_error_share: float = 0.25
+    """Share of what extrapolation over two meshes changed that is added to every half-interval.
+
+    Chosen on one synthetic sensor (without it, intervals of t held in 84 of 100), then confirmed on
+    another, with other parameters, mesh and noise (97; without it 75).
+    """
+    step_tolerance: float = 0.05
+    """Largest last step, in standard deviations of the parameter."""
+    rounding_step: float = 1e-7
+    """A step below this is rounding, however small the standard deviation."""
+
+
+SETTINGS = CalibrationSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +83,7 @@ class _Fit:
     at: FloatArray
     jacobian: FloatArray
     free: list[int]
-    noise: Noise
+    noise: MeasurementNoise
     mesh: FloatArray
     settled: bool
 
@@ -77,7 +92,7 @@ class _Fit:
         free = self.free if free is None else free
         cov = _covariance(self.jacobian[:, free])
         pull = np.abs(self.mesh_pull(free))
-        return np.asarray(quantile * np.sqrt(np.diag(cov)) + MESH_SHARE * pull)
+        return np.asarray(quantile * np.sqrt(np.diag(cov)) + SETTINGS.mesh_error_share * pull)
 
     def mesh_pull(self, free: list[int]) -> FloatArray:
         """Change of the parameters that the extrapolation over two meshes made."""
@@ -90,7 +105,7 @@ def calibrate(
     force_N: FloatArray,
     displacement_mm: FloatArray,
     press: IntArray,
-    start: Parameters,
+    start: ShellParameters,
     fixed: Collection[Name] = (),
     limit: float = LIMIT,
     progress: Callable[[str], None] = lambda _: None,
@@ -105,7 +120,7 @@ def calibrate(
         Force of each row's press and displacement at its probe, both positive inward.
     press : (n,) int
         Number of the press that a row belongs to: rows that share one force reading.
-    start : Parameters
+    start : ShellParameters
         The design's values: where the search begins, and what fixed parameters stay at.
     fixed : collection of str
         Parameters that are known: any of ``modulus``, ``thickness``, ``poisson``.
@@ -135,13 +150,13 @@ def calibrate(
     if fit.settled and "poisson" not in fixed:
         joint = [*free, 2]
         widths = fit.half_widths(_quantile(presses, len(joint)), joint)
-        if len(press) >= ROWS_EACH * len(joint) and _good(widths, joint, limit):
+        if len(press) >= SETTINGS.rows_per_parameter * len(joint) and _good(widths, joint, limit):
             fit = _gauss_newton(data, fit.at, joint, progress=progress)
     quantile = _quantile(presses, len(fit.free))
     widths = fit.half_widths(quantile)
     summary = _combination(fit, quantile)
     if not (fit.settled and _good(widths, fit.free, limit)):
-        raise NumericalError(_cannot_tell(fit, widths, summary, limit, presses))
+        raise NumericalError(_undetermined(fit, widths, summary, limit, presses))
     return _result(fit, widths, summary, len(press), presses)
 
 
@@ -170,7 +185,9 @@ def _gauss_newton(
     progress: Callable[[str], None],
 ) -> _Fit:
     begin, noise = at, None
-    longest = np.array([STEP_LOG, STEP_LOG, STEP_POISSON])[free]
+    longest = np.array([SETTINGS.max_log_step, SETTINGS.max_log_step, SETTINGS.max_poisson_step])[
+        free
+    ]
     done, turn = False, 0
     while True:
         turn += 1
@@ -187,18 +204,26 @@ def _gauss_newton(
         A, r = white[:, free], white[:, 3]
         step = np.linalg.lstsq(A, r, rcond=1e-10)[0]
         spread = np.sqrt(np.diag(_covariance(A)))
-        lost = turn >= LOST_AFTER and bool(np.any(spread > LOST_SPREAD))
-        lost |= turn == ROUNDS or bool(np.abs(at[1] - begin[1]) > np.log(WALL_FACTOR))
+        lost = turn >= SETTINGS.hopeless_after_iterations and bool(
+            np.any(spread > SETTINGS.hopeless_deviation)
+        )
+        lost |= turn == SETTINGS.max_iterations or bool(
+            np.abs(at[1] - begin[1]) > np.log(SETTINGS.max_wall_factor)
+        )
         if done or lost:
             _refuse_misfit(residual, data.measured)
             mesh = white[:, 4] / np.exp(at[0])
             return _Fit(
                 at=at, jacobian=white[:, :3], free=free, noise=noise, mesh=mesh, settled=done
             )
-        done = bool(np.all(np.abs(step) <= np.maximum(CONVERGED * spread, TINY_STEP)))
+        done = bool(
+            np.all(
+                np.abs(step) <= np.maximum(SETTINGS.step_tolerance * spread, SETTINGS.rounding_step)
+            )
+        )
         at = at.copy()
         at[free] += step * min(1.0, float(np.min(longest / np.maximum(np.abs(step), 1e-300))))
-        at[2] = np.clip(at[2], 0.0, POISSON_MOST)
+        at[2] = np.clip(at[2], 0.0, SETTINGS.max_poisson)
         progress(
             f"round {turn}: E {np.exp(at[0]):.5g} MPa, t {np.exp(at[1]):.5g} mm, ν {at[2]:.4g}"
         )
@@ -206,7 +231,7 @@ def _gauss_newton(
 
 def _refuse_misfit(residual: FloatArray, measured: FloatArray) -> None:
     unexplained = float(np.sqrt(np.mean(residual**2) / np.mean(measured**2)))
-    if unexplained > MISFIT:
+    if unexplained > SETTINGS.max_unexplained:
         raise NumericalError(
             f"calibration: the best fit leaves {unexplained:.0%} of the displacements "
             "unexplained; check contact and probe positions, clamping and units"
@@ -228,12 +253,12 @@ def _covariance(A: FloatArray) -> FloatArray:
 def _quantile(presses: int, fitted: int) -> float:
     from scipy.stats import t
 
-    return float(t.ppf(0.5 + LEVEL / 2.0, max(1, presses - fitted)))
+    return float(t.ppf(0.5 + CONFIDENCE / 2.0, max(1, presses - fitted)))
 
 
 def _good(widths: FloatArray, free: list[int], limit: float) -> bool:
     """Whether all half-widths (ln E, ln t, ν) are within their limits."""
-    limits = np.array([np.log1p(limit), np.log1p(limit), POISSON_LIMIT])[free]
+    limits = np.array([np.log1p(limit), np.log1p(limit), SETTINGS.poisson_limit])[free]
     return bool(np.all(widths <= limits))
 
 
@@ -250,16 +275,17 @@ def _combination(fit: _Fit, quantile: float) -> tuple[float, float, float]:
 
 
 def _refuse_few(rows: int, presses: int, fitted: int) -> None:
-    if rows < ROWS_EACH * fitted or presses < fitted + 2:
+    if rows < SETTINGS.rows_per_parameter * fitted or presses < fitted + 2:
         raise InputError(
             f"calibration: {rows} rows of {presses} presses are too few to fit {fitted} "
-            f"parameters (at least {ROWS_EACH * fitted} rows and {fitted + 2} presses of "
+            f"parameters (at least {SETTINGS.rows_per_parameter * fitted} rows and {fitted + 2} "
+            "presses of "
             "different place, patch or force); measure more, or fix a parameter"
         )
 
 
-def _refuse_absurd(data: _Data, value: FloatArray, start: Parameters) -> None:
-    """Refuse signs, units and sizes that no calibration could repair."""
+def _refuse_absurd(data: _Data, value: FloatArray, start: ShellParameters) -> None:
+    """Reject signs, units and sizes that no calibration can correct."""
     for name, array in (("force_N", data.force), ("displacement_mm", data.measured)):
         if not np.all(np.isfinite(array)):
             raise InputError(
@@ -273,23 +299,24 @@ def _refuse_absurd(data: _Data, value: FloatArray, start: Parameters) -> None:
             "calibration: the displacements point the other way than the forces; forces and "
             "displacements are both positive inward"
         )
-    if not 1.0 / UNIT_FACTOR < factor < UNIT_FACTOR:
+    if not 1.0 / SETTINGS.max_unit_factor < factor < SETTINGS.max_unit_factor:
         raise InputError(
             f"calibration: the displacements are {factor:.3g} times those of the design "
             f"(E {start.modulus:g} MPa, t {start.thickness:g} mm); displacements are in mm and "
             "forces in N: check units, or put a modulus nearer the truth into the design"
         )
-    most = float(np.abs(data.measured).max())
-    if most > MAX_DISPLACEMENT_OVER_WALL * start.thickness:
+    largest = float(np.abs(data.measured).max())
+    if largest > MAX_DISPLACEMENT_OVER_WALL * start.thickness:
         over = int(np.sum(np.abs(data.measured) > MAX_DISPLACEMENT_OVER_WALL * start.thickness))
         raise InputError(
-            f"calibration: {over} rows move by more than {MAX_DISPLACEMENT_OVER_WALL:g} of the wall (up to "
-            f"{most:.3g} mm of {start.thickness:g} mm), where linear theory is off by more than "
+            f"calibration: {over} rows move by more than {MAX_DISPLACEMENT_OVER_WALL:g} of the "
+            "wall (up to "
+            f"{largest:.3g} mm of {start.thickness:g} mm), where linear theory is off by more than "
             "about 3 %; press more gently, or remove the presses they belong to"
         )
 
 
-def _cannot_tell(
+def _undetermined(
     fit: _Fit,
     widths: FloatArray,
     summary: tuple[float, float, float],
@@ -297,7 +324,7 @@ def _cannot_tell(
     presses: int,
 ) -> str:
     parts = [f"{NAMES[k]} ± {_percent(w, 0)}" for k, w in zip(fit.free, widths, strict=True)]
-    text = f"the data cannot tell: {', '.join(parts)} at {LEVEL:.0%} (limit {limit:.0%})"
+    text = f"the data do not determine: {', '.join(parts)} at {CONFIDENCE:.0%} (limit {limit:.0%})"
     more = (float(np.max(widths)) / np.log1p(limit)) ** 2
     if len(fit.free) == 1:
         return f"{text}; about {more:.1f} times as many presses would do"
@@ -346,7 +373,7 @@ def _result(
     )
 
 
-def _parameters(at: FloatArray) -> Parameters:
-    return Parameters(
+def _parameters(at: FloatArray) -> ShellParameters:
+    return ShellParameters(
         modulus=float(np.exp(at[0])), thickness=float(np.exp(at[1])), poisson=float(at[2])
     )

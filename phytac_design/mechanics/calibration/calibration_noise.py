@@ -17,7 +17,7 @@ from phytac_shapes.arrays import FloatArray, IntArray
 
 START = (0.05, 1e-2, 0.01)
 """Relative noise, floor (of the rms displacement) and force error to start the estimate from."""
-LEAST = (1e-5, 1e-6, 1e-5)
+MINIMUM = (1e-5, 1e-6, 1e-5)
 """The same, least values: data without noise must not divide by zero."""
 
 
@@ -26,7 +26,7 @@ XTOL, FTOL = 5e-3, 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Noise:
+class MeasurementNoise:
     """Standard deviations.
 
     Attributes
@@ -44,7 +44,9 @@ class Noise:
     force_relative: float
 
 
-def whiten(noise: Noise, expected: FloatArray, press: IntArray, columns: FloatArray) -> FloatArray:
+def whiten(
+    noise: MeasurementNoise, expected: FloatArray, press: IntArray, columns: FloatArray
+) -> FloatArray:
     """V^(-1/2)·columns (n, k) for the covariance V of the noise; rows ``expected`` mm (n,)."""
     sigma = np.hypot(noise.relative * expected, noise.floor_mm)
     scaled, g = columns / sigma[:, None], expected / sigma
@@ -63,8 +65,8 @@ def estimate_noise(
     press: IntArray,
     *,
     fitted: int,
-    start: Noise | None = None,
-) -> Noise:
+    start: MeasurementNoise | None = None,
+) -> MeasurementNoise:
     """Most likely noise for the residuals (n,) mm of a model with ``fitted`` parameters.
 
     The search begins at ``start``, an estimate for nearly the same residuals, where there is one.
@@ -78,7 +80,7 @@ def estimate_noise(
     grouped = press.max() + 1 < len(press)
     residual = residual * np.sqrt(len(residual) / max(1, len(residual) - fitted))
     scale = np.array([1.0, size, 1.0])
-    low = np.log(np.array(LEAST) * scale)
+    low = np.log(np.array(MINIMUM) * scale)
     count = 3 if grouped else 2
 
     def unpack(log: FloatArray) -> tuple[float, float, float]:
@@ -103,7 +105,7 @@ def estimate_noise(
     best = minimize(cost, first, method="Nelder-Mead", options=options)
     a, f, tau = unpack(best.x)
     presses = int(press.max()) + 1
-    return Noise(
+    return MeasurementNoise(
         relative=a, floor_mm=f, force_relative=tau * np.sqrt(presses / max(1, presses - 1))
     )
 

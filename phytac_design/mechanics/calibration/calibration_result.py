@@ -1,9 +1,9 @@
-"""What a calibration found: values, intervals, and what the data can and cannot tell."""
+"""Result of a calibration: values, intervals, and what the data determine."""
 
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from phytac_design.mechanics.calibration.calibration_noise import Noise
+from phytac_design.mechanics.calibration.calibration_noise import MeasurementNoise
 
 Name = Literal["modulus", "thickness", "poisson"]
 NAMES: tuple[Name, ...] = ("modulus", "thickness", "poisson")
@@ -12,12 +12,12 @@ LABELS: tuple[tuple[Name, str, str], ...] = (
     ("thickness", "wall thickness", "mm"),
     ("poisson", "Poisson's ratio", ""),
 )
-LEVEL = 0.95
+CONFIDENCE = 0.95
 """Confidence of the intervals."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parameters:
+class ShellParameters:
     """Young's modulus (MPa), wall thickness (mm), Poisson's ratio."""
 
     modulus: float
@@ -31,11 +31,11 @@ class Calibration:
 
     Attributes
     ----------
-    value, low, high : Parameters
+    value, low, high : ShellParameters
         Best values and the ends of their 95 % intervals; both ends equal the value where held.
     fitted : tuple of str
         Names of the parameters that were fitted.
-    noise : Noise
+    noise : MeasurementNoise
         Estimated from the residuals.
     rows, presses : int
         Displacements, and presses that they belong to.
@@ -43,7 +43,7 @@ class Calibration:
         Interval of the worst determined combination of the fitted parameters (in logarithms; ν
         as it is) over that of the best; 1 where only one was fitted.
     exponent, combination : float
-        E·t^exponent is what the data tell best, to ± ``combination`` (95 %, relative).
+        E·t^exponent is what the data determine best, to ± ``combination`` (95 %, relative).
     poisson_pull : dict
         Relative change of modulus and thickness if ν is really larger by 0.01 than the held
         value; empty where ν was fitted.
@@ -51,11 +51,11 @@ class Calibration:
         Change (relative; of ν absolute) that the extrapolation over two meshes made.
     """
 
-    value: Parameters
-    low: Parameters
-    high: Parameters
+    value: ShellParameters
+    low: ShellParameters
+    high: ShellParameters
     fitted: tuple[Name, ...]
-    noise: Noise
+    noise: MeasurementNoise
     rows: int
     presses: int
     condition: float
@@ -73,7 +73,7 @@ class Calibration:
         lines = [f"{self.rows} displacements of {self.presses} presses"]
         for name, label, unit in LABELS:
             low, value, high = (getattr(p, name) for p in (self.low, self.value, self.high))
-            known = f"{LEVEL:.0%} {low:.4g} … {high:.4g}" if name in self.fitted else "held"
+            known = f"{CONFIDENCE:.0%} {low:.4g} … {high:.4g}" if name in self.fitted else "held"
             lines.append(f"  {label:15s} {value:9.5g} {unit:4s} {known}")
         if len(self.fitted) > 1:
             lines.append(

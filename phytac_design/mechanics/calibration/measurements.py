@@ -20,8 +20,8 @@ KNOWN = [f"{what}_{name}" for what in ("contact", "probe") for c in PLACES.value
 TABLE_BYTES_MAX = 1 << 26
 OFF_SURFACE_MM = 0.5
 """Farthest that a measured point may lie from the wall: a reading error, not another frame."""
-ROWS_SHOWN = 5
-SHOWN = 120
+MAX_ROWS_NAMED = 5
+MAX_TEXT = 120
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +135,7 @@ def _check_names(path: Path, names: list[str]) -> None:
         if name not in known:
             near = get_close_matches(name, known, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
-            raise InputError(f"{path}: unknown column {name[:SHOWN]!r}; {hint}")
+            raise InputError(f"{path}: unknown column {name[:MAX_TEXT]!r}; {hint}")
         if names.count(name) > 1:
             raise InputError(f"{path}: column {name!r} stands there twice; keep one")
     missing = [name for name in VALUES if name not in names]
@@ -150,7 +150,7 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
         value = np.nan
     if not np.isfinite(value):
         raise InputError(
-            f"{path} line {line}: {name} is not a finite number (got {text.strip()[:SHOWN]!r}); "
+            f"{path} line {line}: {name} is not a finite number (got {text.strip()[:MAX_TEXT]!r}); "
             "correct the value or remove the line"
         )
     return value
@@ -195,7 +195,7 @@ def _refuse(
     table: dict[str, FloatArray],
 ) -> None:
     if np.any(bad):
-        lines = ", ".join(f"{line:.0f}" for line in table["line"][bad][:ROWS_SHOWN])
+        lines = ", ".join(f"{line:.0f}" for line in table["line"][bad][:MAX_ROWS_NAMED])
         raise InputError(
             f"{path} line {lines}: {name} {why} (got {table[name][bad][0]:g}, "
             f"{int(bad.sum())} in all); correct the value or remove the line"

@@ -1,4 +1,4 @@
-r"""Displacement at measured places per newton, with its rates, nearly free of mesh error.
+r"""Displacement at measured places per newton, with its rates, extrapolated over two meshes.
 
 Two meshes whose element counts are as 2 : 3 in both directions are solved and extrapolated
 (Richardson; the error of the element is of order h²)::
@@ -25,7 +25,7 @@ from phytac_design.mechanics.shell.solve import clamped_model
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 
-RATIO = 1.5
+MESH_RATIO = 1.5
 """Element counts of the fine mesh over those of the coarse one."""
 LOADS_AT_ONCE = 64
 """Loads worked on together, to bound the memory."""
@@ -42,7 +42,7 @@ class Response:
         mm/N at 1 MPa.
     thickness_rate, poisson_rate : (n,) float
         Its derivatives, per mm of wall (middle face held) and per unit of ν; ``poisson_rate`` is
-        None where it was not asked for.
+        None where it was not requested.
     mesh_error : (n,) float
         ``value`` minus that of the finer mesh: an estimate of the finer mesh's error.
     """
@@ -66,7 +66,7 @@ class ProbeResponse:
     surface : Surface
         The outer face, which stays while the wall grows inward.
     rows : Measurements
-        Places and patches; forces and displacements are not looked at.
+        Places and patches; forces and displacements are not used.
     around : int
         Elements around of the coarser mesh; made even.
     factors : callable, optional
@@ -84,9 +84,9 @@ class ProbeResponse:
         """Solve both meshes and extrapolate."""
         counts = mesh_counts(self.surface, self.around)
         coarse = self._on_mesh(counts, thickness_mm, poisson, with_poisson)
-        finer = (round(counts[0] * RATIO), round(counts[1] * RATIO))
+        finer = (round(counts[0] * MESH_RATIO), round(counts[1] * MESH_RATIO))
         fine = self._on_mesh(finer, thickness_mm, poisson, with_poisson)
-        error = (fine - coarse) / (RATIO**2 - 1.0)
+        error = (fine - coarse) / (MESH_RATIO**2 - 1.0)
         best = fine + error
         return Response(
             value=best[0],

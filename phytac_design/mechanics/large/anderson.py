@@ -11,7 +11,7 @@ RCOND = 1e-12
 TINY = 1e-300
 
 
-class Anderson:
+class AndersonAcceleration:
     """Differences of the last steps, and the next step from them (Walker and Ni 2011)."""
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class Anderson:
         x, g, residual : (n,) float
             The motion, K₀⁻¹r and the residual r there.
         damping : float
-            Share of what is left of g that is taken.
+            Share of the remaining g that is added.
         """
         if self._last is not None:
             before, g_before, residual_before = self._last

@@ -1,15 +1,18 @@
 """Structured meshes that are fine under one contact and coarse elsewhere."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from phytac_design.mechanics.meshing.mesh import ShellMesh
+from phytac_design.mechanics.meshing.grid import product_grid
+from phytac_design.mechanics.meshing.mesh import ShellMesh, _shell
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
 SAMPLES = 4001
 """Points at which the wanted element size is integrated."""
-LEAST_SIDE = 2
+MIN_ELEMENTS = 2
 """Elements on each side of the contact at least."""
 
 
@@ -66,7 +69,9 @@ def contact_mesh(
     u[[0, -1]] = u0, u1
     half = _steps(0.5 * (v1 - v0) * around, *size) / around
     v = centre[1] + np.concatenate([-half[:0:-1], half[:-1]])
-    return _product(surface, u, v0 + np.mod(v - v0, v1 - v0), thickness_mm)
+    v = v0 + np.mod(v - v0, v1 - v0)
+    grid = product_grid(surface, u, np.append(v, v[0]))
+    return _shell(surface, replace(grid, around=None), thickness_mm)
 
 
 def _steps(length: float, core: float, size: float, growth: float) -> FloatArray:
@@ -74,34 +79,5 @@ def _steps(length: float, core: float, size: float, growth: float) -> FloatArray
     x = np.linspace(0.0, length, SAMPLES)
     density = 1.0 / (size + growth * np.maximum(x - core, 0.0))
     count = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * x[1])])
-    steps = max(LEAST_SIDE, int(np.ceil(count[-1])))
+    steps = max(MIN_ELEMENTS, int(np.ceil(count[-1])))
     return np.interp(np.linspace(0.0, count[-1], steps + 1), count, x)
-
-
-def _product(surface: Surface, u: FloatArray, v: FloatArray, thickness_mm: float) -> ShellMesh:
-    uv = np.column_stack([np.repeat(u, len(v)), np.tile(v, len(u))])
-    ids = np.arange(len(uv)).reshape(len(u), len(v))
-    after = np.roll(ids, -1, axis=1)
-    quads = np.stack([ids[:-1], after[:-1], after[1:], ids[1:]], axis=-1).reshape(-1, 4)
-    nodes, normals = surface.point(uv, -thickness_mm / 2.0), surface.normal(uv)
-    corner = nodes[quads]
-    facing = np.cross(corner[:, 2] - corner[:, 0], corner[:, 3] - corner[:, 1])
-    if np.sum(facing * normals[quads].sum(axis=1)) < 0.0:
-        quads = quads[:, ::-1].copy()
-    empty = np.zeros(0, dtype=np.int64)
-    return ShellMesh(
-        nodes_mm=nodes,
-        uv=uv,
-        normals=normals,
-        quads=quads,
-        marker_nodes=empty,
-        sets={
-            "TOP": ids[-1],
-            "BOTTOM": ids[0],
-            "CLAMPED": np.concatenate([ids[0], ids[-1]]),
-            "MARKERS": empty,
-        },
-        thickness_mm=thickness_mm,
-        period_v=float(surface.domain[1, 1] - surface.domain[1, 0]),
-        surface=surface,
-    )

@@ -61,7 +61,7 @@ class Configuration:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Local:
+class LocalElements:
     """Elements seen from their frames: E elements of four corners.
 
     Attributes
@@ -106,7 +106,7 @@ class Corotational:
         count = len(self.model.nodes_mm)
         return Configuration(displacement_mm=np.zeros((count, 3)), quaternion=rot.identity(count))
 
-    def local(self, state: Configuration) -> Local:
+    def local(self, state: Configuration) -> LocalElements:
         """Elements in their best-fitting frames, and the forces they exert there.
 
         Raises
@@ -121,7 +121,7 @@ class Corotational:
         ubar = self._deformation(frame, moved)
         theta = rot.logarithm(rot.product(rot.inverse(frame)[:, None], nodal))
         motion = np.concatenate([ubar, theta], axis=2)
-        return Local(
+        return LocalElements(
             frame=frame,
             corners=self._arms + ubar,
             motion=motion,
@@ -146,11 +146,11 @@ class Corotational:
         aligned = np.where(np.sum(nodal * nodal[:, :1], axis=2, keepdims=True) < 0.0, -nodal, nodal)
         frame = aligned.sum(axis=1)
         frame /= np.linalg.norm(frame, axis=1, keepdims=True)
-        frame, loose = self._polished(frame, moved)
+        frame, loose = self._newton_fit(frame, moved)
         if np.any(loose):
             start = frame.copy()
             start[loose] = rot.best_fit(self._arms[loose], (self._arms + moved)[loose])
-            frame, loose = self._polished(start, moved)
+            frame, loose = self._newton_fit(start, moved)
         if np.any(loose):
             raise NumericalError(
                 f"{int(loose.sum())} elements are distorted so that no rigid rotation fits their "
@@ -158,7 +158,7 @@ class Corotational:
             )
         return frame
 
-    def _polished(self, frame: FloatArray, moved: FloatArray) -> tuple[FloatArray, BoolArray]:
+    def _newton_fit(self, frame: FloatArray, moved: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Frames after Newton's method on Σ P_a × ū_a = 0, and those that it does not settle."""
         loose = np.ones(len(frame), dtype=np.bool_)
         for _ in range(FIT_STEPS):
@@ -188,7 +188,7 @@ class Corotational:
         # P × (ω × p) = ω (P·p) − p (P·ω)
         return np.asarray(trace * np.eye(3) - np.swapaxes(product, 1, 2))
 
-    def internal(self, local: Local) -> FloatArray:
+    def internal(self, local: LocalElements) -> FloatArray:
         """Nodal forces (N) and moments (N mm, on spins) that balance the elements, (6N,)."""
         forces = self._projected(local, local.forces)[0]
         R = rot.matrix(local.frame)
@@ -199,7 +199,7 @@ class Corotational:
         ).astype(np.float64)
 
     def _projected(
-        self, local: Local, forces: FloatArray
+        self, local: LocalElements, forces: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Forces in the frame with moment balance (E, 4, 6); G (E, 3, 4, 3); A⁻ᵀτ (E, 3)."""
         H = rot.spin_to_vector(local.motion[:, :, 3:])
@@ -212,17 +212,17 @@ class Corotational:
         y = np.einsum("eji,ej->ei", turn, torque)
         return np.concatenate([balanced, m], axis=2), G, y
 
-    def tangent(self, local: Local, forces: FloatArray | None = None) -> Any:
+    def tangent(self, local: LocalElements, forces: FloatArray | None = None) -> Any:
         """Tangent stiffness, (6N, 6N) ``scipy.sparse.csc_matrix``.
 
         Parameters
         ----------
-        local : Local
+        local : LocalElements
             Elements at the state.
         forces : (E, 4, 6) float, optional
-            Local forces for the geometric part in place of ``local.forces``: with those foreseen
-            by the last Newton step the iteration takes far larger steps (Magisano, Leonetti and
-            Garcea 2017); equal at convergence.
+            Local forces for the geometric part in place of ``local.forces``: with those
+            predicted by the last Newton step the iteration takes far larger steps (Magisano,
+            Leonetti and Garcea 2017); equal at convergence.
         """
         return self.assembled(
             self.element_tangents(local, local.forces if forces is None else forces)
@@ -233,12 +233,12 @@ class Corotational:
         # ``assemble`` hands compressed rows over as columns, so it takes the transpose.
         return assemble(self._pattern, np.swapaxes(matrices, 1, 2))
 
-    def element_tangents(self, local: Local, forces: FloatArray) -> FloatArray:
+    def element_tangents(self, local: LocalElements, forces: FloatArray) -> FloatArray:
         """Tangents of all elements, global axes, (E, 24, 24)."""
         count = len(local.frame)
         theta, moment = local.motion[:, :, 3:], forces[:, :, 3:]
         balanced, G, y = self._projected(local, forces)
-        follow = self.followers(local, G)  # (ū, ψ) per (Rᵀδx, Rᵀω), Q
+        follow = self.projector(local, G)  # (ū, ψ) per (Rᵀδx, Rᵀω), Q
         H = rot.spin_to_vector(theta)
         bend = follow.copy().reshape(count, 4, 2, 3, 24)
         bend[:, :, 1] = H @ bend[:, :, 1]
@@ -264,7 +264,7 @@ class Corotational:
         K = (R @ np.swapaxes(K, 1, 2).reshape(count, 8, 3, 24)).reshape(count, 24, 24)
         return np.swapaxes(K, 1, 2)
 
-    def followers(self, local: Local, G: FloatArray) -> FloatArray:
+    def projector(self, local: LocalElements, G: FloatArray) -> FloatArray:
         """Q (E, 24, 24): (δū, δψ) of (Rᵀδx, Rᵀω), up to a translation of the element."""
         count = len(G)
         out = np.zeros((count, 4, 2, 3, 4, 2, 3))
@@ -277,7 +277,7 @@ class Corotational:
                     out[:, corner, kind, axis, corner, kind, axis] += 1.0
         return out.reshape(count, 24, 24)
 
-    def foreseen(self, local: Local, step: FloatArray) -> FloatArray:
+    def predicted_forces(self, local: LocalElements, step: FloatArray) -> FloatArray:
         """Local forces (E, 4, 6) after the motion ``step`` (6N,), to first order."""
         turn = np.linalg.inv(self._inertia(local.corners))
         R = rot.matrix(local.frame)

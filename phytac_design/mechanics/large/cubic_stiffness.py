@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.corotational import Configuration
-from phytac_design.mechanics.large.element_forces import Elastic
+from phytac_design.mechanics.large.element_forces import ElementForces
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import FloatArray
 
@@ -23,7 +23,7 @@ STEP_RAD = 1e-3
 """Turn of the differences; motion is that times the element's size."""
 DOFS = 24
 CHUNK = 512
-"""Elements looked at together: bounds the memory."""
+"""Elements processed together: bounds the memory."""
 
 
 def cubic_stiffness(model: ShellModel) -> Iterator[tuple[slice, NDArray[np.float32]]]:
@@ -34,10 +34,10 @@ def cubic_stiffness(model: ShellModel) -> Iterator[tuple[slice, NDArray[np.float
     """
     for first in range(0, len(model.quads), CHUNK):
         some = slice(first, min(first + CHUNK, len(model.quads)))
-        yield some, _of(Elastic(model, apart=some))
+        yield some, _of(ElementForces(model, apart=some))
 
 
-def _of(elastic: Elastic) -> NDArray[np.float32]:
+def _of(elastic: ElementForces) -> NDArray[np.float32]:
     count = elastic.size // DOFS
     # Of motion, then of rotation, of each corner.
     each = np.stack([elastic.extent_mm, np.ones(count)], axis=1)
@@ -60,7 +60,7 @@ def _of(elastic: Elastic) -> NDArray[np.float32]:
     return np.ascontiguousarray((raw + turned) / np.float32(3.0))
 
 
-def _forces(elastic: Elastic, motion: FloatArray) -> FloatArray:
+def _forces(elastic: ElementForces, motion: FloatArray) -> FloatArray:
     parts = motion.reshape(-1, 6)
     state = Configuration(
         displacement_mm=parts[:, :3].copy(), quaternion=rot.exponential(parts[:, 3:])

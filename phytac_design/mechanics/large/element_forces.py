@@ -17,7 +17,7 @@ FITTED = -1
 """What ``_internal`` gives where every element has its frame."""
 
 
-class Elastic:
+class ElementForces:
     """Nodal forces that a deformed shell exerts; built once, called for many states.
 
     Parameters

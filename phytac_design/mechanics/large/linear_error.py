@@ -1,4 +1,4 @@
-r"""How far linear theory is off, from the linear factorisation alone; and the choice it allows.
+r"""Estimated error of linear theory, from the linear factorisation alone.
 
 With the internal forces f_int(x) = K x + Q(x) + C(x) + …, quadratic and cubic parts taken by
 central differences along the linear solution x₁ = K⁻¹f (Koiter's expansion, with the load factor
@@ -16,18 +16,17 @@ from typing import Any
 import numpy as np
 
 from phytac_design.mechanics.large.corotational import Corotational
-from phytac_design.mechanics.large.load_path import solve_large
-from phytac_design.mechanics.large.newton import Loading, dense_vector
+from phytac_design.mechanics.large.newton import dense_vector
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 
-PROBE_RAD = 0.01
+DIFFERENCE_STEP_rad = 0.01
 """Largest rotation (or translation over the shell's size) in the differences."""
-FAR_RAD = 1e6
-"""Rotation by linear theory from which on no equilibrium is looked for."""
+ABSURD_ROTATION_rad = 1e6
+"""Rotation by linear theory above which a load is rejected."""
 LINEAR_ERROR_SAFETY = 1.5
-"""``solve_auto`` trusts linear theory where this times the estimate is within the tolerance."""
+"""Linear theory is used where this times the estimate is within the tolerance."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,15 +47,15 @@ class LinearCheck:
     error: float
 
 
-def refuse_absurd(turned_rad: float) -> None:
-    """Refuse a load by the largest rotation that linear theory has it cause.
+def check_load_size(turned_rad: float) -> None:
+    """Reject a load by the largest rotation of linear theory.
 
     Raises
     ------
     NumericalError
-        If no shell carries as much.
+        If the rotation is beyond ``ABSURD_ROTATION_rad``.
     """
-    if not turned_rad <= FAR_RAD:
+    if not turned_rad <= ABSURD_ROTATION_rad:
         raise NumericalError(
             f"the load is absurd: linear theory turns the shell by {turned_rad:.2g} rad; check "
             "its unit"
@@ -83,7 +82,7 @@ def check_linear(model: ShellModel, load: Any) -> LinearCheck:
     reach = max(float(np.abs(parts[:, 3:]).max()), float(np.abs(parts[:, :3]).max()) / extent)
     if reach == 0.0:
         return LinearCheck(motion=parts, error=0.0)
-    e = PROBE_RAD / reach
+    e = DIFFERENCE_STEP_rad / reach
     shell = Corotational(model)
 
     def internal(step: FloatArray) -> FloatArray:
@@ -100,50 +99,3 @@ def check_linear(model: ShellModel, load: Any) -> LinearCheck:
 
 def _solved(model: ShellModel, force: FloatArray) -> FloatArray:
     return model.solve(force).motion[:, :, 0].ravel()
-
-
-@dataclass(frozen=True, kw_only=True)
-class AutoSolution:
-    """Motion by the cheaper theory that suffices.
-
-    Attributes
-    ----------
-    motion : (N, 6) float
-        Translations (mm) and rotations (rotation vectors, rad).
-    large : bool
-        Whether large displacements were used.
-    linear_error : float
-        The estimate that decided (:class:`LinearCheck`).
-    stable, jumped : bool or None, bool
-        As in :class:`newton.Equilibrium`; linear theory is taken only far from any instability.
-    """
-
-    motion: FloatArray
-    large: bool
-    linear_error: float
-    stable: bool | None = True
-    jumped: bool = False
-
-
-def solve_auto(model: ShellModel, load: Any, *, tolerance: float) -> AutoSolution:
-    """Linear where the estimate says that is within ``tolerance``, else large displacements.
-
-    Raises
-    ------
-    NumericalError
-        If the tolerance is not positive, or a solution is not found.
-    """
-    if not tolerance > 0.0:
-        raise NumericalError(f"the tolerance must be positive (got {tolerance})")
-    check = check_linear(model, load)
-    if LINEAR_ERROR_SAFETY * check.error <= tolerance:
-        return AutoSolution(motion=check.motion, large=False, linear_error=check.error)
-    force = dense_vector(load, model.fixed.size, "force")
-    end = solve_large(model, Loading(force=force))[0]
-    return AutoSolution(
-        motion=end.state.motion,
-        large=True,
-        linear_error=check.error,
-        stable=end.stable,
-        jumped=end.jumped,
-    )

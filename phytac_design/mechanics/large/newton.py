@@ -4,9 +4,9 @@ Unknowns are the motion x and the load factor λ of ``R(x, λ) = f_int(x) − λ
 constraint (the control). Each step solves ``K a = −R`` and ``K b = ∂(λf)/∂λ`` and moves by
 ``a + δλ b``, δλ from the linearised constraint.
 
-Two ways are tried before an increment is given up:
+Two methods are tried before an increment fails:
 
-1. the geometric stiffness from the local forces *foreseen* by the last step (mixed Newton of
+1. the geometric stiffness from the local forces *predicted* by the last step (mixed Newton of
    Magisano, Leonetti and Garcea 2017), without a line search: few steps, large increments;
 2. the consistent tangent with a line search on the work of the residual along the step.
 """
@@ -17,46 +17,47 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from phytac_design.mechanics.large.corotational import Configuration, Corotational, Local
-from phytac_design.mechanics.large.pressure_load import pressure_forces, pressure_stiffness
+from phytac_design.mechanics.large.corotational import Configuration, Corotational, LocalElements
 from phytac_design.mechanics.large.stability import negative_pivots
 from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 
-RESIDUAL_TOL = 1e-6
-"""Largest norm of the unbalanced forces over that of the nodal forces (both scaled)."""
-STEP_TOL = 1e-4
-"""Largest last step over the whole motion; Newton's next would be about its square."""
-ITERATIONS = 40
-BRISK = 12
-"""Iterations allowed where one tries only to follow a path closely; four to six are common."""
-DIVERGED = 1e6
-"""Growth of the residual over its first value that ends an attempt; foreseen forces allow much."""
-SEARCH_SLACK = 0.8
-"""A line search is over when the residual's work has fallen to this share."""
-SEARCH_STEPS = 6
-TURN = 0.5
-"""Largest turn of a node in one step, rad; longer steps are shortened as a whole."""
+
+@dataclass(frozen=True, kw_only=True)
+class NewtonSettings:
+    """Tolerances and limits of one increment."""
+
+    residual_tolerance: float = 1e-6
+    """Largest norm of the unbalanced forces over that of the nodal forces (both scaled)."""
+    step_tolerance: float = 1e-4
+    """Largest last step over the whole motion; Newton's next would be about its square."""
+    max_iterations: int = 40
+    max_iterations_quick: int = 12
+    """Iterations of a quick attempt; four to six are common."""
+    divergence_factor: float = 1e6
+    """Growth of the residual over its first value that ends an attempt."""
+    line_search_target: float = 0.8
+    """A line search is over when the residual's work has fallen to this share."""
+    line_search_steps: int = 6
+    max_rotation_rad: float = 0.5
+    """Largest rotation of a node in one step; longer steps are scaled down."""
+
+
+SETTINGS = NewtonSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Loading:
-    """What grows with the load factor λ; every part may be left out.
+    """The load at a load factor λ of 1.
 
     Attributes
     ----------
     force : (6N,) float
-        Dead nodal forces (N) and moments (N mm, fixed axes) at λ = 1.
-    pressure_MPa : float
-        Pressure at λ = 1 that follows the face, positive along the element normals.
-    prescribed : (6N,) float
-        Motion of the *held* DOFs at λ = 1, mm and rad (turns about fixed axes).
+        Dead nodal forces (N) and moments (N mm, fixed axes).
     """
 
-    force: FloatArray | None = None
-    pressure_MPa: float = 0.0
-    prescribed: FloatArray | None = None
+    force: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,11 +82,11 @@ class Equilibrium:
         Motion per unit of λ along the path, mm and rad.
     negative_pivots : int or None
         Negative eigenvalues of the last tangent factored, which is that of a state within
-        ``last_step`` of this one; None if they cannot be told.
+        ``last_step`` of this one; None if they are unknown.
     jumped : bool
-        Whether the path from rest to this state cannot be vouched for: somewhere on the way an
-        increment left the tangents at its ends or passed a critical point unseen, and shorter
-        increments did not mend it. The state is an equilibrium, but the shell may have snapped.
+        Whether the path from rest to this state is uncertain: an increment deviated from the
+        tangents at its ends or passed a critical point, and shorter increments did too. The state
+        is an equilibrium, but the shell may have snapped.
     """
 
     load_factor: float
@@ -100,7 +101,7 @@ class Equilibrium:
 
     @property
     def stable(self) -> bool | None:
-        """Whether the shell stays here while the *load* is held; None if that cannot be told.
+        """Whether the shell stays here while the *load* is held; None if that is unknown.
 
         Between limit points it does not, even if a displacement control holds it there.
         """
@@ -108,7 +109,7 @@ class Equilibrium:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Step:
+class NewtonStep:
     """A Newton step before its share of the load is known.
 
     Attributes
@@ -130,12 +131,12 @@ class Step:
 class Control(Protocol):
     """The constraint that closes the equations."""
 
-    def change(self, step: Step) -> float:
+    def change(self, step: NewtonStep) -> float:
         """δλ such that ``balance + δλ drive`` meets the linearised constraint."""
 
 
 class NotConvergedError(NumericalError):
-    """One attempt at an increment failed; the message tells how."""
+    """One attempt at an increment failed; the message says why."""
 
 
 class System:
@@ -146,13 +147,12 @@ class System:
     model : ShellModel
         Mesh, section, supports.
     loading : Loading
-        What grows with λ.
+        The load at λ = 1.
 
     Raises
     ------
     NumericalError
-        If a load is not finite, has the wrong size, is zero altogether, or if motion is
-        prescribed at a DOF that is not held.
+        If the load is not finite, has the wrong size, or is zero.
     """
 
     def __init__(self, model: ShellModel, loading: Loading) -> None:
@@ -160,18 +160,9 @@ class System:
         self.shell = Corotational(model)
         size = model.fixed.size
         self.force = dense_vector(loading.force, size, "force")
-        self.prescribed = dense_vector(loading.prescribed, size, "prescribed motion")
-        self.pressure_MPa = float(loading.pressure_MPa)
-        if not np.isfinite(self.pressure_MPa):
-            raise NumericalError(f"the pressure is not finite (got {self.pressure_MPa})")
-        if not (self.pressure_MPa or np.any(self.force) or np.any(self.prescribed)):
-            raise NumericalError(
-                f"the loading is zero (pressure {self.pressure_MPa:g} MPa, all {size} numbers of "
-                "force and motion 0); give a force, a pressure or a motion"
-            )
+        if not np.any(self.force):
+            raise NumericalError(f"the load is zero at all {size} DOFs; give a force")
         self.free = np.flatnonzero(~model.fixed.ravel())
-        if np.any(self.prescribed[self.free]):
-            raise NumericalError("motion is prescribed at a DOF that is not held; hold it first")
         diagonal = model.stiffness.diagonal()
         self.scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
         self._slots, self._skeleton = self._reduction()
@@ -187,28 +178,7 @@ class System:
         self._weights = self.scale[self.free[free.indices]] * self.scale[self.free[column]]
         return slots, free
 
-    def applied(self, state: Configuration) -> FloatArray:
-        """Forces at λ = 1 in this state, (6N,)."""
-        if not self.pressure_MPa:
-            return self.force
-        deformed = self.model.nodes_mm + state.displacement_mm
-        return self.force + self.pressure_MPa * pressure_forces(deformed, self.model.quads)
-
-    def tangent(
-        self, local: Local, state: Configuration, factor: float, forces: FloatArray | None
-    ) -> Any:
-        """∂R/∂x, (6N, 6N)."""
-        K = self.shell.tangent(local, forces)
-        if self.pressure_MPa:
-            deformed = self.model.nodes_mm + state.displacement_mm
-            follow = self.shell.assembled(pressure_stiffness(deformed, self.model.quads))
-            # Same pattern; a sparse difference would drop zeros from it.
-            K.data -= factor * self.pressure_MPa * follow.data
-        return K
-
-    def directions(
-        self, K: Any, residual: FloatArray, applied: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def directions(self, K: Any, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Motion (6N,) that balances the residual, and motion per unit of λ."""
         from scipy.sparse.linalg import splu
 
@@ -218,29 +188,27 @@ class System:
             factor = self._factor = splu(self._skeleton, **SUPERLU)
         except RuntimeError as error:
             raise NotConvergedError(f"the tangent is singular ({error})") from error
-        drive = applied - K @ self.prescribed if np.any(self.prescribed) else applied
-        right = np.stack([-residual[self.free], drive[self.free]], axis=1)
+        right = np.stack([-residual[self.free], self.force[self.free]], axis=1)
         scale = self.scale[self.free, None]
         both = scale * factor.solve(scale * right)
         if not np.all(np.isfinite(both)):
             raise NotConvergedError("the tangent is singular to working precision")
-        a, b = np.zeros_like(residual), self.prescribed.copy()
+        a, b = np.zeros_like(residual), np.zeros_like(residual)
         a[self.free], b[self.free] = both.T
         return a, b
 
-    def forget(self) -> None:
+    def drop_factor(self) -> None:
         """Drop the factor of the last tangent."""
         self._factor = None
 
-    def instabilities(self) -> int | None:
-        """Negative eigenvalues of the last tangent factored; none was: of that at rest."""
+    def negative_eigenvalues(self) -> int | None:
+        """Negative eigenvalues of the last tangent factored; 0 (at rest) if there was none."""
         return 0 if self._factor is None else negative_pivots(self._factor, self._skeleton)
 
     @cached_property
-    def from_rest(self) -> FloatArray:
+    def initial_rate(self) -> FloatArray:
         """Motion (6N,) per unit of λ from the unloaded state, by the model's own factorisation."""
-        drive = self.applied(self.shell.rest()) - self.model.stiffness @ self.prescribed
-        return np.asarray(self.model.solve(drive).motion.ravel() + self.prescribed)
+        return self.model.solve(self.force).motion.ravel()
 
     def size(self, vector: FloatArray) -> float:
         """Norm of forces (6N,), scaled so that forces and moments compare."""
@@ -252,9 +220,7 @@ class System:
 
 
 def dense_vector(value: Any, size: int, label: str) -> FloatArray:
-    """Array (size,) of a dense or sparse vector, refused if it is not finite or of another size."""
-    if value is None:
-        return np.zeros(size)
+    """Array (size,) of a dense or sparse vector; raises if not finite or of another size."""
     dense = np.asarray(value.toarray() if hasattr(value, "toarray") else value, dtype=np.float64)
     if dense.size != size or not np.all(np.isfinite(dense)):
         raise NumericalError(
@@ -265,23 +231,29 @@ def dense_vector(value: Any, size: int, label: str) -> FloatArray:
 
 
 def increment(
-    system: System, start: Equilibrium, control: Control, *, brisk: bool = False
+    system: System, start: Equilibrium, control: Control, *, quick: bool = False
 ) -> Equilibrium:
     """Converged state that meets ``control``, from the converged state ``start``.
 
-    ``brisk`` gives up after ``BRISK`` iterations of the first way.
+    ``quick`` tries the first method alone, for ``max_iterations_quick`` iterations.
 
     Raises
     ------
     NotConvergedError
-        If neither way converges; the message holds the reason of the last.
+        If neither method converges; the message holds the reason of the last.
     """
-    if brisk:
-        return _iterate(system, start, control, foresee=True, most=min(BRISK, ITERATIONS))
+    if quick:
+        return _iterate(
+            system,
+            start,
+            control,
+            predict=True,
+            limit=min(SETTINGS.max_iterations_quick, SETTINGS.max_iterations),
+        )
     try:
-        return _iterate(system, start, control, foresee=True)
+        return _iterate(system, start, control, predict=True)
     except NotConvergedError:
-        return _iterate(system, start, control, foresee=False)
+        return _iterate(system, start, control, predict=False)
 
 
 def _iterate(
@@ -289,26 +261,29 @@ def _iterate(
     start: Equilibrium,
     control: Control,
     *,
-    foresee: bool,
-    most: int | None = None,
+    predict: bool,
+    limit: int | None = None,
 ) -> Equilibrium:
-    most = ITERATIONS if most is None else most
+    limit = SETTINGS.max_iterations if limit is None else limit
     state, factor = start.state, start.load_factor
     moved = np.zeros(system.model.fixed.size)
     forces: FloatArray | None = None
     first = last_step = residual_size = np.inf
     b = moved
-    system.forget()
-    for iteration in range(most + 1):
-        local = _seen(system, state)
-        applied = system.applied(state)
+    system.drop_factor()
+    for iteration in range(limit + 1):
+        local = _local_elements(system, state)
         internal = system.shell.internal(local)
-        residual = internal - factor * applied
+        residual = internal - factor * system.force
         residual[system.model.fixed.ravel()] = 0.0
-        nodal = max(system.size(internal), system.size(factor * applied), 1e-300)
+        nodal = max(system.size(internal), system.size(factor * system.force), 1e-300)
         residual_size = system.size(residual) / nodal
-        if iteration and residual_size <= RESIDUAL_TOL and last_step <= STEP_TOL:
-            reactions = np.where(system.model.fixed.ravel(), internal - factor * applied, 0.0)
+        if (
+            iteration
+            and residual_size <= SETTINGS.residual_tolerance
+            and last_step <= SETTINGS.step_tolerance
+        ):
+            reactions = np.where(system.model.fixed.ravel(), internal - factor * system.force, 0.0)
             return Equilibrium(
                 load_factor=factor,
                 state=state,
@@ -317,45 +292,48 @@ def _iterate(
                 last_step=last_step,
                 iterations=iteration,
                 rate=b,
-                negative_pivots=system.instabilities(),
+                negative_pivots=system.negative_eigenvalues(),
             )
         if iteration == 1:
             first = max(system.size(residual), 1e-300)
-        if not system.size(residual) <= DIVERGED * first:
+        if not system.size(residual) <= SETTINGS.divergence_factor * first:
             raise NotConvergedError(f"the iteration diverges (residual {residual_size:.2g})")
-        if iteration == most:
+        if iteration == limit:
             break
         if iteration == 0 and start.iterations == 0:
-            a, b = np.zeros_like(moved), system.from_rest
+            a, b = np.zeros_like(moved), system.initial_rate
         else:
-            K = system.tangent(local, state, factor, forces if foresee else None)
-            a, b = system.directions(K, residual, applied)
+            K = system.shell.tangent(local, forces if predict else None)
+            a, b = system.directions(K, residual)
         gained = factor - start.load_factor
-        change = control.change(Step(moved=moved, gained=gained, balance=a, drive=b))
+        change = control.change(NewtonStep(moved=moved, gained=gained, balance=a, drive=b))
         step = a + change * b
         turn = float(np.abs(step.reshape(-1, 6)[:, 3:]).max())
-        if turn > TURN:
-            step, change = step * (TURN / turn), change * (TURN / turn)
-        elif not foresee and iteration:
-            step, change = _searched(system, state, factor, residual, (step, change))
-        if foresee:
-            forces = system.shell.foreseen(local, step)
+        if turn > SETTINGS.max_rotation_rad:
+            step, change = (
+                step * (SETTINGS.max_rotation_rad / turn),
+                change * (SETTINGS.max_rotation_rad / turn),
+            )
+        elif not predict and iteration:
+            step, change = _line_search(system, state, factor, residual, (step, change))
+        if predict:
+            forces = system.shell.predicted_forces(local, step)
         state, moved, factor = state.moved(step), moved + step, factor + change
         last_step = system.length(step) / max(system.length(state.motion), 1e-300)
     raise NotConvergedError(
-        f"no convergence in {most} iterations (residual {residual_size:.2g}, last step "
+        f"no convergence in {limit} iterations (residual {residual_size:.2g}, last step "
         f"{last_step:.2g})"
     )
 
 
-def _seen(system: System, state: Configuration) -> Local:
+def _local_elements(system: System, state: Configuration) -> LocalElements:
     try:
         return system.shell.local(state)
     except (NumericalError, np.linalg.LinAlgError) as error:
         raise NotConvergedError(str(error)) from error
 
 
-def _searched(
+def _line_search(
     system: System,
     state: Configuration,
     factor: float,
@@ -366,16 +344,16 @@ def _searched(
     step, change = move
     before = float(step @ residual)
     share = 1.0
-    for _ in range(SEARCH_STEPS):
+    for _ in range(SETTINGS.line_search_steps):
         try:
             there = state.moved(share * step)
-            after = system.shell.internal(_seen(system, there))
-            after = after - (factor + share * change) * system.applied(there)
+            after = system.shell.internal(_local_elements(system, there))
+            after = after - (factor + share * change) * system.force
             work = float(step[system.free] @ after[system.free])
         except NotConvergedError:
             share *= 0.5
             continue
-        if abs(work) <= SEARCH_SLACK * abs(before) or before == 0.0:
+        if abs(work) <= SETTINGS.line_search_target * abs(before) or before == 0.0:
             break
         # Secant of the work along the step, kept between a tenth and a half of the last share.
         secant = share * before / (before - work) if before != work else 0.5 * share

@@ -1,8 +1,8 @@
-"""Pressure that follows the deformed face."""
+"""Nodal forces of a pressure along the element normals."""
 
 import numpy as np
 
-from phytac_design.mechanics.large.rotations import cross, spin
+from phytac_design.mechanics.large.rotations import cross
 from phytac_design.mechanics.shell.element import GAUSS, shape
 from phytac_shapes.arrays import FloatArray, IntArray
 
@@ -28,17 +28,3 @@ def pressure_forces(nodes_mm: FloatArray, quads: IntArray) -> FloatArray:
             g_r, g_s = np.einsum("ai,eik->aek", dh, corner)
             np.add.at(out[:, :3], quads, h[None, :, None] * cross(g_r, g_s)[:, None])
     return out.ravel()
-
-
-def pressure_stiffness(nodes_mm: FloatArray, quads: IntArray) -> FloatArray:
-    """Change of those forces with the nodes' motion per element, (E, 24, 24), not symmetric."""
-    corner = nodes_mm[quads]
-    K = np.zeros((len(quads), 4, 6, 4, 6))
-    for r in (-GAUSS, GAUSS):
-        for s in (-GAUSS, GAUSS):
-            h, dh = shape(r, s)
-            S_r, S_s = spin(np.einsum("ai,eik->aek", dh, corner))
-            # δ(x_r × x_s) = x̂_r δx_s − x̂_s δx_r
-            change = np.einsum("b,eij->eibj", dh[1], S_r) - np.einsum("b,eij->eibj", dh[0], S_s)
-            K[:, :, :3, :, :3] += np.einsum("a,eibj->eaibj", h, change)
-    return K.reshape(-1, 24, 24)

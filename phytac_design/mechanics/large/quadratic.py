@@ -4,7 +4,6 @@ An independent model of the same shell: mid-side nodes lie on the true middle fa
 patch is spread consistently with the quadratic shape functions.
 """
 
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +13,13 @@ from phytac_design.mechanics.meshing.locate import element_uv
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.element import R, S
 from phytac_design.mechanics.shell.loads import _cell_area
+from phytac_design.mechanics.shell.mesh_writers import (
+    inp_loads,
+    inp_material,
+    inp_nodes,
+    write_lines,
+)
+from phytac_design.mechanics.solid import calculix
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
@@ -124,43 +130,24 @@ def run_ccx(
     NumericalError
         If CalculiX does not finish the step.
     """
-    (folder / "s8r.inp").write_text(
-        "\n".join(_lines(mesh, forces, modulus_MPa, poisson)) + "\n", encoding="ascii"
-    )
-    run = subprocess.run(["ccx", "s8r"], cwd=folder, capture_output=True, text=True, check=False)
-    rows = [line.split() for line in (folder / "s8r.dat").read_text().splitlines()]
-    out = np.full((len(mesh.nodes_mm), 3), np.nan)
-    for row in rows:  # later increments replace earlier ones
-        if len(row) == 4 and row[0].isdigit():
-            out[int(row[0]) - 1] = [float(x) for x in row[1:]]
-    if run.returncode or "Job finished" not in run.stdout or not np.all(np.isfinite(out)):
-        raise NumericalError(f"ccx did not finish: {run.stdout[-400:]}")
-    return out
+    path = write_lines(folder / "s8r.inp", _lines(mesh, forces, modulus_MPa, poisson))
+    return calculix.run_ccx(path)[-1]["displacements", "ALL"][1]
 
 
 def _lines(
     mesh: QuadraticMesh, forces: FloatArray, modulus_MPa: float, poisson: float
 ) -> list[str]:
-    nodes = [
-        f"{k}, {x:.12e}, {y:.12e}, {z:.12e}"
-        for k, (x, y, z) in enumerate(mesh.nodes_mm.tolist(), start=1)
-    ]
     octets = [
         f"{k}, {', '.join(map(str, row))}"
         for k, row in enumerate((mesh.octets + 1).tolist(), start=1)
     ]
-    held = [f"{k}, 1, 6" for k in (mesh.held + 1).tolist()]
-    load = [
-        f"{n + 1}, {d + 1}, {forces[n, d]:.12e}"
-        for n, d in zip(*(k.tolist() for k in np.nonzero(forces)), strict=True)
-    ]
     return [
-        *("*NODE, NSET=ALL", *nodes),
+        *inp_nodes(mesh.nodes_mm),
         *("*ELEMENT, TYPE=S8R, ELSET=SHELL", *octets),
-        *("*MATERIAL, NAME=RESIN", "*ELASTIC", f"{modulus_MPa:.9g}, {poisson:.9g}"),
+        *inp_material(modulus_MPa, poisson),
         *("*SHELL SECTION, ELSET=SHELL, MATERIAL=RESIN", f"{mesh.linear.thickness_mm:.9g}"),
-        *("*BOUNDARY", *held),
+        *("*BOUNDARY", *(f"{k}, 1, 6" for k in (mesh.held + 1).tolist())),
         *("*STEP, NLGEOM, INC=200", "*STATIC", "0.5, 1.0"),
-        *("*CLOAD", *load),
+        *inp_loads(forces),
         *("*NODE PRINT, NSET=ALL", "U", "*END STEP"),
     ]

@@ -1,67 +1,112 @@
-r"""Large displacements without a new factorisation: the stiffness at rest, accelerated.
+r"""Large displacements by a quasi-Newton iteration with Anderson acceleration.
 
-Koiter's expansion (:mod:`estimate`) gives the start, x₁ + x₂ + x₃; then ::
+It starts from Koiter's expansion (:mod:`estimate`), x₁ + x₂ + x₃; then ::
 
     g_k = K₀⁻¹ (f − f_int(x_k))        x_{k+1} = x_k + β g_k − Σ a_j (Δx_j + β Δg_j)
 
 where a minimises ‖g_k − Σ a_j Δg_j‖ in the norm of K₀ (:mod:`anderson`). With g = K₀⁻¹r that norm
 is √(g·r), and needs no product with K₀.
 
-No step is taken on trust. Beside the iteration the least eigenvalue of K₀⁻¹K_t is closed in on
-(:mod:`lowest_eigenvalue`), and the end is held against the tangents at rest and there, as every increment of
-:mod:`path` is. What does not converge, turns far, is soft or strays goes to
-:func:`path.solve_large`.
+The lowest eigenvalue of K₀⁻¹K_t is estimated along with the iteration (:mod:`stability`), and the
+result is compared with the tangents at rest and at the result, as for every increment of
+:mod:`path`. :func:`path.solve_large` takes over where the iteration does not converge, the
+rotations are large, the lowest eigenvalue is small or the result deviates from the path.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from phytac_design.mechanics.large.anderson import Anderson
-from phytac_design.mechanics.large.batch import Sample, solve_sample
-from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY, PROBE_RAD, refuse_absurd
-from phytac_design.mechanics.large.lowest_eigenvalue import Softest
-from phytac_design.mechanics.large.newton import NotConvergedError, dense_vector
-from phytac_design.mechanics.large.reference_configuration import Resting
-from phytac_design.mechanics.large.stability import STRAY, stray
+from phytac_design.mechanics.large.anderson import AndersonAcceleration
+from phytac_design.mechanics.large.linear_error import (
+    LINEAR_ERROR_SAFETY,
+    DIFFERENCE_STEP_rad,
+    check_load_size,
+)
+from phytac_design.mechanics.large.load_path import solve_large
+from phytac_design.mechanics.large.newton import Loading, NotConvergedError, dense_vector
+from phytac_design.mechanics.large.reference_configuration import ReferenceShell
+from phytac_design.mechanics.large.stability import (
+    PATH_DEVIATION_MAX,
+    LowestEigenvalue,
+    path_deviation,
+)
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 
-CONVERGED = 1e-4
-"""Error of the motion, over its peak, that the iteration ends at."""
-LAST_GAIN = 4.0
-"""Least factor that the last step, which is not looked at again, gains; 5 … 50 are common."""
-ITERATIONS = 40
-"""Iterations before the guarded Newton method takes over; 1 … 9 are common, 30 on flat faces."""
-STALLED = 12
-"""Iterations without a smaller residual that end the attempt."""
-TURNED = 1.0
-"""Largest rotation of a node, rad; the steps add rotation vectors."""
-MILD = 0.25
-"""Error of linear theory up to which Koiter's expansion is the start, without a look at others."""
-SERIES = 0.9
-"""Ratio of the expansion's terms from which on their geometric series says nothing."""
-NEAR = 0.05
-"""Residual (in the norm of K₀, over the linear motion) from which on stability is looked at."""
-FIRM, FIRM_STEPS = 0.3, 3
-"""Least Ritz value, less its residual, that is trusted after so many steps towards it."""
-SOFT, SOFT_STEPS = 0.05, 8
-"""The same after more steps; what is softer is not trusted at all."""
-LOOKS = 30
-"""Further steps at the end at most; all of them take less than one new factor."""
+
+@dataclass(frozen=True, kw_only=True)
+class QuasiNewtonSettings:
+    """Tolerances and limits of the accelerated iteration."""
+
+    tolerance: float = 1e-4
+    """Error of the motion, over its peak, at which the iteration ends."""
+    last_step_gain: float = 4.0
+    """Factor by which the last step reduces the error at lowest; measured: 5 … 50."""
+    max_iterations: int = 40
+    """Iterations before path following takes over; 1 … 9 are common, 30 on flat faces."""
+    max_stalled_iterations: int = 12
+    """Iterations without a smaller residual that end the attempt."""
+    max_rotation_rad: float = 1.0
+    """Largest rotation of a node, rad; the steps add rotation vectors."""
+    mild_error: float = 0.25
+    """Error of linear theory up to which Koiter's expansion is the only start that is tried."""
+    max_series_ratio: float = 0.9
+    """Ratio of the expansion's terms above which their geometric series is not used."""
+    stability_residual: float = 0.05
+    """Residual (in the norm of K₀, over the linear motion) below which stability is monitored."""
+    firm_eigenvalue: float = 0.3
+    firm_products: int = 3
+    """Lower bound of the lowest eigenvalue that is accepted after so many tangent products."""
+    soft_eigenvalue: float = 0.05
+    soft_products: int = 8
+    """The same after more products; a softer shell is left to path following."""
+    max_final_products: int = 30
+    """Products at the end at most; together they cost less than one factorisation."""
+    approximate_residual: float = 1e-3
+    max_approximate_residual: float = 5e-3
+    """Residual (in the norm of K₀, over the linear motion) at which
+    :meth:`QuasiNewtonSolver.approximate` ends, and the largest that it accepts where the iteration
+    stalls."""
+
+
+SETTINGS = QuasiNewtonSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class LoadCaseResult:
+    """One load case.
+
+    Attributes
+    ----------
+    status : str
+        ``ok``; ``flagged``: an equilibrium that is unstable, not known to be stable, or reached
+        by a jump; ``failed``: no motion.
+    reason : str
+        Why it is not ``ok``; else empty.
+    motion : (N, 6) float or None
+        Translations (mm) and rotation vectors (rad).
+    large : bool
+        Whether large displacements were used.
+    """
+
+    status: Literal["ok", "flagged", "failed"]
+    reason: str
+    motion: FloatArray | None
+    large: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadCaseSolution:
     """A load case solved.
 
     Attributes
     ----------
-    sample : Sample
+    sample : LoadCaseResult
         Motion, its status and theory.
     error : float
         Estimated error of the translations over the greatest one, of theory (linear) and
@@ -69,14 +114,14 @@ class Found:
     linear_error : float
         What :func:`estimate.check_linear` gives; inf where it gives nothing.
     softest : float
-        Least Ritz value of K₀⁻¹K_t found; NaN where the guarded method took over.
+        Lowest Ritz value of K₀⁻¹K_t; NaN where path following took over.
     iterations : int
         Of the accelerated method.
     guarded : str
-        Why :func:`path.solve_large` was asked instead; "" where it was not.
+        Why :func:`path.solve_large` took over; "" where it did not.
     """
 
-    sample: Sample
+    sample: LoadCaseResult
     error: float
     linear_error: float = 0.0
     lowest_eigenvalue: float = float("nan")
@@ -86,24 +131,24 @@ class Found:
 
 @dataclass(frozen=True, kw_only=True)
 class Expansion:
-    """Motion (6N,) to third order, the second part's image, and how soft the shell gets."""
+    """Motion (6N,) to third order, the force of the second term, and the lowest eigenvalue."""
 
     first: FloatArray
     second: FloatArray
     third: FloatArray
-    bent: FloatArray
+    second_force: FloatArray
     error: float
-    soft: Softest
+    stability: LowestEigenvalue
 
 
-class Step(NamedTuple):
-    """An iteration: the motion (6N,) after it, and what was found before it."""
+class Iteration(NamedTuple):
+    """An iteration: the motion (6N,) after it, and the residual and stability before it."""
 
     number: int
     motion: FloatArray
-    away: float  # residual, in the norm of K₀, over the linear motion
-    least: float  # Ritz value of K₀⁻¹K_t
-    soft: Softest | None
+    distance: float  # residual, in the norm of K₀, over the linear motion
+    lowest: float  # Ritz value of K₀⁻¹K_t
+    stability: LowestEigenvalue | None
 
 
 class QuasiNewtonSolver:
@@ -119,9 +164,9 @@ class QuasiNewtonSolver:
         self.model = model
 
     @cached_property
-    def _shell(self) -> Resting:
-        """Made when first needed: linear motion does without."""
-        return Resting(self.model)
+    def _shell(self) -> ReferenceShell:
+        """Made when first needed; linear motion does not need it."""
+        return ReferenceShell(self.model)
 
     def linear(self, load: Any) -> FloatArray:
         """Linear motion (6N,) under a load (6N,).
@@ -153,7 +198,7 @@ class QuasiNewtonSolver:
         """
         force = np.where(self._shell.held, 0.0, load)
         with np.errstate(over="raise", invalid="raise", divide="raise"):
-            expansion = self._expanded(first, force)
+            expansion = self._expand(first, force)
         return expansion.second, expansion.third
 
     def solve(
@@ -162,8 +207,8 @@ class QuasiNewtonSolver:
         *,
         tolerance: float | None = None,
         linear: FloatArray | None = None,
-    ) -> Found:
-        """Motion under a dead load, whatever becomes of it; never an exception.
+    ) -> LoadCaseSolution:
+        """Motion under a dead load; a failure is a result with its reason, not an exception.
 
         Parameters
         ----------
@@ -180,204 +225,289 @@ class QuasiNewtonSolver:
             force[self._shell.held] = 0.0
             if not np.any(force):
                 still = np.zeros(force.size)
-                return Found(sample=_ok(still, large=False), error=0.0, lowest_eigenvalue=1.0)
+                return LoadCaseSolution(
+                    sample=_ok(still, large=False), error=0.0, lowest_eigenvalue=1.0
+                )
             first = self.linear(force) if linear is None else linear
-            refuse_absurd(turn_of(first))
+            check_load_size(largest_rotation(first))
         except (ArithmeticError, MemoryError, NumericalError, np.linalg.LinAlgError) as error:
             return _failed(error)
         linear_error = float("inf")
         try:
             with np.errstate(over="raise", invalid="raise", divide="raise"):
-                expansion = self._expanded(first, force)
+                expansion = self._expand(first, force)
                 linear_error = expansion.error
-                if self._linear_will_do(expansion, tolerance):
-                    return Found(
+                if self._linear_suffices(expansion, tolerance):
+                    return LoadCaseSolution(
                         sample=_ok(first, large=False),
                         error=linear_error,
                         linear_error=linear_error,
-                        lowest_eigenvalue=expansion.soft.least,
+                        lowest_eigenvalue=expansion.stability.lowest,
                     )
-                return self._iterated(expansion, force)
+                return self._iterate(expansion, force)
         except (ArithmeticError, NumericalError, np.linalg.LinAlgError) as error:
-            return self._guarded(force, linear_error, str(error) or type(error).__name__)
+            return self._by_fallback(force, linear_error, str(error) or type(error).__name__)
         except MemoryError as error:
             return _failed(error)
 
-    def _linear_will_do(self, expansion: Expansion, tolerance: float | None) -> bool:
+    def _linear_suffices(self, expansion: Expansion, tolerance: float | None) -> bool:
         if tolerance is None or not LINEAR_ERROR_SAFETY * expansion.error <= tolerance:
             return False
-        return expansion.soft.sure >= FIRM
+        return expansion.stability.lower_bound >= SETTINGS.firm_eigenvalue
 
-    def _guarded(self, force: FloatArray, linear_error: float, reason: str) -> Found:
-        rows = np.flatnonzero(force)
-        sample = solve_sample(self.model, (rows, force[rows]), None)
-        return Found(
+    def _by_fallback(self, force: FloatArray, linear_error: float, reason: str) -> LoadCaseSolution:
+        sample = _by_path(self.model, force)
+        return LoadCaseSolution(
             sample=sample,
-            error=CONVERGED if sample.motion is not None else float("nan"),
+            error=SETTINGS.tolerance if sample.motion is not None else float("nan"),
             linear_error=linear_error,
             guarded=reason,
         )
 
-    def _expanded(self, first: FloatArray, force: FloatArray) -> Expansion:
-        """Koiter's expansion, with the least eigenvalue of K₀ + K_σ(x₁) on the way."""
+    def gap(self, load: FloatArray, motion: FloatArray, linear: FloatArray) -> float:
+        """Distance of a motion from equilibrium, over the linear motion, in the norm of K₀.
+
+        About the relative error of the motion where the shell neither softens nor stiffens much.
+
+        Parameters
+        ----------
+        load : (6N,) float
+            Nodal forces (N) and moments (N mm).
+        motion, linear : (6N,) float
+            The motion to evaluate, and that of linear theory.
+
+        Raises
+        ------
+        NumericalError
+            If an element is distorted beyond what it can describe.
+        """
+        residual = np.where(self._shell.held, 0.0, load) - self._shell.internal(motion)
+        g = self._shell.solve_reference(residual[:, None])[:, 0]
+        return float(np.sqrt(max(float(g @ residual), 0.0) / float(linear @ load)))
+
+    def approximate(self, load: FloatArray, linear: FloatArray) -> FloatArray | None:
+        """Approximate motion (6N,) without a check of its stability; for tables.
+
+        Parameters
+        ----------
+        load : (6N,) float
+            Nodal forces (N) and moments (N mm, fixed axes).
+        linear : (6N,) float
+            Linear motion.
+
+        Returns
+        -------
+        (6N,) float or None
+            None where the iteration does not come within ``SETTINGS.max_approximate_residual``.
+        """
+        force = np.where(self._shell.held, 0.0, load)
+        lowest, nearest = np.inf, None
+        try:
+            with np.errstate(over="raise", invalid="raise", divide="raise"):
+                for step in self.steps(self._expand(linear, force), force):
+                    if step.distance < lowest:
+                        lowest, nearest = step.distance, step.motion
+                    if lowest <= SETTINGS.approximate_residual:
+                        break
+        except NotConvergedError:
+            pass  # the nearest motion may be good enough
+        except (ArithmeticError, NumericalError, np.linalg.LinAlgError):
+            return None
+        return nearest if lowest <= SETTINGS.max_approximate_residual else None
+
+    def _expand(self, first: FloatArray, force: FloatArray) -> Expansion:
+        """Koiter's expansion, and the lowest eigenvalue of K₀ + K_σ(x₁)."""
         shell = self._shell
-        e = PROBE_RAD / shell.reach(first)
+        e = DIFFERENCE_STEP_rad / shell.motion_size(first)
         up, down = shell.internal(e * first), shell.internal(-e * first)
-        bent, push = -(up + down) / (2.0 * e * e), shell.stirring(first)
-        second, stirred = shell.solved(np.stack([bent, push], axis=1)).T.copy()
-        soft = Softest(stirred, push)
+        second_force, random = -(up + down) / (2.0 * e * e), shell.random_force(first)
+        second, softened = shell.solve_reference(np.stack([second_force, random], axis=1)).T.copy()
+        stability = LowestEigenvalue(softened, random)
 
         def product(vector: FloatArray, image: FloatArray) -> FloatArray:
-            # The tangent at e·x₁ differs from K₀ by e times what x₁ makes of it.
-            return image + (shell.product(e * first, up, vector) - image) / e
+            # The tangent at e·x₁ differs from K₀ by e times its derivative along x₁.
+            return image + (shell.tangent_product(e * first, up, vector) - image) / e
 
-        soft.measure(product)
+        stability.measure(product)
         aside = e * e * second
         odd = (shell.internal(aside + e * first) - shell.internal(aside - e * first)) / 2.0
-        third = self._beside(soft, -(odd - e * force) / e**3)
-        soft.measure(product)
+        third = self._solve_and_refine(stability, -(odd - e * force) / e**3)
+        stability.measure(product)
         off = float(_lengths(second + third).max())
         return Expansion(
             first=first,
             second=second,
             third=third,
-            bent=bent,
+            second_force=second_force,
             error=off / float(_lengths(first).max()),
-            soft=soft,
+            stability=stability,
         )
 
-    def _beside(self, soft: Softest, right: FloatArray) -> FloatArray:
-        """K₀⁻¹ ``right``; the same pass through the factor brings the softest pair on."""
-        residual = soft.residual()
-        both = self._shell.solved(np.stack([right, residual], axis=1))
-        soft.close_in(both[:, 1].copy(), residual)
+    def _solve_and_refine(self, stability: LowestEigenvalue, right: FloatArray) -> FloatArray:
+        """K₀⁻¹ ``right``; the same solve refines the lowest eigenvalue."""
+        residual = stability.residual()
+        both = self._shell.solve_reference(np.stack([right, residual], axis=1))
+        stability.refine(both[:, 1].copy(), residual)
         return both[:, 0].copy()
 
     def _start(self, expansion: Expansion, force: FloatArray) -> FloatArray:
-        """Of a few extrapolations the one with the least residual."""
+        """The extrapolation with the smallest residual."""
         first, second, third = expansion.first, expansion.second, expansion.third
         found = [first + second + third]
-        if expansion.error > MILD:
+        if expansion.error > SETTINGS.mild_error:
             found.append(first)
-            bent = float(second @ expansion.bent)
-            ratio = float(third @ expansion.bent) / bent if bent > 0.0 else 1.0
-            if ratio < SERIES:
+            bent = float(second @ expansion.second_force)
+            ratio = float(third @ expansion.second_force) / bent if bent > 0.0 else 1.0
+            if ratio < SETTINGS.max_series_ratio:
                 found.append(first + second / (1.0 - ratio))
             grown = float((second + third) @ force) / float(first @ force)
             if grown < 0.0:
                 found.append(first / (1.0 - grown))
-        found = [one for one in found if turn_of(one) <= TURNED]
+        found = [one for one in found if largest_rotation(one) <= SETTINGS.max_rotation_rad]
         if not found:
             raise NotConvergedError("the motion is too far from linear")
         if len(found) == 1:
             return found[0]
-        gaps = [self._shell.weighted(force - self._shell.internal(one)) for one in found]
+        gaps = [self._shell.force_norm(force - self._shell.internal(one)) for one in found]
         return found[int(np.argmin(gaps))]
 
-    def steps(self, expansion: Expansion, force: FloatArray) -> Iterator[Step]:
-        """Iterations from the expansion, one after the other, until they gain nothing.
+    def steps(self, expansion: Expansion, force: FloatArray) -> Iterator[Iteration]:
+        """Iterations from the expansion until the residual stalls.
 
         Raises
         ------
         NumericalError
-            If there is nothing to start from, the shell turns far, or an element is distorted
-            beyond what it can describe.
+            If no start is usable, rotations are too large, or an element is too distorted.
         """
-        shell, history = self._shell, Anderson()
+        shell, history = self._shell, AndersonAcceleration()
         size = float(expansion.first @ force)
         x = self._start(expansion, force)
-        soft: Softest | None = None
-        least, damping = expansion.soft.least, 1.0
+        stability: LowestEigenvalue | None = None
+        lowest, damping = expansion.stability.lowest, 1.0
         best, best_at = np.inf, 0
-        for number in range(1, ITERATIONS + 1):
-            if turn_of(x) > TURNED:
-                raise NotConvergedError("the shell turns far")
+        for number in range(1, SETTINGS.max_iterations + 1):
+            if largest_rotation(x) > SETTINGS.max_rotation_rad:
+                raise NotConvergedError("the rotations are too large")
             internal = shell.internal(x)
             residual = force - internal
-            if soft is None:
-                g = shell.solved(residual[:, None])[:, 0]
+            if stability is None:
+                g = shell.solve_reference(residual[:, None])[:, 0]
             else:
-                self._measure(soft, x, internal)
-                least, damping = soft.least, damping_of(soft)
-                g = self._beside(soft, residual)
-            away = float(np.sqrt(max(float(g @ residual), 0.0) / size))
+                self._measure(stability, x, internal)
+                lowest, damping = stability.lowest, damping_of(stability)
+                g = self._solve_and_refine(stability, residual)
+            distance = float(np.sqrt(max(float(g @ residual), 0.0) / size))
             x = history.next(x, g, residual, damping)
-            if away < best:
-                best, best_at = away, number
-            elif number - best_at > STALLED:
+            if distance < best:
+                best, best_at = distance, number
+            elif number - best_at > SETTINGS.max_stalled_iterations:
                 break
-            if soft is None and away < NEAR:
-                soft = expansion.soft.afresh()
-            elif soft is not None and away > 2.0 * NEAR:
-                soft = None
-            yield Step(number, x, away, least, soft)
+            if stability is None and distance < SETTINGS.stability_residual:
+                stability = expansion.stability.restarted()
+            elif stability is not None and distance > 2.0 * SETTINGS.stability_residual:
+                stability = None
+            yield Iteration(number, x, distance, lowest, stability)
 
-    def _iterated(self, expansion: Expansion, force: FloatArray) -> Found:
+    def _iterate(self, expansion: Expansion, force: FloatArray) -> LoadCaseSolution:
         """Large displacements from the expansion.
 
         Raises
         ------
         NumericalError
-            If the end is not reached, or cannot be vouched for.
+            If the iteration does not converge, or its result may be unstable or off the path.
         """
         best = np.inf
         for step in self.steps(expansion, force):
-            best = min(best, step.away)
-            gap = step.away / max(step.least, SOFT)
-            if step.soft is not None and gap <= LAST_GAIN * CONVERGED:
-                return Found(
+            best = min(best, step.distance)
+            gap = step.distance / max(step.lowest, SETTINGS.soft_eigenvalue)
+            if step.stability is not None and gap <= SETTINGS.last_step_gain * SETTINGS.tolerance:
+                return LoadCaseSolution(
                     sample=_ok(step.motion, large=True),
-                    error=gap / LAST_GAIN,
+                    error=gap / SETTINGS.last_step_gain,
                     linear_error=expansion.error,
-                    lowest_eigenvalue=self._vouched(step.motion, expansion, force, step.soft),
+                    lowest_eigenvalue=self._check_stability(
+                        step.motion, expansion, force, step.stability
+                    ),
                     iterations=step.number,
                 )
-        raise NotConvergedError(f"the iteration with the stiffness at rest stops at {best:.2g}")
+        raise NotConvergedError(f"the quasi-Newton iteration stalls at a residual of {best:.2g}")
 
-    def _measure(self, soft: Softest, x: FloatArray, internal: FloatArray) -> None:
-        soft.measure(lambda vector, _: self._shell.product(x, internal, vector))
+    def _measure(self, stability: LowestEigenvalue, x: FloatArray, internal: FloatArray) -> None:
+        stability.measure(lambda vector, _: self._shell.tangent_product(x, internal, vector))
 
-    def _vouched(
-        self, x: FloatArray, expansion: Expansion, force: FloatArray, soft: Softest
+    def _check_stability(
+        self, x: FloatArray, expansion: Expansion, force: FloatArray, stability: LowestEigenvalue
     ) -> float:
-        """Least Ritz value at the end.
+        """Lowest Ritz value at the result.
 
         Raises
         ------
         NotConvergedError
-            If the shell is soft there, or the end is off the path from rest.
+            If the shell is soft there, or the result is off the path from rest.
         """
         shell, first = self._shell, expansion.first
         internal = shell.internal(x)
-        along = Softest(first, force)
-        along.add(expansion.second, expansion.bent)
-        along.add(x, shell.image(x))
+        along = LowestEigenvalue(first, force)
+        along.extend(expansion.second, expansion.second_force)
+        along.extend(x, shell.reference_force(x))
         self._measure(along, x, internal)
-        if not along.least >= SOFT:
-            raise NotConvergedError(f"the shell is soft here (Ritz value {along.least:.2g})")
+        if not along.lowest >= SETTINGS.soft_eigenvalue:
+            raise NotConvergedError(f"the shell is soft here (Ritz value {along.lowest:.2g})")
         ends = [_translations(one) for one in (x, first, along.rate(force))]
-        if stray(ends[0], ends[1], ends[2]) > STRAY:
-            raise NotConvergedError("the end is off the tangents at rest and there")
-        self._measure(soft, x, internal)
-        for _ in range(LOOKS):
-            if soft.least < SOFT:
+        if path_deviation(ends[0], ends[1], ends[2]) > PATH_DEVIATION_MAX:
+            raise NotConvergedError(
+                "the result deviates from the tangents at rest and at the result"
+            )
+        self._measure(stability, x, internal)
+        for _ in range(SETTINGS.max_final_products):
+            if stability.lowest < SETTINGS.soft_eigenvalue:
                 break
-            firm = soft.sure >= FIRM and soft.steps >= FIRM_STEPS
-            if firm or (soft.sure >= SOFT and soft.steps >= SOFT_STEPS):
-                return min(soft.least, along.least)
-            residual = soft.residual()
-            soft.close_in(shell.solved(residual[:, None])[:, 0], residual)
-            self._measure(soft, x, internal)
-        raise NotConvergedError(f"the shell is soft here (least Ritz value {soft.least:.2g})")
+            firm = (
+                stability.lower_bound >= SETTINGS.firm_eigenvalue
+                and stability.products >= SETTINGS.firm_products
+            )
+            if firm or (
+                stability.lower_bound >= SETTINGS.soft_eigenvalue
+                and stability.products >= SETTINGS.soft_products
+            ):
+                return min(stability.lowest, along.lowest)
+            residual = stability.residual()
+            stability.refine(shell.solve_reference(residual[:, None])[:, 0], residual)
+            self._measure(stability, x, internal)
+        raise NotConvergedError(
+            f"the shell is soft here (lowest Ritz value {stability.lowest:.2g})"
+        )
 
 
-def damping_of(soft: Softest) -> float:
-    """Share of a step that suits the middle of the tangent's range, where that is wide."""
-    largest = soft.largest
-    return 1.0 if largest < 2.0 else 2.0 / (max(soft.least, 0.0) + largest)
+def _by_path(model: ShellModel, force: FloatArray) -> LoadCaseResult:
+    """Load case by the path-following Newton method; a failure is a sample with its reason."""
+    try:
+        end = solve_large(model, Loading(force=force))[0]
+    except (NumericalError, ArithmeticError, MemoryError, np.linalg.LinAlgError) as error:
+        reason = str(error) or type(error).__name__
+        return LoadCaseResult(status="failed", reason=reason, motion=None, large=True)
+    reasons = []
+    if end.jumped:
+        reasons.append("the solution left the path from rest: the shell may have snapped")
+    if end.stable is None:
+        reasons.append("its stability is unknown")
+    elif not end.stable:
+        reasons.append("unstable: the shell does not stay here under this load")
+    return LoadCaseResult(
+        status="flagged" if reasons else "ok",
+        reason="; ".join(reasons),
+        motion=end.state.motion,
+        large=True,
+    )
 
 
-def turn_of(motion: FloatArray) -> float:
+def damping_of(stability: LowestEigenvalue) -> float:
+    """Step length that suits the middle of the tangent's eigenvalues, where they spread widely."""
+    largest = stability.highest
+    return 1.0 if largest < 2.0 else 2.0 / (max(stability.lowest, 0.0) + largest)
+
+
+def largest_rotation(motion: FloatArray) -> float:
     """Largest rotation of a node, rad."""
     return float(np.abs(motion.reshape(-1, 6)[:, 3:]).max())
 
@@ -390,11 +520,11 @@ def _lengths(motion: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(_translations(motion), axis=1))
 
 
-def _ok(motion: FloatArray, *, large: bool) -> Sample:
-    return Sample(status="ok", reason="", motion=motion.reshape(-1, 6), large=large)
+def _ok(motion: FloatArray, *, large: bool) -> LoadCaseResult:
+    return LoadCaseResult(status="ok", reason="", motion=motion.reshape(-1, 6), large=large)
 
 
-def _failed(error: Exception) -> Found:
+def _failed(error: Exception) -> LoadCaseSolution:
     reason = str(error) or type(error).__name__
-    sample = Sample(status="failed", reason=reason, motion=None, large=False)
-    return Found(sample=sample, error=float("nan"), linear_error=float("nan"))
+    sample = LoadCaseResult(status="failed", reason=reason, motion=None, large=False)
+    return LoadCaseSolution(sample=sample, error=float("nan"), linear_error=float("nan"))

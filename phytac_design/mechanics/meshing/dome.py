@@ -13,6 +13,8 @@ r"""Quadrilaterals on a dome: a square core around the pole, rings of nodes from
         +-----+-----+-----+
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from phytac_design.mechanics.meshing.grid import (
@@ -26,19 +28,27 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
-SAMPLES = 2049
-ROUND = 0.45
-"""Roundness of the core's outline: 0 a square, 1 a circle (whose corners would be flat)."""
-CORE_GIRTH = 0.87
-"""The core ends where the girth falls to this share of 2π times the distance from the pole."""
-CORE_SHARE = 0.55
-"""Largest share of the way from pole to rim that the core takes."""
-FADE = 1.0
-"""Distance over which rings become round, in core radii."""
-LEAST_CORE = 4
-"""Elements across the core at least."""
-STRETCH = 3.0
-"""An element is at most this much longer than wide: wide ones would waste few, narrow many."""
+
+@dataclass(frozen=True, kw_only=True)
+class DomeSettings:
+    """Proportions of the core and the rings."""
+
+    samples: int = 2049
+    roundness: float = 0.45
+    """Roundness of the core's outline: 0 a square, 1 a circle (whose corners would be flat)."""
+    core_girth: float = 0.87
+    """The core ends where the girth falls to this share of 2π times the distance from the pole."""
+    max_core_share: float = 0.55
+    """Largest share of the way from pole to rim that the core takes."""
+    fade: float = 1.0
+    """Distance over which rings become round, in core radii."""
+    min_core_elements: int = 4
+    """Elements across the core at least."""
+    max_aspect: float = 3.0
+    """An element is at most this much longer than wide: wide ones would waste few, narrow many."""
+
+
+SETTINGS = DomeSettings()
 
 
 def dome_grid(surface: Surface, *, offset_mm: float, size_mm: float) -> Grid:
@@ -65,11 +75,11 @@ def dome_grid(surface: Surface, *, offset_mm: float, size_mm: float) -> Grid:
         )
     (u0, u1), (v0, v1) = surface.domain
     ends = (u1, u0) if surface.poles[1] else (u0, u1)
-    u = np.linspace(*ends, SAMPLES)
+    u = np.linspace(*ends, SETTINGS.samples)
     s, girth, turn = _meridian(surface, u, offset_mm)
     width = girth / (2.0 * np.pi)  # distance from the axis where the surface is one of revolution
     mean = float(np.trapezoid(width**2, s) / np.trapezoid(width, s))
-    half = max(LEAST_CORE // 2, int(np.ceil(2.0 * np.pi * mean / size_mm / 8.0)))
+    half = max(SETTINGS.min_core_elements // 2, int(np.ceil(2.0 * np.pi * mean / size_mm / 8.0)))
     core = _core_radius(s, width)
     ring = np.arange(8 * half)
     inside, quads, rim = _core(half)
@@ -80,7 +90,7 @@ def dome_grid(surface: Surface, *, offset_mm: float, size_mm: float) -> Grid:
     angle += 2.0 * np.pi * np.rint((even - angle) / (2.0 * np.pi))
     radius = np.hypot(*edge.T)
     stations = _rings(s, width, turn, start=float(radius.mean()), count=len(ring))[1:, None]
-    reach = min(FADE * core, float(s[-1] - radius.mean()))
+    reach = min(SETTINGS.fade * core, float(s[-1] - radius.mean()))
     x = np.clip((stations - radius.mean()) / reach, 0.0, 1.0)
     fade = 1.0 - x * x * (3.0 - 2.0 * x)
     away = stations + (radius - radius.mean()) * fade
@@ -116,9 +126,9 @@ def _meridian(
 
 def _core_radius(s: FloatArray, width: FloatArray) -> float:
     """Where the core ends: before the dome's girth falls behind that of a disc."""
-    narrow = width[1:] < CORE_GIRTH * s[1:]
+    narrow = width[1:] < SETTINGS.core_girth * s[1:]
     end = float(s[1:][np.argmax(narrow)]) if narrow.any() else np.inf
-    return min(end, CORE_SHARE * float(s[-1]))
+    return min(end, SETTINGS.max_core_share * float(s[-1]))
 
 
 def _core(half: int) -> tuple[FloatArray, IntArray, IntArray]:
@@ -134,7 +144,7 @@ def _core(half: int) -> tuple[FloatArray, IntArray, IntArray]:
     m = level / half
     circle = m[:, None] * np.column_stack([np.cos(base + lean), np.sin(base + lean)])
     square = np.column_stack([i, j]) / half
-    share = ROUND * m[:, None]
+    share = SETTINGS.roundness * m[:, None]
     nodes = (1.0 - share) * square + share * circle
     ids = np.arange(len(nodes)).reshape(2 * half + 1, -1)
     quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], -1).reshape(-1, 4)
@@ -149,6 +159,6 @@ def _rings(
     here = np.linspace(start, s[-1], 1025)
     across = 2.0 * np.pi * np.interp(here, s, width) / count
     bend = np.maximum(np.interp(here, s, np.gradient(turn, s)), 1e-12)
-    size = np.minimum(np.maximum(across, across.max() / STRETCH), MAX_TURN / bend)
+    size = np.minimum(np.maximum(across, across.max() / SETTINGS.max_aspect), MAX_TURN / bend)
     size[-1] *= EDGE_FRACTION
     return place(here, limited(here, size))

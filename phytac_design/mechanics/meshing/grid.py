@@ -23,7 +23,7 @@ EDGE_FRACTION = 0.5
 SAMPLES = 1025
 """Stations along an axis at which lengths and turns are taken."""
 CROSS_LINES = 9
-"""Lines along each axis that are looked at."""
+"""Lines along each axis that are sampled."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,9 +114,9 @@ def place(x: FloatArray, size: FloatArray, through: FloatArray | None = None) ->
     stops = x[[0, -1]]
     if through is not None and len(through):
         inner = np.unique(through)
-        least = 1e-6 * (x[-1] - x[0])
-        inner = inner[(inner > x[0] + least) & (inner < x[-1] - least)]
-        inner = inner[np.diff(inner, prepend=-np.inf) > least]
+        minimum = 1e-6 * (x[-1] - x[0])
+        inner = inner[(inner > x[0] + minimum) & (inner < x[-1] - minimum)]
+        inner = inner[np.diff(inner, prepend=-np.inf) > minimum]
         stops = np.concatenate([x[:1], inner, x[-1:]])
     at = np.interp(stops, x, density)
     counts = np.maximum(1, np.ceil(np.diff(at) - 1e-6)).astype(np.int64)

@@ -33,7 +33,7 @@ def thinned_lines(
         Where the part starts and ends. On a periodic axis it may run over the seam: the start then
         exceeds the end.
     margin_mm : float
-        How far the fine spacing goes on beyond the part, at least.
+        How far the fine spacing continues beyond the part, at least.
     """
     low, high = surface.domain[axis]
     period = float(high - low) if surface.periodic[axis] else np.inf

@@ -4,6 +4,8 @@ The search is made in space, along the normal of the surface, so that seams and 
 are places like any other.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from phytac_design.mechanics.meshing.mesh import ShellMesh
@@ -12,17 +14,26 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 
-CANDIDATES = 8
-"""Elements tried first for each position, nearest centre first; four times as many each round."""
-EDGE_TOL = 1e-6
-"""How far outside the chart, as a share of its span, a position may lie; and how far outside an
-element, in its own coordinates (-1 … 1), at first."""
-RIM_TOL = 0.1
-"""The same next to a rim that is curved, where chords of the rim leave a sliver uncovered."""
-STEPS = 12
-"""Newton steps of the inverse bilinear map."""
-PAIRS = 200_000
-"""(position, element) pairs worked on at once, to bound the memory."""
+
+@dataclass(frozen=True, kw_only=True)
+class LocateSettings:
+    """The search for the element under a position."""
+
+    candidates: int = 8
+    """Elements tried first for each position, nearest centre first; four times as many each
+    round."""
+    edge_tolerance: float = 1e-6
+    """How far outside the chart, as a share of its span, a position may lie; and how far outside an
+    element, in its own coordinates (-1 … 1), at first."""
+    rim_tolerance: float = 0.1
+    """The same next to a rim that is curved, where chords of the rim leave a sliver uncovered."""
+    newton_steps: int = 12
+    """Newton steps of the inverse bilinear map."""
+    pairs_at_once: int = 200_000
+    """(position, element) pairs worked on at once, to bound the memory."""
+
+
+SETTINGS = LocateSettings()
 
 
 def element_uv(mesh: ShellMesh) -> FloatArray:
@@ -71,7 +82,7 @@ def locate(
     element[todo], rs[todo] = _search(
         mesh, surface.point(uv[todo], -mesh.thickness_mm / 2.0), surface.normal(uv[todo])
     )
-    lost |= ~(np.abs(rs).max(axis=1, initial=0.0) <= 1.0 + RIM_TOL)
+    lost |= ~(np.abs(rs).max(axis=1, initial=0.0) <= 1.0 + SETTINGS.rim_tolerance)
     if np.any(lost):
         where = uv[np.argmax(lost)]
         (u0, u1), (v0, v1) = surface.domain
@@ -91,7 +102,7 @@ def outside(surface: Surface, uv: FloatArray) -> BoolArray:
     for axis in (0, 1):
         if not surface.periodic[axis]:
             low, high = surface.domain[axis]
-            slack = EDGE_TOL * (high - low)
+            slack = SETTINGS.edge_tolerance * (high - low)
             out |= (uv[:, axis] < low - slack) | (uv[:, axis] > high + slack)
     return out
 
@@ -105,9 +116,9 @@ def _search(
     corners = mesh.nodes_mm[mesh.quads]
     tree = cKDTree(corners.mean(axis=1))
     element, rs = np.zeros(len(points), dtype=np.int64), np.full((len(points), 2), np.inf)
-    todo, count = np.arange(len(points)), min(CANDIDATES, len(corners))
+    todo, count = np.arange(len(points)), min(SETTINGS.candidates, len(corners))
     while len(todo):
-        step = max(1, PAIRS // count)
+        step = max(1, SETTINGS.pairs_at_once // count)
         for first in range(0, len(todo), step):
             part = todo[first : first + step]
             near = tree.query(points[part], k=count)[1].reshape(len(part), count)
@@ -118,19 +129,19 @@ def _search(
             better = size[here, best] < np.abs(rs[part]).max(axis=1)
             element[part[better]] = near[here, best][better]
             rs[part[better]] = found[here, best][better]
-        todo = todo[np.abs(rs[todo]).max(axis=1) > 1.0 + EDGE_TOL]
+        todo = todo[np.abs(rs[todo]).max(axis=1) > 1.0 + SETTINGS.edge_tolerance]
         if count == len(corners):
             break
         # Nearly all are found at once; the rest lie in long elements or next to a curved rim.
-        count = min(4 * count, len(corners)) if count < 4**3 * CANDIDATES else len(corners)
+        count = min(4 * count, len(corners)) if count < 4**3 * SETTINGS.candidates else len(corners)
     return element, rs
 
 
 def _pierce(corners: FloatArray, points: FloatArray, normals: FloatArray) -> FloatArray:
     """Coordinates (n, c, 2) where lines meet elements, ``corners`` (n, c, 4, 3); else inf."""
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    least = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
-    first = np.cross(normals, least)
+    smallest_axis = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+    first = np.cross(normals, smallest_axis)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     frame = np.stack([first, np.cross(normals, first)], axis=1)
     flat = np.einsum("nkx,ncix->ncik", frame, corners - points[:, None, None])
@@ -140,9 +151,9 @@ def _pierce(corners: FloatArray, points: FloatArray, normals: FloatArray) -> Flo
     rs = _inverse_bilinear(flat, np.zeros((*flat.shape[:2], 2)))
     h = 0.25 * (1.0 + rs[..., :1] * R) * (1.0 + rs[..., 1:] * S)
     miss = np.linalg.norm(np.einsum("nci,ncik->nck", h, flat), axis=-1)
-    # Newton may end nowhere in an element far off; and the line goes on to the wall behind, which
+    # Newton may end nowhere in an element far off; and the line continues to the wall behind, which
     # faces away. Neither is a candidate.
-    rs[(miss > EDGE_TOL * size) | (facing <= 0.0)] = np.inf
+    rs[(miss > SETTINGS.edge_tolerance * size) | (facing <= 0.0)] = np.inf
     return rs
 
 
@@ -152,7 +163,7 @@ def _inverse_bilinear(corners: FloatArray, target: FloatArray) -> FloatArray:
         0.25 * np.einsum("i,...ik->...k", c, corners) for c in (np.ones(4), R, S, R * S)
     )
     rs = np.zeros_like(target)
-    for _ in range(STEPS):
+    for _ in range(SETTINGS.newton_steps):
         r, s = rs[..., :1], rs[..., 1:]
         gap = target - (x0 + r * x_r + s * x_s + r * s * x_d)
         a, b = x_r + s * x_d, x_s + r * x_d

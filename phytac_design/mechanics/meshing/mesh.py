@@ -1,6 +1,6 @@
 """Quadrilateral meshes of the middle face of the wall, aligned with the markers or not.
 
-Three kinds of surface, told apart by their chart alone: *tubes* close around v, *domes* close
+Three kinds of surface, distinguished by their chart alone: *tubes* close around v, *domes* close
 around v and end in a pole, *sheets* are open both ways.
 """
 
@@ -24,17 +24,17 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
-LEAST_JACOBIAN = 0.35
+MIN_SCALED_JACOBIAN = 0.35
 """Scaled Jacobian that a mesh moved onto markers must keep in every element."""
-LEAST_SIDE = 0.05
+MIN_SIDE_SHARE = 0.05
 """Share of its length that a side of an element must keep when nodes move onto markers."""
-TRIES = 6
+MAX_ATTEMPTS = 6
 """Meshes tried for markers that are no lattice."""
-FINER = 0.8
+REFINEMENT = 0.8
 """Element size of each try over that of the one before."""
-LEAST_ACROSS = 8
+MIN_ELEMENTS_ACROSS = 8
 """Elements across a surface at least, taken as a square of its area."""
-UNEVEN = 1.5
+MAX_TURN_OVER_MEAN = 1.5
 """A tube bends unevenly where an element turns this much more than the mean element around."""
 
 
@@ -63,7 +63,7 @@ class ShellMesh:
     period_v : float
         Chart period of v; inf where the chart does not close on itself or ends in a pole.
     surface : Surface or None
-        The outer face; None only for meshes that are looked up through another one.
+        The outer face; None only for meshes that are located through another one.
     around : int or None
         Nodes of each line around, where all nodes come in lines of as many, evenly spaced; only
         such a mesh can map onto itself when turned by a column.
@@ -98,7 +98,7 @@ def marker_mesh(
 
     A lattice on a tube gives a structured mesh. Other markers, and other surfaces, start from a
     mesh without them; then the nearest nodes move onto the markers and the others follow. Where
-    that spoils an element (scaled Jacobian below ``LEAST_JACOBIAN``) the mesh is made finer.
+    that distorts an element (scaled Jacobian below ``MIN_SCALED_JACOBIAN``) the mesh is made finer.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def marker_mesh(
     tube = surface.periodic[1] and not any(surface.poles)
     if tube and lattice is not None and len(lattice.rows_u) * lattice.columns == markers.count:
         grid, nodes = lattice_grid(surface, lattice, refine)
-        if not _uneven(surface, grid):
+        if not _bends_unevenly(surface, grid):
             return _matching(_shell(surface, grid, thickness_mm, nodes), markers)
     if refine < 1 or markers.count < 1:
         raise DesignError(
@@ -142,7 +142,7 @@ def marker_mesh(
 def marker_size_mm(surface: Surface, count: int, refine: int) -> float:
     """Element size, mm: ``refine`` elements per √(area / count), and a few across at least."""
     area = surface.area_mm2()
-    return float(min(np.sqrt(area / count) / refine, np.sqrt(area) / LEAST_ACROSS))
+    return float(min(np.sqrt(area / count) / refine, np.sqrt(area) / MIN_ELEMENTS_ACROSS))
 
 
 def node_mesh(
@@ -151,7 +151,8 @@ def node_mesh(
     """Mesh of any surface with a node, in ``marker_nodes``, at each chart position (n, 2).
 
     Elements are of ``size_mm`` as in :func:`plain_mesh`, or smaller where it takes that to keep
-    them sound (scaled Jacobian of ``LEAST_JACOBIAN`` and ``LEAST_SIDE`` of each side at least).
+    them sound (scaled Jacobian of ``MIN_SCALED_JACOBIAN`` and ``MIN_SIDE_SHARE`` of each side at
+    least).
 
     Raises
     ------
@@ -160,24 +161,25 @@ def node_mesh(
     """
     _check(surface, thickness_mm)
     size, best, kept = size_mm, 0.0, 0.0
-    for _ in range(TRIES):
+    for _ in range(MAX_ATTEMPTS):
         grid = _grid(surface, thickness_mm, size, through=_product_lines(uv))
         moved = snap(surface, grid, uv, offset_mm=-thickness_mm / 2.0)
         if moved is not None:
             before = _sides(surface.point(grid.uv, -thickness_mm / 2.0), grid.quads)
             grid = Grid(uv=moved[0], quads=grid.quads, sets=grid.sets)
             mesh = _shell(surface, grid, thickness_mm, moved[1])
-            least = float(mesh.scaled_jacobian().min())
+            minimum = float(mesh.scaled_jacobian().min())
             kept = float((_sides(mesh.nodes_mm, grid.quads) / before).min())
-            if least >= LEAST_JACOBIAN and kept >= LEAST_SIDE:
+            if minimum >= MIN_SCALED_JACOBIAN and kept >= MIN_SIDE_SHARE:
                 return mesh
-            best = max(best, least)
-        size *= FINER
+            best = max(best, minimum)
+        size *= REFINEMENT
     i, j, gap = _closest(surface.point(uv))
     raise DesignError(
         f"mesh: no sound mesh has a node on every marker (best scaled Jacobian {best:.2f}, sides "
-        f"kept to {kept:.2g}; needs {LEAST_JACOBIAN} and {LEAST_SIDE}; elements down to "
-        f"{size / FINER:.3g} mm); markers {i} and {j} are the closest ({gap:.3g} mm apart): move "
+        f"kept to {kept:.2g}; needs {MIN_SCALED_JACOBIAN} and {MIN_SIDE_SHARE}; elements down to "
+        f"{size / REFINEMENT:.3g} mm); markers {i} and {j} are the closest ({gap:.3g} mm apart): "
+        "move "
         "markers apart and off the rims, or raise refine"
     )
 
@@ -275,13 +277,13 @@ def _product_lines(uv: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     return (uv[u, 0], uv[v, 1]) if len(u) * len(v) == len(uv) else None
 
 
-def _uneven(surface: Surface, grid: Grid) -> bool:
+def _bends_unevenly(surface: Surface, grid: Grid) -> bool:
     """Whether equal steps around turn some corners too far for one element."""
     normal = surface.normal(grid.uv)
     ahead = normal[np.roll(grid.quads, -1, axis=1)[:, [0, 2]]]
     turn = np.linalg.norm(ahead - normal[grid.quads[:, [0, 2]]], axis=2)
     mean = 2.0 * np.pi / (grid.around or 1)
-    return bool(turn.max() > max(1.5 * MAX_TURN, UNEVEN * mean))
+    return bool(turn.max() > max(1.5 * MAX_TURN, MAX_TURN_OVER_MEAN * mean))
 
 
 def _sides(nodes_mm: FloatArray, quads: IntArray) -> FloatArray:

@@ -36,44 +36,36 @@ def check_quads(quads: IntArray, node_count: int) -> None:
             f"but nodes run from 0 to {node_count - 1}; correct the numbering"
         )
     corners = np.sort(quads, axis=1)
-    twin = np.any(corners[:, 1:] == corners[:, :-1], axis=1)
     _refuse(
-        twin,
-        "mesh: element {where} has a node at two corners ({count} in all); split it into "
-        "quads or merge it with a neighbour",
+        np.any(corners[:, 1:] == corners[:, :-1], axis=1),
+        "element {where} has a node at two corners ({count} in all); split it into quads or merge "
+        "it with a neighbour",
     )
-    first = np.unique(corners, axis=0, return_index=True)[1]
-    again = np.ones(len(quads), dtype=np.bool_)
-    again[first] = False
+    repeated = np.ones(len(quads), dtype=np.bool_)
+    repeated[np.unique(corners, axis=0, return_index=True)[1]] = False
     _refuse(
-        again,
-        "mesh: element {where} lies on the nodes of another one ({count} such in all); "
-        "remove the duplicate",
+        repeated,
+        "element {where} lies on the nodes of another one ({count} such in all); remove the "
+        "duplicate",
     )
     start, end = quads.ravel(), np.roll(quads, -1, axis=1).ravel()
-    forward = start < end
-    edge = np.minimum(start, end) * node_count + np.maximum(start, end)
-    _, slot, uses = np.unique(edge, return_inverse=True, return_counts=True)
-    owner = np.repeat(np.arange(len(quads)), 4)
-    crowded = uses[slot] > 2
-    if np.any(crowded):
-        at = int(np.argmax(crowded))
-        raise NumericalError(
-            f"mesh: edge {start[at]}-{end[at]} belongs to {uses[slot[at]]} elements "
-            f"({int(np.sum(uses > 2))} such edges in all); a shell has one or two at an edge: "
-            "remove inner walls or double layers"
-        )
+    ends = np.sort(np.stack([start, end], axis=1), axis=1)
+    edges, slot, uses = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+    _refuse(
+        uses > 2,
+        "edge {where} belongs to {uses} elements ({count} such edges in all); a shell has one or "
+        "two at an edge: remove inner walls or double layers",
+        edges,
+        uses,
+    )
     # Neighbours that face the same way run along their common edge in opposite directions.
-    runs = np.bincount(slot, weights=np.where(forward, 1.0, -1.0))
-    flipped = (uses[slot] == 2) & (np.abs(runs[slot]) > 1.0)
-    if np.any(flipped):
-        at = int(np.argmax(flipped))
-        pair = owner[slot == slot[at]]
-        raise NumericalError(
-            f"mesh: elements {pair[0]} and {pair[1]} face opposite ways across edge "
-            f"{start[at]}-{end[at]} ({int(np.sum((uses == 2) & (np.abs(runs) > 1.0)))} such edges "
-            "in all); reverse the corners of one side"
-        )
+    runs = np.bincount(slot.ravel(), weights=np.where(start < end, 1.0, -1.0))
+    _refuse(
+        (uses == 2) & (np.abs(runs) > 1.0),
+        "two elements face opposite ways across edge {where} ({count} such edges in all); reverse "
+        "the corners of one side",
+        edges,
+    )
 
 
 def check_directors(nodes_mm: FloatArray, quads: IntArray, directors: FloatArray) -> None:
@@ -103,15 +95,21 @@ def check_directors(nodes_mm: FloatArray, quads: IntArray, directors: FloatArray
             f"mesh: directors must be unit normals (got one of length {worst:.6g}); divide them "
             "by their length"
         )
-    along = np.einsum("eck,ek->ec", own, normal)
-    away = np.any(along <= 0.0, axis=1)
     _refuse(
-        away,
-        "mesh: element {where} faces away from its directors ({count} in all); reverse "
-        "its corners or the directors",
+        np.any(np.einsum("eck,ek->ec", own, normal) <= 0.0, axis=1),
+        "element {where} faces away from its directors ({count} in all); reverse its corners or "
+        "the directors",
     )
 
 
-def _refuse(bad: BoolArray, message: str) -> None:
+def _refuse(
+    bad: BoolArray, message: str, edges: IntArray | None = None, uses: IntArray | None = None
+) -> None:
+    """Raise for the first bad element, or edge (k, 2), if there is one."""
     if np.any(bad):
-        raise NumericalError(message.format(where=int(np.argmax(bad)), count=int(np.sum(bad))))
+        at = int(np.argmax(bad))
+        where = at if edges is None else "-".join(map(str, edges[at]))
+        text = message.format(
+            where=where, count=int(np.sum(bad)), uses=0 if uses is None else uses[at]
+        )
+        raise NumericalError(f"mesh: {text}")

@@ -1,4 +1,4 @@
-"""One press on a sensor's shell: what moves, by the theory it takes, and how far to trust it."""
+"""One press on a sensor's shell: motion, the theory used, and estimated errors."""
 
 import time
 from collections.abc import Callable
@@ -14,12 +14,15 @@ from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY, check_linear
 from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Equilibrium, Loading
-from phytac_design.mechanics.meshing.locate import locate
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
 from phytac_design.mechanics.pressing.contact_patch import ContactPatch
 from phytac_design.mechanics.shell.compliance import point_motion
-from phytac_design.mechanics.shell.discretisation import LEAST_RATIO, ProbedShell, estimate_error
-from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.discretisation import (
+    MIN_SIZE_RATIO,
+    ProbedShell,
+    estimate_error,
+    probed_sensor,
+)
 from phytac_design.mechanics.shell.mesh_writers import write_vtu
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.mechanics.shell.solve import ShellModel
@@ -65,9 +68,9 @@ class Press:
     strain : float
         Largest bending strain of the wall's faces (:func:`bending_strain`).
     stable : bool or None
-        Whether the shell stays there under the load; None if that cannot be told.
+        Whether the shell stays there under the load; None if that is unknown.
     jumped : bool
-        Whether the shell snapped, or may have, on the way (:class:`newton.Equilibrium`).
+        Whether the shell snapped, or may have, under the load (:class:`newton.Equilibrium`).
     mesh_error : float or None
         Estimated error of tips and centre because of the mesh, of the largest motion, linear
         (:func:`discretisation.estimate_error`); None where no mesh is enough coarser.
@@ -154,8 +157,8 @@ def press(
     mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=refine)
     progress(f"press: {6 * len(mesh.nodes_mm)} unknowns, linear")
     model = sensor_model(design, markers, mesh, receptors=receptors)
-    unit = patch_loads(mesh, surface, place.uv[None], place.radius_mm)
-    load = place.force_N * unit
+    probed = probed_sensor(model, mesh, surface, markers, place.uv[None], place.radius_mm)
+    load = place.force_N * probed.loads
     check = check_linear(model, load)
     motion, residual, end = check.motion, 0.0, None
     large = theory == "large" or (
@@ -165,10 +168,11 @@ def press(
         progress(f"press: linear is about {100 * check.error:.2g} % off; large displacements")
         end = _large_motion(model, load, place)
         motion, residual = end.state.motion, end.residual
-    rounding = model.solve(unit).error
+    rounding = model.solve(probed.loads).error
     progress("press: error of the mesh")
-    parts = _Parts(design=design, surface=surface, markers=markers, place=place)
-    mesh_error, resolved = _mesh_error(parts, mesh, model, refine, receptors=receptors)
+    mesh_error, resolved = _mesh_error(
+        design, surface, markers, place, probed, refine, receptors=receptors
+    )
     strain = bending_strain(mesh, motion)
     if large and strain > STRAIN_LIMIT:
         raise NumericalError(_beyond(place, f"the wall would strain by {100.0 * strain:.0f} %"))
@@ -182,7 +186,7 @@ def press(
         tip = point_motion(at[:, :, None], arm)[:, :, 0]
     inward = -np.sum(motion[:, :3] * mesh.normals, axis=1)
     peak = int(np.argmax(inward))
-    nodes, weights = locate(mesh, place.uv[None])
+    centre = (probed.nodes[-1], probed.weights[-1])
     away = np.linalg.norm(surface.point(markers.uv) - surface.point(place.uv[None]), axis=1)
     near = np.argsort(away, kind="stable")[:NEAR]
     return Press(
@@ -195,7 +199,7 @@ def press(
         distance_mm=away[near],
         inward_mm=inward[mesh.marker_nodes],
         peak_mm=float(inward[peak]),
-        centre_mm=float(inward[nodes[0]] @ weights[0]),
+        centre_mm=float(inward[centre[0]] @ centre[1]),
         peak_at_mm=mesh.nodes_mm[peak],
         large=large,
         receptors=receptors,
@@ -218,43 +222,30 @@ def _large_motion(model: ShellModel, load: Any, place: ContactPatch) -> Equilibr
         raise NumericalError(_beyond(place, f"no equilibrium is found ({error})")) from error
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Parts:
-    """What is pressed, and where."""
-
-    design: Design
-    surface: Surface
-    markers: Markers
-    place: ContactPatch
-
-
 def _mesh_error(
-    parts: _Parts, fine: ShellMesh, model: ShellModel, refine: int, *, receptors: bool
+    design: Design,
+    surface: Surface,
+    markers: Markers,
+    place: ContactPatch,
+    fine: ProbedShell,
+    refine: int,
+    *,
+    receptors: bool,
 ) -> tuple[float | None, bool]:
     """Error by a mesh of about half the elements along each side; whether both are fine enough."""
-    surface, markers, place = parts.surface, parts.markers, parts.place
-    wall = parts.design.wall.thickness_mm
+    wall = design.wall.thickness_mm
     try:
-        rough = marker_mesh(surface, markers, thickness_mm=wall, refine=refine // 2)
-    except DesignError:  # nothing coarser holds the markers
+        coarse = marker_mesh(surface, markers, thickness_mm=wall, refine=refine // 2)
+    except DesignError:  # no coarser mesh holds the markers
         return None, False
-    if len(fine.quads) < LEAST_RATIO**2 * len(rough.quads):
+    if len(fine.model.quads) < MIN_SIZE_RATIO**2 * len(coarse.quads):
         return None, False
-    arm = np.concatenate([markers.tip_mm - markers.mid_mm, np.zeros((1, 3))])
 
     def make(level: int) -> ProbedShell:
-        mesh, shell = fine, model
-        if level != refine:
-            mesh = rough
-            shell = sensor_model(parts.design, markers, mesh, receptors=receptors)
-        nodes, weights = locate(mesh, np.concatenate([markers.uv, place.uv[None]]))
-        return ProbedShell(
-            model=shell,
-            loads=patch_loads(mesh, surface, place.uv[None], place.radius_mm),
-            nodes=nodes,
-            weights=weights,
-            arm_mm=arm,
-        )
+        if level == refine:
+            return fine
+        model = sensor_model(design, markers, coarse, receptors=receptors)
+        return probed_sensor(model, coarse, surface, markers, place.uv[None], place.radius_mm)
 
     found = estimate_error(make, (refine, refine // 2))
     return float(found.relative[0]), bool(found.asymptotic[0])
@@ -303,6 +294,6 @@ def _pixels(
 
     try:
         camera = camera_of(design, surface)
-    except DesignError:  # `phytac check` tells why; the mechanics do not need a camera
+    except DesignError:  # `phytac check` reports why; the mechanics do not need a camera
         return None
     return np.asarray(camera.project(tip_mm + moved_mm) - camera.project(tip_mm))

@@ -230,8 +230,8 @@ def _refuse_degenerate(X: FloatArray) -> None:
     _, dh = _shapes(np.column_stack([R, S]))
     with np.errstate(invalid="ignore"):
         n0 = _cross(*_at(shape(0.0, 0.0)[1], X))
-        least = _dot(_cross(*_at(dh, X)), n0)[:, 0].min(axis=0)
-        bad = ~(least > FLAT_TOL * _dot(n0, n0)[0])
+        minimum = _dot(_cross(*_at(dh, X)), n0)[:, 0].min(axis=0)
+        bad = ~(minimum > FLAT_TOL * _dot(n0, n0)[0])
     if np.any(bad):
         where = int(np.argmax(bad))
         raise NumericalError(

@@ -1,9 +1,8 @@
 """Factor of a stiffness matrix: its solver, the rounding error of its solutions, its condition."""
 
+from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
 from typing import Any
-from weakref import finalize
 
 import numpy as np
 
@@ -16,22 +15,26 @@ SUPERLU = {
     "options": {"SymmetricMode": True, "Equil": False},
 }
 """Settings that exploit the symmetry of a stiffness matrix."""
-SOLVERS = ("superlu", "pardiso")
-"""SciPy's own, and Intel's (package ``pypardiso``, optional)."""
-PROBES = 4
-"""Random vectors that measure how a model amplifies rounding."""
-ROUNDING = 2.0**-50
-"""Perturbation δ of the scaled entries: four units in the last place.
-
-Measured against solutions of the same shell turned in space, the estimate is then 0.8 to 10 times
-the true error wherever that exceeds 1e-12.
-"""
-POSITIVE_DEFINITE = 2
-"""PARDISO's number for such matrices, real and symmetric."""
 
 
-LEAST_LOAD = 1e-100
-"""Loads that differ by more than this from those that numbers are made for are solved scaled."""
+@dataclass(frozen=True, kw_only=True)
+class FactorSettings:
+    """The estimate of rounding errors."""
+
+    probes: int = 4
+    """Random vectors that measure how a model amplifies rounding."""
+    rounding: float = 2.0**-50
+    """Perturbation δ of the scaled entries: four units in the last place.
+
+    Measured against solutions of the same shell turned in space, the estimate is then 0.8 to 10
+    times the true error wherever that exceeds 1e-12.
+    """
+    min_load: float = 1e-100
+    """Loads that differ by more than this from those that numbers are made for are solved
+    scaled."""
+
+
+SETTINGS = FactorSettings()
 
 
 class Factor:
@@ -50,18 +53,14 @@ class Factor:
     ----------
     matrix : scipy.sparse matrix, (n, n)
         Symmetric, with all entries of its blocks, zeros included.
-    solver : str
-        One of ``SOLVERS``.
 
     Raises
     ------
     NumericalError
-        If the matrix has no positive diagonal or cannot be factored, or the solver is not there.
+        If the matrix has no positive diagonal or cannot be factored.
     """
 
-    def __init__(self, matrix: Any, *, solver: str = "superlu") -> None:
-        if solver not in SOLVERS:
-            raise NumericalError(f"unknown solver {solver!r}; choose one of {', '.join(SOLVERS)}")
+    def __init__(self, matrix: Any) -> None:
         diagonal = matrix.diagonal()
         if not np.all(diagonal > 0.0):
             raise NumericalError(
@@ -74,26 +73,28 @@ class Factor:
         self.scaled = matrix.tocsc(copy=True)
         columns = np.repeat(self.scale, np.diff(self.scaled.indptr))
         self.scaled.data *= self.scale[self.scaled.indices] * columns
-        self.backend: Any = _superlu(self.scaled) if solver == "superlu" else _Pardiso(self.scaled)
+        self.backend: Any = _superlu(self.scaled)
 
     def solve(self, loads: FloatArray) -> tuple[FloatArray, float]:
         """Motion (n, m) under loads (n, m), and the largest relative rounding error over them."""
         right = self.scale[:, None] * loads
-        most = np.abs(right).max(axis=0, initial=0.0)
-        if np.any((most > 0.0) & ((most < LEAST_LOAD) | (most > 1.0 / LEAST_LOAD))):
+        largest = np.abs(right).max(axis=0, initial=0.0)
+        if np.any(
+            (largest > 0.0) & ((largest < SETTINGS.min_load) | (largest > 1.0 / SETTINGS.min_load))
+        ):
             # Squares of such numbers are none; by powers of two nothing else changes.
-            power = np.frexp(most)[1]
+            power = np.frexp(largest)[1]
             scaled, worst = self.solve(np.ldexp(loads, -power))
             return np.ldexp(scaled, power), worst
         x = self.backend.solve(right)
         square = x * x
         size = np.sqrt(square.sum(axis=0))
         gain, degree = self._probes
-        expected = ROUNDING * np.sqrt(degree @ square)
+        expected = SETTINGS.rounding * np.sqrt(degree @ square)
         left = np.linalg.norm(right - self.scaled @ x, axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             raised = np.maximum(1.0, left / expected)
-            error = ROUNDING * raised * np.sqrt(np.mean(gain @ square, axis=0)) / size
+            error = SETTINGS.rounding * raised * np.sqrt(np.mean(gain @ square, axis=0)) / size
         # NaN marks a solution that is not finite, or a load without any.
         error = np.where(np.any(loads != 0.0, axis=0), error, 0.0)
         return self.scale[:, None] * x, float(np.max(error, initial=0.0))
@@ -103,7 +104,7 @@ class Factor:
         """Σ_i~j y_i² of each probe (k, n), and entries per column (n,)."""
         pattern = self.scaled.copy()
         pattern.data[:] = 1.0
-        draws = np.random.default_rng(0).normal(size=(self.scale.size, PROBES))
+        draws = np.random.default_rng(0).normal(size=(self.scale.size, SETTINGS.probes))
         gain = pattern @ np.square(self.backend.solve(draws))
         return np.ascontiguousarray(gain.T), np.diff(pattern.indptr).astype(np.float64)
 
@@ -131,35 +132,3 @@ def _superlu(matrix: Any) -> Any:
         return splu(matrix, **SUPERLU)
     except RuntimeError as error:
         raise NumericalError(f"the stiffness cannot be factored ({error})") from error
-
-
-class _Pardiso:
-    """Cholesky factor by Intel MKL; threads as ``MKL_NUM_THREADS`` says."""
-
-    def __init__(self, matrix: Any) -> None:
-        from scipy.sparse import triu
-
-        try:
-            library: Any = import_module("pypardiso")
-        except ImportError as error:
-            raise NumericalError(
-                f"solver 'pardiso' needs the package pypardiso ({error}); install it "
-                "(pip install pypardiso) or use solver 'superlu'"
-            ) from error
-        self._failure = library.pardiso_wrapper.PyPardisoError
-        self._upper = triu(matrix, format="csr")
-        self._solver = library.PyPardisoSolver(mtype=POSITIVE_DEFINITE)
-        self._call(self._solver.factorize)
-        finalize(self, self._solver.free_memory, everything=True)
-
-    def solve(self, right: FloatArray) -> FloatArray:
-        """Solution (n,) or (n, m) of right sides of that shape."""
-        return np.asarray(self._call(self._solver.solve, right))
-
-    def _call(self, work: Any, *rest: Any) -> Any:
-        try:
-            return work(self._upper, *rest)
-        except self._failure as error:
-            raise NumericalError(
-                f"the stiffness cannot be factored ({error}); -4 means not positive definite"
-            ) from error

@@ -18,6 +18,7 @@ from which the missing share and the twist inside follow. Derived here; first or
 
 import numpy as np
 
+from phytac_design.mechanics.shell.discretisation import ProbedShell
 from phytac_design.mechanics.shell.element import shape
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
@@ -108,3 +109,14 @@ def _twist_rows(
         for b in range(2):
             rows += 2.0 * (A[:, 0, a] * A[:, 1, b])[:, None] * parts[a][b]
     return rows, across, along
+
+
+class FreeEdgeShell(ProbedShell):
+    """A shell on one mesh whose free edges are corrected for the layer that the mesh misses."""
+
+    def correction(self, motion: FloatArray) -> FloatArray:
+        """Motion (n, 3, m) of the points that the mesh misses at free edges."""
+        force = free_edge_force(self.model, motion)
+        if force is None:
+            return super().correction(motion)
+        return self.read(self.model.solve(force.reshape(-1, motion.shape[2])).motion)

@@ -45,7 +45,7 @@ class Pressure(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Patches:
+class PressurePatches:
     """Patches that press on the outer face with 1 N each; arrays run over m patches.
 
     Attributes
@@ -80,7 +80,7 @@ class _Spread:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvenDiscs:
+class UniformDiscs:
     """Even pressure over discs of the given radii (m,), mm."""
 
     radii_mm: FloatArray
@@ -128,12 +128,14 @@ def patch_loads(
     radii = np.broadcast_to(np.asarray(radii_mm, dtype=np.float64), len(centres))
     if not (np.all(np.isfinite(radii)) and np.all(radii >= 0.0)):
         raise NumericalError("a patch radius is negative or not finite; give radii in mm, >= 0")
-    pressure = EvenDiscs(radii_mm=radii)
-    return spread_loads(mesh, surface, Patches(uv=centres, reach_mm=radii, pressure=pressure))
+    pressure = UniformDiscs(radii_mm=radii)
+    return spread_loads(
+        mesh, surface, PressurePatches(uv=centres, reach_mm=radii, pressure=pressure)
+    )
 
 
-def spread_loads(mesh: ShellMesh, surface: Surface, patches: Patches) -> Any:
-    """Nodal loads of patches that each press inward with 1 N, and drag along the face if asked to.
+def spread_loads(mesh: ShellMesh, surface: Surface, patches: PressurePatches) -> Any:
+    """Nodal loads of patches that each press inward with 1 N, and drag along the face.
 
     The pressure acts along the local inward normal. It is scaled so that the resultant along the
     inward normal *at the centre* is exactly 1 N; by symmetry the resultant has (next to) no other
@@ -143,7 +145,7 @@ def spread_loads(mesh: ShellMesh, surface: Surface, patches: Patches) -> Any:
 
     The drag is spread as the pressure is. Its direction goes with the face by the least turn that
     carries the centre's normal to the local one; its resultant along its own direction is exactly
-    the one asked for. Where a rim or an edge makes a patch one-sided, drag presses or lifts too;
+    the given one. Where a rim or an edge makes a patch one-sided, drag presses or lifts too;
     the pressure makes up for that, so that the 1 N is that of both. Drag acts on the outer face,
     half a thickness off the nodes, and so brings the moment (t/2) n × f.
 
@@ -192,7 +194,7 @@ def spread_loads(mesh: ShellMesh, surface: Surface, patches: Patches) -> Any:
     return matrix
 
 
-def _spread(mesh: ShellMesh, surface: Surface, patches: Patches) -> _Spread:
+def _spread(mesh: ShellMesh, surface: Surface, patches: PressurePatches) -> _Spread:
     outer, middle, area = outer_elements(mesh)
     reach = np.linalg.norm(outer - middle[:, None], axis=2).max(axis=1)
     size = np.sqrt(area) / CELLS
@@ -216,7 +218,7 @@ def _spread(mesh: ShellMesh, surface: Surface, patches: Patches) -> _Spread:
         inside = patches.pressure(i, arm, size[used[k]], longest[used[k]])
         # A wall behind, within the reach on a thin sensor, faces away and is not touched.
         inside = inside * (dot(push[k], facing[i]) < 0.0)
-        # Products per patch and element: sums do not depend on what else is asked for.
+        # Products per patch and element: sums do not depend on the other patches.
         force[part] = h.T @ (inside[:, :, None] * push[k])
         if drag is not None and patches.drag is not None:
             hit = np.flatnonzero(inside.any(axis=1))

@@ -1,10 +1,10 @@
-"""The shell mesh for other programs: Abaqus/CalculiX ``.inp``, Gmsh ``.msh``, VTK ``.vtu``.
+"""Meshes for other programs: Abaqus/CalculiX ``.inp``, Gmsh ``.msh``, VTK ``.vtu``.
 
 Files are the same, byte for byte, for the same input. Numbering starts at 1: node k of the mesh
 is node k + 1 of the file.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,8 @@ from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 
-PER_LINE = 12
-"""Labels per line of a set (Abaqus allows 16)."""
+PER_LINE = 10
+"""Labels per line of a set (Abaqus allows 16, lines of 80 characters fewer)."""
 RIMS = ("TOP", "BOTTOM", "LEFT", "RIGHT")
 """Node sets of the open edges, in the order of the files."""
 PHYSICAL = {
@@ -27,6 +27,66 @@ PHYSICAL = {
     "RIGHT": (6, 1),
 }
 """Gmsh physical groups: tag and dimension; a file has those that its mesh fills."""
+
+
+def inp_nodes(nodes_mm: FloatArray) -> Iterator[str]:
+    """Lines of all nodes (N, 3), in node set ALL."""
+    yield "*NODE, NSET=ALL"
+    for label, (x, y, z) in enumerate(nodes_mm.tolist(), start=1):
+        yield f"{label}, {x:.12e}, {y:.12e}, {z:.12e}"
+
+
+def inp_set(kind: str, name: str, members: IntArray) -> Iterator[str]:
+    """Lines of a set; ``kind`` is NSET or ELSET, members count from 0."""
+    yield f"*{kind}, {kind}={name}"
+    labels = (np.sort(members) + 1).tolist()
+    for first in range(0, len(labels), PER_LINE):
+        yield ", ".join(map(str, labels[first : first + PER_LINE]))
+
+
+def inp_material(modulus_MPa: float, poisson: float, *, name: str = "RESIN") -> Iterator[str]:
+    """Lines of an isotropic elastic material."""
+    yield from (f"*MATERIAL, NAME={name}", "*ELASTIC", f"{modulus_MPa:.9g}, {poisson:.9g}")
+
+
+def inp_loads(load: FloatArray) -> Iterator[str]:
+    """Lines of nodal forces (N, 3) or forces and moments (N, 6)."""
+    yield "*CLOAD"
+    for node, dof in zip(*np.nonzero(load), strict=True):
+        yield f"{node + 1}, {dof + 1}, {load[node, dof]:.12e}"
+
+
+def write_lines(path: Path, lines: Iterable[str]) -> Path:
+    """Write lines as ASCII with Unix ends."""
+    path.write_text("\n".join(lines) + "\n", encoding="ascii", errors="replace", newline="\n")
+    return path
+
+
+def write_gmsh(
+    path: Path, nodes_mm: FloatArray, groups: Mapping[str, tuple[int, int, str, IntArray]]
+) -> Path:
+    """Write Gmsh 2.2 (text); a physical group is (tag, dimension, meshio cell type, cells)."""
+    import meshio
+
+    label = [np.full(len(cells), tag) for tag, _, _, cells in groups.values()]
+    out = meshio.Mesh(
+        nodes_mm,
+        [(kind, cells) for _, _, kind, cells in groups.values()],
+        cell_data={"gmsh:physical": label, "gmsh:geometrical": label},
+        field_data={name: np.array([tag, size]) for name, (tag, size, _, _) in groups.items()},
+    )
+    meshio.write(path, out, file_format="gmsh22", binary=False)
+    return path
+
+
+def write_grid(
+    path: Path, nodes_mm: FloatArray, cells: tuple[str, IntArray], data: Mapping[str, Any]
+) -> Path:
+    """Write a VTK unstructured grid of one cell type with point data."""
+    import meshio
+
+    meshio.write(path, meshio.Mesh(nodes_mm, [cells], point_data=dict(data)), file_format="vtu")
+    return path
 
 
 def write_inp(
@@ -59,24 +119,28 @@ def write_inp(
             f"the load needs one finite value per DOF, {6 * len(mesh.nodes_mm)} in all "
             f"(got {dense.size})"
         )
-    lines = [*_inp_mesh(mesh, name), *_inp_model(mesh, modulus_MPa, poisson)]
-    lines += _inp_step(mesh, dense.reshape(-1, 6))
-    path.write_text("\n".join(lines) + "\n", encoding="ascii", errors="replace", newline="\n")
-    return path
+    return write_lines(path, _inp_lines(mesh, modulus_MPa, poisson, dense.reshape(-1, 6), name))
 
 
-def _inp_mesh(mesh: ShellMesh, name: str) -> Iterator[str]:
+def _inp_lines(
+    mesh: ShellMesh, modulus_MPa: float, poisson: float, load: FloatArray, name: str
+) -> Iterator[str]:
     yield "*HEADING"
     yield f"{name}: middle face of the shell; mm, N, MPa; z away from the camera"
-    yield "*NODE, NSET=ALL"
-    for label, (x, y, z) in enumerate(mesh.nodes_mm.tolist(), start=1):
-        yield f"{label}, {x:.12e}, {y:.12e}, {z:.12e}"
+    yield from inp_nodes(mesh.nodes_mm)
     yield "*ELEMENT, TYPE=S4, ELSET=SHELL"
     for label, corners in enumerate((mesh.quads + 1).tolist(), start=1):
         yield f"{label}, {', '.join(map(str, corners))}"
     for key, nodes in (*_filled(mesh).items(), ("CLAMPED", mesh.clamped)):
-        yield f"*NSET, NSET={key}"
-        yield from _wrapped(nodes)
+        yield from inp_set("NSET", key, nodes)
+    yield from inp_material(modulus_MPa, poisson)
+    yield from ("*SHELL SECTION, ELSET=SHELL, MATERIAL=RESIN", f"{mesh.thickness_mm:.9g}")
+    yield from ("*BOUNDARY", "CLAMPED, 1, 6", "*STEP", "*STATIC")
+    yield from inp_loads(load)
+    yield from ("*NODE FILE", "U, RF", "*EL FILE", "S")
+    if len(mesh.sets["MARKERS"]):
+        yield from ("*NODE PRINT, NSET=MARKERS", "U")
+    yield "*END STEP"
 
 
 def _filled(mesh: ShellMesh) -> dict[str, IntArray]:
@@ -85,58 +149,13 @@ def _filled(mesh: ShellMesh) -> dict[str, IntArray]:
     return {key: nodes for key, nodes in sets.items() if len(nodes)}
 
 
-def _wrapped(nodes: IntArray) -> Iterator[str]:
-    labels = (np.sort(nodes) + 1).tolist()
-    for first in range(0, len(labels), PER_LINE):
-        yield ", ".join(map(str, labels[first : first + PER_LINE]))
-
-
-def _inp_model(mesh: ShellMesh, modulus_MPa: float, poisson: float) -> Iterator[str]:
-    yield "*MATERIAL, NAME=RESIN"
-    yield "*ELASTIC"
-    yield f"{modulus_MPa:.9g}, {poisson:.9g}"
-    yield "*SHELL SECTION, ELSET=SHELL, MATERIAL=RESIN"
-    yield f"{mesh.thickness_mm:.9g}"
-    yield "*BOUNDARY"
-    yield "CLAMPED, 1, 6"
-
-
-def _inp_step(mesh: ShellMesh, load: FloatArray) -> Iterator[str]:
-    yield "*STEP"
-    yield "*STATIC"
-    yield "*CLOAD"
-    for node, dof in zip(*np.nonzero(load), strict=True):
-        yield f"{node + 1}, {dof + 1}, {load[node, dof]:.12e}"
-    yield "*NODE FILE"
-    yield "U, RF"
-    yield "*EL FILE"
-    yield "S"
-    if len(mesh.sets["MARKERS"]):
-        yield "*NODE PRINT, NSET=MARKERS"
-        yield "U"
-    yield "*END STEP"
-
-
 def write_msh(path: Path, mesh: ShellMesh) -> Path:
     """Write Gmsh 2.2 (text): physical groups SHELL, one of lines per open edge, MARKERS."""
-    import meshio
-
-    cells: list[tuple[str, IntArray]] = [("quad", mesh.quads)]
-    tags = [PHYSICAL["SHELL"][0]]
-    filled = _filled(mesh)
-    for key, nodes in filled.items():
-        rim = key in RIMS
-        cells.append(("line", _edges(mesh, nodes)) if rim else ("vertex", nodes[:, None]))
-        tags.append(PHYSICAL[key][0])
-    label = [np.full(len(part), tag) for (_, part), tag in zip(cells, tags, strict=True)]
-    out = meshio.Mesh(
-        mesh.nodes_mm,
-        cells,
-        cell_data={"gmsh:physical": label, "gmsh:geometrical": label},
-        field_data={key: np.array(PHYSICAL[key]) for key in ("SHELL", *filled)},
-    )
-    meshio.write(path, out, file_format="gmsh22", binary=False)
-    return path
+    groups = {"SHELL": (*PHYSICAL["SHELL"], "quad", mesh.quads)}
+    for key, nodes in _filled(mesh).items():
+        cells = ("line", _edges(mesh, nodes)) if key in RIMS else ("vertex", nodes[:, None])
+        groups[key] = (*PHYSICAL[key], *cells)
+    return write_gmsh(path, mesh.nodes_mm, groups)
 
 
 def write_vtu(path: Path, mesh: ShellMesh, *, motion: FloatArray | None = None) -> Path:
@@ -144,8 +163,6 @@ def write_vtu(path: Path, mesh: ShellMesh, *, motion: FloatArray | None = None) 
 
     ``motion`` (N, 6), mm and rad, adds point data ``displacement_mm`` and ``rotation_rad``.
     """
-    import meshio
-
     count = len(mesh.nodes_mm)
     marker = np.full(count, -1, dtype=np.int64)
     marker[mesh.marker_nodes] = np.arange(len(mesh.marker_nodes))
@@ -154,9 +171,7 @@ def write_vtu(path: Path, mesh: ShellMesh, *, motion: FloatArray | None = None) 
         data[key] = np.isin(np.arange(count), nodes).astype(np.int64)
     if motion is not None:
         data |= {"displacement_mm": motion[:, :3], "rotation_rad": motion[:, 3:]}
-    out = meshio.Mesh(mesh.nodes_mm, [("quad", mesh.quads)], point_data=data)
-    meshio.write(path, out, file_format="vtu")
-    return path
+    return write_grid(path, mesh.nodes_mm, ("quad", mesh.quads), data)
 
 
 def _edges(mesh: ShellMesh, nodes: IntArray) -> IntArray:

@@ -4,7 +4,7 @@
 - ``sphere``: Hertz's p ∝ √(1 - (r/a)²) over a disc of radius a;
 - ``cylinder``: a strip of half-width b, p ∝ √(1 - (y/b)²) across it and even along it.
 
-A place under a touch is given in millimetres (x, y) by its chord from the centre (:mod:`contact`)
+A place under a contact is given in millimetres (x, y) by its chord from the centre (:mod:`contact`)
 laid along its direction as seen along the centre's normal. Such a map needs no chart, so seams
 and poles are places like any other. It keeps the areas of a sphere (it is Lambert's map there)
 and those of a tube to (d/R)²/32; across a tube lengths are short by (d/R)²/24.
@@ -12,32 +12,28 @@ and those of a tube to (d/R)²/32; across a tube lengths are short by (d/R)²/24
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from phytac_design.mechanics.indenter import CYLINDER, FLAT, SPHERE, Indentations
 from phytac_design.mechanics.meshing.locate import outside
 from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.shell.loads import EvenDiscs, Patches, dot, spread_loads
+from phytac_design.mechanics.shell.loads import PressurePatches, UniformDiscs, dot, spread_loads
 from phytac_design.mechanics.shell.pressure_sharing import TINY
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
-if TYPE_CHECKING:  # the twin's contacts are made with this room
-    from phytac_design.simulation.indenters import Touches
-
-FLAT, SPHERE, CYLINDER = range(3)
-"""Places in ``twin.touch.INDENTERS``."""
-LEAST_SHARE = 1e-6
-"""Half-width of a line, in cells: finite, and far below what cells can tell from nothing."""
-MOST_FRICTION = 5.0
+MIN_WIDTH_CELLS = 1e-6
+"""Half-width of a line, in cells: finite, and far below the resolution of the cells."""
+MAX_FRICTION = 5.0
 """Tangential over normal force: rubber on glass reaches 3; more is a slip of the pen."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Footing:
-    """Where c touches stand on the outer face, and what shape they have.
+class ContactFrames:
+    """Local frames and shapes of c contacts on the outer face.
 
     Attributes
     ----------
@@ -62,14 +58,14 @@ class Footing:
 
     @property
     def reach_mm(self) -> FloatArray:
-        """Farthest place under each touch from its centre, (c,)."""
+        """Farthest place under each contact from its centre, (c,)."""
         return np.where(
             self.kind == CYLINDER, np.hypot(self.half_mm, self.length_mm / 2.0), self.half_mm
         )
 
-    def places(self, touch: IntArray, arm_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Coordinates x, y (p, q) of places ``arm_mm`` (p, q, 3) off touches (p,)."""
-        x, y = dot(arm_mm, self.axis[touch]), dot(arm_mm, self.across[touch])
+    def places(self, contact: IntArray, arm_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Coordinates x, y (p, q) of places ``arm_mm`` (p, q, 3) off contacts (p,)."""
+        x, y = dot(arm_mm, self.axis[contact]), dot(arm_mm, self.across[contact])
         stretch = np.linalg.norm(arm_mm, axis=2) / np.maximum(np.hypot(x, y), TINY)
         return x * stretch, y * stretch
 
@@ -77,7 +73,7 @@ class Footing:
         self, patch: IntArray, arm_mm: FloatArray, mean_mm: FloatArray, longest_mm: FloatArray
     ) -> FloatArray:
         """See :class:`loads.Pressure`; the peak of each is 1."""
-        out = EvenDiscs(radii_mm=self.half_mm)(patch, arm_mm, mean_mm, longest_mm)
+        out = UniformDiscs(radii_mm=self.half_mm)(patch, arm_mm, mean_mm, longest_mm)
         kind = self.kind[patch]
         ball = np.flatnonzero(kind == SPHERE)
         if len(ball):
@@ -124,10 +120,10 @@ class Holes:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drilled:
-    """Pressure of touches on a wall with holes."""
+class PressureWithHoles:
+    """Pressure of contacts on a wall with holes."""
 
-    whole: Footing
+    whole: ContactFrames
     holes: Holes
 
     def __call__(
@@ -143,7 +139,7 @@ class Drilled:
 
 def _mean_of_hertz(r: FloatArray, half: FloatArray, width: FloatArray) -> FloatArray:
     """Mean of √(1 - (r/a)²) over intervals of length ``width`` (p,) about r (p, q), a (p,)."""
-    a, w = np.maximum(half, LEAST_SHARE * width)[:, None], width[:, None]
+    a, w = np.maximum(half, MIN_WIDTH_CELLS * width)[:, None], width[:, None]
     ends = [np.clip((r + side * w / 2.0) / a, -1.0, 1.0) for side in (1.0, -1.0)]
     upper, lower = (0.5 * (x * np.sqrt(1.0 - x * x) + np.arcsin(x)) for x in ends)
     return np.asarray((upper - lower) * a / w)
@@ -155,7 +151,7 @@ def _soft_hertz(y: FloatArray, half: FloatArray, width: FloatArray) -> FloatArra
     A hat gives a line its total, and its place, on cells that it crosses at any angle; a plain
     mean does not.
     """
-    b, w = np.maximum(half, LEAST_SHARE * width)[:, None], width[:, None]
+    b, w = np.maximum(half, MIN_WIDTH_CELLS * width)[:, None], width[:, None]
 
     def twice_integrated(y: FloatArray) -> FloatArray:
         x = np.clip(y / b, -1.0, 1.0)
@@ -163,38 +159,38 @@ def _soft_hertz(y: FloatArray, half: FloatArray, width: FloatArray) -> FloatArra
         beyond = 0.5 * np.pi * (np.abs(y / b) - np.abs(x))
         return np.asarray(0.5 * (x * np.arcsin(x) + rest - rest**3 / 3.0 + beyond))
 
-    return _bent(twice_integrated, y, w) * (b / w) ** 2
+    return _second_difference(twice_integrated, y, w) * (b / w) ** 2
 
 
 def _soft_ends(x: FloatArray, half: FloatArray, width: FloatArray) -> FloatArray:
     """1 where |x| < half (p,), 0 beyond, averaged by the same hat; x (p, q)."""
-    ends, w = np.maximum(half, LEAST_SHARE * width)[:, None], width[:, None]
+    ends, w = np.maximum(half, MIN_WIDTH_CELLS * width)[:, None], width[:, None]
 
     def twice_integrated(x: FloatArray) -> FloatArray:
         inner = np.minimum(np.abs(x), ends)
         return np.asarray(0.5 * inner**2 + ends * (np.abs(x) - inner))
 
-    return _bent(twice_integrated, x, w) / w**2
+    return _second_difference(twice_integrated, x, w) / w**2
 
 
-def _bent(
+def _second_difference(
     function: Callable[[FloatArray], FloatArray], x: FloatArray, width: FloatArray
 ) -> FloatArray:
     return np.asarray(function(x + width) - 2.0 * function(x) + function(x - width))
 
 
-def footing(surface: Surface, touches: "Touches") -> Footing:
-    """Stand touches on the surface."""
-    normal = surface.normal(touches.uv)
-    u, v = tangent_frame(surface, touches.uv)
-    turn = np.where(touches.indenter == CYLINDER, touches.turn_rad, 0.0)[:, None]
+def contact_frames(surface: Surface, contacts: Indentations) -> ContactFrames:
+    """Frames of contacts on the surface."""
+    normal = surface.normal(contacts.uv)
+    u, v = tangent_frame(surface, contacts.uv)
+    turn = np.where(contacts.indenter == CYLINDER, contacts.turn_rad, 0.0)[:, None]
     axis = np.cos(turn) * u + np.sin(turn) * v
-    return Footing(
-        at=surface.point(touches.uv),
+    return ContactFrames(
+        at=surface.point(contacts.uv),
         normal=normal,
-        kind=touches.indenter,
-        half_mm=touches.radius_mm,
-        length_mm=touches.length_mm,
+        kind=contacts.indenter,
+        half_mm=contacts.radius_mm,
+        length_mm=contacts.length_mm,
         axis=axis,
         across=np.cross(normal, axis),
     )
@@ -208,9 +204,9 @@ def tangent_frame(surface: Surface, uv: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def indentation_loads(
-    mesh: ShellMesh, surface: Surface, touches: "Touches", *, holes: Holes | None = None
+    mesh: ShellMesh, surface: Surface, contacts: Indentations, *, holes: Holes | None = None
 ) -> Any:
-    """Nodal loads of touches, per newton of the normal force of each.
+    """Nodal loads of contacts, per newton of the normal force of each.
 
     The resultant along the inward normal at the centre is exactly 1 N, that of friction along its
     own direction is exactly ``friction`` times that; see :func:`loads.spread_loads` for rims,
@@ -222,10 +218,10 @@ def indentation_loads(
         Mesh of the middle face.
     surface : Surface
         The outer face.
-    touches : Touches
+    contacts : Indentations
         Contacts; their forces are not used.
     holes : Holes, optional
-        Where the wall is open: the rest of a touch presses the more. One that stands on nothing
+        Where the wall is open: the rest of a contact presses the more. One that stands on nothing
         but a hole is a point force.
 
     Returns
@@ -236,66 +232,68 @@ def indentation_loads(
     Raises
     ------
     DesignError
-        As :func:`refuse_touches`.
+        As :func:`check_indentations`.
     NumericalError
-        If a touch reaches around an edge so far that friction alone presses with more than 1 N.
+        If a contact reaches around an edge so far that friction alone presses with more than 1 N.
     """
-    refuse_touches(surface, touches)
-    stand = footing(surface, touches)
+    check_indentations(surface, contacts)
+    frames = contact_frames(surface, contacts)
     drag: FloatArray | None = None
-    if np.any(touches.friction):
-        u, v = tangent_frame(surface, touches.uv)
-        drag = touches.friction[:, :1] * u + touches.friction[:, 1:] * v
-    pressure = stand if holes is None else Drilled(whole=stand, holes=holes)
-    patches = Patches(uv=touches.uv, reach_mm=stand.reach_mm, pressure=pressure, drag=drag)
+    if np.any(contacts.friction):
+        u, v = tangent_frame(surface, contacts.uv)
+        drag = contacts.friction[:, :1] * u + contacts.friction[:, 1:] * v
+    pressure = frames if holes is None else PressureWithHoles(whole=frames, holes=holes)
+    patches = PressurePatches(
+        uv=contacts.uv, reach_mm=frames.reach_mm, pressure=pressure, drag=drag
+    )
     return spread_loads(mesh, surface, patches)
 
 
-def refuse_touches(surface: Surface, touches: "Touches") -> None:
-    """Refuse touches that make no sense, and those off the surface.
+def check_indentations(surface: Surface, contacts: Indentations) -> None:
+    """Reject contacts that are invalid or off the surface.
 
     Raises
     ------
     DesignError
-        For the first kind of mistake found, with the first touch that has it.
+        For the first kind of mistake found, with the first contact that has it.
     """
     numbers = (
-        touches.uv,
-        touches.radius_mm,
-        touches.force_N,
-        touches.length_mm,
-        touches.turn_rad,
-        touches.friction,
+        contacts.uv,
+        contacts.radius_mm,
+        contacts.force_N,
+        contacts.length_mm,
+        contacts.turn_rad,
+        contacts.friction,
     )
     table = np.column_stack(numbers)
-    known = (touches.indenter >= FLAT) & (touches.indenter <= CYLINDER)
-    short = (touches.indenter == CYLINDER) & (touches.length_mm <= 0.0)
+    known = (contacts.indenter >= FLAT) & (contacts.indenter <= CYLINDER)
+    short = (contacts.indenter == CYLINDER) & (contacts.length_mm <= 0.0)
     (u0, u1), (v0, v1) = surface.domain
     chart = f"u from {u0:.6g} to {u1:.6g}, v from {v0:.6g} to {v1:.6g}"
     _refuse(~np.isfinite(table).all(axis=1), table, "a number is not finite", "give finite numbers")
     _refuse(
         ~known,
-        touches.indenter,
+        contacts.indenter,
         "the indenter is not known",
         "use 0 (flat), 1 (sphere) or 2 (cylinder)",
     )
-    _refuse(touches.radius_mm < 0.0, touches.radius_mm, "radius_mm is negative", "use 0 or more")
-    _refuse(touches.force_N < 0.0, touches.force_N, "force_N is negative", "contacts only push")
+    _refuse(contacts.radius_mm < 0.0, contacts.radius_mm, "radius_mm is negative", "use 0 or more")
+    _refuse(contacts.force_N < 0.0, contacts.force_N, "force_N is negative", "contacts only push")
     _refuse(
         short,
-        touches.length_mm,
+        contacts.length_mm,
         "a cylinder's length_mm is not positive",
         "give the length of its strip in mm",
     )
     _refuse(
-        np.hypot(*touches.friction.T) > MOST_FRICTION,
-        touches.friction,
-        f"friction is more than {MOST_FRICTION:g} times the normal force",
+        np.hypot(*contacts.friction.T) > MAX_FRICTION,
+        contacts.friction,
+        f"friction is more than {MAX_FRICTION:g} times the normal force",
         "give tangential over normal force, not newtons",
     )
     _refuse(
-        outside(surface, touches.uv),
-        touches.uv,
+        outside(surface, contacts.uv),
+        contacts.uv,
         f"the centre is off the surface ({chart})",
         "move it onto the surface",
     )

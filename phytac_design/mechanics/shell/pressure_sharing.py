@@ -21,7 +21,7 @@ def near_pairs(
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """Pairs (i, j) nearer than reach_i + sizes_j, and their distances, (p,) each.
 
-    In order of i, then j, whatever else is asked for at the same time.
+    In order of i, then j: a pair does not depend on the other centres.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def footprint_force_share(
     contact, marker = surface.point(contact_uv), surface.point(marker_uv)
     distance = np.linalg.norm(contact[:, None] - marker[None], axis=2)
     radius = np.broadcast_to(np.asarray(contact_radius_mm, dtype=np.float64), len(contact))
-    foot = np.broadcast_to(np.asarray(footprint_radius_mm, dtype=np.float64), len(marker))
-    share = disc_overlap_share(distance, radius[:, None], foot[None])
+    footprint = np.broadcast_to(np.asarray(footprint_radius_mm, dtype=np.float64), len(marker))
+    share = disc_overlap_share(distance, radius[:, None], footprint[None])
     carried = on_shell_share(surface, contact_uv, radius)
     return np.asarray(share / np.maximum(carried, 1e-12)[:, None])

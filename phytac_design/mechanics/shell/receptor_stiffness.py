@@ -1,4 +1,4 @@
-r"""What tubes and holes do to the stiffness of the wall, as two factors for each shell element.
+r"""Effect of tubes and holes on the stiffness of the wall, as two factors for each element.
 
 A tube and its hole change the wall as a round patch of other stiffness would. Per area fraction f
 of tubes, the membrane (E t) and bending (E t³) stiffness of the wall change by the factor
@@ -32,72 +32,42 @@ stretching, nearly the same; in bending (1 + ν)/2 and (1 - ν)/4, here one numb
 these, cells of area fraction 0.05 … 0.35 give the same e within 6 %."""
 CELLS = 8
 """Cells along each side of an element, to find the share of it under tubes."""
-SOFTEST, STIFFEST = 0.05, 10.0
+MIN_FACTOR, MAX_FACTOR = 0.05, 10.0
 """Bounds of an element's factors: a wide hole leaves some stiffness, a stout tube stays finite."""
 DIAMETER_OVER_T = np.array([1.5, 3.0, 6.0, 12.0])
 HOLE_OVER_DIAMETER = np.array([0.0, 0.4, 0.6, 0.8])
 HEIGHT_OVER_T = np.array([0.0, 0.4, 1.0, 3.0])
 """Axes of the tables: tube diameter and height over the wall's thickness, hole over tube."""
-EFFECT_MEMBRANE = np.array(
-    [
-        [
-            [0.000, 0.090, 0.094, 0.096],
-            [-0.404, -0.345, -0.345, -0.335],
-            [-1.091, -0.982, -0.961, -0.955],
-            [-1.986, -1.903, -1.891, -1.887],
-        ],
-        [
-            [0.000, 0.130, 0.141, 0.153],
-            [-0.491, -0.327, -0.302, -0.278],
-            [-1.126, -0.942, -0.912, -0.881],
-            [-2.014, -1.860, -1.840, -1.822],
-        ],
-        [
-            [0.000, 0.156, 0.174, 0.236],
-            [-0.499, -0.305, -0.271, -0.168],
-            [-1.130, -0.914, -0.875, -0.762],
-            [-2.018, -1.823, -1.788, -1.725],
-        ],
-        [
-            [0.000, 0.171, 0.193, 0.310],
-            [-0.501, -0.290, -0.252, -0.090],
-            [-1.131, -0.899, -0.855, -0.676],
-            [-2.019, -1.810, -1.760, -1.640],
-        ],
-    ]
-)
-EFFECT_BENDING = np.array(
-    [
-        [
-            [0.000, 0.421, 0.443, 0.444],
-            [-0.402, 0.095, 0.136, 0.147],
-            [-0.972, -0.457, -0.395, -0.382],
-            [-1.708, -1.355, -1.319, -1.303],
-        ],
-        [
-            [0.000, 0.686, 0.943, 0.985],
-            [-0.430, 0.365, 0.713, 0.808],
-            [-0.964, -0.111, 0.240, 0.390],
-            [-1.672, -0.979, -0.801, -0.644],
-        ],
-        [
-            [0.000, 0.854, 1.395, 1.717],
-            [-0.424, 0.537, 1.186, 1.640],
-            [-0.941, 0.081, 0.835, 1.414],
-            [-1.640, -0.761, 0.013, 0.451],
-        ],
-        [
-            [0.000, 0.955, 1.653, 2.203],
-            [-0.419, 0.643, 1.464, 2.150],
-            [-0.931, 0.189, 1.149, 1.999],
-            [-1.624, -0.665, 0.413, 1.351],
-        ],
-    ]
-)
+EFFECTS = np.fromstring(
+    """
+     0.000  0.090  0.094  0.096    0.000  0.421  0.443  0.444
+    -0.404 -0.345 -0.345 -0.335   -0.402  0.095  0.136  0.147
+    -1.091 -0.982 -0.961 -0.955   -0.972 -0.457 -0.395 -0.382
+    -1.986 -1.903 -1.891 -1.887   -1.708 -1.355 -1.319 -1.303
+
+     0.000  0.130  0.141  0.153    0.000  0.686  0.943  0.985
+    -0.491 -0.327 -0.302 -0.278   -0.430  0.365  0.713  0.808
+    -1.126 -0.942 -0.912 -0.881   -0.964 -0.111  0.240  0.390
+    -2.014 -1.860 -1.840 -1.822   -1.672 -0.979 -0.801 -0.644
+
+     0.000  0.156  0.174  0.236    0.000  0.854  1.395  1.717
+    -0.499 -0.305 -0.271 -0.168   -0.424  0.537  1.186  1.640
+    -1.130 -0.914 -0.875 -0.762   -0.941  0.081  0.835  1.414
+    -2.018 -1.823 -1.788 -1.725   -1.640 -0.761  0.013  0.451
+
+     0.000  0.171  0.193  0.310    0.000  0.955  1.653  2.203
+    -0.501 -0.290 -0.252 -0.090   -0.419  0.643  1.464  2.150
+    -1.131 -0.899 -0.855 -0.676   -0.931  0.189  1.149  1.999
+    -2.019 -1.810 -1.760 -1.640   -1.624 -0.665  0.413  1.351
+    """,
+    sep=" ",
+).reshape(4, 4, 2, 4)
+"""Rows by diameter, and in each group by hole; columns by height: membrane, then bending."""
+EFFECT_MEMBRANE, EFFECT_BENDING = EFFECTS[:, :, 0], EFFECTS[:, :, 1]
 """e by (diameter, hole, height) at ν = 0.38, area fraction 0.12; converged with the mesh to 0.3 %
 of a cell's stiffness. ``python -m benchmarks.mechanics_receptors --table`` makes them. From ν = 0.3
 to 0.45 e changes by up to 12 %: a cell's stiffness by 1 %, by 5 % where tubes are very dense."""
-WIDER = 1.0 + 1e-9
+ROUNDING = 1.0 + 1e-9
 """Rounding allowed beyond the tables' ends."""
 
 
@@ -148,7 +118,7 @@ def receptor_effect(
         ("tube diameter over wall thickness", d, DIAMETER_OVER_T),
         ("hole over tube diameter", q, HOLE_OVER_DIAMETER),
     ):
-        if not np.all((value * WIDER >= axis[0]) & (value <= axis[-1] * WIDER)):
+        if not np.all((value * ROUNDING >= axis[0]) & (value <= axis[-1] * ROUNDING)):
             raise DesignError(
                 f"receptor stiffness: {label} is known from {axis[0]:g} to {axis[-1]:g} (got "
                 f"{np.min(value):.4g} … {np.max(value):.4g}); change receptor diameters or wall "
@@ -179,7 +149,7 @@ def mixture(share: FloatArray, effect: FloatArray, mixing: float) -> FloatArray:
     denominator = 1.0 - mixing * share * effect
     with np.errstate(divide="ignore"):
         factor = 1.0 + share * effect / denominator
-    return np.where(denominator > 0.0, np.clip(factor, SOFTEST, STIFFEST), STIFFEST)
+    return np.where(denominator > 0.0, np.clip(factor, MIN_FACTOR, MAX_FACTOR), MAX_FACTOR)
 
 
 def tube_cover(mesh: ShellMesh, markers: Markers, radius_mm: float) -> tuple[FloatArray, IntArray]:
@@ -269,7 +239,7 @@ def sensor_model(
     Raises
     ------
     DesignError
-        If receptors are asked for that lie beyond the tables (:func:`unknown_receptors`).
+        If ``receptors`` is set and they lie beyond the tables (:func:`unknown_receptors`).
     """
     thickness: float | FloatArray = design.wall.thickness_mm
     modulus: float | FloatArray = design.material.modulus_MPa

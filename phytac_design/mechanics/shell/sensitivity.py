@@ -21,7 +21,7 @@ import numpy as np
 
 from phytac_design.mechanics.shell.assembly import assemble, make_pattern
 from phytac_design.mechanics.shell.element import ElementStiffness, element_stiffness
-from phytac_design.mechanics.shell.solve import ShellModel, Solution
+from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import FloatArray
 
 STENCIL = (4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0)
@@ -119,32 +119,3 @@ def motion_rate(model: ShellModel, rate: Any, motion: FloatArray) -> FloatArray:
         mm and rad per unit of the parameter.
     """
     return model.solve(-(rate @ motion.reshape(model.fixed.size, -1))).motion
-
-
-class RateModel(ShellModel):
-    """A model whose solution is the derivative, with respect to one parameter, of another's.
-
-    Everything that works on a model's solution gives its derivative: ``marker_compliance`` that
-    of the markers' compliance, ``probe_loads`` that of displacements. The loads are held fixed.
-
-    Parameters
-    ----------
-    model : ShellModel
-        The shell.
-    rate : scipy.sparse matrix, (6N, 6N)
-        dK/dp, one of :class:`StiffnessRates`.
-    """
-
-    def __init__(self, model: ShellModel, rate: Any) -> None:
-        vars(self).update(vars(model))  # mesh, supports and symmetry are the model's
-        self.stiffness = rate
-        self._model = model
-
-    def solve(self, loads: Any) -> Solution:
-        """Derivative of motion and reactions under loads (6N, m)."""
-        base = self._model.solve(loads)
-        flat = base.motion.reshape(self.fixed.size, -1)
-        motion = motion_rate(self._model, self.stiffness, base.motion)
-        reactions = self.stiffness @ flat + self._model.stiffness @ motion.reshape(flat.shape)
-        reactions[~self.fixed.ravel()] = 0.0
-        return Solution(motion=motion, reactions=reactions.reshape(motion.shape), error=base.error)

@@ -60,8 +60,6 @@ class ShellModel:
         True where a DOF (u_x, u_y, u_z, θ_x, θ_y, θ_z) is held at zero.
     drilling : float
         Stiffness of the drilling tie in shear moduli.
-    solver : str
-        ``superlu`` (SciPy's) or ``pardiso`` (Intel's, needs the package ``pypardiso``).
 
     Raises
     ------
@@ -81,7 +79,6 @@ class ShellModel:
         poisson: float,
         fixed: BoolArray,
         drilling: float = DRILLING,
-        solver: str = "superlu",
     ) -> None:
         _refuse_bad_numbers(nodes_mm, directors, thickness_mm, modulus_MPa, poisson)
         self.nodes_mm = nodes_mm
@@ -89,7 +86,6 @@ class ShellModel:
         self.directors = directors
         self.thickness_mm, self.modulus_MPa = thickness_mm, modulus_MPa
         self.poisson, self.drilling = poisson, drilling
-        self.solver = solver
         self.uniform = np.ndim(thickness_mm) == 0 and np.ndim(modulus_MPa) == 0
         self.fixed = np.asarray(fixed, dtype=np.bool_)
         check_quads(quads, len(nodes_mm))
@@ -108,8 +104,8 @@ class ShellModel:
 
     @cached_property
     def factor(self) -> Factor:
-        """Factor of the free stiffness, made when first asked for."""
-        return Factor(self.stiffness[self._free][:, self._free], solver=self.solver)
+        """Factor of the free stiffness, made at first use."""
+        return Factor(self.stiffness[self._free][:, self._free])
 
     def condition(self) -> float:
         """Condition number (1-norm, estimated) of the free stiffness scaled to a unit diagonal."""
@@ -139,7 +135,7 @@ class ShellModel:
             error = float(np.maximum(error, part))  # keeps NaN
         if not error <= ERROR_TOL:
             raise NumericalError(
-                f"rounding spoils the solution (relative error about {error:.2g}, limit "
+                f"rounding errors are too large (relative error about {error:.2g}, limit "
                 f"{ERROR_TOL:g}): the stiffness is close to singular; check that the shell is "
                 "held and that thickness over element size is not far below 1e-4"
             )
@@ -189,7 +185,6 @@ def clamped_model(
     modulus_MPa: float | FloatArray,
     poisson: float,
     thickness_mm: float | FloatArray | None = None,
-    solver: str = "superlu",
 ) -> ShellModel:
     """Model of a sensor shell: every open edge clamped in all six DOFs.
 
@@ -206,7 +201,6 @@ def clamped_model(
         modulus_MPa=modulus_MPa,
         poisson=poisson,
         fixed=fixed,
-        solver=solver,
     )
 
 

@@ -21,7 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.mechanics.solid.solid_writers import inp_material, inp_mesh, run_ccx, write_lines
+from phytac_design.mechanics.shell.mesh_writers import inp_material, write_lines
+from phytac_design.mechanics.solid.calculix import run_ccx
+from phytac_design.mechanics.solid.solid_writers import inp_solid
 from phytac_design.mechanics.solid.tetrahedra import Tetrahedra, tetrahedra
 from phytac_shapes.arrays import FloatArray, IntArray
 
@@ -148,7 +150,8 @@ def cell_stiffness(cell: Cell, *, size_mm: float | None = None) -> CellStiffness
         "YB": np.flatnonzero(y > b - near),
     }
     corner = int(np.argmin((x - a) ** 2 + (y - b) ** 2 + z**2))
-    lines = [*inp_mesh(mesh, sides, "cell"), *inp_material(1.0, cell.poisson)]
+    lines = [*inp_solid(mesh, sides, "cell"), *inp_material(1.0, cell.poisson)]
+    lines.append("*SOLID SECTION, ELSET=SHELL, MATERIAL=RESIN")
     for k, case in enumerate(CASES):
         lines += ["*STEP", "*STATIC", "1., 1.", "*BOUNDARY, OP=NEW"]
         lines += _supports(case, mesh.nodes_mm, sides, corner)

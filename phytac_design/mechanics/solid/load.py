@@ -1,12 +1,10 @@
-"""Contact patches on solid meshes, and the mean motion of the receptors' end faces."""
-
-from typing import Any
+"""Contact patches on solid meshes."""
 
 import numpy as np
 
 from phytac_design.mechanics.solid.solid_mesh_tets import SolidMesh
 from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 
 CELLS = 6
@@ -35,7 +33,7 @@ def cells(count: int = CELLS) -> FloatArray:
     return np.column_stack([1.0 - ij.sum(axis=1), ij])
 
 
-def _areas(corner: FloatArray, L: FloatArray) -> tuple[FloatArray, FloatArray]:
+def cell_areas(corner: FloatArray, L: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Points (F, q, 3) and areas (F, q) of the cells of curved triangles (F, 6, 3)."""
     h, d = shape_triangle(L)
     tangent = np.einsum("aqi,fik->afqk", d, corner)
@@ -76,7 +74,7 @@ def solid_patch_load(
     size = np.linalg.norm(corner - corner.mean(axis=1, keepdims=True), axis=2).max(axis=1)
     gap = np.linalg.norm(corner.mean(axis=1) - at, axis=1)
     near = np.flatnonzero(gap < radius_mm + 2.0 * size)
-    points, area = _areas(corner[near], L)
+    points, area = cell_areas(corner[near], L)
     edge = np.sqrt(area)
     distance = np.linalg.norm(points - at, axis=2)
     covered = np.clip((radius_mm - distance) / np.maximum(edge, 1e-300) + 0.5, 0.0, 1.0)
@@ -93,29 +91,3 @@ def solid_patch_load(
     load = np.zeros_like(mesh.nodes_mm)
     np.add.at(load, mesh.triangles[mesh.outer[near]], nodal)
     return load
-
-
-def tip_means(mesh: SolidMesh) -> Any:
-    """Matrix (n, N) that takes nodal motions to the mean over each receptor's end face.
-
-    The mean over a ring is the motion of its centre, the marker: rows sum to 1.
-
-    Returns
-    -------
-    scipy.sparse.csr_matrix, (n, N)
-        Apply to one component of the motion, or to (N, 3).
-    """
-    from scipy.sparse import csr_matrix
-
-    if not mesh.tips:
-        return csr_matrix((0, len(mesh.nodes_mm)))
-    faces = np.concatenate(mesh.tips)
-    tip = np.repeat(np.arange(len(mesh.tips)), [len(part) for part in mesh.tips])
-    L = cells()
-    nodes: IntArray = mesh.triangles[faces]
-    area = _areas(mesh.nodes_mm[nodes], L)[1]
-    weight = area @ shape_triangle(L)[0]
-    weight /= np.bincount(tip, area.sum(axis=1))[tip, None]
-    rows = np.broadcast_to(tip[:, None], nodes.shape)
-    shape = (len(mesh.tips), len(mesh.nodes_mm))
-    return csr_matrix((weight.ravel(), (rows.ravel(), nodes.ravel())), shape=shape)

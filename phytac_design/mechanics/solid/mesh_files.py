@@ -1,4 +1,4 @@
-"""Meshes of a sensor as files that other programs run as they are: the shell, and the solid."""
+"""Meshes of a sensor as files for other programs: the shell, and the solid."""
 
 import time
 from collections.abc import Callable, Collection
@@ -151,7 +151,7 @@ def write_solid_files(
         The sensor and the press.
     size : float, optional
         Factor on the sizes of :func:`solid.mesh.default_sizes`; if left out, the least of 1 or more
-        that is expected to keep the mesh at :data:`solid.mesh.SANE_NODES`.
+        that is expected to keep the mesh at :data:`solid.mesh.SETTINGS`.
     formats : collection of str
         Of ``inp``, ``msh``, ``vtu``.
     progress : callable

@@ -292,9 +292,9 @@ def _size_fields(
             field.setNumbers(tags[-1], "SurfacesList", chosen[1])
             field.setNumber(tags[-1], "VIn", rule.tube_mm)
             field.setNumber(tags[-1], "VOut", far)
-    least = field.add("Min")
-    field.setNumbers(least, "FieldsList", tags)
-    return int(least)
+    minimum = field.add("Min")
+    field.setNumbers(minimum, "FieldsList", tags)
+    return int(minimum)
 
 
 def _feet(gmsh: Any, surface: Surface, design: Design) -> list[int]:

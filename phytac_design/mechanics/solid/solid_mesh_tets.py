@@ -24,18 +24,30 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError, NumericalError
 
-ON_FACE = 1e-5
-"""Largest distance of a node to a face it belongs to, as a fraction of the wall's thickness."""
-FOOT_REACH = 0.5
-"""The fine mesh reaches this many tube radii from the foot, then grows over two more."""
-SANE_NODES, MOST_NODES = 400_000, 1_000_000
-"""Nodes aimed at and allowed: CalculiX took 4.8 GB and under 3 minutes for 366 000."""
-COARSEST = 2.0
-"""Largest factor on :func:`default_sizes`: a fingertip's tips then move 1.6 % less than on a fine
-mesh (ø30 sensor). At 3 it was 3.2 %, and gmsh did not mesh the 368 tubes of cylinder60."""
-NODES_WALL, NODES_FOOT, NODES_TUBE, NODES_RECEPTOR = 14.0, 76.0, 10.0, 433.0
-"""Nodes per squared size of wall, of feet (a diameter squared each), of tubes' faces, and per
-receptor: within 10 % of seven meshes of 30 000 to 370 000 nodes."""
+
+@dataclass(frozen=True, kw_only=True)
+class SolidMeshSettings:
+    """Reach of fine elements, and how many nodes a mesh has."""
+
+    on_face_share: float = 1e-5
+    """Largest distance of a node to a face it belongs to, as a fraction of the wall's thickness."""
+    base_reach_radii: float = 0.5
+    """The fine mesh reaches this many tube radii from the foot, then grows over two more."""
+    aimed_nodes: int = 400_000
+    max_nodes: int = 1_000_000
+    """Nodes aimed at and allowed: CalculiX took 4.8 GB and under 3 minutes for 366 000."""
+    max_factor: float = 2.0
+    """Largest factor on :func:`default_sizes`: a fingertip's tips then move 1.6 % less than on a
+    fine mesh (ø30 sensor). At 3 it was 3.2 %, and gmsh did not mesh the 368 tubes of cylinder60."""
+    wall_nodes: float = 14.0
+    base_nodes: float = 76.0
+    tube_nodes: float = 10.0
+    receptor_nodes: float = 433.0
+    """Nodes per squared size of wall, of feet (a diameter squared each), of tubes' faces, and per
+    receptor: within 10 % of seven meshes of 30 000 to 370 000 nodes."""
+
+
+SETTINGS = SolidMeshSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,10 +91,10 @@ def default_sizes(design: Design) -> SolidSizes:
     """
     thickness, receptor = design.wall.thickness_mm, design.receptor
     tube_wall = (receptor.diameter_outer_mm - receptor.diameter_hole_mm) / 2.0
-    least = min(thickness, tube_wall)
+    minimum = min(thickness, tube_wall)
     return SolidSizes(
         wall_mm=2.0 * thickness,
-        foot_mm=least,
+        foot_mm=minimum,
         tube_mm=1.5 * tube_wall,
         contact_mm=thickness,
     )
@@ -93,10 +105,10 @@ def expected_nodes(design: Design, surface: Surface, markers: Markers, sizes: So
     receptor = design.receptor
     rim_mm = np.pi * (receptor.diameter_outer_mm + receptor.diameter_hole_mm)
     faces = rim_mm * float(np.sum(markers.height_mm + design.wall.thickness_mm))
-    count = NODES_WALL * surface.area_mm2() / sizes.wall_mm**2
-    count += NODES_FOOT * markers.count * (receptor.diameter_outer_mm / sizes.foot_mm) ** 2
-    count += NODES_TUBE * faces / sizes.tube_mm**2
-    return round(count + NODES_RECEPTOR * markers.count)
+    count = SETTINGS.wall_nodes * surface.area_mm2() / sizes.wall_mm**2
+    count += SETTINGS.base_nodes * markers.count * (receptor.diameter_outer_mm / sizes.foot_mm) ** 2
+    count += SETTINGS.tube_nodes * faces / sizes.tube_mm**2
+    return round(count + SETTINGS.receptor_nodes * markers.count)
 
 
 def coarsened(
@@ -109,34 +121,37 @@ def coarsened(
     design, surface, markers : Design, Surface, Markers
         The sensor.
     factor : float or None
-        The factor; None for the least of 1 or more that is expected to keep to ``SANE_NODES``, up
-        to ``COARSEST``.
+        The factor; None for the least of 1 or more that is expected to keep to
+        ``SETTINGS.aimed_nodes``, up to ``SETTINGS.max_factor``.
 
     Raises
     ------
     DesignError
-        If the factor is out of range, or the mesh would have more than ``MOST_NODES``.
+        If the factor is out of range, or the mesh would have more than ``SETTINGS.max_nodes``.
     """
     base = default_sizes(design)
     if factor is None:
         factor = 1.0
-        while expected_nodes(design, surface, markers, base.scaled(factor)) > SANE_NODES:
+        while expected_nodes(design, surface, markers, base.scaled(factor)) > SETTINGS.aimed_nodes:
             factor += 0.1
-            if factor > COARSEST:
-                factor = COARSEST
+            if factor > SETTINGS.max_factor:
+                factor = SETTINGS.max_factor
                 break
-    elif not 0.1 <= factor <= COARSEST:
+    elif not 0.1 <= factor <= SETTINGS.max_factor:
         raise DesignError(
-            f"the factor on solid mesh sizes is 0.1 to {COARSEST:g} (got {factor}); coarser "
+            f"the factor on solid mesh sizes is 0.1 to {SETTINGS.max_factor:g} (got {factor}); "
+            "coarser "
             "meshes are several percent too stiff"
         )
     sizes = base.scaled(factor)
     nodes = expected_nodes(design, surface, markers, sizes)
-    if nodes > MOST_NODES:
+    if nodes > SETTINGS.max_nodes:
         raise DesignError(
             f"a solid of this sensor would have about {round(nodes, -4)} nodes at sizes × "
-            f"{factor:.2g}, more than {MOST_NODES}, and need {nodes * 13e-6:.0f} GB or more: raise "
-            f"--size (up to {COARSEST:g}), or cut out a part of the sensor as a smaller design"
+            f"{factor:.2g}, more than {SETTINGS.max_nodes}, and need {nodes * 13e-6:.0f} GB or "
+            "more: raise "
+            f"--size (up to {SETTINGS.max_factor:g}), or cut out a part of the sensor as a "
+            "smaller design"
         )
     return factor, sizes, nodes
 
@@ -237,7 +252,7 @@ def _size_fields(
         near = field.add("Distance")
         field.setNumbers(near, "CurvesList", feet)
         field.setNumber(near, "Sampling", 24)
-        reach = FOOT_REACH * design.receptor.diameter_outer_mm / 2.0
+        reach = SETTINGS.base_reach_radii * design.receptor.diameter_outer_mm / 2.0
         tags.append(field.add("Threshold"))
         for name, number in (
             ("InField", near),
@@ -251,9 +266,9 @@ def _size_fields(
         field.setNumbers(tags[-1], "SurfacesList", tubes)
         field.setNumber(tags[-1], "VIn", sizes.tube_mm)
         field.setNumber(tags[-1], "VOut", sizes.wall_mm)
-    least = field.add("Min")
-    field.setNumbers(least, "FieldsList", tags)
-    return int(least)
+    minimum = field.add("Min")
+    field.setNumbers(minimum, "FieldsList", tags)
+    return int(minimum)
 
 
 def tube_parts(gmsh: Any, surface: Surface, design: Design) -> tuple[list[int], list[int]]:
@@ -283,7 +298,7 @@ def with_sets(
 ) -> SolidMesh:
     """Find the end faces, the outer face and the receptors' tips by where the nodes lie."""
     thickness = design.wall.thickness_mm
-    near = ON_FACE * thickness
+    near = SETTINGS.on_face_share * thickness
     skin, back = np.unique(raw.triangles, return_inverse=True)
     points = raw.nodes_mm[skin]
     uv = surface.chart(points)

@@ -1,17 +1,46 @@
 """Motion of the receptors' end faces on a solid: of true tubes, and of smeared ones by the wall."""
 
+from typing import Any
+
 import numpy as np
 
 from phytac_design.layout import Markers
-from phytac_design.mechanics.solid.load import tip_means
+from phytac_design.mechanics.solid.load import cell_areas, cells, shape_triangle
 from phytac_design.mechanics.solid.partial_solid import PartMesh
+from phytac_design.mechanics.solid.solid_mesh_tets import SolidMesh
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 
 FIT_SIZES = 1.6
 """The wall's motion under a left-out receptor is fitted within this many far sizes."""
-FIT_LEAST = 24
+FIT_MIN_NODES = 24
 """Nodes needed for it."""
+
+
+def tip_means(mesh: SolidMesh) -> Any:
+    """Matrix (n, N) that takes nodal motions to the mean over each receptor's end face.
+
+    The mean over a ring is the motion of its centre, the marker: rows sum to 1.
+
+    Returns
+    -------
+    scipy.sparse.csr_matrix, (n, N)
+        Apply to one component of the motion, or to (N, 3).
+    """
+    from scipy.sparse import csr_matrix
+
+    if not mesh.tips:
+        return csr_matrix((0, len(mesh.nodes_mm)))
+    faces = np.concatenate(mesh.tips)
+    tip = np.repeat(np.arange(len(mesh.tips)), [len(part) for part in mesh.tips])
+    L = cells()
+    nodes: IntArray = mesh.triangles[faces]
+    area = cell_areas(mesh.nodes_mm[nodes], L)[1]
+    weight = area @ shape_triangle(L)[0]
+    weight /= np.bincount(tip, area.sum(axis=1))[tip, None]
+    rows = np.broadcast_to(tip[:, None], nodes.shape)
+    shape = (len(mesh.tips), len(mesh.nodes_mm))
+    return csr_matrix((weight.ravel(), (rows.ravel(), nodes.ravel())), shape=shape)
 
 
 def tips_motion(
@@ -59,10 +88,10 @@ def _on_wall(
     out = np.zeros((len(left), 3))
     for k, found in enumerate(members):
         nodes = np.setdiff1d(found, tubes)
-        if len(nodes) < FIT_LEAST:
+        if len(nodes) < FIT_MIN_NODES:
             raise NumericalError(
                 f"only {len(nodes)} nodes of the solid lie within {reach_mm:.3g} mm of receptor "
-                f"{left[k]}, {FIT_LEAST} are needed; mesh the wall finer"
+                f"{left[k]}, {FIT_MIN_NODES} are needed; mesh the wall finer"
             )
         first, second = _tangents(normal[k])
         frame = np.stack([first, second, normal[k]])

@@ -16,9 +16,9 @@ from phytac_design.mechanics.switch.model import AxiModel
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
-STUB = 0.5
+STUB_DIAMETERS = 0.5
 """Length of stem that is meshed, in its diameters: below, stresses have died out."""
-CLOSER = 2.5
+NODE_DENSITY = 2.5
 """How much closer nodes stand on fillets and flank than on the bowl."""
 SPLIT = 0.6
 """Where on the stem's fillet the elements of bowl and stem meet: both keep open corners."""
@@ -199,10 +199,10 @@ def walls(bowl: Bowl, cells: int, stem_cells: int = 4) -> tuple[FloatArray, Floa
     curl = _arc(pocket, rho, np.array([stem, pocket[1]]), touch)
     split = int(SPLIT * len(curl))
     under = [curl[split:], _arc(middle, inner, touch, np.array([bowl.inner_base_mm, 0.0]))]
-    below_ = np.array([[stem, pocket[1] - STUB * bowl.stem_diameter_mm]])
+    below_ = np.array([[stem, pocket[1] - STUB_DIAMETERS * bowl.stem_diameter_mm]])
     return (
-        _spread(under, (CLOSER, 1.0), cells),
-        _spread(over, (CLOSER, CLOSER, 1.0), cells),
+        _spread(under, (NODE_DENSITY, 1.0), cells),
+        _spread(over, (NODE_DENSITY, NODE_DENSITY, 1.0), cells),
         _spread([np.concatenate([below_, curl[: split + 1]])], (1.0,), stem_cells),
     )
 

@@ -13,29 +13,25 @@ import numpy as np
 from phytac_design.mechanics.large.stability import negative_pivots
 from phytac_design.mechanics.shell.factor import SUPERLU
 from phytac_design.mechanics.switch import element
-from phytac_design.mechanics.switch.model import HELD, AxiModel, Pattern
-from phytac_design.mechanics.switch.path import Point
+from phytac_design.mechanics.switch.model import HELD, AxiModel, AxiPattern
+from phytac_design.mechanics.switch.path import PathPoint
 from phytac_shapes.arrays import FloatArray, IntArray
 
 MODES = (1, 2, 3, 4, 5, 6)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Waves:
+class CircumferentialModes:
     """Tangents of one body for waves around the axis.
 
     Attributes
     ----------
     model : AxiModel
         The axisymmetric body.
-    guided : bool
-        Whether tied nodes (the pad) keep their height all around, as under a finger that does not
-        tilt with them; else they are as free as any.
     """
 
     model: AxiModel
-    guided: bool = True
-    _patterns: dict[int, Pattern] = field(default_factory=dict, init=False, repr=False)
+    _patterns: dict[int, AxiPattern] = field(default_factory=dict, init=False, repr=False)
 
     def equations(self, mode: int) -> tuple[IntArray, FloatArray]:
         """Equation and sign of u_r, u_z, u_θ of all nodes, (N, 3) each.
@@ -47,8 +43,8 @@ class Waves:
         held[:, :2] = self.model.held
         # A node held in the plane of the section is held around too: clamped edges are.
         held[:, 2] = self.model.held.all(axis=1)
-        if self.guided:
-            held[self.model.tied, 1] = True
+        # The pad keeps its height all around: the finger on it does not tilt.
+        held[self.model.tied, 1] = True
         axis = self.model.mesh.where(nodes[:, 0])
         held[axis, 1] = True
         if mode > 1:
@@ -63,7 +59,7 @@ class Waves:
             sign[axis, 2] = -1.0
         return number, sign
 
-    def tangent(self, point: Point, mode: int) -> Any:
+    def tangent(self, point: PathPoint, mode: int) -> Any:
         """Sparse tangent for ``mode`` ≥ 1 waves at an equilibrium (over π instead of 2 π)."""
         shape = self.model.geometry
         response = point.state.response
@@ -72,17 +68,17 @@ class Waves:
         ) + element.shear_tangent(shape, element.shear_operator(shape, mode), response)
         return self._pattern(mode).matrix(0.5 * blocks)
 
-    def _pattern(self, mode: int) -> Pattern:
+    def _pattern(self, mode: int) -> AxiPattern:
         """Where the entries of ``mode`` go: the same at all points."""
         if mode not in self._patterns:
             number, sign = self.equations(mode)
             quads = self.model.mesh.quads
             where = np.concatenate([number[quads, axis] for axis in range(3)], axis=1)
             signs = np.concatenate([sign[quads, axis] for axis in range(3)], axis=1)
-            self._patterns[mode] = Pattern(where, int(number.max()) + 1, signs)
+            self._patterns[mode] = AxiPattern(where, int(number.max()) + 1, signs)
         return self._patterns[mode]
 
-    def negatives(self, point: Point, mode: int) -> int:
+    def negatives(self, point: PathPoint, mode: int) -> int:
         """Negative eigenvalues for ``mode`` waves at an equilibrium."""
         from scipy.sparse.linalg import splu
 
@@ -99,13 +95,12 @@ class Waves:
 
 def first_buckling(
     model: AxiModel,
-    points: Sequence[Point],
+    points: Sequence[PathPoint],
     *,
     modes: Sequence[int] = MODES,
-    guided: bool = True,
 ) -> dict[int, int]:
     """First point of a path at which each wave number is unstable; only those that are."""
-    waves = Waves(model=model, guided=guided)
+    waves = CircumferentialModes(model=model)
     found: dict[int, int] = {}
     for mode in modes:
         for index, point in enumerate(points):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from phytac_design.mechanics.solid.solid_writers import run_ccx
+from phytac_design.mechanics.solid.calculix import run_ccx
 from phytac_design.mechanics.switch.bowl import BowlModel
 from phytac_design.mechanics.switch.materials import Material, Ogden, Yeoh
 from phytac_shapes.arrays import FloatArray

@@ -1,7 +1,7 @@
 """Force–stroke curve of a bowl: limit load, valley, stroke at actuation, strain."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +13,8 @@ from phytac_shapes.errors import NumericalError
 
 
 @dataclass(frozen=True, kw_only=True)
-class Curve:
-    """What a bowl does when its pad is pressed in; arrays run along the path.
+class ForceStrokeCurve:
+    """Force and stroke of a bowl whose pad is pressed in; arrays run along the path.
 
     Attributes
     ----------
@@ -31,12 +31,12 @@ class Curve:
         counts too.
     negatives : (m,) int
         Negative eigenvalues of the axisymmetric tangent under dead load; −1 where unknown.
-    points : list of path.Point
+    points : list of path.PathPoint
         The equilibria themselves.
     body : BowlModel
         The bowl they are of.
     complete : bool
-        Whether the path was followed as far as asked.
+        Whether the path was followed to its end.
     """
 
     way_mm: FloatArray
@@ -47,7 +47,7 @@ class Curve:
     strain: FloatArray
     clearance_mm: FloatArray
     negatives: IntArray
-    points: list[path.Point]
+    points: list[path.PathPoint]
     body: BowlModel
     complete: bool
 
@@ -71,7 +71,7 @@ def _hermite(x: FloatArray, y: FloatArray, slope: FloatArray) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Snap:
-    """What a switch's curve says.
+    """Characteristic points of a switch's curve.
 
     Attributes
     ----------
@@ -104,8 +104,7 @@ def press_bowl(
     refine: int = 1,
     steps: int = 24,
     end_mm: float | None = None,
-    arc: Literal["never", "needed", "always"] = "needed",
-) -> Curve:
+) -> ForceStrokeCurve:
     """Press a bowl in as far as it is deep, or as far as its path can be followed.
 
     Parameters
@@ -122,14 +121,12 @@ def press_bowl(
         Steps to the end of the way; the path shortens them where it bends.
     end_mm : float, optional
         Way of the pad; the depth if not given.
-    arc : {"never", "needed", "always"}
-        When to follow by arc-length.
     """
     body = bowl_model(bowl, material, hole_diameter_mm=hole_diameter_mm, refine=refine)
-    course = path.Course(unknown=body.pad, end_mm=-(end_mm or bowl.depth_mm), steps=steps, arc=arc)
+    control = path.PathControl(unknown=body.pad, end_mm=-(end_mm or bowl.depth_mm), steps=steps)
     complete = True
     try:
-        points = path.trace(body.model, body.load, course)
+        points = path.trace(body.model, body.load, control)
     except path.PathError as error:
         points, complete = error.points, False
     if len(points) < 2:
@@ -150,7 +147,7 @@ def press_bowl(
     ahead = np.vstack([move[:1], move[:-1] + move[1:], move[-1:]])
     rate = np.array([1.0 / np.linalg.norm(p.drive) for p in points])
     rate *= np.sign([float(m @ p.drive) for m, p in zip(ahead, points, strict=True)])
-    return Curve(
+    return ForceStrokeCurve(
         way_mm=way,
         stroke_mm=np.array([-p.unknowns[body.pad] for p in points]),
         force_N=np.array([p.load_factor for p in points]),
@@ -165,7 +162,7 @@ def press_bowl(
     )
 
 
-def snap_of(curve: Curve) -> Snap | None:
+def snap_of(curve: ForceStrokeCurve) -> Snap | None:
     """Limit load, valley and stroke of a curve; None where its force never falls."""
     from scipy.interpolate import PchipInterpolator
 

@@ -7,14 +7,14 @@ import numpy as np
 
 from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.mechanics.switch.bowl_check import (
-    DEEPER_mm,
-    MisfitError,
+    EXTRA_DEPTH_mm,
+    UnsuitableBowlError,
+    bowl_of,
+    evaluate_bowl,
     fillets,
-    judge,
-    shape_of,
 )
 from phytac_design.mechanics.switch.buckling import first_buckling
-from phytac_design.mechanics.switch.curve import Curve, Snap, press_bowl, snap_of
+from phytac_design.mechanics.switch.curve import ForceStrokeCurve, Snap, press_bowl, snap_of
 from phytac_design.mechanics.switch.feasible_range import feasible_range
 from phytac_design.mechanics.switch.rubbers import Rubber
 from phytac_design.mechanics.switch.space import Space, Tolerance
@@ -23,8 +23,8 @@ from phytac_shapes.errors import DesignError, NumericalError
 
 THRESHOLD_TOL = 2e-3
 """Largest error of the limit load that the search accepts; meshes add about as much."""
-SEARCH = 12
-SOFTEST_MPa, STIFFEST_MPa = 0.05, 100.0
+MAX_ITERATIONS = 12
+MIN_MODULUS_MPa, MAX_MODULUS_MPa = 0.05, 100.0
 """Moduli of rubbers, from gels to the hardest polyurethanes."""
 
 
@@ -35,20 +35,20 @@ class SwitchDesign:
     Attributes
     ----------
     threshold_N : float
-        Asked for.
+        The force at which it should snap.
     bowl : Bowl
         Its dimensions.
     rubber : Rubber
         What it is cast of.
     space : Space
         What it fits.
-    curve : Curve
+    curve : ForceStrokeCurve
         Force against stroke, on the fine mesh.
     snap : Snap
         Limit load, valley, stroke, strain.
     buckling : dict of int to float
-        Waves around the axis to the stroke, mm, from which the path is unstable against them; all
-        beyond the limit load.
+        Waves around the axis to the stroke, mm, from which the path is unstable
+        against them; all beyond the limit load.
     spread : Spread
         Of the threshold.
     tolerance : Tolerance
@@ -59,7 +59,7 @@ class SwitchDesign:
     bowl: Bowl
     rubber: Rubber
     space: Space
-    curve: Curve
+    curve: ForceStrokeCurve
     snap: Snap
     buckling: dict[int, float] = field(default_factory=dict)
     spread: Spread
@@ -98,9 +98,9 @@ def design_switch(
     for fillet in fillets(space):
         try:
             curve = _curve_of(threshold_N, rubber, space, fillet)
-            snap = judge(curve, rubber, space)
+            snap = evaluate_bowl(curve, rubber, space)
             buckling = _buckling(curve, snap)
-        except MisfitError as error:
+        except UnsuitableBowlError as error:
             reasons.append(f"with fillets of {fillet:.3g} mm {error}")
             if error.thin:
                 break  # rounder fillets ask for thinner walls still
@@ -130,25 +130,26 @@ def design_switch(
     raise DesignError(_refusal(threshold_N, rubber, space, reasons))
 
 
-def _curve_of(threshold_N: float, rubber: Rubber, space: Space, fillet_mm: float) -> Curve:
-    """Curve of the bowl whose limit load is the threshold, as deep as its stroke needs."""
-    depth, wall = space.stroke_mm + DEEPER_mm, 0.0
+def _curve_of(
+    threshold_N: float, rubber: Rubber, space: Space, fillet_mm: float
+) -> ForceStrokeCurve:
+    """Curve of the bowl with the threshold as limit load, deep enough for its stroke."""
+    depth, wall = space.stroke_mm + EXTRA_DEPTH_mm, 0.0
     while True:
         wall = _wall(threshold_N, rubber, space, fillet_mm, depth, guess_mm=wall)
         if wall < space.wall_min_mm:
-            raise MisfitError(
+            raise UnsuitableBowlError(
                 f"the wall would be {wall:.4f} mm, thinner than the {space.wall_min_mm:g} mm that "
                 "the mold casts",
                 thin=True,
             )
-        bowl = shape_of(space, fillet_mm, depth, wall)
+        bowl = bowl_of(space, fillet_mm, depth, wall)
         curve = press_bowl(
             bowl,
             rubber.material,
             hole_diameter_mm=space.hole_diameter_mm,
             refine=2,
             steps=18,
-            arc="never",
         )
         snap = snap_of(curve)
         short = space.stroke_mm - (snap.stroke_mm if snap else 0.0)
@@ -168,12 +169,12 @@ def _wall(
 ) -> float:
     """Wall, mm, by the secant method on logarithms: coarse mesh first, then the fine one."""
     half = 0.5 * space.diameter_mm
-    most = 0.4 * half
+    limit_wall = 0.4 * half
 
     def load(log_wall: float, refine: int) -> float:
         wall = float(np.exp(log_wall))
         try:
-            bowl = shape_of(space, fillet_mm, depth_mm, wall)
+            bowl = bowl_of(space, fillet_mm, depth_mm, wall)
             found = limit_load(
                 bowl, rubber.material, hole_diameter_mm=space.hole_diameter_mm, refine=refine
             )
@@ -185,7 +186,7 @@ def _wall(
     # F ≈ 1.2 E a² (t/a)^2.2, measured on such bowls.
     unit = 1.2 * rubber.material.modulus_MPa * half**2
     start = guess_mm or half * (threshold_N / unit) ** (1.0 / 2.2)
-    bounds = (np.log(0.03 * half), np.log(most))
+    bounds = (np.log(0.03 * half), np.log(limit_wall))
     x = float(np.clip(np.log(start), *bounds))
     if not guess_mm:
         x = _secant(lambda at: load(at, 1), x, bounds, tolerance=0.02)
@@ -202,7 +203,7 @@ def _secant(
     tolerance: float,
 ) -> float:
     slope, last = 2.2, None
-    for _ in range(SEARCH):
+    for _ in range(MAX_ITERATIONS):
         y = function(x)
         if abs(y) <= tolerance:
             return x
@@ -212,13 +213,13 @@ def _secant(
         x = float(np.clip(x - y / slope, *bounds))
         if x == last[0]:
             word = "thick" if y < 0.0 else "thin"
-            raise MisfitError(
+            raise UnsuitableBowlError(
                 f"a wall of {np.exp(x):.3g} mm is as {word} as can be, and not enough"
             )
-    raise MisfitError(f"no wall near {np.exp(x):.3g} mm meets the threshold")
+    raise UnsuitableBowlError(f"no wall near {np.exp(x):.3g} mm meets the threshold")
 
 
-def _buckling(curve: Curve, snap: Snap) -> dict[int, float]:
+def _buckling(curve: ForceStrokeCurve, snap: Snap) -> dict[int, float]:
     """Stroke from which each wave number is unstable; none may come before the limit."""
     ways = curve.stroke_mm
     keep = np.flatnonzero(ways <= snap.stroke_mm)
@@ -230,7 +231,7 @@ def _buckling(curve: Curve, snap: Snap) -> dict[int, float]:
     early = {mode: way for mode, way in at.items() if way <= snap.limit_stroke_mm}
     if early:
         mode = min(early, key=lambda n: early[n])
-        raise MisfitError(
+        raise UnsuitableBowlError(
             f"the bowl buckles with {mode} waves around its axis at {early[mode]:.3g} mm, before "
             f"its limit load at {snap.limit_stroke_mm:.3g} mm"
         )
@@ -239,7 +240,7 @@ def _buckling(curve: Curve, snap: Snap) -> dict[int, float]:
 
 def _refusal(threshold_N: float, rubber: Rubber, space: Space, reasons: list[str]) -> str:
     modulus = rubber.material.modulus_MPa
-    room = (
+    intro = (
         f"a switch of {threshold_N:g} N does not fit a bowl {space.diameter_mm:.3g} mm wide of "
         f"{rubber.name} at {modulus:.3g} MPa: "
     )
@@ -248,17 +249,18 @@ def _refusal(threshold_N: float, rubber: Rubber, space: Space, reasons: list[str
     if found is None:
         thinner = feasible_range(rubber, replace(space, wall_min_mm=0.5 * space.wall_min_mm))
         if thinner is None:
-            return f"{room}{why}. No wall fits: raise the footprint, or ask for less red"
+            return f"{intro}{why}. No wall fits: raise the footprint, or ask for less red"
         return (
-            f"{room}{why}. No wall of {space.wall_min_mm:g} mm or more snaps that far; if the mold "
-            f"casts thinner ones, from {thinner.least_N:.3g} N ({thinner.least_wall_mm:.3g} mm) to "
-            f"{thinner.most_N:.3g} N ({thinner.most_wall_mm:.3g} mm) fit"
+            f"{intro}{why}. No wall of {space.wall_min_mm:g} mm or more snaps that far; if the "
+            "mold "
+            f"casts thinner ones, from {thinner.min_N:.3g} N ({thinner.min_wall_mm:.3g} mm) to "
+            f"{thinner.max_N:.3g} N ({thinner.max_wall_mm:.3g} mm) fit"
         )
-    low, high = modulus * threshold_N / found.most_N, modulus * threshold_N / found.least_N
+    low, high = modulus * threshold_N / found.max_N, modulus * threshold_N / found.min_N
     fits = (
-        f"{room}{why}. From {found.least_N:.3g} to {found.most_N:.3g} N fit with walls of "
-        f"{found.least_wall_mm:.3g} to {found.most_wall_mm:.3g} mm"
+        f"{intro}{why}. From {found.min_N:.3g} to {found.max_N:.3g} N fit with walls of "
+        f"{found.min_wall_mm:.3g} to {found.max_wall_mm:.3g} mm"
     )
-    if high < SOFTEST_MPa or low > STIFFEST_MPa:
+    if high < MIN_MODULUS_MPa or low > MAX_MODULUS_MPa:
         return f"{fits}; no rubber's modulus would do: ask for a threshold nearer to those"
     return f"{fits}; or take a rubber of {low:.3g} to {high:.3g} MPa"

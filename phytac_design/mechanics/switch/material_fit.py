@@ -14,12 +14,12 @@ from phytac_shapes.errors import InputError, cause_of
 
 Law = Literal["neo-hookean", "yeoh", "ogden"]
 TERMS = {"neo-hookean": 1, "yeoh": 3, "ogden": 3}
-STARTS = 12
+RANDOM_STARTS = 12
 """Random starts of an Ogden fit: it has many local minima."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit:
+class MaterialFit:
     """A law fitted to a tensile test.
 
     Attributes
@@ -48,7 +48,7 @@ def fit_uniaxial(
     law: Law = "yeoh",
     poisson: float = 0.49,
     seed: int = 0,
-) -> Fit:
+) -> MaterialFit:
     """Fit a law to nominal stress against stretch of a tensile (or compressive) test.
 
     Parameters
@@ -75,9 +75,9 @@ def fit_uniaxial(
         else _fit_yeoh(stretch, stress, TERMS[law], poisson)
     )
     _check_stable(material, stretch, law)
-    left = uniaxial_stress(material, stretch) - stress
-    error = float(np.sqrt(np.mean(left**2) / np.mean(stress**2)))
-    return Fit(material=material, error=error)
+    misfit = uniaxial_stress(material, stretch) - stress
+    error = float(np.sqrt(np.mean(misfit**2) / np.mean(stress**2)))
+    return MaterialFit(material=material, error=error)
 
 
 def read_test(path: Path) -> tuple[FloatArray, FloatArray]:
@@ -143,13 +143,13 @@ def _fit_ogden(stretch: FloatArray, stress: FloatArray, poisson: float, seed: in
     def shares(exponents: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.lstsq(columns(exponents), stress, rcond=1e-10)[0])
 
-    def left(exponents: FloatArray) -> FloatArray:
+    def misfit(exponents: FloatArray) -> FloatArray:
         return np.asarray((columns(exponents) @ shares(exponents) - stress) / scale)
 
     bounds = ([0.5, 2.5, -8.0], [2.5, 12.0, -0.5])
-    starts = [np.array([1.3, 5.0, -2.0]), *rng.uniform(*bounds, size=(STARTS, 3))]
+    starts = [np.array([1.3, 5.0, -2.0]), *rng.uniform(*bounds, size=(RANDOM_STARTS, 3))]
     best = min(
-        (least_squares(left, start, bounds=bounds, xtol=1e-12) for start in starts),
+        (least_squares(misfit, start, bounds=bounds, xtol=1e-12) for start in starts),
         key=lambda found: float(found.cost),
     ).x
     terms = shares(best)
@@ -168,8 +168,8 @@ def _fit_ogden(stretch: FloatArray, stress: FloatArray, poisson: float, seed: in
 
 def _check_stable(material: Yeoh | Ogden, stretch: FloatArray, law: str) -> None:
     """Drucker: stress rises with stretch in tension, equal biaxial tension and plane strain."""
-    most = max(float(stretch.max()), 1.0 / float(stretch.min()))
-    line = np.linspace(1.0, most, 60)
+    largest = max(float(stretch.max()), 1.0 / float(stretch.min()))
+    line = np.linspace(1.0, largest, 60)
     ways: dict[str, Callable[[FloatArray], tuple[FloatArray, ...]]] = {
         "tension": lambda s: (s, s**-0.5, s**-0.5),
         "biaxial tension": lambda s: (s, s, s**-2.0),

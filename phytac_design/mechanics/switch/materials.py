@@ -12,12 +12,12 @@ import numpy as np
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
-POISSON_MOST = 0.49999
-"""Beyond it κ/μ exceeds 5·10⁴, and rounding spoils what the mixed element can vouch for."""
+MAX_POISSON = 0.49999
+"""Beyond it κ/μ exceeds 5·10⁴, and rounding errors dominate the mixed element."""
 
 
 class Material(Protocol):
-    """What the element asks of a material."""
+    """What the element needs of a material."""
 
     @property
     def bulk_MPa(self) -> float:
@@ -38,42 +38,6 @@ class Material(Protocol):
         """Return the material with all stresses multiplied."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class StVenantKirchhoff:
-    """W = ½ Λ (Σe)² + μ Σe², e = ½ (λ² − 1): linear in Green's strain, for small strains.
-
-    Attributes
-    ----------
-    modulus_MPa, poisson : float
-        Young's modulus and Poisson's ratio.
-    """
-
-    modulus_MPa: float
-    poisson: float
-
-    @property
-    def bulk_MPa(self) -> float:
-        """None is projected."""
-        return 0.0
-
-    def derivatives(self, stretch: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See :class:`Material`."""
-        shear = self.modulus_MPa / (2.0 * (1.0 + self.poisson))
-        lame = 2.0 * shear * self.poisson / (1.0 - 2.0 * self.poisson)
-        # (λ − 1)(λ + 1) keeps the digits of small strains that λ² − 1 loses.
-        strain = 0.5 * (stretch - 1.0) * (stretch + 1.0)
-        trace = strain.sum(axis=-1)
-        stress = lame * trace[..., None] + 2.0 * shear * strain
-        energy = 0.5 * np.sum(stress * strain, axis=-1)
-        curve = lame * stretch[..., :, None] * stretch[..., None, :]
-        np.einsum("...ii->...i", curve)[...] += stress + 2.0 * shear * stretch**2
-        return energy, stress * stretch, curve
-
-    def scaled(self, factor: float) -> "StVenantKirchhoff":
-        """Return the material with all stresses multiplied."""
-        return replace(self, modulus_MPa=self.modulus_MPa * factor)
-
-
 def _from_logarithms(
     stretch: FloatArray, slope: FloatArray, curve: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -86,8 +50,31 @@ def _from_logarithms(
     return first, curve / (stretch[..., :, None] * stretch[..., None, :])
 
 
+class _WithBulk:
+    """Young's modulus and Poisson's ratio at rest, from shear and bulk modulus."""
+
+    bulk_MPa: float
+
+    @property
+    def shear_MPa(self) -> float:
+        """Shear modulus at rest."""
+        raise NotImplementedError
+
+    @property
+    def modulus_MPa(self) -> float:
+        """Young's modulus at rest."""
+        return 9.0 * self.bulk_MPa * self.shear_MPa / (3.0 * self.bulk_MPa + self.shear_MPa)
+
+    @property
+    def poisson(self) -> float:
+        """Poisson's ratio at rest."""
+        return (3.0 * self.bulk_MPa - 2.0 * self.shear_MPa) / (
+            6.0 * self.bulk_MPa + 2.0 * self.shear_MPa
+        )
+
+
 @dataclass(frozen=True, kw_only=True)
-class Yeoh:
+class Yeoh(_WithBulk):
     """W = Σ Cᵢ (Ī₁ − 3)ⁱ, i = 1 … n; one term is the neo-Hookean material (Yeoh 1993).
 
     Attributes
@@ -105,16 +92,6 @@ class Yeoh:
     def shear_MPa(self) -> float:
         """Shear modulus at rest."""
         return 2.0 * self.coefficients_MPa[0]
-
-    @property
-    def modulus_MPa(self) -> float:
-        """Young's modulus at rest."""
-        return _modulus(self.shear_MPa, self.bulk_MPa)
-
-    @property
-    def poisson(self) -> float:
-        """Poisson's ratio at rest."""
-        return _poisson(self.shear_MPa, self.bulk_MPa)
 
     def derivatives(self, stretch: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """See :class:`Material`."""
@@ -134,7 +111,7 @@ class Yeoh:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ogden:
+class Ogden(_WithBulk):
     """W = Σ μᵢ/αᵢ (λ̄₁^αᵢ + λ̄₂^αᵢ + λ̄₃^αᵢ − 3) (Ogden 1972); μ at rest is ½ Σ μᵢ αᵢ.
 
     Attributes
@@ -153,16 +130,6 @@ class Ogden:
     def shear_MPa(self) -> float:
         """Shear modulus at rest."""
         return 0.5 * float(np.dot(self.shear_terms_MPa, self.exponents))
-
-    @property
-    def modulus_MPa(self) -> float:
-        """Young's modulus at rest."""
-        return _modulus(self.shear_MPa, self.bulk_MPa)
-
-    @property
-    def poisson(self) -> float:
-        """Poisson's ratio at rest."""
-        return _poisson(self.shear_MPa, self.bulk_MPa)
 
     def derivatives(self, stretch: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """See :class:`Material`."""
@@ -187,25 +154,17 @@ def _isochoric_log(stretch: FloatArray) -> FloatArray:
     return np.asarray(log - log.mean(axis=-1, keepdims=True))
 
 
-def _modulus(shear: float, bulk: float) -> float:
-    return 9.0 * bulk * shear / (3.0 * bulk + shear)
-
-
-def _poisson(shear: float, bulk: float) -> float:
-    return (3.0 * bulk - 2.0 * shear) / (6.0 * bulk + 2.0 * shear)
-
-
 def bulk_of(shear_MPa: float, poisson: float) -> float:
     """Bulk modulus, MPa, from shear modulus and Poisson's ratio.
 
     Raises
     ------
     DesignError
-        If the ratio is not within [0, ``POISSON_MOST``].
+        If the ratio is not within [0, ``MAX_POISSON``].
     """
-    if not 0.0 <= poisson <= POISSON_MOST:
+    if not 0.0 <= poisson <= MAX_POISSON:
         raise DesignError(
-            f"Poisson's ratio of the switch must lie within 0 and {POISSON_MOST} (got "
+            f"Poisson's ratio of the switch must lie within 0 and {MAX_POISSON} (got "
             f"{poisson:g}); for a rubber that keeps its volume take 0.499"
         )
     return 2.0 * shear_MPa * (1.0 + poisson) / (3.0 * (1.0 - 2.0 * poisson))

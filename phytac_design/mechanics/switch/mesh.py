@@ -57,33 +57,3 @@ def join(blocks: Sequence[FloatArray]) -> AxiMesh:
     key = np.round(nodes / (SAME * size)).astype(np.int64)
     _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
     return AxiMesh(nodes_mm=nodes[first], quads=inverse.ravel()[np.concatenate(quads)])
-
-
-def rectangle(
-    inner_mm: float, outer_mm: float, height_mm: float, cells: tuple[int, int]
-) -> AxiMesh:
-    """Ring of rectangular section from r = ``inner_mm`` to ``outer_mm`` and z = 0 to the height."""
-    r = np.linspace(inner_mm, outer_mm, 2 * cells[0] + 1)
-    low = np.stack([r, np.zeros_like(r)], axis=1)
-    return join([block(low, low + np.array([0.0, height_mm]), cells[1])])
-
-
-def cap(radius_mm: float, base_mm: float, thickness_mm: float, cells: tuple[int, int]) -> AxiMesh:
-    """Spherical cap of mid-surface radius and base radius, its edge along the normal, apex on +z.
-
-    Nodes lie at equal steps of r on the mid-surface; z = 0 in the base's plane.
-    """
-    angle = np.arcsin(np.linspace(0.0, base_mm / radius_mm, 2 * cells[0] + 1))
-    normal = np.stack([np.sin(angle), np.cos(angle)], axis=1)
-    drop = np.array([0.0, radius_mm * np.cos(angle[-1])])
-    half = 0.5 * thickness_mm
-    return join(
-        [block((radius_mm - half) * normal - drop, (radius_mm + half) * normal - drop, cells[1])]
-    )
-
-
-def quarter_sphere(inner_mm: float, outer_mm: float, cells: tuple[int, int]) -> AxiMesh:
-    """Upper half of a thick hollow sphere: ``cells`` along the meridian and through the wall."""
-    angle = np.linspace(0.0, 0.5 * np.pi, 2 * cells[0] + 1)
-    normal = np.stack([np.sin(angle), np.cos(angle)], axis=1)
-    return join([block(inner_mm * normal, outer_mm * normal, cells[1])])

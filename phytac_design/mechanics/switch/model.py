@@ -16,7 +16,7 @@ HELD = -1
 """Equation number of a DOF that does not move."""
 
 
-class Pattern:
+class AxiPattern:
     """Where the entries of element matrices go in a sparse one; summed again and again.
 
     Parameters
@@ -107,8 +107,8 @@ class AxiModel:
         return np.concatenate([2 * quads, 2 * quads + 1], axis=1)
 
     @cached_property
-    def _pattern(self) -> Pattern:
-        return Pattern(self.equation[self.element_dofs], self.count)
+    def _pattern(self) -> AxiPattern:
+        return AxiPattern(self.equation[self.element_dofs], self.count)
 
     @cached_property
     def _operator(self) -> FloatArray:

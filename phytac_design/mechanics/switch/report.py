@@ -2,12 +2,8 @@
 
 from typing import Any
 
-import numpy as np
-
 from phytac_design.mechanics.switch.design import SwitchDesign
-from phytac_design.mechanics.switch.feasible_range import Feasible
 from phytac_design.mechanics.switch.line_plot import line_plot
-from phytac_shapes.arrays import FloatArray
 
 
 def switch_dict(made: SwitchDesign) -> dict[str, Any]:
@@ -74,7 +70,7 @@ def switch_text(made: SwitchDesign) -> str:
         f"{bowl.pad_diameter_mm:.3g} mm, stem {bowl.stem_diameter_mm:.3g} mm"
     )
     threshold = (
-        f"threshold {snap.limit_N:.4f} N at {snap.limit_stroke_mm:.3f} mm (asked "
+        f"threshold {snap.limit_N:.4f} N at {snap.limit_stroke_mm:.3f} mm (target "
         f"{made.threshold_N:g} N, {made.error:+.2%}); releases below {snap.valley_N:.3f} N"
     )
     stroke = (
@@ -106,23 +102,4 @@ def curve_plot(made: SwitchDesign) -> str:
             (snap.limit_stroke_mm, snap.limit_N, f"limit {snap.limit_N:.3f} N"),
             (snap.valley_stroke_mm, snap.valley_N, f"valley {snap.valley_N:.3f} N"),
         ],
-    )
-
-
-def range_over_modulus(found: Feasible, modulus_MPa: FloatArray) -> FloatArray:
-    """Smallest and largest threshold at moduli (m,), (m, 2) N."""
-    ends = [found.at(float(modulus)) for modulus in modulus_MPa]
-    return np.array([[end.least_N, end.most_N] for end in ends])
-
-
-def range_plot(found: Feasible, modulus_MPa: FloatArray) -> str:
-    """Thresholds that fit, over the modulus, as SVG."""
-    ends = range_over_modulus(found, modulus_MPa)
-    return line_plot(
-        {
-            f"largest, wall {found.most_wall_mm:.2f} mm": (modulus_MPa, ends[:, 1]),
-            f"smallest, wall {found.least_wall_mm:.2f} mm": (modulus_MPa, ends[:, 0]),
-        },
-        title="Thresholds that fit the receptor",
-        labels=("modulus (MPa)", "threshold (N)"),
     )

@@ -61,13 +61,13 @@ class Space:
                 f"the stem does not pass the hole (stem {self.stem_diameter_mm:g} mm ≥ hole "
                 f"{self.hole_diameter_mm:g} mm); lower switch.tip_diameter_mm"
             )
-        least = self.hole_diameter_mm + 4.0 * self.wall_min_mm
-        if self.diameter_mm < least:
+        minimum = self.hole_diameter_mm + 4.0 * self.wall_min_mm
+        if self.diameter_mm < minimum:
             raise DesignError(
                 f"no bowl stands around the hole: {self.diameter_mm:.3g} mm are free (footprint "
                 f"{self.footprint_diameter_mm:g}, pitch {self.pitch_mm:g} less gap "
                 f"{self.gap_mm:g}), a {self.hole_diameter_mm:g} mm hole and two walls need "
-                f"{least:.3g}; raise switch.footprint_diameter_mm or the pitch"
+                f"{minimum:.3g}; raise switch.footprint_diameter_mm or the pitch"
             )
         if self.depth_max_mm - self.wall_min_mm <= self.stroke_mm:
             raise DesignError(

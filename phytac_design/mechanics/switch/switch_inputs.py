@@ -11,7 +11,7 @@ from phytac_design.mechanics.switch.rubbers import Rubber, rubber
 from phytac_design.mechanics.switch.space import Space
 from phytac_shapes.errors import DesignError, InputError
 
-STRAIN_OF_TEST = 0.6
+TEST_STRAIN_SHARE = 0.6
 """Share of a test's largest strain that a switch may reach again and again."""
 
 
@@ -95,9 +95,9 @@ def chosen_rubber(
     return Rubber(
         name=test.stem,
         material=fit.material,
-        strain_max=STRAIN_OF_TEST * (float(stretch.max()) - 1.0),
+        strain_max=TEST_STRAIN_SHARE * (float(stretch.max()) - 1.0),
         assumption=(
             f"{law} fitted to {test.name}, {fit.error:.1%} off; Poisson's ratio 0.49 and "
-            f"{STRAIN_OF_TEST:.0%} of the test's strain are assumed"
+            f"{TEST_STRAIN_SHARE:.0%} of the test's strain are assumed"
         ),
     )

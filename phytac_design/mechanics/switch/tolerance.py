@@ -13,22 +13,21 @@ from phytac_shapes.errors import DesignError, NumericalError
 
 WALLS = 5
 """Walls between the tolerance's ends (three deviations) that are solved; between them a cubic."""
-LIMIT_PART = 0.62
+LIMIT_DEPTH_SHARE = 0.62
 """Part of the depth within which bowls reach their limit load."""
 
 
 def limit_load(
     bowl: Bowl, material: Material, *, hole_diameter_mm: float, refine: int
 ) -> float | None:
-    """Limit load, N, of a bowl; None where its force does not fall within ``LIMIT_PART``."""
+    """Limit load, N, of a bowl; None where its force does not fall within ``LIMIT_DEPTH_SHARE``."""
     curve = press_bowl(
         bowl,
         material,
         hole_diameter_mm=hole_diameter_mm,
         refine=refine,
         steps=10,
-        end_mm=LIMIT_PART * bowl.depth_mm,
-        arc="never",
+        end_mm=LIMIT_DEPTH_SHARE * bowl.depth_mm,
     )
     snap = snap_of(curve)
     return None if snap is None else snap.limit_N

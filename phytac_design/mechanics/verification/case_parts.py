@@ -7,6 +7,7 @@ import numpy as np
 
 from phytac_design.mechanics.shell.discretisation import ProbedShell
 from phytac_design.mechanics.shell.element import DRILLING, GAUSS, shape
+from phytac_design.mechanics.shell.free_edge import FreeEdgeShell
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -198,7 +199,7 @@ def probed(case: Case, points: FloatArray) -> ProbedShell:
     from scipy.spatial import cKDTree
 
     nodes = cKDTree(case.mesh.nodes).query(points)[1][:, None]
-    return ProbedShell(
+    return FreeEdgeShell(
         model=case.model(),
         loads=case.loads.reshape(-1, 1),
         nodes=nodes,

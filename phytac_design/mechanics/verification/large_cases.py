@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phytac_design.mechanics.large.load_path import solve_large, trace_arc, trace_displacement
+from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Equilibrium, Loading
+from phytac_design.mechanics.large.path_tracing import trace_arc, trace_displacement
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification.cases import SYMMETRY, Patch, at, hold, no_support, patch
 from phytac_shapes.arrays import BoolArray, FloatArray

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.mechanics.large.load_path import solve_large, trace_displacement
+from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Equilibrium, Loading
+from phytac_design.mechanics.large.path_tracing import trace_displacement
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.mechanics.verification.case_parts import hold, no_support, patch
 from phytac_design.mechanics.verification.large_cases import ROOF, hinged_roof

@@ -52,7 +52,7 @@ def check_bowl(values: Mapping[str, Any], found: Evidence) -> None:
     """Forces arrive at the rim; curves go with E and with the square of the size."""
     bowl = Bowl(**values["bowl"])
     rubber = neo_hookean(modulus_MPa=values["modulus"], poisson=values.get("poisson", 0.49))
-    curve = press_bowl(bowl, rubber, steps=18, arc="never", end_mm=values.get("end_mm"))
+    curve = press_bowl(bowl, rubber, steps=18, end_mm=values.get("end_mm"))
     snap = snap_of(curve)
     found.true("every force is finite", np.isfinite(curve.force_N))
     found.true("pressed from rest", abs(curve.force_N[0]) < 1e-12 * np.abs(curve.force_N).max())
@@ -66,7 +66,6 @@ def check_bowl(values: Mapping[str, Any], found: Evidence) -> None:
             bowl.scaled(size),
             rubber.scaled(stiff),
             steps=18,
-            arc="never",
             hole_diameter_mm=1.6 * size,
             end_mm=size * (values.get("end_mm") or bowl.depth_mm),
         )
@@ -100,7 +99,7 @@ def check_refused(values: Mapping[str, Any], found: Evidence) -> None:
     rubber = neo_hookean(
         modulus_MPa=values.get("modulus", 10.0), poisson=values.get("poisson", 0.49)
     )
-    curve = press_bowl(bowl, rubber, steps=6, arc="never", end_mm=values.get("end_mm"))
+    curve = press_bowl(bowl, rubber, steps=6, end_mm=values.get("end_mm"))
     if not np.isfinite(curve.force_N).all():
         raise NumericalError("forces are not finite")
     found.true("it is refused", False)
