@@ -27,7 +27,7 @@ from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.design.spec import Design, WallSection
 from phytac_design.layout import Markers
 from phytac_design.rules.check import check_design
-from phytac_design.solids.cad import cad_facts, read_step, shell_cad, write_step, write_stl_by_cad
+from phytac_design.solids.cad import cad_facts, shell_cad, write_step
 from phytac_design.solids.mesh_export import write_3mf, write_stl
 from phytac_design.solids.mesh_facts import expected_genus, manifold_facts, trimesh_facts
 from phytac_design.solids.solid_mesh import (
@@ -38,6 +38,7 @@ from phytac_design.solids.solid_mesh import (
 )
 from phytac_design.solids.wall_mesh import wall_mesh
 from phytac_shapes import Surface
+from tests.fabrication.cad_files import read_step, write_stl_by_cad
 
 ANGLE_rad = 0.5
 """Angular tolerance of OpenCASCADE's mesher: loose, so that the chord alone decides."""

@@ -28,8 +28,8 @@ from phytac_design.fabrication.calibration_rig.symmetry import find_symmetry
 from phytac_design.fabrication.documents.materials import DENSITY_g_cm3
 from phytac_design.fabrication.documents.unroll import unroll
 from phytac_design.layout import Markers, make_markers
+from phytac_design.solids.mesh_export import read_stl
 from phytac_design.stages.build import build
-from phytac_design.stages.documents import read_stl
 from phytac_shapes import Surface
 
 FAULTS = (

@@ -19,13 +19,14 @@ from phytac_design.fabrication.hardware.bodies import hardware_solids
 from phytac_design.fabrication.hardware.by_cad import CadKernel
 from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodies
 from phytac_design.rules.check import check_design
-from phytac_design.solids.cad import CadBody, cad_facts, read_assembly
+from phytac_design.solids.cad import CadBody, cad_facts
 from phytac_design.solids.mesh_facts import manifold_facts, trimesh_facts
 from phytac_design.solids.solid_mesh import to_triangles
 from phytac_design.stages.build import copy_of
 from phytac_design.stages.hardware import HARDWARE
 from phytac_design.stages.switch import switches_of
 from phytac_shapes.errors import DesignError
+from tests.fabrication.cad_files import read_assembly
 
 MAIN = "cylinder60"
 ADMESH = (

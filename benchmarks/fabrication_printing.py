@@ -14,12 +14,11 @@ from phytac_design.design.spec import Design
 from phytac_design.fabrication.printing.check import PrintReport, check_shell
 from phytac_design.fabrication.printing.overhang import stand, suggest
 from phytac_design.fabrication.printing.parting import part_shell
-from phytac_design.fabrication.printing.stl import read_stl
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import TriangleMesh, prisms
 from phytac_design.layout import Markers
 from phytac_design.rules.check import check_design
-from phytac_design.solids.mesh_export import write_stl
+from phytac_design.solids.mesh_export import read_stl, write_stl
 from phytac_design.solids.mesh_facts import trimesh_facts
 from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
 from phytac_shapes import Surface

@@ -343,7 +343,6 @@ def _regions() -> Reader:
 
 
 def _logs() -> Reader:
-    from phytac_design.fabrication.calibration_rig.log import read_log
     from phytac_design.simulation.rig_import.log import RowProblems, read_rig_log
 
     bench = (
@@ -353,15 +352,9 @@ def _logs() -> Reader:
     rig = (ROOT / "examples" / "rig" / "log.csv").read_bytes()[:600].rpartition(b"\n")[0]
     make = texts("x.csv", [bench, rig])
 
-    def read(at: Path) -> None:
-        from phytac_shapes.errors import InputError
-
-        try:
-            read_log(at / "x.csv")
-        except InputError:
-            read_rig_log(at / "x.csv", RowProblems(where="x.csv"))
-
-    return Reader(make=make, read=read, weight=60)
+    return Reader(
+        make=make, read=lambda at: read_rig_log(at / "x.csv", RowProblems(where="x.csv")), weight=60
+    )
 
 
 def _tensile() -> Reader:

@@ -19,9 +19,6 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
-SHARPEST_COS = -0.9
-"""Least cosine between the conormals at a corner: sharper corners have endless mitres."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
@@ -68,7 +65,7 @@ def conormals(surface: Surface, uv: FloatArray, axis: int, end: int) -> FloatArr
 
 
 def check_topology(surface: Surface) -> None:
-    """Refuse what is no tube, dome or sheet.
+    """Reject a surface that is no tube, dome or sheet.
 
     Raises
     ------
@@ -159,12 +156,14 @@ def _frame(surface: Surface, u: FloatArray, v: FloatArray) -> Loop:
 
 
 def _mitre(first: FloatArray, second: FloatArray) -> FloatArray:
+    # Least cosine between the conormals at a corner: sharper corners have endless mitres.
+    sharpest_cos = -0.9
     cosine = float(first @ second)
-    if cosine < SHARPEST_COS:
+    if cosine < sharpest_cos:
         raise DesignError(
             "the rim of the patch cannot be built: two of its edges meet at an angle of "
             f"{180.0 - np.degrees(np.arccos(cosine)):.0f}°, less than "
-            f"{180.0 - np.degrees(np.arccos(SHARPEST_COS)):.0f}°; move its corner points "
+            f"{180.0 - np.degrees(np.arccos(sharpest_cos)):.0f}°; move its corner points "
             "(shape.points_mm) to a blunter corner"
         )
     return np.asarray((first + second) / (1.0 + cosine))

@@ -21,14 +21,14 @@ START_mm = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class Hits:
-    """First hits of rays (n,): way in mm (inf: none within the limit) and triangle (-1: none)."""
+    """First hits of rays (n,): distance in mm (inf: no hit) and triangle (-1: no hit)."""
 
     distance_mm: FloatArray
     triangle: IntArray
 
 
 class RayTree:
-    """A mesh made ready for rays.
+    """Bounding-volume hierarchy of a mesh, for ray queries.
 
     Parameters
     ----------

@@ -1,5 +1,6 @@
 """A plain triangle mesh: what crosses the borders between manifold3d, STL, 3MF and checks."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,9 +34,42 @@ class TriangleMesh:
         a, b, c = np.moveaxis(self.corners_mm, 1, 0)
         return float(np.einsum("ni,ni->", a, np.cross(b, c)) / 6.0)
 
+    def moved(self, shift_mm: FloatArray) -> "TriangleMesh":
+        """Return the same mesh, shifted by (3,)."""
+        return TriangleMesh(vertices_mm=self.vertices_mm + shift_mm, triangles=self.triangles)
+
     def flipped(self) -> "TriangleMesh":
         """Return the same surface seen from the other side."""
         return TriangleMesh(vertices_mm=self.vertices_mm, triangles=self.triangles[:, ::-1])
+
+
+def merged(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
+    """Several meshes as one, of separate components."""
+    starts = np.cumsum([0, *(len(mesh.vertices_mm) for mesh in meshes)])
+    return TriangleMesh(
+        vertices_mm=np.concatenate([mesh.vertices_mm for mesh in meshes]),
+        triangles=np.concatenate(
+            [mesh.triangles + start for mesh, start in zip(meshes, starts, strict=False)]
+        ),
+    )
+
+
+def copies(mesh: TriangleMesh, origin_mm: FloatArray, rotation: FloatArray) -> TriangleMesh:
+    """Copies of a mesh at origins (n, 3), turned by rotations (n, 3, 3), as one mesh."""
+    points = np.einsum("nij,vj->nvi", rotation, mesh.vertices_mm) + origin_mm[:, None]
+    starts = len(mesh.vertices_mm) * np.arange(len(origin_mm))
+    return TriangleMesh(
+        vertices_mm=points.reshape(-1, 3),
+        triangles=(mesh.triangles[None] + starts[:, None, None]).reshape(-1, 3),
+    )
+
+
+def frames_along(axis: FloatArray) -> FloatArray:
+    """Rotations (n, 3, 3) whose third column is the unit vector ``axis`` (n, 3)."""
+    helper = np.where(np.abs(axis[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    first = np.cross(helper, axis)
+    first = first / np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(axis, first), axis], axis=2)
 
 
 def grid_triangles(ids: IntArray, *, closed: bool) -> IntArray:
@@ -47,7 +81,9 @@ def grid_triangles(ids: IntArray, *, closed: bool) -> IntArray:
     onward = np.roll(ids, -1, axis=1) if closed else ids[:, 1:]
     here = ids if closed else ids[:, :-1]
     a, b, c, d = (part.ravel() for part in (here[:-1], onward[:-1], onward[1:], here[1:]))
-    return _proper(np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])]))
+    return proper_triangles(
+        np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    )
 
 
 def strip_triangles(first: IntArray, second: IntArray, *, mirrored: bool = False) -> IntArray:
@@ -58,15 +94,16 @@ def strip_triangles(first: IntArray, second: IntArray, *, mirrored: bool = False
     """
     a, b = np.roll(first, -1), np.roll(second, -1)
     if mirrored:
-        return _proper(
+        return proper_triangles(
             np.concatenate([np.column_stack([a, first, b]), np.column_stack([first, second, b])])
         )
-    return _proper(
+    return proper_triangles(
         np.concatenate([np.column_stack([a, first, second]), np.column_stack([a, second, b])])
     )
 
 
-def _proper(triangles: IntArray) -> IntArray:
+def proper_triangles(triangles: IntArray) -> IntArray:
+    """Triangles without those that name a vertex twice."""
     a, b, c = triangles.T
     return np.asarray(triangles[(a != b) & (b != c) & (c != a)])
 
@@ -101,10 +138,7 @@ def prisms(start_mm: FloatArray, end_mm: FloatArray, radius_mm: float, sides: in
     axis = end_mm - start_mm
     axis = axis / np.linalg.norm(axis, axis=1, keepdims=True)
     # The frame depends on the axis alone: rods on one axis have corners on the same lines.
-    helper = np.where(np.abs(axis[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    first = np.cross(helper, axis)
-    first = first / np.linalg.norm(first, axis=1, keepdims=True)
-    second = np.cross(axis, first)
+    first, second, _ = np.moveaxis(frames_along(axis), 2, 0)
     angle = 2.0 * np.pi * np.arange(sides) / sides
     ring = first[:, None] * np.cos(angle)[:, None] + second[:, None] * np.sin(angle)[:, None]
     ring = ring * (radius_mm * widening(sides))

@@ -1,4 +1,4 @@
-"""Where a wall is sampled: as few chart stations as keep its facets within a tolerance."""
+"""Sampling of a wall: the fewest chart stations that keep its facets within a tolerance."""
 
 import numpy as np
 
@@ -7,16 +7,8 @@ from phytac_design.geometry.boundary_loops import check_topology, conormals
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 
-STATIONS_MIN = 24
-"""Least stations of a closed direction."""
 PROBE = 64
-"""Cells in which each direction is first looked at."""
-ACROSS = 9
-"""Lines of a face that are looked at."""
-EVEN = 0.02
-"""Relative scatter of a curvature below which stations are spaced evenly."""
-STRAIGHT = 1e-12
-"""Sag, as a fraction of the sensor's size, that is rounding."""
+"""Cells in which each direction is first sampled."""
 ROUNDS = 24
 
 
@@ -44,10 +36,11 @@ def chart_stations(
 
 def _rails(surface: Surface, wall: WallSection, axis: int, t: FloatArray) -> FloatArray:
     """Lines of the wall along chart direction ``axis`` at stations ``t``, (lines, t, 3) mm."""
+    across = 9  # lines of a face that are sampled
     low, high = surface.domain[1 - axis]
-    others = np.linspace(low, high, ACROSS, endpoint=not surface.periodic[1 - axis])
+    others = np.linspace(low, high, across, endpoint=not surface.periodic[1 - axis])
     offsets = np.array([0.0, -wall.thickness_mm])
-    lines = [surface.point(_line(axis, t, others, 2), np.tile(np.repeat(offsets, len(t)), ACROSS))]
+    lines = [surface.point(_line(axis, t, others, 2), np.tile(np.repeat(offsets, len(t)), across))]
     rim = wall.rim_length_mm
     for edge, end in surface.edges():
         if edge == axis or rim == 0.0:
@@ -81,19 +74,21 @@ def _sag(surface: Surface, wall: WallSection, axis: int, t: FloatArray) -> Float
 
 
 def _demand(surface: Surface, wall: WallSection, axis: int, limit_mm: float) -> FloatArray:
-    """Stations that each of ``PROBE`` equal cells of a direction asks for, (PROBE,)."""
+    """Stations that each of ``PROBE`` equal cells of a direction needs, (PROBE,)."""
+    straight = 1e-12  # sag, as a fraction of the sensor's size, that is rounding
     low, high = surface.domain[axis]
     sag = _sag(surface, wall, axis, np.linspace(low, high, PROBE + 1))
     scale = float(np.abs(surface.bounds_mm()).max())
-    return np.where(sag > STRAIGHT * scale, np.sqrt(2.0 / 3.0 * sag / limit_mm), 0.0)
+    return np.where(sag > straight * scale, np.sqrt(2.0 / 3.0 * sag / limit_mm), 0.0)
 
 
 def _stations(
     surface: Surface, wall: WallSection, axis: int, demand: FloatArray, limit_mm: float
 ) -> FloatArray:
     """Stations of one direction, both ends included."""
+    even = 0.02  # relative scatter of a curvature below which stations are spaced evenly
     low, high = surface.domain[axis]
-    if np.ptp(demand) <= EVEN * demand.max():
+    if np.ptp(demand) <= even * demand.max():
         return np.linspace(low, high, _number(surface, axis, PROBE * demand.max()) + 1)
     total = np.concatenate([[0.0], np.cumsum(demand + 1e-3 * demand.mean())])
     number = _number(surface, axis, total[-1])
@@ -110,8 +105,9 @@ def _stations(
 
 def _number(surface: Surface, axis: int, demand: float) -> int:
     """Intervals: a multiple of 4 around a closed direction, for its symmetry."""
+    stations_min = 24  # least stations of a closed direction
     if surface.periodic[axis]:
-        return max(STATIONS_MIN, 4 * int(np.ceil(demand / 4.0)))
+        return max(stations_min, 4 * int(np.ceil(demand / 4.0)))
     return max(1, int(np.ceil(demand - 1e-6)))
 
 
@@ -123,7 +119,7 @@ def _split(t: FloatArray, where: BoolArray) -> FloatArray:
 def untwisted(
     surface: Surface, u: FloatArray, v: FloatArray, tolerance_mm: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Split the cells whose triangles stray though their sides do not, as on a saddle."""
+    """Split the cells whose triangles leave the surface though their sides do not (saddles)."""
     for _ in range(ROUNDS):
         uu, vv = np.meshgrid(u, v, indexing="ij")
         grid = surface.point(np.column_stack([uu.ravel(), vv.ravel()])).reshape(*uu.shape, 3)
@@ -142,7 +138,7 @@ def untwisted(
 def _unturned(
     surface: Surface, wall: WallSection, axis: int, t: FloatArray, tolerance_mm: float
 ) -> FloatArray:
-    """Split intervals along which a rim turns so much that its cells' triangles stray."""
+    """Split intervals along which a rim turns so much that its triangles leave the tolerance."""
     depth = wall.thickness_mm + wall.rim_flange_mm
     for _ in range(ROUNDS):
         bad = np.zeros(len(t) - 1, dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""How near receptors come to each other: distances of segments, searched by trees."""
+"""Distances between receptors: segment distances, found with k-d trees."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -13,24 +13,18 @@ def smallest_receptor_gap_mm(
 ) -> tuple[float, tuple[int, int] | None]:
     """Smallest gap between two tubes and the ids of the two; (inf, None) for a single marker.
 
-    Gaps above the sum of one diameter and the printer's gap are not looked for: then the gap
+    Gaps above the sum of one diameter and the printer's gap are not searched: then the gap
     between the nearest ends is returned.
     """
     if markers.count < 2:
         return np.inf, None
     diameter = design.receptor.diameter_outer_mm
     best, pair = min(nearest_pair(markers.tip_mm), nearest_pair(markers.foot_mm))
-    wanted = diameter + design.print_rules.gap_min_mm
+    required = diameter + design.print_rules.gap_min_mm
     # Overlapping ends settle it; else tubes are apart at their ends and candidates are few.
-    if best >= wanted:
-        pairs = _candidates(markers, wanted)
+    if best >= required:
+        pairs, distance = near_axes(markers, required)
         if len(pairs):
-            distance = segment_distance_mm(
-                markers.foot_mm[pairs[:, 0]],
-                markers.tip_mm[pairs[:, 0]],
-                markers.foot_mm[pairs[:, 1]],
-                markers.tip_mm[pairs[:, 1]],
-            )
             at = _least(distance)
             if distance[at] < best:
                 best, pair = float(distance[at]), (int(pairs[at, 0]), int(pairs[at, 1]))
@@ -47,14 +41,17 @@ def nearest_pair(points_mm: FloatArray) -> tuple[float, tuple[int, int]]:
     distance, other = cKDTree(points_mm).query(points_mm, k=min(len(points_mm), 8))
     first = _least(distance[:, 1])
     least = float(distance[first, 1])
-    # Coincident points may list a point after its twin; of equals the lowest id is named.
+    # Coincident points may list a point after its duplicate; of equals the lowest id is named.
     equal = other[first][distance[first] <= least + 1e-9]
     second = int(equal[equal != first].min())
     return least, (min(first, second), max(first, second))
 
 
-def _candidates(markers: Markers, reach_mm: float) -> IntArray:
-    """Pairs of tubes (k, 2) whose axes may come within ``reach_mm``, by samples along them."""
+def near_axes(markers: Markers, reach_mm: float) -> tuple[IntArray, FloatArray]:
+    """Pairs of tubes (k, 2) whose axes may come within ``reach_mm``, and their distances (k,) mm.
+
+    Candidates are found by samples along the axes.
+    """
     steps = int(np.ceil(markers.height_mm.max() / reach_mm)) + 1
     along = np.linspace(0.0, 1.0, steps)
     samples = (
@@ -66,7 +63,9 @@ def _candidates(markers: Markers, reach_mm: float) -> IntArray:
     pairs = tree.query_pairs(reach_mm + step, output_type="ndarray") // steps
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     keys = np.unique(pairs.min(axis=1) * markers.count + pairs.max(axis=1))
-    return np.asarray(np.column_stack(np.divmod(keys, markers.count)))
+    first, second = np.divmod(keys, markers.count)
+    ends = [axis[k] for k in (first, second) for axis in (markers.foot_mm, markers.tip_mm)]
+    return np.column_stack([first, second]), segment_distance_mm(*ends)
 
 
 def segment_distance_mm(

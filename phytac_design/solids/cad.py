@@ -23,21 +23,14 @@ __all__ = [
     "CadBody",
     "CadFacts",
     "cad_facts",
-    "read_assembly",
-    "read_step",
     "revolved_cad",
     "shell_cad",
     "wall_cad",
     "write_assembly",
     "write_step",
-    "write_stl_by_cad",
 ]
 STEP_DATE = "2000-01-01T00:00:00"
 """Time stamp of every STEP file: the same inputs give the same file."""
-COLOUR_OF = "MECHANICAL_DESIGN_GEOMETRIC_PRESENTATION_REPRESENTATION"
-"""STEP's name for the entity that gives items their looks."""
-VOLUME_REL = 1e-6
-"""Relative error asked of OpenCASCADE's volume."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,14 +81,15 @@ def _rods(cq: Any, start_mm: FloatArray, end_mm: FloatArray, radius_mm: float) -
 def cad_facts(shape: Any) -> CadFacts:
     """Volume, area, validity (BRepCheck) and number of solids of a CadQuery shape.
 
-    The volume is integrated to ``VOLUME_REL``: OpenCASCADE's default is off by a few parts in ten
+    The volume is integrated to ``volume_rel``: OpenCASCADE's default is off by a few parts in ten
     thousand on spline faces.
     """
+    volume_rel = 1e-6  # requested relative error of OpenCASCADE's volume
     from OCP.BRepGProp import BRepGProp
     from OCP.GProp import GProp_GProps
 
     properties = GProp_GProps()
-    BRepGProp.VolumeProperties_s(shape.wrapped, properties, VOLUME_REL, False, False)
+    BRepGProp.VolumeProperties_s(shape.wrapped, properties, volume_rel, False, False)
     return CadFacts(
         volume_mm3=float(properties.Mass()),
         area_mm2=float(shape.Area()),
@@ -127,17 +121,6 @@ def write_step(solid: Any, path: Path, *, name: str = "shell") -> None:
     head = re.sub(r"'\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d'", f"'{STEP_DATE}'", head)
     data = re.sub(r"PRODUCT\('[^']*',\s*'[^']*'", f"PRODUCT('{name}','{name}'", data, count=1)
     path.write_text(f"{head}DATA;{data}", encoding="latin-1")
-
-
-def read_step(path: Path) -> Any:
-    """Open a STEP file again, as a CadQuery shape."""
-    cq = cadquery()
-    return cq.importers.importStep(str(path)).val()
-
-
-def write_stl_by_cad(solid: Any, path: Path, *, tolerance_mm: float, angle_rad: float) -> None:
-    """STL by OpenCASCADE's own mesher: the peer that benchmarks compare with."""
-    solid.exportStl(str(path), tolerance_mm, angle_rad)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,6 +183,8 @@ def _coloured(data: str, colours: Sequence[tuple[float, float, float]]) -> str:
 
     OpenCASCADE's own colours come in another order each time.
     """
+    # STEP's name for the entity that gives items their looks.
+    colour_of = "MECHANICAL_DESIGN_GEOMETRIC_PRESENTATION_REPRESENTATION"
     numbers = [int(found) for found in re.findall(r"^#(\d+)\s*=", data, flags=re.MULTILINE)]
     shapes = re.findall(
         r"=\s*ADVANCED_BREP_SHAPE_REPRESENTATION\('[^']*',\s*\(([^)]*)\),\s*#(\d+)\)", data
@@ -223,23 +208,12 @@ def _coloured(data: str, colours: Sequence[tuple[float, float, float]]) -> str:
                 f"#{n + 6} = SURFACE_STYLE_USAGE(.BOTH.,#{n + 5});",
                 f"#{n + 7} = PRESENTATION_STYLE_ASSIGNMENT((#{n + 6}));",
                 f"#{n + 8} = STYLED_ITEM('color',(#{n + 7}),#{item});",
-                f"#{n + 9} = {COLOUR_OF}('',(#{n + 8}),#{context});",
+                f"#{n + 9} = {colour_of}('',(#{n + 8}),#{context});",
             ]
             n += 9
         used = n
     body, end = data.rsplit("ENDSEC;", 1)
     return body + "\n".join(lines) + "\nENDSEC;" + end
-
-
-def read_assembly(path: Path) -> dict[str, CadBody]:
-    """Bodies of a STEP assembly by name, their shapes where they stand in the assembly."""
-    cq = cadquery()
-    bodies = {}
-    for shape, path_name, place, colour in cq.Assembly.importStep(str(path)):
-        name = path_name.rsplit("/", 1)[-1]
-        rgb = colour.toTuple()[:3] if colour is not None else (0.0, 0.0, 0.0)
-        bodies[name] = CadBody(name=name, shape=shape.moved(place), colour=rgb)
-    return bodies
 
 
 def revolved_cad(profile_mm: FloatArray) -> Any:

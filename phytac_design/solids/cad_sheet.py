@@ -14,11 +14,8 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import NumericalError
 
-SEWING_mm = 1e-5
-"""Gap that sewing closes: faces share their edges exactly, up to rounding."""
 LINES = 9
 """Lines of each face by which the samples are chosen."""
-COARSE_mm = 0.5
 
 
 def sheet_wall(surface: Surface, wall: WallSection) -> Any:
@@ -31,14 +28,16 @@ def sheet_wall(surface: Surface, wall: WallSection) -> Any:
     NumericalError
         If the faces do not close to one solid.
     """
+    coarse_mm = 0.5
+    sewing_mm = 1e-5  # gap that sewing closes: faces share their edges exactly, up to rounding
     from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeSolid, BRepBuilderAPI_Sewing
     from OCP.BRepLib import BRepLib
     from OCP.TopAbs import TopAbs_SHELL
     from OCP.TopoDS import TopoDS
 
     cq = cadquery()
-    wall_mesh(surface, wall, tolerance_mm=COARSE_mm)  # refuses rims that fold
-    sewing = BRepBuilderAPI_Sewing(SEWING_mm)
+    wall_mesh(surface, wall, tolerance_mm=coarse_mm)  # raises if a rim folds
+    sewing = BRepBuilderAPI_Sewing(sewing_mm)
     for face in sheet_faces(surface, wall):
         sewing.Add(face)
     sewing.Perform()

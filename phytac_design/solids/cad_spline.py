@@ -17,7 +17,6 @@ from phytac_shapes.errors import NumericalError
 FIT_mm = 1e-3
 """Largest distance between a spline and what it stands for, half-way between its samples."""
 DEGREE = 3
-CELLS_MAX = 512
 
 
 def cells_for(points_at: Callable[[FloatArray], FloatArray], knots: int) -> int:
@@ -30,6 +29,7 @@ def cells_for(points_at: Callable[[FloatArray], FloatArray], knots: int) -> int:
     knots : int
         Equal spans of [0, 1] within which the curves are smooth.
     """
+    cells_max = 512
     spans = 4
     while True:
         cells = knots * spans
@@ -38,35 +38,29 @@ def cells_for(points_at: Callable[[FloatArray], FloatArray], knots: int) -> int:
         spline = make_interp_spline(t[::2], points[::2], k=DEGREE)
         if float(np.linalg.norm(spline(t[1::2]) - points[1::2], axis=-1).max()) <= FIT_mm:
             return cells
-        if 2 * cells > CELLS_MAX:
+        if 2 * cells > cells_max:
             raise NumericalError(
-                f"a curve of the wall needs more than {CELLS_MAX} spline cells to be exact to "
+                f"a curve of the wall needs more than {cells_max} spline cells to be exact to "
                 f"{FIT_mm} mm; smooth the shape"
             )
         spans *= 2
 
 
-def _knots(spline: BSpline) -> tuple[FloatArray, list[int]]:
-    values, counts = np.unique(spline.t, return_counts=True)
-    return values, counts.tolist()
-
-
-def _reals(values: FloatArray) -> Any:
-    from OCP.TColStd import TColStd_Array1OfReal
-
-    array = TColStd_Array1OfReal(1, len(values))
-    for k, value in enumerate(values.tolist(), start=1):
-        array.SetValue(k, value)
-    return array
-
-
-def _integers(values: list[int]) -> Any:
-    from OCP.TColStd import TColStd_Array1OfInteger
-
-    array = TColStd_Array1OfInteger(1, len(values))
+def _array(kind: Any, values: list[Any]) -> Any:
+    """OpenCASCADE array of a kind, which counts from 1."""
+    array = kind(1, len(values))
     for k, value in enumerate(values, start=1):
         array.SetValue(k, value)
     return array
+
+
+def _knot_arrays(spline: BSpline) -> tuple[Any, Any]:
+    """Knots of a spline and their multiplicities, for OpenCASCADE."""
+    from OCP.TColStd import TColStd_Array1OfInteger, TColStd_Array1OfReal
+
+    knots, counts = np.unique(spline.t, return_counts=True)
+    reals = _array(TColStd_Array1OfReal, knots.tolist())
+    return reals, _array(TColStd_Array1OfInteger, counts.tolist())
 
 
 def spline_edge(points_mm: FloatArray) -> Any:
@@ -77,11 +71,8 @@ def spline_edge(points_mm: FloatArray) -> Any:
     from OCP.TColgp import TColgp_Array1OfPnt
 
     spline = make_interp_spline(np.linspace(0.0, 1.0, len(points_mm)), points_mm, k=DEGREE)
-    poles = TColgp_Array1OfPnt(1, len(spline.c))
-    for k, point in enumerate(spline.c.tolist(), start=1):
-        poles.SetValue(k, gp_Pnt(*point))
-    values, counts = _knots(spline)
-    curve = Geom_BSplineCurve(poles, _reals(values), _integers(counts), DEGREE)
+    poles = _array(TColgp_Array1OfPnt, [gp_Pnt(*point) for point in spline.c.tolist()])
+    curve = Geom_BSplineCurve(poles, *_knot_arrays(spline), DEGREE)
     return BRepBuilderAPI_MakeEdge(curve).Edge()
 
 
@@ -108,10 +99,8 @@ def spline_face(points_mm: FloatArray) -> Any:
     for i, row in enumerate(coefficients.tolist(), start=1):
         for j, point in enumerate(row, start=1):
             poles.SetValue(i, j, gp_Pnt(*point))
-    (u, count_u), (v, count_v) = _knots(first), _knots(second)
-    surface = Geom_BSplineSurface(
-        poles, _reals(u), _reals(v), _integers(count_u), _integers(count_v), *degrees
-    )
+    (u, count_u), (v, count_v) = _knot_arrays(first), _knot_arrays(second)
+    surface = Geom_BSplineSurface(poles, u, v, count_u, count_v, *degrees)
     return BRepBuilderAPI_MakeFace(surface, 1e-6).Face()
 
 

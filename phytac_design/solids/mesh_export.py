@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.geometry.triangles import TriangleMesh
+from phytac_design.geometry.triangles import TriangleMesh, proper_triangles
+from phytac_shapes.errors import OutputError
 
 STL_HEADER = b"PhyTac Design, binary STL, units mm".ljust(80)
+STL_RECORD = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 DISPLAY_COLOURS = {
     "resin": (214, 208, 196, 255),
     "blue": (28, 82, 220, 255),
@@ -21,15 +23,11 @@ DISPLAY_COLOURS = {
 """RGBA of the bodies in a 3MF file, for display in slicers."""
 NAMESPACE = uuid.UUID("6f0c2f5e-6f7c-5d0e-9a37-0d1f5a1c7b60")
 """Root of all ids in 3MF files: ids follow from names, so files do not change from run to run."""
-EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 def stl_bytes(mesh: TriangleMesh) -> bytes:
     """Binary STL (single precision, mm) of a mesh; the header holds no date."""
-    record = np.zeros(
-        len(mesh.triangles),
-        dtype=[("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")],
-    )
+    record = np.zeros(len(mesh.triangles), dtype=STL_RECORD)
     # Normals of the corners as they are stored, sides rounded as readers round them: rounding
     # turns the normal of a sliver.
     corners = mesh.vertices_mm.astype(np.float32)[mesh.triangles]
@@ -40,6 +38,25 @@ def stl_bytes(mesh: TriangleMesh) -> bytes:
     record["corners"] = corners
     count = np.array(len(record), dtype="<u4").tobytes()
     return STL_HEADER + count + record.tobytes()
+
+
+def read_stl(path: Path) -> TriangleMesh:
+    """Triangles of a binary STL file, equal corners made one.
+
+    Raises
+    ------
+    OutputError
+        If the file is no binary STL.
+    """
+    data = path.read_bytes()
+    count = int(np.frombuffer(data[80:84], "<u4")[0]) if len(data) >= 84 else -1
+    if len(data) != 84 + count * STL_RECORD.itemsize:
+        raise OutputError(f"{path.name} is no binary STL file ({len(data)} bytes); build it again")
+    corners = np.frombuffer(data, STL_RECORD, offset=84)["corners"].reshape(-1, 3)
+    # Single precision repeats the same corner bit by bit; -0 and 0 are one.
+    vertices, ids = np.unique(corners + np.float32(0.0), axis=0, return_inverse=True)
+    triangles = proper_triangles(ids.reshape(-1, 3).astype(np.int64))
+    return TriangleMesh(vertices_mm=vertices.astype(np.float64), triangles=triangles)
 
 
 def write_stl(mesh: TriangleMesh, path: Path) -> None:
@@ -108,10 +125,11 @@ def _geometry(lib3mf: Any, mesh: TriangleMesh) -> tuple[Any, Any]:
 
 def _undated(archive: bytes) -> bytes:
     """Return a zip archive with the same members in the same order, and no dates."""
+    epoch = (1980, 1, 1, 0, 0, 0)
     out = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(archive)) as source, zipfile.ZipFile(out, "w") as target:
         for info in source.infolist():
-            member = zipfile.ZipInfo(info.filename, date_time=EPOCH)
+            member = zipfile.ZipInfo(info.filename, date_time=epoch)
             member.compress_type = zipfile.ZIP_DEFLATED
             target.writestr(member, source.read(info.filename), compresslevel=6)
     return out.getvalue()

@@ -1,4 +1,4 @@
-"""Facts of a solid mesh: volume, area, bodies, genus; from manifold3d and, apart, from trimesh."""
+"""Volume, area, bodies and genus of a solid mesh, by manifold3d and independently by trimesh."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -14,7 +14,7 @@ from phytac_shapes.errors import NumericalError
 
 @dataclass(frozen=True, kw_only=True)
 class ShellFacts:
-    """What a printer, and the report, want to know of a solid.
+    """Properties of a solid for the printer and the report.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ def trimesh_facts(mesh: TriangleMesh) -> ShellFacts:
 
 
 def shell_facts(solid: Any, surface: Surface, markers: Markers) -> ShellFacts:
-    """Facts of a finished shell, refused unless it is one watertight body of the right genus.
+    """Facts of a finished shell; rejected unless it is one watertight body of the right genus.
 
     Raises
     ------

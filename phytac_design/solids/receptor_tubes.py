@@ -10,12 +10,6 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import DesignError
 
-OVERSHOOT_mm = 0.05
-"""How far a hole's cutter runs past the end face, so that the faces never coincide."""
-
-FOOT_STEPS = 1
-"""Steps to the foot of a point one tube radius away; the height's error is of fourth order."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class ReceptorAxes:
@@ -67,21 +61,23 @@ def rim_sag_mm(
     angle = np.pi / 4.0 * np.arange(8)
     ring = first[:, None] * np.cos(angle)[:, None] + second[:, None] * np.sin(angle)[:, None]
     points = (centre_mm[:, None] + radius_mm * ring).reshape(-1, 3)
-    foot = _near_feet(surface, np.repeat(markers.uv, 8, axis=0), points)
+    foot = _nearest_uv(surface, np.repeat(markers.uv, 8, axis=0), points)
     height = np.einsum("ni,ni->n", points - surface.point(foot), surface.normal(foot))
     height = height.reshape(-1, 8)
     return height.max(axis=1), height.min(axis=1)
 
 
-def _near_feet(surface: Surface, uv: FloatArray, points_mm: FloatArray) -> FloatArray:
-    """Feet (n, 2) of points (n, 3) that lie near known chart places, by Gauss-Newton steps.
+def _nearest_uv(surface: Surface, uv: FloatArray, points_mm: FloatArray) -> FloatArray:
+    """Chart positions (n, 2) of the nearest surface points, by Gauss-Newton from known ones.
 
-    Cheaper than a chart that must look for its start; at a pole only that will do.
+    Cheaper than ``surface.chart``, which searches for its start; poles need that one.
     """
+    # Steps to the foot of a point one tube radius away; the height's error is of fourth order.
+    foot_steps = 1
     if any(surface.poles):
         return surface.chart(points_mm)
     foot = uv
-    for _ in range(FOOT_STEPS):
+    for _ in range(foot_steps):
         tangents = surface.tangents(foot)
         (e, f), (_, g) = np.moveaxis(np.einsum("nai,nbi->nab", tangents, tangents), 0, -1)
         a, b = np.moveaxis(np.einsum("nai,ni->na", tangents, points_mm - surface.point(foot)), 1, 0)
@@ -119,6 +115,8 @@ def root_depth_mm(design: Design, surface: Surface, markers: Markers) -> FloatAr
 
 def receptor_axes(design: Design, surface: Surface, markers: Markers) -> ReceptorAxes:
     """Axes of all tubes, bands and holes."""
+    # How far a hole's cutter runs past the end face, so that the faces never coincide.
+    overshoot_mm = 0.05
     receptor = design.receptor
     depth = root_depth_mm(design, surface, markers)
     outer = _outer_mm(design, surface, markers)
@@ -132,6 +130,6 @@ def receptor_axes(design: Design, surface: Surface, markers: Markers) -> Recepto
         tip_mm=markers.tip_mm,
         band_mm=np.where(painted[:, None], root, band),
         hole_start_mm=outside,
-        hole_end_mm=markers.tip_mm + OVERSHOOT_mm * markers.direction,
+        hole_end_mm=markers.tip_mm + overshoot_mm * markers.direction,
         painted=painted,
     )

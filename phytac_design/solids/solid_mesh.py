@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.design.spec import Design
-from phytac_design.geometry.triangles import TriangleMesh, prisms, sides_for
+from phytac_design.geometry.triangles import TriangleMesh, prisms, proper_triangles, sides_for
 from phytac_design.layout import Markers
 from phytac_design.solids.receptor_tubes import ReceptorAxes, receptor_axes
 from phytac_design.solids.wall_mesh import wall_mesh
@@ -23,10 +23,8 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 
-BAND_MIN_mm = 1e-3
-"""A shorter painted band is no solid; its paint is left out."""
 SLIVER_mm = 1e-6
-"""Triangles thinner than this are merged: single precision (STL) cannot tell where they face."""
+"""Triangles thinner than this are merged: single precision (STL) cannot represent their normal."""
 TOLERANCE_mm = 0.01
 """Default distance between the mesh and the true faces; a tenth of what a printer resolves."""
 
@@ -79,6 +77,20 @@ def to_triangles(solid: Any) -> TriangleMesh:
     )
 
 
+def stl_triangles(solid: Any, *, step_mm: float = 1e-5) -> TriangleMesh:
+    """Triangles of a ``manifold3d.Manifold`` that survive the single precision of an STL file.
+
+    Corners are rounded to ``step_mm`` and those that become equal are merged; triangles lower than
+    the step, whose direction single precision cannot hold, are removed.
+    """
+    mesh = to_triangles(solid)
+    rounded = (step_mm * np.round(mesh.vertices_mm / step_mm)).astype(np.float32) + np.float32(0.0)
+    points, ids = np.unique(rounded, axis=0, return_inverse=True)
+    triangles = proper_triangles(ids.reshape(-1)[mesh.triangles])
+    rounded_mesh = TriangleMesh(vertices_mm=points.astype(np.float64), triangles=triangles)
+    return to_triangles(to_manifold(rounded_mesh).simplify(step_mm))
+
+
 def _parts(design: Design, surface: Surface, markers: Markers, tolerance_mm: float) -> _Parts:
     receptor = design.receptor
     axes = receptor_axes(design, surface, markers)
@@ -119,9 +131,10 @@ def painted_manifolds(
 
     A paint body is the last ``band_marker_mm`` of each tube of that colour, full tube wall and
     end face; a receptor not taller than the band is painted down to the wall. Without a band
-    (shorter than ``BAND_MIN_mm``) there is only resin.
+    (shorter than ``band_min_mm``) there is only resin.
     """
-    if design.receptor.band_marker_mm < BAND_MIN_mm:
+    band_min_mm = 1e-3  # a shorter painted band is no solid; its paint is left out
+    if design.receptor.band_marker_mm < band_min_mm:
         return {"resin": shell_manifold(design, surface, markers, tolerance_mm=tolerance_mm)}
     parts = _parts(design, surface, markers, tolerance_mm)
     axes = parts.axes
@@ -146,6 +159,13 @@ def united(solids: "list[Any]") -> Any:
     return manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
 
 
+def box(low_mm: FloatArray, high_mm: FloatArray) -> Any:
+    """Box between two corners (3,) as a ``manifold3d.Manifold``."""
+    import manifold3d
+
+    return manifold3d.Manifold.cube(tuple(high_mm - low_mm)).translate(tuple(low_mm))
+
+
 def extruded_manifold(points_mm: FloatArray, low_mm: float, high_mm: float) -> Any:
     """Prism over a simple polygon (n, 2), anticlockwise, from ``low_mm`` to ``high_mm`` along z.
 
@@ -164,26 +184,3 @@ def extruded_manifold(points_mm: FloatArray, low_mm: float, high_mm: float) -> A
             "please report this design"
         )
     return solid
-
-
-def intersection(first: Any, second: Any) -> Any:
-    """What two ``manifold3d.Manifold`` solids share."""
-    return first ^ second
-
-
-def apart(solids: "list[TriangleMesh]") -> Any:
-    """One ``manifold3d.Manifold`` of closed meshes that do not touch each other."""
-    count = np.cumsum([0, *[len(mesh.vertices_mm) for mesh in solids]])
-    return to_manifold(
-        TriangleMesh(
-            vertices_mm=np.concatenate([mesh.vertices_mm for mesh in solids]),
-            triangles=np.concatenate(
-                [mesh.triangles + first for mesh, first in zip(solids, count[:-1], strict=True)]
-            ),
-        )
-    )
-
-
-def gap_mm(first: Any, second: Any, search_mm: float) -> float:
-    """Least distance between two ``manifold3d.Manifold`` solids, at most ``search_mm``."""
-    return float(first.min_gap(second, search_mm))

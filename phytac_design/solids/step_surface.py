@@ -54,7 +54,7 @@ def surface_from_step(
     # A fork has the libraries that are loaded here: others take seconds to start.
     fork = multiprocessing.get_context("fork")
     mine, its = fork.Pipe(duplex=False)
-    child = fork.Process(target=_tell, args=(its, path, rows, columns, face), daemon=True)
+    child = fork.Process(target=_send_grid, args=(its, path, rows, columns, face), daemon=True)
     child.start()
     its.close()
     try:
@@ -76,8 +76,8 @@ def surface_from_step(
     return np.asarray(answer, dtype=np.float64)
 
 
-def _tell(pipe: Connection, path: Path, rows: int, columns: int, face: int | None) -> None:
-    """Send the grid, or the error that it ends in; OpenCASCADE's own complaints go nowhere."""
+def _send_grid(pipe: Connection, path: Path, rows: int, columns: int, face: int | None) -> None:
+    """Send the grid or the error; OpenCASCADE's own output is discarded."""
     silent = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silent, 1)
     os.dup2(silent, 2)

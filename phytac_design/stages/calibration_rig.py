@@ -1,4 +1,4 @@
-"""Calibration kit: indenters, grippers, seats and jigs that fit the shape, and what moves them."""
+"""Calibration kit: indenters, grippers, seats and jigs that fit the shape, and motion programs."""
 
 from pathlib import Path
 from typing import Any
@@ -11,13 +11,12 @@ from phytac_design.stages.switch import switches_of, without_switches
 def run(context: Context, folder: Path) -> None:
     """Write ``kit/…`` and the facts: parts, regions, tools."""
     from phytac_design.fabrication.calibration_rig.bodies import kit_bodies, kit_parts
-    from phytac_design.fabrication.calibration_rig.clean import clean
     from phytac_design.fabrication.calibration_rig.guide import guide_text
     from phytac_design.fabrication.calibration_rig.log import log_head
     from phytac_design.fabrication.calibration_rig.program import gcode, make_program, program_csv
     from phytac_design.fabrication.calibration_rig.regions import make_regions
     from phytac_design.solids.mesh_export import write_stl
-    from phytac_design.solids.solid_mesh import to_triangles
+    from phytac_design.solids.solid_mesh import stl_triangles
 
     if without_switches(context, folder):
         return
@@ -34,7 +33,7 @@ def run(context: Context, folder: Path) -> None:
         tolerance_mm=context.accuracy.cad_tolerance_mm,
     )
     for piece in kit.pieces:
-        write_stl(clean(to_triangles(piece.body)), export_path(folder, f"kit/{piece.name}.stl"))
+        write_stl(stl_triangles(piece.body), export_path(folder, f"kit/{piece.name}.stl"))
 
     def write(name: str, text: str) -> None:
         export_path(folder, f"kit/{name}").write_text(text, encoding="utf-8")

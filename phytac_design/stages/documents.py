@@ -1,13 +1,10 @@
-"""Papers for the bench: paint map, switch placement, bill of materials, recipe, assembly sheet."""
+"""Documents for the workbench: paint map, switch placement, bill, recipe, assembly sheet."""
 
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
-from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.stages.switch import switches_of, without_switches
 
 READS = (
@@ -25,8 +22,6 @@ READS = (
 )
 LISTS = ("mold", "hardware", "kit")
 """Stages whose facts list parts."""
-PULL_mm = 16.0
-"""How far the exploded picture pulls the switches out."""
 
 
 def run(context: Context, folder: Path) -> None:
@@ -116,39 +111,31 @@ def rubber_mm3(rows: list[dict[str, Any]]) -> float:
 
 def pictures(context: Context) -> dict[str, bytes]:
     """Exploded pictures by caption."""
+    pull_mm = 16.0  # how far the exploded picture pulls the switches out
     from phytac_design.fabrication.documents.exploded import (
         Body,
-        moved,
         part_colour,
         picture,
-        png_bytes,
         switch_bodies,
     )
     from phytac_design.fabrication.hardware.bodies import exploded_bodies
-    from phytac_design.solids.mesh_export import DISPLAY_COLOURS
+    from phytac_design.solids.mesh_export import DISPLAY_COLOURS, read_stl
 
+    design, surface, markers = context.design, context.surface, context.markers
     out = {}
     if "hardware_left_out" not in context.facts("hardware"):
+        tolerance = context.accuracy.cad_tolerance_mm
+        parts = exploded_bodies(design, surface, markers, tolerance_mm=tolerance)
         bodies = [
-            Body(mesh=moved(mesh, shift), colour=part_colour(name))
-            for name, (mesh, shift) in exploded_bodies(context).items()
+            Body(mesh=mesh.moved(shift), colour=part_colour(name))
+            for name, (mesh, shift) in parts.items()
         ]
-        out["Shell, camera, light and their holders, pulled apart."] = png_bytes(picture(bodies))
+        out["Shell, camera, light and their holders, pulled apart."] = picture(bodies)
     stl = context.folders["shell"] / EXPORT / "shell/shell.stl"
     shell = Body(mesh=read_stl(stl), colour=DISPLAY_COLOURS["resin"][:3])
-    switches = switch_bodies(context.surface, context.markers, switches_of(context), PULL_mm)
-    image = picture([shell, *switches])
-    out[f"Shell and {context.markers.count} switches, pulled out."] = png_bytes(image)
+    switches = switch_bodies(surface, markers, switches_of(context), pull_mm)
+    out[f"Shell and {markers.count} switches, pulled out."] = picture([shell, *switches])
     return out
-
-
-def read_stl(path: Path) -> TriangleMesh:
-    """Triangles of a binary STL file, corners not merged."""
-    data = np.frombuffer(path.read_bytes()[84:], dtype=np.uint8).reshape(-1, 50)
-    corners = np.ascontiguousarray(data[:, 12:48]).view("<f4").reshape(-1, 3).astype(np.float64)
-    return TriangleMesh(
-        vertices_mm=corners, triangles=np.arange(len(corners), dtype=np.int64).reshape(-1, 3)
-    )
 
 
 BENCH = Stage(

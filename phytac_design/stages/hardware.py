@@ -14,17 +14,13 @@ if TYPE_CHECKING:
 READS = (
     "name", "markers", "cameras", "bodies", "camera.pixel_um", "switch", "print_rules", "hardware"
 )  # fmt: skip
-VOLUME_TOL = 1e-3
-"""Largest relative difference of the two kernels' volumes that a build accepts."""
-WHOLE_mm = 0.02
-"""From this tolerance on, the STEP assembly holds the whole shell and all switches."""
 
 
 def run(context: Context, folder: Path) -> None:
     """Write ``fixtures/….stl`` and ``.step`` of printed parts and ``fixtures/assembly.step``.
 
-    What only the defaults ask for never stops a build: where that cannot be made, the hardware is
-    left out, and the facts say why.
+    Default hardware that cannot be made never stops a build: it is left out, and the facts give
+    the reason.
 
     Raises
     ------
@@ -67,9 +63,9 @@ def run(context: Context, folder: Path) -> None:
 
 
 def _checked(context: Context) -> tuple["HardwareAssembly", dict[str, Any], dict[str, Any]]:
-    """Kit, its solids with shell and switches, and facts; refused unless all checks pass."""
+    """Kit, its solids with shell and switches, and facts; rejected unless all checks pass."""
     from phytac_design.fabrication.hardware.assembly import make_hardware
-    from phytac_design.fabrication.hardware.bodies import context_solids
+    from phytac_design.fabrication.hardware.bodies import hardware_solids, sensor_solids
     from phytac_design.fabrication.hardware.report import hardware_facts, verdict
     from phytac_design.layout.cameras import cameras_of
 
@@ -78,15 +74,19 @@ def _checked(context: Context) -> tuple["HardwareAssembly", dict[str, Any], dict
     if not kit.parts:
         return kit, {}, {}
     switches = switches_of(context)
-    solids = context_solids(context, kit, switches)
+    tolerance = context.accuracy.cad_tolerance_mm
+    solids = sensor_solids(design, surface, markers, switches, tolerance_mm=tolerance)
+    solids |= hardware_solids(design, surface, kit, tolerance_mm=tolerance)
     cameras = list(cameras_of(design, surface))
     found = verdict(design, surface, markers, switches, cameras, kit, solids)
-    found.refuse()
+    found.raise_failure()
     return kit, solids, hardware_facts(design, kit, found, solids)
 
 
 def _cad(context: Context, kit: "HardwareAssembly", solids: dict[str, Any]) -> dict[str, Any]:
     """CAD of all parts by name, each compared with its mesh."""
+    # Largest relative difference of the two kernels' volumes that a build accepts.
+    volume_tol = 1e-3
     from phytac_design.fabrication.hardware.by_cad import CadKernel
     from phytac_design.solids.cad import cad_facts
 
@@ -96,7 +96,7 @@ def _cad(context: Context, kit: "HardwareAssembly", solids: dict[str, Any]) -> d
         shape = kernel.solid(part.node)
         facts, volume = cad_facts(shape), float(solids[part.name].volume())
         difference = abs(volume / facts.volume_mm3 - 1.0)
-        if not facts.valid or difference > VOLUME_TOL:
+        if not facts.valid or difference > volume_tol:
             raise NumericalError(
                 f"the CAD of {part.name} is not sound: valid {facts.valid}, "
                 f"{facts.volume_mm3:.1f} mm³ against {volume:.1f} mm³ of the printed mesh; please "
@@ -109,7 +109,9 @@ def _cad(context: Context, kit: "HardwareAssembly", solids: dict[str, Any]) -> d
 def _write_step(
     context: Context, kit: "HardwareAssembly", shapes: dict[str, Any], folder: Path
 ) -> dict[str, Any]:
-    """Write each printed part and the assembly; say what that holds."""
+    """Write each printed part and the assembly; return what it contains."""
+    # From this tolerance on, the STEP assembly holds the whole shell and all switches.
+    whole_mm = 0.02
     from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodies, wall_body
     from phytac_design.solids.cad import write_assembly, write_step
 
@@ -118,7 +120,7 @@ def _write_step(
         if part.printed:
             path = export_path(folder, f"fixtures/{part.name}.step")
             write_step(shapes[part.name], path, name=part.name)
-    whole = context.accuracy.cad_tolerance_mm <= WHOLE_mm
+    whole = context.accuracy.cad_tolerance_mm <= whole_mm
     bodies = hardware_bodies(kit, shapes)
     if whole:
         context.progress("hardware: STEP of the whole sensor")

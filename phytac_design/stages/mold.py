@@ -1,11 +1,10 @@
 """Molds for the design's switches: plates or trays as STL, checked before they are written."""
 
-import csv
-import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
+from phytac_design.fabrication.bill import bill_part, csv_text
 from phytac_design.stages.switch import switches_of, without_switches
 
 if TYPE_CHECKING:
@@ -58,7 +57,7 @@ def run(context: Context, folder: Path) -> None:
         export_path(folder, file).write_bytes(data)
     export_path(folder, "mold/cavities.csv").write_text(_table(made, switches), encoding="utf-8")
     total = {key: sum(each[key] for each in poured) for key in poured[0]}
-    rules = rule_rows(made[0].sizes)
+    plates = [plate for each in sets for plate in each["plates"].values()]
     write_facts(
         folder,
         {
@@ -66,73 +65,66 @@ def run(context: Context, folder: Path) -> None:
             "sets": sets,
             "cavities": sum(each.plan.cavities for each in made),
             "pitch_mm": made[0].sizes.pitch_mm,
-            "largest_mm": max(max(p["size_mm"]) for each in sets for p in each["plates"].values()),
+            "largest_mm": max(max(plate["size_mm"]) for plate in plates),
             "poured_mm3": total,
-            "undercut_rays": sum(
-                p["undercut_rays"] for each in sets for p in each["plates"].values()
-            ),
-            "least_draft_deg": min(
-                p["least_draft_deg"] for each in sets for p in each["plates"].values()
-            ),
+            "undercut_rays": sum(plate["undercut_rays"] for plate in plates),
+            "least_draft_deg": min(plate["least_draft_deg"] for plate in plates),
             "shared_mm3": max(each["shared_mm3"] for each in sets),
             "volume_error": max(each["volume_error"] for each in sets),
             "hausdorff_mm": max(each["hausdorff_mm"] for each in sets),
-            "print_rules": rules,
+            "print_rules": rule_rows(made[0].sizes),
             "parts": _parts(sets, poured),
         },
     )
 
 
 def _table(made: "list[MoldSet]", switches: "SwitchSet") -> str:
-    """Where each kind's cavities are, as CSV."""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["set", "line", "first", "count", "label", "length_mm", "threshold_N"])
-    for each in made:
-        for item in each.plan.runs:
-            bowl, length = item.kind
-            table.writerow(
-                [
-                    each.plan.number,
-                    item.line + 1,
-                    item.start + 1,
-                    item.count,
-                    each.sizes.labels[item.kind],
-                    f"{switches.lengths_mm[length]:.1f}",
-                    f"{switches.threshold_N[bowl]:g}",
-                ]
-            )
-    return text.getvalue()
+    """CSV of the cavities of each kind of switch."""
+    rows = [
+        [
+            each.plan.number,
+            item.line + 1,
+            item.start + 1,
+            item.count,
+            each.sizes.labels[item.kind],
+            f"{switches.lengths_mm[item.kind[1]]:.1f}",
+            f"{switches.threshold_N[item.kind[0]]:g}",
+        ]
+        for each in made
+        for item in each.plan.runs
+    ]
+    columns = ("set", "line", "first", "count", "label", "length_mm", "threshold_N")
+    return csv_text(columns, rows)
 
 
 def _parts(sets: list[dict[str, Any]], poured: list[dict[str, float]]) -> list[dict[str, Any]]:
-    """Parts list: plates, silicone, and the rubber that runs over; the switches list themselves."""
-    found: list[dict[str, Any]] = []
-
-    def add(part: str, file: str, count: int, material: str, volume: float, note: str) -> None:
-        found.append(
-            {
-                "part": part,
-                "file": file,
-                "count": count,
-                "material": material,
-                "volume_mm3": volume,
-                "note": note,
-            }
-        )
-
+    """Parts list: plates, silicone, and surplus rubber; the bench lists the switches."""
+    found = []
     for facts, volumes in zip(sets, poured, strict=True):
         number = facts["set"]
         suffix = "" if len(sets) == 1 else f" {number}"
-        for name, plate in facts["plates"].items():
-            file = f"mold/{name}_{number}.stl"
-            add(f"{NAMES[name]}{suffix}", file, 1, "resin", plate["volume_mm3"], "printed once")
-        for half in ("dome", "core"):
-            if f"silicone_{half}" in volumes:
-                volume = volumes[f"silicone_{half}"]
-                add(f"mold, silicone {half} half{suffix}", "", 1, "silicone", volume, "cast")
+        found += [
+            bill_part(
+                f"{NAMES[name]}{suffix}",
+                file=f"mold/{name}_{number}.stl",
+                volume_mm3=plate["volume_mm3"],
+                note="printed once",
+            )
+            for name, plate in facts["plates"].items()
+        ]
+        found += [
+            bill_part(
+                f"mold, silicone {half} half{suffix}",
+                material="silicone",
+                volume_mm3=volumes[f"silicone_{half}"],
+                note="cast",
+            )
+            for half in ("dome", "core")
+            if f"silicone_{half}" in volumes
+        ]
         over = volumes["rubber"] - volumes["switches"]
-        add(f"rubber that runs over{suffix}", "", 1, "tpu", over, "each casting")
+        part = f"rubber that runs over{suffix}"
+        found.append(bill_part(part, material="tpu", volume_mm3=over, note="each casting"))
     return found
 
 

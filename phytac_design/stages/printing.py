@@ -1,4 +1,4 @@
-"""Every printed part against the printer's rules: where it breaks them, how to turn it, parts."""
+"""Print rules of every printed part: violations, orientation, and parting of a large shell."""
 
 import json
 from pathlib import Path
@@ -18,8 +18,8 @@ def run(context: Context, folder: Path) -> None:
     """Write ``shell/print_report.json`` and ``.svg``, and ``shell/shell_part_….stl`` if parted."""
     from phytac_design.fabrication.printing.check import check_body, check_shell
     from phytac_design.fabrication.printing.drawing import draw_report
-    from phytac_design.fabrication.printing.stl import read_stl
     from phytac_design.geometry.ray_tree import RayTree
+    from phytac_design.solids.mesh_export import read_stl
 
     design, rules = context.design, context.design.print_rules
     tolerance = context.accuracy.cad_tolerance_mm

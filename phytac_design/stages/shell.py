@@ -8,7 +8,7 @@ from phytac_shapes.errors import CadKernelError, MissingPartError, NumericalErro
 VOLUME_TOL = 1e-3
 """Largest relative difference of the two kernels' volumes that a build accepts."""
 FINE_mm = 0.005
-"""Chordal tolerance of the facets that are looked at again where those printed differ by more."""
+"""Chordal tolerance of the finer facets that are compared where the printed ones differ by more."""
 
 
 def run_shell(context: Context, folder: Path) -> None:
@@ -34,7 +34,7 @@ def run_step(context: Context, folder: Path) -> None:
     """Write ``shell/shell.step`` and compare its volume with the printed mesh.
 
     On a machine without the graphics libraries that CadQuery links, or where OpenCASCADE cannot
-    make the solid, the file is left out and the report says so; STL and 3MF need neither.
+    make the solid, the file is left out and the report gives the reason; STL and 3MF need neither.
     """
     from phytac_design.solids.cad import cad_facts, shell_cad, write_step
 
@@ -53,7 +53,7 @@ def run_step(context: Context, folder: Path) -> None:
         return
     difference = float(context.facts("shell")["volume_mm3"]) / facts.volume_mm3 - 1.0
     if not abs(difference) <= VOLUME_TOL:
-        _look_closer(context, facts.volume_mm3)
+        _compare_finer(context, facts.volume_mm3)
     write_step(solid, export_path(folder, "shell/shell.step"), name=context.design.name)
     write_facts(
         folder,
@@ -66,8 +66,8 @@ def run_step(context: Context, folder: Path) -> None:
     )
 
 
-def _look_closer(context: Context, step_mm3: float) -> None:
-    """Coarse facets differ by their own error: hold the volume against that of fine ones.
+def _compare_finer(context: Context, step_mm3: float) -> None:
+    """Compare the volume with that of finer facets: coarse ones differ by their own error.
 
     Raises
     ------

@@ -18,8 +18,8 @@ from phytac_design.fabrication.documents.recipe import make_recipe, recipe_steps
 from phytac_design.fabrication.switch_set import revolved_volume_mm3
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import make_markers
+from phytac_design.solids.mesh_export import read_stl
 from phytac_design.stages.build import copy_of
-from phytac_design.stages.documents import read_stl
 from phytac_shapes.errors import DesignError
 from tests.fabrication.bench_cases import ran, switches
 from tests.fabrication.cases import design, shipped

@@ -8,20 +8,13 @@ import pytest
 
 from phytac_design.design.spec import WallSection
 from phytac_design.layout import make_markers
-from phytac_design.solids.cad import (
-    STEP_DATE,
-    CadFacts,
-    cad_facts,
-    read_step,
-    shell_cad,
-    wall_cad,
-    write_step,
-)
+from phytac_design.solids.cad import STEP_DATE, CadFacts, cad_facts, shell_cad, wall_cad, write_step
 from phytac_design.solids.cad_spline import cells_for, spline_edge
 from phytac_design.solids.solid_mesh import shell_manifold
 from phytac_design.solids.step_surface import surface_from_step
 from phytac_design.solids.wall_mesh import wall_mesh
 from phytac_shapes.errors import DesignError, InputError, NumericalError, OutputError
+from tests.fabrication.cad_files import read_step
 from tests.fabrication.cases import FAMILIES, Barrel, built, design, family_design
 from tests.fabrication.walls import rims_mm3, steiner_mm3
 

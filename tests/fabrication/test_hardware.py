@@ -9,10 +9,8 @@ from phytac_design.fabrication.hardware.bodies import SHELL, SWITCHES, hardware_
 from phytac_design.fabrication.hardware.by_mesh import MeshKernel
 from phytac_design.fabrication.hardware.checks import (
     hidden_rays,
-    joined_mesh,
     light_leaks,
     meets,
-    meshes_of,
     sides_of_joint,
 )
 from phytac_design.fabrication.hardware.report import verdict
@@ -20,6 +18,7 @@ from phytac_design.fabrication.hardware.screws import SCREWS
 from phytac_design.fabrication.hardware.solid_nodes import Circle, Difference, Prism, Rod, Union
 from phytac_design.geometry.envelope import edge_mm
 from phytac_design.geometry.ray_tree import RayTree
+from phytac_design.geometry.triangles import merged
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.solids.mesh_facts import manifold_facts, trimesh_facts
 from phytac_design.solids.solid_mesh import to_triangles
@@ -55,8 +54,8 @@ def test_assemblies_pass_all_checks(name: str) -> None:
     assert found.pairs == len(solids(name)) * (len(solids(name)) - 1) // 2
     assert all(sides.agree for sides in found.sides)
     assert (found.uncovered, found.leaks, found.hidden) == (0, 0, 0)
-    assert min(found.looked, found.lines) > 1000
-    found.refuse()
+    assert min(found.rays, found.lines) > 1000
+    found.raise_failure()
 
 
 def test_a_collision_is_found_and_named() -> None:
@@ -66,7 +65,7 @@ def test_a_collision_is_found_and_named() -> None:
     # The bar's core is 2.4 mm thick and moves 1 mm into a gap of 0.4 mm around ø6 mm.
     assert found.meets_mm3["bar / connector"] > 0.1
     with pytest.raises(DesignError, match="collide"):
-        found.refuse()
+        found.raise_failure()
 
 
 def test_common_volumes_are_exact() -> None:
@@ -88,13 +87,13 @@ def test_a_screw_mismatch_is_found() -> None:
     other = replace(mount, node=Difference(body=mount.node, tools=wrong.holding()))
     made = replace(kit, parts=tuple(other if p is mount else p for p in kit.parts))
     bodies = solids("cylinder60") | hardware_solids(design, surface, made, tolerance_mm=0.05)
-    meshes = meshes_of({key: bodies[key] for key in ("mount", "cover")})
+    meshes = {key: to_triangles(bodies[key]) for key in ("mount", "cover")}
     sides = sides_of_joint(joint, meshes)
     assert (set(sides.passing), set(sides.holding)) == ({"M2"}, {"M2.5"})
     assert not sides.agree
     found = judged("cylinder60", bodies)
     with pytest.raises(DesignError, match=r"M2, the part that holds them for M2\.5"):
-        found.refuse()
+        found.raise_failure()
 
 
 @pytest.mark.parametrize("size", sorted(SCREWS))
@@ -115,7 +114,7 @@ def test_measured_holes_are_those_of_the_screw(size: str) -> None:
     kit = make_hardware(design, surface)
     bodies = hardware_solids(design, surface, kit, tolerance_mm=0.05)
     joint = next(joint for joint in kit.joints if joint.name == "camera")
-    sides = sides_of_joint(joint, meshes_of(bodies))
+    sides = sides_of_joint(joint, {name: to_triangles(body) for name, body in bodies.items()})
     assert set(sides.passing) == set(sides.holding) == {size}
     screw = SCREWS[size]
     assert joint.length_mm in screw.lengths_mm
@@ -132,7 +131,7 @@ def test_a_hole_to_the_outside_leaks_light() -> None:
     found = judged(name, solids(name) | {"mount": open_mount})
     assert found.leaks > 0
     with pytest.raises(DesignError, match="light gets into"):
-        found.refuse()
+        found.raise_failure()
 
 
 def test_a_leak_is_as_large_as_its_solid_angle() -> None:
@@ -159,7 +158,7 @@ def test_a_body_before_the_markers_is_found() -> None:
     found = judged(name, solids(name) | {"mount": held})
     assert found.hidden > 0
     with pytest.raises(DesignError, match="hides markers"):
-        replace(found, meets_mm3={}, leaks=0).refuse()
+        replace(found, meets_mm3={}, leaks=0).raise_failure()
 
 
 def test_the_bar_that_the_scene_knows_does_not_count_as_hiding() -> None:
@@ -168,7 +167,7 @@ def test_the_bar_that_the_scene_knows_does_not_count_as_hiding() -> None:
         update={"light": design.light.model_copy(update={"bar_radius_mm": 2.0})}
     )
     cameras = list(cameras_of(design, surface))
-    bar = joined_mesh([to_triangles(solids("cylinder60")["bar"])])
+    bar = to_triangles(solids("cylinder60")["bar"])
     assert hidden_rays(design, surface, markers, cameras, bar)[0] == 0
     # A scene with a thinner bar than the printed one would be wrong, and is found out.
     flat = Rod(start_mm=(0.0, 0.0, 5.0), end_mm=(0.0, 0.0, 120.0), radius_mm=6.0)
@@ -192,7 +191,7 @@ def test_the_camera_sees_the_whole_edge(name: str) -> None:
     design, surface, _, kit = case(name)
     (camera,) = cameras_of(design, surface)
     parts = [p.name for p in kit.parts if not p.name.startswith(("camera", "bar", "light_strip"))]
-    tree = RayTree(joined_mesh([to_triangles(solids(name)[part]) for part in parts]))
+    tree = RayTree(merged([to_triangles(solids(name)[part]) for part in parts]))
     line = edge_mm(surface, 0, -design.wall.thickness_mm) - camera.position_mm
     length = np.linalg.norm(line, axis=1)
     start = np.broadcast_to(camera.position_mm, line.shape)

@@ -31,7 +31,7 @@ def made(design: Design) -> tuple[Any, dict[str, Any]]:
     hardware = hardware_solids(design, surface, kit, tolerance_mm=0.05)
     cameras = list(cameras_of(design, surface))
     found = verdict(design, surface, markers, bowls, cameras, kit, sensor | hardware)
-    found.refuse()
+    found.raise_failure()
     assert all(manifold_facts(body).bodies == 1 for body in hardware.values())
     return kit, hardware
 

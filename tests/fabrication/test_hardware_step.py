@@ -26,9 +26,10 @@ from phytac_design.fabrication.hardware.solid_nodes import (
 )
 from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodies
 from phytac_design.layout import make_markers
-from phytac_design.solids.cad import cad_facts, read_assembly, read_step, write_assembly
+from phytac_design.solids.cad import cad_facts, write_assembly
 from phytac_design.stages.hardware import HARDWARE
 from phytac_shapes.errors import OutputError
+from tests.fabrication.cad_files import read_assembly, read_step
 from tests.fabrication.cases import design
 from tests.fabrication.hardware_cases import case, changed, context, solids, switches
 

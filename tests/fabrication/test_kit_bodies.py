@@ -13,7 +13,6 @@ from pydantic import ValidationError
 from phytac_design.design.documents_table import KitSection
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.calibration_rig.bodies import CalibrationKit, kit_bodies, kit_parts
-from phytac_design.fabrication.calibration_rig.clean import NEEDLE_mm, clean
 from phytac_design.fabrication.calibration_rig.grippers import jaw, palm_radius_mm
 from phytac_design.fabrication.calibration_rig.guide import guide_text
 from phytac_design.fabrication.calibration_rig.offset_surface import OffsetSurface
@@ -23,7 +22,7 @@ from phytac_design.fabrication.calibration_rig.tool_solids import bolt_places, t
 from phytac_design.geometry.triangles import TriangleMesh, prisms
 from phytac_design.solids.mesh_export import write_stl
 from phytac_design.solids.mesh_facts import manifold_facts, trimesh_facts
-from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
+from phytac_design.solids.solid_mesh import shell_manifold, stl_triangles, to_manifold, to_triangles
 from phytac_design.solids.wall_mesh import wall_mesh
 from phytac_design.stages.build import copy_of
 from phytac_shapes.arrays import FloatArray
@@ -79,7 +78,7 @@ def test_every_piece_is_one_sound_solid(name: str) -> None:
 def test_admesh_finds_nothing_to_repair(name: str, tmp_path: Path) -> None:
     for piece in kit_of(name)[1].pieces:
         path = tmp_path / f"{piece.name}.stl"
-        write_stl(clean(to_triangles(piece.body)), path)
+        write_stl(stl_triangles(piece.body), path)
         out = subprocess.run(["admesh", str(path)], capture_output=True, text=True, check=True)
         fields = dict(k.split(":", 1) for k in out.stdout.splitlines() if ":" in k)
         for row in ("Degenerate facets", "Edges fixed", "Facets removed", "Normals fixed"):
@@ -89,7 +88,7 @@ def test_admesh_finds_nothing_to_repair(name: str, tmp_path: Path) -> None:
 
 def test_cleaning_keeps_the_solid_and_leaves_no_needle() -> None:
     body = body_of("patch", "plate_1")
-    rough, smooth = to_triangles(body), clean(to_triangles(body))
+    rough, smooth = to_triangles(body), stl_triangles(body)
 
     def least(mesh: TriangleMesh) -> float:
         a, b, c = np.moveaxis(mesh.corners_mm.astype(np.float32).astype(np.float64), 1, 0)
@@ -98,7 +97,7 @@ def test_cleaning_keeps_the_solid_and_leaves_no_needle() -> None:
             (np.linalg.norm(np.cross(b - a, c - a), axis=1) / np.maximum(long, 1e-9)).min()
         )
 
-    assert least(rough) < NEEDLE_mm <= least(smooth)
+    assert least(rough) < 2e-5 <= least(smooth)
     facts = trimesh_facts(smooth)
     assert (facts.watertight, facts.bodies) == (True, 1)
     assert facts.volume_mm3 == pytest.approx(rough.volume_mm3, rel=1e-6)
@@ -184,9 +183,10 @@ def test_three_load_cells_stand_between_jaw_and_indenters() -> None:
     regions, kit = kit_of("cylinder60")
     found = jaw(design, surface, markers, regions, TOL_mm)
     assert found is not None
-    ids = list(found.markers)
+    jaw_body, pressed = found
+    ids = list(pressed)
     frames, foot = frames_at(surface, markers.uv[ids]), surface.point(markers.uv[ids])
-    body = placed(found.body, frames[0], foot[0])
+    body = placed(jaw_body, frames[0], foot[0])
     cells = [(frame, at, k) for k, (frame, at) in enumerate(zip(frames, foot, strict=True))]
     height = tool_height_mm(design.kit)
     others = []

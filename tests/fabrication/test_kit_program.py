@@ -12,13 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.document_measurements import Move, in_sensor, read_gcode, tool_axis, tool_x
 from phytac_design.design.design_file import to_toml
-from phytac_design.fabrication.calibration_rig.log import (
-    Log,
-    check_steps,
-    log_head,
-    log_text,
-    read_log,
-)
+from phytac_design.fabrication.calibration_rig.log import NOTE, log_head
 from phytac_design.fabrication.calibration_rig.program import (
     Program,
     gcode,
@@ -34,7 +28,6 @@ from phytac_design.mechanics.calibration.measurements import Measurements, read_
 from phytac_design.mechanics.calibration.probe_response import ProbeResponse
 from phytac_design.mechanics.shell.receptor_stiffness import receptor_stiffness
 from phytac_design.stages.build import copy_of
-from phytac_shapes.errors import InputError
 from tests.designs import small
 from tests.fabrication.cases import built, shipped
 from tests.test_cli import phytac
@@ -188,16 +181,11 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     per_N = part(wall, design.material.poisson, False).value / E_MPa
     rng = np.random.default_rng(0)
     force = travel / per_N * (1.0 + NOISE * rng.standard_normal(len(travel)))
-    log = Log(
-        step=number.astype(np.int64),
-        frame=np.arange(100, 100 + len(number)),
-        time_s=2.5 * np.arange(len(number)),
-        marker=program.marker[region],
-        radius_mm=radius,
-        force_N=force,
-        displacement_mm=travel,
-    )
-    text = log_text(log, name=design.name, note="made up for a test; no rig wrote this")
+    text = "# made up for a test; no rig wrote this\n" + log_head(design.name)
+    columns = (number, program.marker[region], radius, force, travel)
+    for step, marker, r, f, d in zip(*(values.tolist() for values in columns), strict=True):
+        text += f"# step {step}, frame {100 + step}, {2.5 * step:.3f} s\n"
+        text += f"{marker},{r:.9g},{f:.9g},{d:.9g}\n"
     (folder / "log.csv").write_text(text, encoding="utf-8")
     return folder
 
@@ -209,74 +197,18 @@ def test_calibrate_reads_a_log_as_it_is(rig: Path) -> None:
     fit = json.loads(out.stdout)
     assert fit["value"]["modulus"] == pytest.approx(E_MPa, rel=0.02)
     assert fit["low"]["modulus"] < E_MPa < fit["high"]["modulus"]
-    assert fit["rows"] == len(read_log(rig / "log.csv").step)
+    assert fit["rows"] == (rig / "log.csv").read_text().count("\n# step ")
 
 
-def test_a_log_comes_back_with_its_frames(rig: Path) -> None:
-    log = read_log(rig / "log.csv")
-    assert "made up" in (rig / "log.csv").read_text().splitlines()[0]
-    assert log.frame.tolist() == list(range(100, 100 + len(log.step)))
-    assert log.time_s == pytest.approx(2.5 * np.arange(len(log.step)))
+def test_the_steps_of_a_log_are_those_of_the_program(rig: Path) -> None:
+    lines = (rig / "log.csv").read_text().splitlines()
+    notes = [NOTE.match(line) for line in lines]
+    step = [int(note[1]) for note in notes if note]
+    frame = [int(note[2]) for note in notes if note]
+    assert frame == list(range(100, 100 + len(step)))
     design = small(layout={"rows": 8, "columns": 8, "height_far_mm": 6.0}, kit={"shell_steps": 2})
     made = built(design)
     program = make_program(*made, make_regions(*made))
-    check_steps(log, program, made[2].count)
     marker = {n: int(program.marker[k]) for n, _, k, _ in steps_of(program)}
-    assert [marker[n] for n in log.step.tolist()] == log.marker.tolist()
-    again = log_text(log, name="small")
-    assert again.splitlines()[-1] == (rig / "log.csv").read_text().splitlines()[-1]
     rows = read_measurements(rig / "log.csv", made[1], made[2], wall_mm=design.wall.thickness_mm)
-    assert rows.force_N == pytest.approx(log.force_N)
-    assert rows.contact_uv == pytest.approx(made[2].uv[log.marker])
-    other = built(shipped("hemisphere"))
-    few = make_program(*other, make_regions(*other))
-    late = Log(**{**vars(log), "step": log.step + 84 * 12})
-    with pytest.raises(InputError, match="of this design"):
-        check_steps(late, few, other[2].count)
-
-
-def test_three_readings_of_one_frame(tmp_path: Path) -> None:
-    path = tmp_path / "log.csv"
-    body = (
-        "# step 3, frame 7, 1.5 s\n4,4,0.5,0.01\n9,4,0.6,0.02\n# step 4, frame 8, 2 s\n1,4,1,0.03\n"
-    )
-    path.write_text(log_head("x") + body, encoding="utf-8")
-    log = read_log(path)
-    assert log.step.tolist() == [3, 3, 4]
-    assert log.frame.tolist() == [7, 7, 8]
-    assert log.marker.tolist() == [4, 9, 1]
-    assert log.force_N == pytest.approx([0.5, 0.6, 1.0])
-    swapped = body.replace("4,4,0.5,0.01", "0.5,4,4,0.01")
-    named = log_head("x").replace(
-        "contact_marker,patch_radius_mm,force_N", "force_N,patch_radius_mm,contact_marker"
-    )
-    path.write_text(named + swapped.split("\n9,")[0] + "\n", encoding="utf-8")
-    assert read_log(path).force_N == pytest.approx([0.5])
-
-
-@pytest.mark.parametrize(
-    ("text", "match"),
-    [
-        ("", "no readings"),
-        (log_head("x"), "no readings"),
-        (log_head("x") + "4,4,0.5,0.01\n", "line 4: no line '# step"),
-        ("marker,force_N\n", "line 1: a log has the columns contact_marker"),
-        (log_head("x") + "# step 1, frame 2, 3 s\n4,4,0.5\n", "line 5: 4 numbers"),
-        (log_head("x") + "# step 1, frame 2, 3 s\n4,4,nan,0\n", "line 5: the marker must"),
-        (log_head("x") + "# step 1, frame 2, 3 s\n4.5,4,1,0\n", "line 5: the marker must"),
-        (log_head("x") + "# step 1, frame 2, 3 s\n-1,4,1,0\n", "line 5: the marker must"),
-    ],
-)
-def test_bad_logs_name_the_line(text: str, match: str, tmp_path: Path) -> None:
-    path = tmp_path / "log.csv"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=match):
-        read_log(path)
-
-
-def test_missing_and_binary_logs(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="check the path"):
-        read_log(tmp_path / "none.csv")
-    (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(InputError, match="not even text"):
-        read_log(tmp_path / "b.csv")
+    assert rows.contact_uv == pytest.approx(made[2].uv[[marker[n] for n in step]])

@@ -11,11 +11,10 @@ from phytac_design.fabrication.printing.check import check_body, check_shell
 from phytac_design.fabrication.printing.drawing import draw_report
 from phytac_design.fabrication.printing.overhang import overhangs, stand, suggest
 from phytac_design.fabrication.printing.receptors import check_receptors
-from phytac_design.fabrication.printing.stl import read_stl
 from phytac_design.fabrication.printing.violations import Violation
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import TriangleMesh, prisms
-from phytac_design.solids.mesh_export import write_stl
+from phytac_design.solids.mesh_export import read_stl, write_stl
 from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
 from phytac_shapes.errors import OutputError
 from tests.fabrication.cases import built, design, shipped

@@ -16,9 +16,9 @@ from phytac_design.engine.stage import Context
 from phytac_design.fabrication.printing.cuts import gaps, plan_cuts, receptor_spans
 from phytac_design.fabrication.printing.overhang import suggest
 from phytac_design.fabrication.printing.parting import key_sizes, part_shell
-from phytac_design.fabrication.printing.stl import read_stl
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import prisms
+from phytac_design.solids.mesh_export import read_stl
 from phytac_design.solids.mesh_facts import trimesh_facts
 from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
 from phytac_design.stages.printing import OTHERS, run

@@ -19,7 +19,6 @@ from phytac_design.design.design_file import load_design
 from phytac_design.design.fixture_files import read_stl
 from phytac_design.design.positions import read_positions
 from phytac_design.design.scene import load_scene
-from phytac_design.fabrication.calibration_rig.log import read_log
 from phytac_design.mechanics.switch.material_fit import read_test
 from phytac_design.report.builds import read_builds
 from phytac_design.simulation.rig_import.log import RowProblems, read_rig_log
@@ -40,7 +39,6 @@ READ: dict[str, Callable[[Path], Any]] = {
     "positions": read_positions,
     "body": read_stl,
     "lens": read_lens,
-    "log": read_log,
     "rig log": lambda path: read_rig_log(path, RowProblems(where="x")),
     "tensile test": read_test,
     "regions": lambda path: load_regions(path, np.zeros((3, 3))),
@@ -239,16 +237,6 @@ def test_json_with_a_hundred_thousand_levels(tmp_path: Path) -> None:
     ):
         (tmp_path / name).write_text(deep)
         refused(read)
-
-
-@pytest.mark.parametrize("note", ["4.2--3", "e", "1e999", "+"])
-def test_seconds_in_a_log_that_are_no_number(note: str, tmp_path: Path) -> None:
-    path = tmp_path / "x.csv"
-    path.write_text(
-        "contact_marker,patch_radius_mm,force_N,displacement_mm\n"
-        f"# step 1, frame 2, {note} s\n1,2,3,4\n"
-    )
-    assert "line 2" in refused(lambda: read_log(path))
 
 
 def test_many_problems_make_a_short_message(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from phytac_design.design.design_file import load_design
-from phytac_design.fabrication.calibration_rig.log import Log, log_text
+from phytac_design.fabrication.calibration_rig.log import log_head
 from phytac_design.layout import make_markers
 from phytac_design.simulation.indenters import INDENTERS, Touches
 from phytac_design.simulation.rig_import.contacts import contacts_of, sequences_of
@@ -233,16 +233,12 @@ def test_presses_in_a_row_belong_together(tmp_path: Path) -> None:
 
 
 def test_the_log_of_the_bench(tmp_path: Path) -> None:
-    log = Log(
-        step=np.array([0, 1, 1]),
-        frame=np.array([10, 11, 11]),
-        time_s=np.array([1.5, 2.5, 2.5]),
-        marker=np.array([3, 4, 20]),
-        radius_mm=np.full(3, 4.0),
-        force_N=np.array([1.0, 2.0, 3.0]),
-        displacement_mm=np.zeros(3),
+    text = (
+        log_head("rig")
+        + "# step 0, frame 10, 1.500 s\n3,4,1,0\n"
+        + "# step 1, frame 11, 2.500 s\n4,4,2,0\n20,4,3,0\n"
     )
-    (tmp_path / "bench.csv").write_text(log_text(log, name="rig"))
+    (tmp_path / "bench.csv").write_text(text)
     problems = RowProblems(where="log")
     got = read_rig_log(tmp_path / "bench.csv", problems)
     assert problems.found == []

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from phytac_design.design.spec import Design
+from phytac_design.fabrication.bill import bill_part
 from phytac_design.fabrication.calibration_rig.grippers import jaw, palm
 from phytac_design.fabrication.calibration_rig.jigs import collar, has_rims, hole_plates, is_tube
 from phytac_design.fabrication.calibration_rig.regions import Regions
@@ -31,7 +32,7 @@ class Piece:
     note : str
         What it is for.
     markers : tuple of int
-        Regions that it is for; () where that is not the question.
+        Regions that it is for; () if it is for all.
     """
 
     name: str
@@ -103,10 +104,9 @@ def kit_bodies(
             "no three regions whose load cells stand side by side have nearly the same normal"
         )
     else:
+        body, pressed = three
         note = "three load cells with indenter_1"
-        pieces.append(
-            Piece(name="gripper_three", body=three.body, note=note, markers=three.markers)
-        )
+        pieces.append(Piece(name="gripper_three", body=body, note=note, markers=pressed))
     if not is_tube(surface):
         try:
             plates = hole_plates(design, surface, markers, regions, bowl_mm, tol)
@@ -126,22 +126,20 @@ def kit_bodies(
 
 def kit_parts(design: Design, kit: CalibrationKit) -> list[dict[str, Any]]:
     """Parts list of the kit, for the bill of materials."""
-    made: list[dict[str, Any]] = [
-        {
-            "part": f"kit: {piece.name}",
-            "file": f"kit/{piece.name}.stl",
-            "count": piece.count,
-            "material": "resin",
-            "volume_mm3": float(piece.body.volume()),
-            "note": piece.note,
-        }
+    made = [
+        bill_part(
+            f"kit: {piece.name}",
+            file=f"kit/{piece.name}.stl",
+            count=piece.count,
+            volume_mm3=float(piece.body.volume()),
+            note=piece.note,
+        )
         for piece in kit.pieces
     ]
-    bought = {"file": "", "volume_mm3": 0.0, "count": kit.cells}
     screws = 2 * design.kit.cell_bolts * kit.cells
     size = f"for {design.kit.cell_bolt_hole_mm:g} mm holes"
     return [
         *made,
-        {"part": "kit: load cell", "material": "electronics", "note": "0 to 50 N", **bought},
-        {**bought, "part": "kit: screws", "material": "steel", "note": size, "count": screws},
+        bill_part("kit: load cell", count=kit.cells, material="electronics", note="0 to 50 N"),
+        bill_part("kit: screws", count=screws, material="steel", note=size),
     ]

@@ -3,7 +3,6 @@
 In the frame of the middle region, as the indenters.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,39 +18,17 @@ from phytac_design.fabrication.calibration_rig.tool_solids import (
     LIP_mm,
     OVER_mm,
     bolt_places,
-    box,
     fitted_indenter,
     rig_places,
     rod,
     tool_height_mm,
 )
 from phytac_design.layout import Markers
+from phytac_design.solids.solid_mesh import box
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
-PALM_SHARE = 2.0
-"""Radius of the palm over that of the largest patch."""
-CURVED_SHARE = 0.6
-"""Largest radius of the palm over the surface's radius of curvature."""
-LEAN_MAX_deg = 10.0
-"""Normals of a jaw's regions may differ by this much from the middle one."""
 WALL_mm = 1.5
-
-
-@dataclass(frozen=True, kw_only=True)
-class Jaw:
-    """A jaw with three seats.
-
-    Attributes
-    ----------
-    body : manifold3d.Manifold
-        The jaw, in the middle region's frame.
-    markers : tuple of int
-        Regions that its indenters press, the middle one first.
-    """
-
-    body: Any
-    markers: tuple[int, ...]
 
 
 def middle_marker(design: Design, surface: Surface, markers: Markers) -> int:
@@ -65,11 +42,13 @@ def middle_marker(design: Design, surface: Surface, markers: Markers) -> int:
 
 def palm_radius_mm(design: Design, surface: Surface, markers: Markers, marker: int) -> float:
     """Radius of the palm's face at a marker: as large as curvature and rims let it be."""
+    curved_share = 0.6  # largest radius of the palm over the surface's radius of curvature
+    palm_share = 2.0  # radius of the palm over that of the largest patch
     uv = markers.uv[[marker]]
     room = float(clear_mm(design, surface, uv)[0]) - design.kit.clearance_mm
     reach = float(surface.reach_mm(uv)[0])
-    wanted = PALM_SHARE * design.training.patch_radius_max_mm
-    return float(min(wanted, room, CURVED_SHARE * reach))
+    wanted = palm_share * design.training.patch_radius_max_mm
+    return float(min(wanted, room, curved_share * reach))
 
 
 def palm(design: Design, surface: Surface, markers: Markers, tolerance_mm: float) -> Any:
@@ -86,8 +65,9 @@ def three_markers(
 ) -> tuple[int, ...]:
     """Three regions that one jaw can press at once, the middle one first; () if there are none.
 
-    Their load cells must stand side by side and their normals within ``LEAN_MAX_deg``.
+    Their load cells must stand side by side and their normals within ``lean_max_deg``.
     """
+    lean_max_deg = 10.0  # normals of a jaw's regions may differ by this much from the middle one
     if not regions.faces:
         return ()
     points, normal = surface.point(markers.uv), markers.normal
@@ -97,7 +77,7 @@ def three_markers(
     fits = clear_mm(design, surface, markers.uv) >= wide
     away = points - points[middle]
     far = np.linalg.norm(away, axis=1)
-    lean = normal @ normal[middle] >= np.cos(np.radians(LEAN_MAX_deg))
+    lean = normal @ normal[middle] >= np.cos(np.radians(lean_max_deg))
     near = np.flatnonzero(fits & lean & (far >= room))
     best: tuple[float, tuple[int, ...]] = (np.inf, ())
     for one in near[np.argsort(far[near], kind="stable")][:60].tolist():
@@ -111,8 +91,16 @@ def three_markers(
 
 def jaw(
     design: Design, surface: Surface, markers: Markers, regions: Regions, tolerance_mm: float
-) -> Jaw | None:
-    """Jaw with seats for three load cells with fitted indenters; None if no three fit."""
+) -> tuple[Any, tuple[int, ...]] | None:
+    """Jaw with seats for three load cells with fitted indenters; None if no three fit.
+
+    Returns
+    -------
+    body : manifold3d.Manifold
+        The jaw, in the frame of the middle region.
+    markers : tuple of int
+        Regions that its indenters press, the middle one first.
+    """
     chosen = three_markers(design, surface, markers, regions)
     if not chosen:
         return None
@@ -149,7 +137,7 @@ def jaw(
     rig: FloatArray = np.column_stack([rig_places(kit), np.full(4, -OVER_mm)])
     rise = np.array([0.0, 0.0, slab + kit.seat_mm + 2.0 * OVER_mm])
     body = body - rod(rig, rig + rise, 0.5 * kit.rig_bolt_hole_mm, tolerance_mm)
-    return Jaw(body=body, markers=chosen)
+    return body, chosen
 
 
 def _rig_fits(design: Design, seat: FloatArray) -> bool:

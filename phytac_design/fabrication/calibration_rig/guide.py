@@ -1,4 +1,4 @@
-"""The kit's README: what each piece is for, how the machine stands, what the rig must log."""
+"""README of the calibration rig: purpose of each piece, machine frame, log format."""
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.calibration_rig.bodies import CalibrationKit
@@ -6,12 +6,11 @@ from phytac_design.fabrication.calibration_rig.program import Program
 from phytac_design.fabrication.calibration_rig.regions import Regions
 from phytac_design.layout import Markers
 
-SHOWN = 12
-
 
 def _named(markers: Markers, ids: tuple[int, ...]) -> str:
-    names = [markers.name(k) for k in ids[:SHOWN]]
-    more = f" … {len(ids)} in all" if len(ids) > SHOWN else ""
+    shown = 12
+    names = [markers.name(k) for k in ids[:shown]]
+    more = f" … {len(ids)} in all" if len(ids) > shown else ""
     return ", ".join(names) + more
 
 
@@ -78,7 +77,7 @@ def guide_text(
         "## Log",
         "",
         (
-            "Go on from `calibration_log.csv`. For every step a comment line with the step (Q), "
+            "Append to `calibration_log.csv`. For every step a comment line with the step (Q), "
             "the camera's frame and the time, then a line with the region, the face's radius, "
             "the load cell's force and the travel since the touch; with gripper_three three lines:"
         ),

@@ -16,24 +16,10 @@ from phytac_design.solids.wall_mesh import wall_mesh
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 
-COLLAR_mm = 8.0
-"""Width of the collar around the rim."""
-STOP_mm = 2.0
-"""Thickness of the ledge that the rim stands on."""
 NOTCH_mm, FIRST_mm = 1.0, 1.6
 """Radius of the notches; column 0 has the wider one."""
 PLATE_mm = 3.0
 """Thickness of a hole plate."""
-BRIDGE_mm = 1.2
-"""Least material between two holes of a plate."""
-LIP_mm = 2.0
-ABOVE_mm = 0.4
-"""Gap between a plate and the bowls below it."""
-REST_mm = 0.05
-"""Play of a plate on the rims."""
-PAST_mm = 0.15
-"""How far room for the bowls reaches past the ends of the sensing surface."""
-AROUND = 360
 
 
 def is_tube(surface: Surface) -> bool:
@@ -47,13 +33,14 @@ def has_rims(design: Design) -> bool:
 
 
 def _outline(surface: Surface, offset_mm: float, extensions: tuple[float, ...]) -> FloatArray:
-    """Largest section (AROUND, 2) of the near rim square to the axis, at an offset."""
+    """Largest section (around, 2) of the near rim square to the axis, at an offset."""
+    around = 360
     (u0, _), (v0, v1) = surface.domain
-    v = np.linspace(v0, v1, 4 * AROUND, endpoint=False)
+    v = np.linspace(v0, v1, 4 * around, endpoint=False)
     uv = np.column_stack([np.full(len(v), u0), v])
     out, base = conormals(surface, uv, 0, 0), surface.point(uv, offset_mm)
-    angle = 2.0 * np.pi * np.arange(AROUND) / AROUND
-    reach = np.zeros(AROUND)
+    angle = 2.0 * np.pi * np.arange(around) / around
+    reach = np.zeros(around)
     for extension in extensions:
         x, y, _ = (base + extension * out).T
         own = np.argsort(np.arctan2(y, x))
@@ -78,24 +65,26 @@ def collar(design: Design, surface: Surface, markers: Markers, tolerance_mm: flo
 
     The rim stands on a ledge; column 0 has the wider notch. In the sensor's frame.
     """
+    stop_mm = 2.0  # thickness of the ledge that the rim stands on
+    collar_mm = 8.0  # width of the collar around the rim
     wall, gap = design.wall, design.kit.clearance_mm
     ends = (0.0, wall.rim_length_mm)
     inner = _outline(surface, wall.rim_flange_mm + gap, ends)
     ledge = _outline(surface, -0.5 * wall.thickness_mm, ends)
-    radius = float(np.linalg.norm(inner, axis=1).max()) + COLLAR_mm
+    radius = float(np.linalg.norm(inner, axis=1).max()) + collar_mm
     outer = inner / np.linalg.norm(inner, axis=1, keepdims=True) * radius
     (u0, _), (v0, _) = surface.domain
     corner = np.array([[u0, v0]])
     way = wall.rim_length_mm * conormals(surface, corner, 0, 0)
     sides = [surface.point(corner, at)[0, 2] for at in (-wall.thickness_mm, wall.rim_flange_mm)]
     foot, top = float(min(sides) + way[0, 2]), float(sides[1])
-    body = _ring(inner, outer, foot - STOP_mm, top) + _ring(ledge, outer, foot - STOP_mm, foot)
+    body = _ring(inner, outer, foot - stop_mm, top) + _ring(ledge, outer, foot - stop_mm, foot)
     first = np.flatnonzero(markers.row == markers.row.min())
     points = surface.point(markers.uv[first])
     angle = np.arctan2(points[:, 1], points[:, 0])
     at = radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    start = np.column_stack([at, np.full(len(at), foot - STOP_mm - OVER_mm)])
-    up = np.array([0.0, 0.0, top - foot + STOP_mm + 2.0 * OVER_mm])
+    start = np.column_stack([at, np.full(len(at), foot - stop_mm - OVER_mm)])
+    up = np.array([0.0, 0.0, top - foot + stop_mm + 2.0 * OVER_mm])
     wide = markers.column[first] == markers.column[first].min()
     for own, size in ((~wide, NOTCH_mm), (wide, FIRST_mm)):
         if own.any():
@@ -107,12 +96,13 @@ def plate_sets(
     surface: Surface, markers: Markers, regions: Regions, gap_mm: float
 ) -> list[IntArray]:
     """Regions (indices) that share a hole plate: as few plates as keep holes apart."""
+    bridge_mm = 1.2  # least material between two holes of a plate
     if len(regions.marker) == 0:
         return []
     points = surface.point(markers.uv[regions.marker])
     radius = np.array([face.radius_mm for face in regions.faces])[regions.face] + gap_mm
     apart = np.linalg.norm(points[:, None] - points[None], axis=2)
-    close = apart < radius[:, None] + radius[None] + BRIDGE_mm
+    close = apart < radius[:, None] + radius[None] + bridge_mm
     np.fill_diagonal(close, False)
     colour = np.full(len(points), -1)
     for k in np.argsort(-close.sum(axis=1), kind="stable"):
@@ -155,10 +145,14 @@ def hole_plates(
 
 
 def _lift_mm(design: Design, bowl_mm: float) -> float:
-    return max(bowl_mm, design.wall.rim_flange_mm) + ABOVE_mm
+    above_mm = 0.4  # gap between a plate and the bowls below it
+    return max(bowl_mm, design.wall.rim_flange_mm) + above_mm
 
 
 def _blank(design: Design, surface: Surface, bowl_mm: float, tolerance_mm: float) -> Any:
+    past_mm = 0.15  # how far room for the bowls reaches past the ends of the sensing surface
+    rest_mm = 0.05  # play of a plate on the rims
+    lip_mm = 2.0
     wall, gap = design.wall, design.kit.clearance_mm
     lift = _lift_mm(design, bowl_mm)
     flange = wall.rim_flange_mm if has_rims(design) else 0.0
@@ -170,9 +164,9 @@ def _blank(design: Design, surface: Surface, bowl_mm: float, tolerance_mm: float
         return to_manifold(wall_mesh(lifted, section, tolerance_mm=tolerance_mm))
 
     # A little beyond the ends: sides on lines of the other solids would leave slivers.
-    over = slab(-OVER_mm - wall.thickness_mm, lift, PAST_mm)
+    over = slab(-OVER_mm - wall.thickness_mm, lift, past_mm)
     if any(surface.poles):
         whole = slab(0.0, lift + PLATE_mm, rim)
         return whole - over - slab(-OVER_mm - wall.thickness_mm, flange + gap, rim + OVER_mm)
-    whole = slab(-wall.thickness_mm, lift + PLATE_mm, rim + gap + LIP_mm)
-    return whole - over - slab(-OVER_mm - wall.thickness_mm, flange + REST_mm, rim + gap)
+    whole = slab(-wall.thickness_mm, lift + PLATE_mm, rim + gap + lip_mm)
+    return whole - over - slab(-OVER_mm - wall.thickness_mm, flange + rest_mm, rim + gap)

@@ -1,4 +1,4 @@
-"""A surface at a distance outside another: what guides that lie over a sensor are made from."""
+"""Offset surface, from which the jigs that lie over a sensor are made."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ class OffsetSurface(Surface):
         return out
 
     def chart(self, points_mm: FloatArray) -> FloatArray:
-        """Feet on the base: normals are shared."""
+        """Chart positions of the base: normals are shared."""
         return self.base.chart(points_mm)
 
     def unwrap(self, uv: FloatArray) -> FloatArray:

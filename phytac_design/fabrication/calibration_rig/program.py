@@ -9,8 +9,6 @@ origin is the sensor's, in the middle of its near rim. X, Y, Z is the middle of 
 A turns the tool about its own axis: its notch, which marks u, points along (0, sin A, cos A).
 """
 
-import csv
-import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -18,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from phytac_design.design.spec import Design
+from phytac_design.fabrication.bill import csv_text
 from phytac_design.fabrication.calibration_rig.regions import Regions, frames_at
 from phytac_design.layout import Markers
 from phytac_design.mechanics.calibration.calibration import MAX_DISPLACEMENT_OVER_WALL
@@ -25,16 +24,11 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 
 ProgramRun = Literal["shell", "decoder"]
-SHELL_SHARE = 0.9
-"""Largest displacement of the shell's run over the largest that calibration accepts."""
 COLUMNS = (
     "step", "run", "region", "row", "column", "tool", "patch_radius_mm", "target_force_N",
     "target_displacement_mm", "x_mm", "y_mm", "z_mm", "nx", "ny", "nz",
     "X_mm", "Y_mm", "Z_mm", "A_deg", "B_deg", "C_deg",
 )  # fmt: skip
-TIP_SMALL = 1e-9
-ACTION = {"decoder": "M100", "shell": "M101"}
-"""What logs a step: M100 holds a force first, M101 takes the position as it is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,10 +90,13 @@ def make_program(
     bowl_mm: float = 0.0,
 ) -> Program:
     """Steps at all regions; ``bowl_mm`` is how far the switches stand out of the wall."""
+    tip_small = 1e-9
+    # Largest displacement of the shell's run over the largest that calibration accepts.
+    shell_share = 0.9
     kit, training = design.kit, design.training
     point, normal = surface.point(markers.uv[regions.marker]), markers.normal[regions.marker]
     across = np.hypot(normal[:, 0], normal[:, 1])
-    upright = across < TIP_SMALL
+    upright = across < tip_small
     angle = np.where(upright, 0.0, np.arctan2(normal[:, 1], np.where(upright, 1.0, normal[:, 0])))
     tip = np.arctan2(normal[:, 2], across)
     turn = np.mod(-angle, 2.0 * np.pi)
@@ -107,7 +104,7 @@ def make_program(
     reach = float(np.linalg.norm(np.abs(surface.bounds_mm()).max(axis=0)))
     reach += design.wall.rim_length_mm + design.wall.rim_flange_mm
     steps = np.geomspace(training.force_max_N, training.force_min_N, kit.force_steps)[::-1]
-    most = SHELL_SHARE * MAX_DISPLACEMENT_OVER_WALL * design.wall.thickness_mm
+    most = shell_share * MAX_DISPLACEMENT_OVER_WALL * design.wall.thickness_mm
     return Program(
         marker=regions.marker,
         tool=regions.face + 1,
@@ -145,22 +142,20 @@ def steps_of(program: Program) -> Iterator[tuple[int, ProgramRun, int, float]]:
 
 def program_csv(program: Program, markers: Markers) -> str:
     """CSV with a line for each step."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    rows = []
     for number, run, k, target in steps_of(program):
         marker = int(program.marker[k])
         place = [int(markers.row[marker]), int(markers.column[marker])]
         aim = [f"{target:.4g}", ""] if run == "decoder" else ["", f"{target:.5f}"]
         lengths = np.concatenate([program.point_mm[k], program.normal[k], program.machine_mm[k]])
         angles = np.array([program.roll_deg[k], program.tip_deg[k], program.turn_deg[k]])
-        writer.writerow(
+        rows.append(
             [number, run, marker, *(place if markers.in_rows else ["", ""])]
             + [int(program.tool[k]), f"{program.radius_mm[k]:.4g}", *aim]
             + [f"{value + 0.0:.6f}" for value in lengths.round(6)]
             + [f"{value + 0.0:.5f}" for value in angles.round(5)]
         )
-    return out.getvalue()
+    return csv_text(COLUMNS, rows)
 
 
 def gcode(program: Program, run: ProgramRun, *, name: str) -> str:
@@ -170,6 +165,8 @@ def gcode(program: Program, run: ProgramRun, *, name: str) -> str:
     on until the load cell reads P newtons and holds, M101 stays where it is, P mm past the touch;
     both then take a frame and write a line of the log.
     """
+    # What logs a step: M100 holds a force first, M101 takes the position as it is.
+    action = {"decoder": "M100", "shell": "M101"}
     out = [
         f"; {name}: {run} run, {len(program.marker)} regions",
         "; machine = Ry(B) Rz(C) sensor; tool along -X; X Y Z = middle of its face",
@@ -198,7 +195,7 @@ def gcode(program: Program, run: ProgramRun, *, name: str) -> str:
             last = k
         if run == "shell":
             out.append(f"G1 X{touch[0] - target:.5f} F{program.feed_mm_min:g}")
-        out.append(f"{ACTION[run]} P{target:.5g} Q{number}")
+        out.append(f"{action[run]} P{target:.5g} Q{number}")
     if last >= 0:
         out += _retreat(program, last)
     return "\n".join([*out, "M2"]) + "\n"

@@ -15,14 +15,12 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 FIT_mm = 0.045
-"""A face may stray this far from the surface of the regions it serves."""
+"""Largest distance of a face from the surface of the regions it serves."""
 RADIUS_MIN_mm = 0.8
 """Thinner indenters bend; regions that leave less room are left out."""
 NARROWER = 0.75
 """Radii near rims step down by this."""
 RINGS, SECTORS = 2, 24
-ROUNDS = 30
-EDGE_POINTS = 721
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +41,7 @@ class Face:
 
 @dataclass(frozen=True, kw_only=True)
 class Regions:
-    """What is pressed, with what.
+    """Regions to press, and the indenter of each.
 
     Attributes
     ----------
@@ -81,13 +79,14 @@ def heights_mm(surface: Surface, uv: FloatArray, xy: FloatArray) -> FloatArray:
     ``xy`` (k, 2) are places in the planes. Found by Newton's method along each normal, on the
     distance to the surface's foot.
     """
+    rounds = 30
     frame, base = frames_at(surface, uv), surface.point(uv)
     places = base[:, None] + np.einsum("nij,kj->nki", frame[:, :, :2], xy)
     up = np.broadcast_to(frame[:, None, :, 2], places.shape).reshape(-1, 3)
     places = places.reshape(-1, 3)
     height = np.zeros(len(places))
     todo = np.arange(len(places))
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         at = places[todo] + height[todo, None] * up[todo]
         foot = surface.chart(at)
         normal = surface.normal(foot)
@@ -110,21 +109,22 @@ def disc_places(radius_mm: float, *, rings: int = RINGS, sectors: int = SECTORS)
 
 
 def fit_mm(heights: FloatArray) -> FloatArray:
-    """Farthest that each face (n, k) strays from each other one, pushed home, (n, n) mm."""
+    """Largest distance of each face (n, k) from each other one, pressed together, (n, n) mm."""
     apart = heights[:, None] - heights[None]
     return np.asarray((apart.max(axis=2) - apart.min(axis=2)) / 2.0)
 
 
 def clear_mm(design: Design, surface: Surface, uv: FloatArray) -> FloatArray:
     """Distance from places on the outer face to the nearest rim that stands out of it, (n,)."""
+    edge_points = 721
     out = np.full(len(uv), np.inf)
     if design.wall.rim_length_mm == 0.0 or design.wall.rim_flange_mm == 0.0:
         return out
     points = surface.point(uv)
     for axis, end in surface.edges():
         low, high = surface.domain[1 - axis]
-        edge = np.full((EDGE_POINTS, 2), surface.domain[axis, end])
-        edge[:, 1 - axis] = np.linspace(low, high, EDGE_POINTS)
+        edge = np.full((edge_points, 2), surface.domain[axis, end])
+        edge[:, 1 - axis] = np.linspace(low, high, edge_points)
         gap = np.linalg.norm(points[:, None] - surface.point(edge)[None], axis=2)
         out = np.minimum(out, gap.min(axis=1))
     return out
@@ -174,7 +174,7 @@ def make_regions(design: Design, surface: Surface, markers: Markers) -> Regions:
 
 
 def _covers(heights: FloatArray) -> list[tuple[int, IntArray]]:
-    """Faces that serve all of (n, k), each the one that serves most of what is left."""
+    """Faces that serve all of (n, k), each the one that serves most of the remaining ones."""
     fits = fit_mm(heights) <= FIT_mm
     left = np.ones(len(heights), dtype=np.bool_)
     out = []

@@ -1,4 +1,4 @@
-"""Which regions must be pressed: one marker of each set that symmetry makes alike.
+"""Regions to press: one marker of each set that is equal by symmetry.
 
 Turns about the sensor's axis and mirrors through it are tried on the markers themselves: one
 counts if it maps every marker onto a marker of the same paint and height, and the surface onto
@@ -16,13 +16,11 @@ from phytac_shapes.arrays import FloatArray, IntArray
 SAME_mm = 1e-6
 """Markers closer than this are one."""
 ANGLE = 1e-9
-GRID = 9
-"""Places each way at which the surface is compared with itself."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Symmetry:
-    """What symmetry leaves to be pressed.
+    """Symmetries of the markers, and one marker of each class.
 
     Attributes
     ----------
@@ -78,19 +76,16 @@ def _candidates(points: FloatArray) -> list[tuple[FloatArray, bool]]:
         turn = float(np.mod(angle[peer] - angle[first], 2.0 * np.pi))
         if min(turn, 2.0 * np.pi - turn) > ANGLE:
             out.append((_turned(turn), False))
-        out.append((_mirrored(float(angle[peer] + angle[first])), True))
+        out.append((_turned(float(angle[peer] + angle[first]), mirrored=True), True))
     return out
 
 
-def _turned(angle: float) -> FloatArray:
+def _turned(angle: float, *, mirrored: bool = False) -> FloatArray:
+    """Turn (3, 3) about z, or the mirror through the plane of the axis at half the angle."""
     c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _mirrored(angle: float) -> FloatArray:
-    """Mirror through the plane of the axis at half the angle."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, 1.0]])
+    return np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, 1.0]]) * (
+        1.0 if mirrored else np.array([1.0, -1.0, 1.0])
+    )
 
 
 def _mapping(points: FloatArray, markers: Markers, matrix: FloatArray) -> IntArray | None:
@@ -107,9 +102,10 @@ def _mapping(points: FloatArray, markers: Markers, matrix: FloatArray) -> IntArr
 
 def _onto_itself(surface: Surface, matrix: FloatArray) -> bool:
     """Whether points of the surface are mapped onto it, inside its edges."""
+    grid = 9  # places each way at which the surface is compared with itself
     (u0, u1), (v0, v1) = surface.domain
-    u = np.linspace(u0, u1, GRID)
-    v = v0 + (v1 - v0) * (np.arange(GRID) + 0.37) / GRID
+    u = np.linspace(u0, u1, grid)
+    v = v0 + (v1 - v0) * (np.arange(grid) + 0.37) / grid
     uv = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
     moved = surface.point(uv) @ matrix.T
     foot = surface.chart(moved)

@@ -18,38 +18,19 @@ from phytac_design.geometry.triangles import (
     sides_for,
     strip_triangles,
 )
-from phytac_design.solids.solid_mesh import to_manifold
+from phytac_design.solids.solid_mesh import box, to_manifold
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
 FACE_RINGS, FACE_SECTORS = 12, 72
 OVER_mm = 1.0
 """How far cutters run past what they cut."""
-HEAD_SHARE = 1.0
-"""Radius of a screw's head over the diameter of its hole."""
-KEY_mm = 1.0
-"""Radius of the notch that shows where u grows."""
 
 
 def rod(start: FloatArray, end: FloatArray, radius_mm: float, tolerance_mm: float) -> Any:
     """Round rods between points (n, 3)."""
     sides = sides_for(radius_mm, tolerance_mm)
     return to_manifold(prisms(np.atleast_2d(start), np.atleast_2d(end), radius_mm, sides))
-
-
-def box(low: FloatArray, high: FloatArray) -> Any:
-    """Box between two corners (3,)."""
-    corners = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)])
-    triangles = [
-        [0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
-        [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
-    ]  # fmt: skip
-    return to_manifold(
-        TriangleMesh(
-            vertices_mm=np.where(corners == 1, high, low).astype(np.float64),
-            triangles=np.array(triangles),
-        )
-    )
 
 
 def bolt_places(kit: KitSection) -> FloatArray:
@@ -70,9 +51,10 @@ def bolt_cutters(kit: KitSection, low: float, high: float, tolerance_mm: float) 
 
 def neck_mm(kit: KitSection) -> float:
     """Greatest radius of a shaft that leaves room for the screws' heads."""
+    head_share = 1.0  # radius of a screw's head over the diameter of its hole
     if kit.cell_bolts == 1:
         return 0.5 * kit.cell_diameter_mm
-    return 0.5 * kit.cell_bolt_circle_mm - HEAD_SHARE * kit.cell_bolt_hole_mm
+    return 0.5 * kit.cell_bolt_circle_mm - head_share * kit.cell_bolt_hole_mm
 
 
 def tool_height_mm(kit: KitSection) -> float:
@@ -105,6 +87,7 @@ def with_flange(body: Any, kit: KitSection, radius_mm: float, tolerance_mm: floa
 
     The end reaches up past the middle of the shaft; wider ends are drawn in to the neck there.
     """
+    key_mm = 1.0  # radius of the notch that shows where u grows
     high, middle = kit.shaft_mm, 0.5 * kit.shaft_mm
     neck = min(radius_mm, neck_mm(kit))
     outer = max(0.5 * kit.cell_diameter_mm, neck + 1.0)
@@ -116,7 +99,7 @@ def with_flange(body: Any, kit: KitSection, radius_mm: float, tolerance_mm: floa
     )
     key = np.array([outer, 0.0, high - OVER_mm])
     return body - rod(
-        key, key + np.array([0.0, 0.0, kit.seat_mm + 2.0 * OVER_mm]), KEY_mm, tolerance_mm
+        key, key + np.array([0.0, 0.0, kit.seat_mm + 2.0 * OVER_mm]), key_mm, tolerance_mm
     )
 
 

@@ -1,1 +1,1 @@
-"""Papers for the bench: paint map, placement of switches, bill of materials, recipe, assembly."""
+"""Documents for the workbench: paint map, placement table, bill of materials, recipe, assembly."""

@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
+from phytac_design.core.html import drawing, figure, page, table
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.documents.recipe import Recipe
 from phytac_design.fabrication.switch_set import SwitchSet
-from phytac_design.report.page import figure, page, svg_figure, table
 
 
 def switch_table(switches: SwitchSet) -> str:
@@ -79,7 +79,7 @@ def assembly_html(
             "and glue them on their keys; wash it, cure it; look through every hole."
         ),
         (
-            f"Paint {count} receptors {colours} as bench/paint_map.pdf says: end face and last "
+            f"Paint {count} receptors {colours} as bench/paint_map.pdf shows: end face and last "
             f"{design.receptor.band_marker_mm:g} mm of the side. The pages seen from inside are "
             "for the pen; the pages seen from outside are wrapped around the shell to check."
         ),
@@ -118,7 +118,7 @@ def assembly_html(
         (
             "3 Switches: placing",
             switch_table(switches)
-            + svg_figure(section, "Section through one receptor with its switch.")
+            + drawing(section, "Section through one receptor with its switch.")
             + _listed(place),
         ),
         ("4 Camera, light, connectors", _listed(fixture_steps)),

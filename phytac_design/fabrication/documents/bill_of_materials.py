@@ -1,11 +1,10 @@
 """Bill of materials: the parts lists of all stages in one table."""
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 from phytac_design.design.spec import Design
+from phytac_design.fabrication.bill import bill_part, csv_text
 from phytac_design.fabrication.documents.materials import mass_g
 from phytac_design.fabrication.switch_set import SwitchSet, revolved_volume_mm3
 
@@ -13,20 +12,10 @@ Part: TypeAlias = Mapping[str, Any]
 COLUMNS = ("part", "file", "count", "material", "volume_mm3", "mass_g", "note")
 """``volume_mm3`` and ``mass_g`` are of one piece."""
 
-PROFILE_mm = 1e-3
-"""Accuracy of the sections that volumes are taken from."""
-
 
 def bought(name: str, count: int, note: str, material: str = "consumable") -> dict[str, Any]:
     """A part that is bought."""
-    return {
-        "part": name,
-        "file": "",
-        "count": count,
-        "material": material,
-        "volume_mm3": 0.0,
-        "note": note,
-    }
+    return bill_part(name, count=count, material=material, note=note)
 
 
 def shell_parts(
@@ -34,18 +23,15 @@ def shell_parts(
 ) -> list[dict[str, Any]]:
     """The printed shell, or its ``pieces`` (file, volume_mm3), and the pens for its markers."""
     note = "tough resin; or shell/shell.3mf in several materials, then nothing is painted"
-    whole = {"file": "shell/shell.stl", "volume_mm3": volume_mm3}
     printed = [
-        {
-            "part": f"shell, piece {number}" if pieces else "shell",
-            "file": piece["file"],
-            "count": 1,
-            "material": "resin",
-            "volume_mm3": piece["volume_mm3"],
-            "note": "tough resin; glued on its keys" if pieces else note,
-        }
-        for number, piece in enumerate(pieces or [whole], start=1)
-    ]
+        bill_part(
+            f"shell, piece {number}",
+            file=piece["file"],
+            volume_mm3=piece["volume_mm3"],
+            note="tough resin; glued on its keys",
+        )
+        for number, piece in enumerate(pieces, start=1)
+    ] or [bill_part("shell", file="shell/shell.stl", volume_mm3=volume_mm3, note=note)]
     colours = dict.fromkeys(design.layout.colours)
     pens = [bought(f"marker pen, {name}", 1, "end faces and bands") for name in colours]
     return [*printed, *pens]
@@ -53,16 +39,16 @@ def shell_parts(
 
 def switch_parts(switches: SwitchSet) -> list[dict[str, Any]]:
     """Every kind of switch, and what their tips and seats need."""
+    profile_mm = 1e-3  # accuracy of the sections that volumes are taken from
     out = [
-        {
-            "part": f"switch {switches.label(kind)}",
-            "file": "",
-            "count": len(switches.markers_of(kind)),
-            "material": "tpu",
-            "volume_mm3": revolved_volume_mm3(switches.profile(kind, PROFILE_mm)),
-            "note": f"{switches.threshold_N[kind[0]]:g} N, "
+        bill_part(
+            f"switch {switches.label(kind)}",
+            count=len(switches.markers_of(kind)),
+            material="tpu",
+            volume_mm3=revolved_volume_mm3(switches.profile(kind, profile_mm)),
+            note=f"{switches.threshold_N[kind[0]]:g} N, "
             f"{switches.lengths_mm[kind[1]]:.1f} mm from outer face to tip; cast",
-        }
+        )
         for kind in switches.kinds
     ]
     return [
@@ -74,16 +60,17 @@ def switch_parts(switches: SwitchSet) -> list[dict[str, Any]]:
 
 def optics_parts(design: Design, *, listed: bool) -> list[dict[str, Any]]:
     """Films, and camera and light too unless the hardware has ``listed`` them."""
-    eyes, lens = len(design.camera.end_numbers), design.camera
+    lens = design.camera
+    cameras = len(lens.end_numbers)
     out = [bought("polarising film", 1, "over the light, and one crossed before the lens")]
     if listed:
         return out
     size = f"{lens.width_px} × {lens.height_px} at {lens.frame_rate_Hz:g} fps"
-    out.append(bought("camera", eyes, size, "electronics"))
+    out.append(bought("camera", cameras, size, "electronics"))
     if design.light.bar_radius_mm > 0.0:
         strip = "on the light bar, with double-sided tape"
         return [*out, bought("COB LED strip", 1, strip, "electronics")]
-    return [*out, bought("ring of LEDs", eyes, "beside the camera", "electronics")]
+    return [*out, bought("ring of LEDs", cameras, "beside the camera", "electronics")]
 
 
 def bill_rows(parts: Sequence[Part]) -> list[dict[str, Any]]:
@@ -94,17 +81,10 @@ def bill_rows(parts: Sequence[Part]) -> list[dict[str, Any]]:
     DesignError
         If a material is not known.
     """
+    masses = [mass_g(str(part["material"]), float(part["volume_mm3"])) for part in parts]
     return [
-        {
-            "part": part["part"],
-            "file": part["file"],
-            "count": int(part["count"]),
-            "material": part["material"],
-            "volume_mm3": float(part["volume_mm3"]),
-            "mass_g": mass_g(str(part["material"]), float(part["volume_mm3"])),
-            "note": part.get("note", ""),
-        }
-        for part in parts
+        {name: {**part, "mass_g": mass}[name] for name in COLUMNS}
+        for part, mass in zip(parts, masses, strict=True)
     ]
 
 
@@ -115,13 +95,9 @@ def total_mass_g(rows: Sequence[Part], material: str) -> float:
 
 def bill_csv(rows: Sequence[Part]) -> str:
     """CSV of the bill; volume and mass of one piece, empty where there are none."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    shown = []
     for row in rows:
         volume = f"{row['volume_mm3']:.3f}" if row["volume_mm3"] else ""
         mass = f"{row['mass_g']:.4f}" if row["volume_mm3"] and row["mass_g"] is not None else ""
-        writer.writerow(
-            [row["part"], row["file"], row["count"], row["material"], volume, mass, row["note"]]
-        )
-    return out.getvalue()
+        shown.append({**row, "volume_mm3": volume, "mass_g": mass})
+    return csv_text(COLUMNS, [[row[name] for name in COLUMNS] for row in shown])

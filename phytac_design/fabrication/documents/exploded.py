@@ -1,4 +1,4 @@
-"""Pictures of bodies pulled apart, drawn by the project's own rasteriser."""
+"""Exploded pictures, drawn by the project's own rasteriser."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,26 +9,18 @@ import numpy as np
 from phytac_decoder.camera.camera import Camera, pinhole
 from phytac_design.fabrication.hardware.bodies import switch_frames
 from phytac_design.fabrication.switch_set import SwitchSet, revolve
-from phytac_design.geometry.triangles import TriangleMesh
+from phytac_design.geometry.triangles import TriangleMesh, copies, merged
 from phytac_design.layout import Markers
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.scene import Scene
 from phytac_design.solids.mesh_export import DISPLAY_COLOURS
 from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.arrays import FloatArray
 
-SIZE_px = (1100, 800)
 FINER = 2
 """Pixels each way behind one of the picture."""
 VIEW = np.array([1.0, -0.55, -0.6])
 """From the sensor's middle towards the viewer: from the side and a little from the camera's end."""
-DISTANCE = 4.0
-"""Of the viewer, in radii of all bodies."""
-FILL = 0.95
-AMBIENT = 0.35
-COARSE_mm = 0.15
-"""Accuracy of switches in pictures."""
-RUBBER = (236, 222, 176)
 PART_COLOURS = {
     "": (150, 175, 205),
     "shell": DISPLAY_COLOURS["resin"][:3],
@@ -37,8 +29,6 @@ PART_COLOURS = {
     "ring": (250, 225, 110),
     "screw": (120, 122, 128),
 }
-TIP_mm = 1.0
-"""Painted end of a stem."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,11 +39,6 @@ class Body:
     colour: tuple[int, int, int]
 
 
-def moved(mesh: TriangleMesh, shift: FloatArray) -> TriangleMesh:
-    """Return a mesh elsewhere."""
-    return TriangleMesh(vertices_mm=mesh.vertices_mm + shift, triangles=mesh.triangles)
-
-
 def part_colour(name: str) -> tuple[int, int, int]:
     """Colour of a part of the hardware, by the first word of its name."""
     return PART_COLOURS.get(name.partition("_")[0], PART_COLOURS[""])
@@ -62,47 +47,32 @@ def part_colour(name: str) -> tuple[int, int, int]:
 def switch_bodies(
     surface: Surface, markers: Markers, switches: SwitchSet, pull_mm: float
 ) -> list[Body]:
-    """All switches, pulled out along their receptors' axes by ``pull_mm``; red tips apart."""
-    foot, turn = switch_frames(surface, markers, switches)
-    foot = foot - pull_mm * markers.direction
-    rubber, tips = [], []
-    for kind in switches.kinds:
-        mesh = revolve(switches.profile(kind, COARSE_mm), COARSE_mm)
-        own = switches.markers_of(kind)
-        depth = float(switches.lengths_mm[kind[1]])
-        points = np.einsum("nij,vj->nvi", turn[own], mesh.vertices_mm) + foot[own, None]
-        rubber.append(_many(points, mesh.triangles))
-        tip = _rod(0.5 * switches.tip_diameter_mm + 0.03, -depth - 0.03, TIP_mm)
-        points = np.einsum("nij,vj->nvi", turn[own], tip.vertices_mm) + foot[own, None]
-        tips.append(_many(points, tip.triangles))
+    """All switches, moved out along their receptors' axes by ``pull_mm``; red tips are separate."""
+    tip_mm = 1.0  # painted end of a stem
+    rubber = (236, 222, 176)
+    coarse_mm = 0.15  # accuracy of switches in pictures
+    origin, turn = switch_frames(surface, markers, switches)
+    origin = origin - pull_mm * markers.direction
     red = DISPLAY_COLOURS["red"][:3]
-    return [
-        *(Body(mesh=m, colour=RUBBER) for m in rubber),
-        *(Body(mesh=m, colour=red) for m in tips),
-    ]
+    bodies = []
+    for kind in switches.kinds:
+        own = switches.markers_of(kind)
+        mesh = revolve(switches.profile(kind, coarse_mm), coarse_mm)
+        bodies.append(Body(mesh=copies(mesh, origin[own], turn[own]), colour=rubber))
+        # The painted end is drawn a little larger than the stem.
+        radius = 0.5 * switches.tip_diameter_mm + 0.03
+        low = -float(switches.lengths_mm[kind[1]]) - 0.03
+        profile = [[0.0, low + tip_mm], [radius, low + tip_mm], [radius, low], [0.0, low]]
+        tip = revolve(np.array(profile), coarse_mm)
+        bodies.append(Body(mesh=copies(tip, origin[own], turn[own]), colour=red))
+    return bodies
 
 
-def _rod(radius: float, low: float, length: float) -> TriangleMesh:
-    high = low + length
-    profile = np.array([[0.0, high], [radius, high], [radius, low], [0.0, low]])
-    return revolve(profile, COARSE_mm)
-
-
-def _many(points: FloatArray, triangles: np.ndarray) -> TriangleMesh:
-    """Copies (n, v, 3) of one mesh as one."""
-    offset = points.shape[1] * np.arange(len(points))[:, None, None]
-    return TriangleMesh(
-        vertices_mm=points.reshape(-1, 3), triangles=(triangles[None] + offset).reshape(-1, 3)
-    )
-
-
-def picture(bodies: Sequence[Body], *, view: FloatArray = VIEW) -> ImageArray:
-    """Shaded picture (h, w, 3), BGR, of bodies seen from direction ``view``; +z upwards."""
-    vertices = np.concatenate([body.mesh.vertices_mm for body in bodies])
-    starts = np.cumsum([0, *(len(body.mesh.vertices_mm) for body in bodies)])
-    triangles = np.concatenate(
-        [body.mesh.triangles + start for body, start in zip(bodies, starts, strict=False)]
-    ).astype(np.int32)
+def picture(bodies: Sequence[Body], *, view: FloatArray = VIEW) -> bytes:
+    """PNG of bodies, shaded, seen from direction ``view``; +z upwards."""
+    ambient = 0.35
+    mesh = merged([body.mesh for body in bodies])
+    vertices, triangles = mesh.vertices_mm, mesh.triangles.astype(np.int32)
     colour = np.concatenate(
         [np.tile(body.colour, (len(body.mesh.triangles), 1)) for body in bodies]
     ).astype(np.float64)
@@ -121,15 +91,18 @@ def picture(bodies: Sequence[Body], *, view: FloatArray = VIEW) -> ImageArray:
     size = np.maximum(np.linalg.norm(normal, axis=1), 1e-300)
     facing = np.abs(normal @ camera.rotation[2]) / size
     slant = np.abs(normal @ (camera.rotation[2] + 0.6 * camera.rotation[1])) / size / 1.166
-    light = AMBIENT + (1.0 - AMBIENT) * (0.5 * facing + 0.5 * slant)
+    light = ambient + (1.0 - ambient) * (0.5 * facing + 0.5 * slant)
     shaded = np.concatenate([colour * light[:, None], [[255.0, 255.0, 255.0]]])
     image = shaded[owner][:, :, ::-1]
     size = (camera.width_px // FINER, camera.height_px // FINER)
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(np.clip(np.rint(small), 0, 255).astype(np.uint8))
+    return bytes(cv2.imencode(".png", np.clip(np.rint(small), 0, 255).astype(np.uint8))[1])
 
 
 def _camera(vertices: FloatArray, view: FloatArray) -> Camera:
+    fill = 0.95
+    distance = 4.0  # of the viewer, in radii of all bodies
+    size_px = (1100, 800)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     centre = (low + high) / 2.0
     radius = float(np.linalg.norm(vertices - centre, axis=1).max())
@@ -138,22 +111,17 @@ def _camera(vertices: FloatArray, view: FloatArray) -> Camera:
     right = right / np.linalg.norm(right)
     rotation = np.stack([right, np.cross(-away, right), -away])
     seen = (vertices - centre) @ rotation.T
-    place = seen / (DISTANCE * radius + seen[:, 2:])
+    place = seen / (distance * radius + seen[:, 2:])
     reach = np.abs(place[:, :2]).max(axis=0)
     # Upright or lying, whichever shows it larger.
-    ways = [FINER * np.array(SIZE_px), FINER * np.array(SIZE_px[::-1])]
+    ways = [FINER * np.array(size_px), FINER * np.array(size_px[::-1])]
     size = max(ways, key=lambda way: float((way / reach).min()))
     return Camera(
         lens=pinhole(
             width_px=int(size[0]),
             height_px=int(size[1]),
-            focal_px=float(FILL * (size / 2.0 / reach).min()),
+            focal_px=float(fill * (size / 2.0 / reach).min()),
         ),
-        position_mm=centre + DISTANCE * radius * away,
+        position_mm=centre + distance * radius * away,
         rotation=rotation,
     )
-
-
-def png_bytes(image: ImageArray) -> bytes:
-    """PNG of a picture."""
-    return bytes(cv2.imencode(".png", image)[1])

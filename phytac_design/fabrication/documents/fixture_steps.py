@@ -7,7 +7,7 @@ from phytac_design.design.spec import Design
 
 
 def fixture_steps(design: Design, hardware: Mapping[str, Any]) -> list[str]:
-    """Steps in order; without hardware of our own, what the user's must do.
+    """Steps in order; without built-in hardware, the requirements on the user's own.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def fixture_steps(design: Design, hardware: Mapping[str, Any]) -> list[str]:
         (
             "Rim and socket are round: turn the shell until `phytac decode` finds every marker in "
             "a frame at rest, then tighten. Where the markers repeat around, mark column 0 "
-            "(paint map) on shell and mount first: a frame cannot tell those turns apart."
+            "(paint map) on shell and mount first: a frame cannot distinguish those turns."
         ),
         *(f"Screw {joint}" for joint in joints),
         "Look into the dark sensor beside a lamp: no light from outside may show.",

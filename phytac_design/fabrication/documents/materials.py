@@ -1,4 +1,4 @@
-"""Densities of what a sensor is made of: assumed, from makers' usual figures; weigh your own."""
+"""Assumed densities of a sensor's materials, from makers' usual figures; weigh your own."""
 
 from phytac_shapes.errors import DesignError
 
@@ -11,8 +11,6 @@ DENSITY_g_cm3 = {
     "pla": 1.24,
 }
 """Assumed densities. Printed paint bodies are resin too."""
-UNKNOWN = ("electronics", "consumable")
-"""Materials of bought parts whose mass is left open."""
 
 
 def density_g_cm3(material: str) -> float | None:
@@ -23,11 +21,12 @@ def density_g_cm3(material: str) -> float | None:
     DesignError
         If the material is not known.
     """
-    if material in UNKNOWN:
+    unknown = ("electronics", "consumable")  # materials of bought parts whose mass is left open
+    if material in unknown:
         return None
     key = "resin" if material.startswith("paint-") else material
     if key not in DENSITY_g_cm3:
-        known = ", ".join([*DENSITY_g_cm3, "paint-COLOUR", *UNKNOWN])
+        known = ", ".join([*DENSITY_g_cm3, "paint-COLOUR", *unknown])
         raise DesignError(f"no density for the material {material!r}; known: {known}")
     return DENSITY_g_cm3[key]
 

@@ -15,21 +15,13 @@ from phytac_design.solids.mesh_export import DISPLAY_COLOURS
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
-SHEETS = {"A4": (210.0, 297.0), "letter": (215.9, 279.4)}
-"""Width and height of upright paper, mm."""
 MARGIN_mm = 8.0
 """Edge that printers leave white."""
 HEAD_mm, FOOT_mm = 17.0, 13.0
 OVERLAP_mm = 10.0
 """Strip that neighbouring sheets share."""
 BAR_mm, TICK_mm = 100, 10
-SIDE_BAR_mm = 50
-BORDER_mm = 4.0
-"""Room around the map for what stands out of its edges."""
-TEXT_SHARE = 0.2
-"""Height of a marker's number over the distance to its nearest neighbour."""
 TEXT_mm = (0.9, 1.7)
-GHOST = "#9a9a9a"
 INKS = {name: "#{:02x}{:02x}{:02x}".format(*rgba[:3]) for name, rgba in DISPLAY_COLOURS.items()} | {
     "yellow": "#d8b400",
     "magenta": "#c2189b",
@@ -70,8 +62,9 @@ class PaintMap:
     @property
     def box_mm(self) -> FloatArray:
         """Corners [[x0, y0], [x1, y1]] of the map with its border, y upwards."""
+        border_mm = 4.0  # border around the map for markers that overlap its edges
         points = np.concatenate([*self.unrolled.outline, self.place_mm])
-        return np.stack([points.min(axis=0) - BORDER_mm, points.max(axis=0) + BORDER_mm])
+        return np.stack([points.min(axis=0) - border_mm, points.max(axis=0) + border_mm])
 
 
 def marker_numbers(markers: Markers) -> tuple[str, ...]:
@@ -90,6 +83,7 @@ def switch_labels(switches: SwitchSet) -> tuple[str, ...]:
 
 def make_map(design: Design, surface: Surface, markers: Markers, switches: SwitchSet) -> PaintMap:
     """Lay out the paint map of a design."""
+    text_share = 0.2  # height of a marker's number over the distance to its nearest neighbour
     unrolled = unroll(surface)
     place = unrolled.at(markers.uv)
     outer = surface.point(markers.uv)
@@ -106,7 +100,7 @@ def make_map(design: Design, surface: Surface, markers: Markers, switches: Switc
         number=marker_numbers(markers),
         switch=switch_labels(switches),
         paint=tuple(names[k] for k in markers.colour),
-        text_mm=float(np.clip(TEXT_SHARE * nearest, *TEXT_mm)),
+        text_mm=float(np.clip(text_share * nearest, *TEXT_mm)),
     )
 
 
@@ -139,6 +133,7 @@ def map_items(drawn: PaintMap, *, inside: bool = False) -> list[Item]:
 
     ``inside`` mirrors it: as the receptors stand before the one who paints them.
     """
+    ghost = "#9a9a9a"
     low, high = drawn.box_mm
 
     def put(points: FloatArray) -> FloatArray:
@@ -155,8 +150,8 @@ def map_items(drawn: PaintMap, *, inside: bool = False) -> list[Item]:
     ]
     radius = drawn.design.receptor.diameter_outer_mm / 2.0
     for marker, at in drawn.ghosts:
-        out.append(Disc(centre=put(at), radius_mm=radius, stroke=GHOST, dash_mm=0.5))
-        out += _names(drawn, marker, put(at), GHOST)
+        out.append(Disc(centre=put(at), radius_mm=radius, stroke=ghost, dash_mm=0.5))
+        out += _names(drawn, marker, put(at), ghost)
     hole = drawn.design.receptor.diameter_hole_mm / 2.0
     tip = drawn.design.switch.tip_diameter_mm / 2.0
     for marker, at in enumerate(put(drawn.place_mm)):
@@ -198,8 +193,10 @@ def paper_pages(drawn: PaintMap) -> list[Page]:
 
 
 def _split(drawn: PaintMap, *, inside: bool) -> list[Page]:
+    # Width and height of upright paper, mm.
+    sheets = {"A4": (210.0, 297.0), "letter": (215.9, 279.4)}
     size = np.ptp(drawn.box_mm, axis=0)
-    upright = SHEETS[drawn.design.bench.sheet]
+    upright = sheets[drawn.design.bench.sheet]
     ways = [_tiling(size, paper) for paper in (upright, upright[::-1])]
     paper, room, count = min(ways, key=lambda way: way[2][0] * way[2][1])
     items = map_items(drawn, inside=inside)
@@ -268,6 +265,7 @@ def _cross(at: FloatArray) -> list[Item]:
 
 def _frame(drawn: PaintMap, width: float, height: float, inside: bool, sheet: str) -> list[Item]:
     """Head with title, legend and notes; foot with the scale bars."""
+    side_bar_mm = 50
     design = drawn.design
     side = "seen from inside (mirrored)" if inside else "seen from outside"
     title = f"{design.name}: paint map, {side}, 1:1"
@@ -280,7 +278,7 @@ def _frame(drawn: PaintMap, width: float, height: float, inside: bool, sheet: st
         out.append(Text(at=np.array([left, top + 8.0 + 3.2 * line]), text=text, size_mm=2.4))
     foot = height - MARGIN_mm
     out += scale_bar(np.array([left + 4.0, foot - 4.0]), BAR_mm)
-    out += scale_bar(np.array([left, foot - 4.0]), SIDE_BAR_mm, upright=True)
+    out += scale_bar(np.array([left, foot - 4.0]), side_bar_mm, upright=True)
     x = left + BAR_mm + 12.0
     for name in [*dict.fromkeys(design.layout.colours), "red"]:
         out.append(Disc(centre=np.array([x, foot - 6.0]), radius_mm=1.2, fill=INKS[name]))

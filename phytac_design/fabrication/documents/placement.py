@@ -1,10 +1,8 @@
-"""Which switch goes where, marker by marker."""
-
-import csv
-import io
+"""Table of the switch of each marker."""
 
 import numpy as np
 
+from phytac_design.fabrication.bill import csv_text
 from phytac_design.fabrication.documents.paint_map import PaintMap
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
@@ -34,14 +32,12 @@ def placement_csv(surface: Surface, markers: Markers, switches: SwitchSet, drawn
     outer = surface.point(markers.uv)
     threshold = switches.threshold_N[switches.bowl]
     length = switches.lengths_mm[switches.length]
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    rows = []
     for k in range(markers.count):
         place = [int(markers.row[k]), int(markers.column[k])] if markers.in_rows else ["", ""]
         numbers = np.concatenate([outer[k], drawn.place_mm[k], drawn.stretch[k]])
-        writer.writerow(
+        rows.append(
             [k, *place, drawn.paint[k], drawn.switch[k], f"{threshold[k]:g}", f"{length[k]:.1f}"]
             + [f"{value + 0.0:.4f}" for value in numbers.round(4)]
         )
-    return out.getvalue()
+    return csv_text(COLUMNS, rows)

@@ -11,8 +11,6 @@ from phytac_design.mechanics.switch.switch_inputs import rubber_of
 
 A_TO_C = 5.0
 AC_TO_B = 6.0
-FINE_g = 2.0
-"""Below this a part must be weighed to 0.01 g: a tenth of a gram would be 5 %."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,8 +65,8 @@ def recipe_steps(design: Design, recipe: Recipe) -> list[str]:
             (
                 f"Mix {recipe.silicone_g:.1f} g of silicone by its maker's ratio, degas it, pour "
                 "it over both printed trays (domes, stems) up to their rims, let it cure as its "
-                "maker says. Coat the prints with release agent first: many resins keep silicone "
-                "from curing."
+                "maker specifies. Coat the prints with release agent first: many resins keep "
+                "silicone from curing."
             ),
             (
                 "Lift both silicone halves off; look for torn pegs. Try how they close on their "
@@ -101,7 +99,7 @@ def recipe_steps(design: Design, recipe: Recipe) -> list[str]:
         "Degas A + C under vacuum for 5 min.",
         (
             f"Pour {recipe.a_g + recipe.c_g:.2f} g of A + C into {recipe.b_g:.2f} g of B "
-            f"({AC_TO_B:g} : 1 by weight); stir for 30 s; degas for 1 min. It sets soon: go on "
+            f"({AC_TO_B:g} : 1 by weight); stir for 30 s; degas for 1 min. It sets soon: continue "
             "at once."
         ),
         fill.format(volume=f"({recipe.switch_mm3 / 1000.0:.2f} cm³ in all)"),
@@ -114,15 +112,16 @@ def recipe_steps(design: Design, recipe: Recipe) -> list[str]:
         "Paint the end of each stem red; let it dry.",
         (
             "Glue each switch by the rim of its bowl with cyanoacrylate, the stem through its "
-            "receptor, where switch_placement.csv and the paint map say."
+            "receptor, where switch_placement.csv and the paint map show."
         ),
     ]
 
 
 def recipe_text(design: Design, recipe: Recipe) -> str:
     """Markdown page of the recipe."""
+    fine_g = 2.0  # below this a part must be weighed to 0.01 g: a tenth of a gram would be 5 %
     modulus_MPa = rubber_of(design).material.modulus_MPa
-    fine = " Weigh A and B to 0.01 g." if min(recipe.a_g, recipe.b_g) < FINE_g else ""
+    fine = " Weigh A and B to 0.01 g." if min(recipe.a_g, recipe.b_g) < fine_g else ""
     rows = [
         ("A", recipe.a_g),
         ("B", recipe.b_g),

@@ -10,13 +10,12 @@ from phytac_design.layout import Markers
 from phytac_shapes.arrays import FloatArray
 
 SCALE = 8.0
-AROUND_mm = 4.5
-"""Half of the wall that is shown."""
 RESIN, RUBBER = "#d6d0c4", "#ecdeb0"
 
 
 def section_svg(design: Design, markers: Markers, switches: SwitchSet) -> str:
-    """SVG of the section of a middling receptor: outer face on top, tube downwards."""
+    """SVG of the section of a receptor of median height: outer face on top, tube downwards."""
+    around_mm = 4.5  # half of the wall that is shown
     marker = int(np.argsort(markers.height_mm, kind="stable")[markers.count // 2])
     kind = (int(switches.bowl[marker]), int(switches.length[marker]))
     wall, tall = design.wall.thickness_mm, float(markers.height_mm[marker])
@@ -26,7 +25,7 @@ def section_svg(design: Design, markers: Markers, switches: SwitchSet) -> str:
     )
     profile = switches.profile(kind)
     top = float(profile[:, 1].max())
-    half = max(AROUND_mm, 0.5 * design.switch.footprint_diameter_mm + 1.5)
+    half = max(around_mm, 0.5 * design.switch.footprint_diameter_mm + 1.5)
     band = min(design.receptor.band_marker_mm, tall)
     end = wall + tall
     paint = INKS[design.layout.colours[markers.colour[marker]]]

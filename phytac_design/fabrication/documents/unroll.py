@@ -1,4 +1,4 @@
-"""Surfaces laid flat at 1:1, seen from outside, and how far that stretches them.
+"""Flat maps of surfaces at 1:1, seen from outside, and their stretch.
 
 Three ways, chosen by the surface's own metric:
 
@@ -23,11 +23,8 @@ from phytac_shapes.arrays import FloatArray, IntArray
 MapKind = Literal["exact", "gores", "flattened"]
 EXACT = 1e-6
 """Stretch off 1 that counts as none."""
-SHEAR_MAX = 0.2
-"""Shear at the edge of a gore that more gores are cut for."""
-GORES_MAX = 8
 GRID = 33
-"""Stations each way at which the stretch is looked at."""
+"""Stations each way at which the stretch is evaluated."""
 BORDER = 181
 """Points along each edge."""
 STEP = 1e-5
@@ -82,7 +79,7 @@ class Unrolled:
 
 
 def unroll(surface: Surface) -> Unrolled:
-    """Lay a surface flat in the truest of the three ways."""
+    """Flatten a surface by the method with the least stretch."""
     grid = _grid(surface)
     one = np.zeros(len(grid), dtype=np.int64)
 
@@ -165,7 +162,7 @@ def _stretch(surface: Surface, flat: FlatMap, uv: FloatArray, piece: IntArray) -
 
 
 def _round(surface: Surface, grid: FloatArray) -> bool:
-    """Whether lengths do not change around the axis."""
+    """Whether the metric is independent of v and orthogonal (a surface of revolution)."""
     metric = surface.metric(grid).reshape(GRID, GRID, 2, 2)
     scale = np.abs(metric).max()
     same = np.abs(metric - metric[:, :1]).max() < EXACT * scale
@@ -204,11 +201,13 @@ def _sector(surface: Surface) -> FlatMap | None:
 
 def _gores(surface: Surface) -> tuple[int, FlatMap]:
     """Number of gores, and the map to them."""
+    gores_max = 8
+    shear_max = 0.2  # shear at the edge of a gore that more gores are cut for
     (u0, u1), (v0, v1) = surface.domain
     u = np.linspace(u0, u1, BORDER)
     r, s = _radius(surface, u), _along(surface, u)
     slope = float(np.abs(np.diff(r) / np.diff(s)).max())
-    pieces = int(np.clip(np.ceil(slope * (v1 - v0) / 2.0 / SHEAR_MAX), 1, GORES_MAX))
+    pieces = int(np.clip(np.ceil(slope * (v1 - v0) / 2.0 / shear_max), 1, gores_max))
     width = (v1 - v0) / pieces
     paper = width * float(r.max())
 

@@ -1,1 +1,1 @@
-"""What holds a sensor together: camera mount, cover, connector, light bar, frames, screws."""
+"""Hardware of a sensor: camera mount, cover, connector, light bar, frames, screws."""

@@ -6,59 +6,43 @@ from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part
 from phytac_design.fabrication.hardware.screws import SCREWS, END_mm, Joint, TOUCH_mm
 from phytac_design.fabrication.hardware.solid_nodes import (
-    Circle,
     Difference,
     Node,
     Point3,
-    Prism,
-    Rect,
     Union,
+    block,
+    disc,
     triples,
 )
 from phytac_shapes.errors import DesignError
 
-TRAY_mm = 1.5
-"""Floor and wall of the tray."""
-EAR_mm = 2.4
-"""Thickness of the tray's ears under the screws' heads."""
 BESIDE_mm = 1.0
-"""Room beside screw heads."""
-NOTCH_mm = (5.0, 2.0)
-"""Width and depth of the way for the bar's wires out of the socket."""
+"""Space beside screw heads."""
 
 
 def imu_seat(
     design: Design, floor_mm: float, *, label: str
 ) -> tuple[HardwareAssembly, tuple[Node, ...], tuple[Node, ...]]:
     """Tray on the back of a cover whose outside is at z = ``floor_mm``; its bosses and holes."""
+    ear_mm = 2.4  # thickness of the tray's ears under the screws' heads
+    tray_mm = 1.5  # floor and wall of the tray
     hardware, clearance = design.hardware, design.print_rules.clearance_mm
     screw = SCREWS[hardware.screw_camera]
     width, height, deep = hardware.imu_size_mm
     x0, y0 = hardware.board_offset_mm
     top = floor_mm - TOUCH_mm
     engaged = screw.engaged_mm(hardware.thread)
-    length = screw.length_mm(EAR_mm + TOUCH_mm + engaged, "the inertial sensor's tray")
-    depth = length - EAR_mm - TOUCH_mm + END_mm
-    ear = width / 2.0 + clearance + TRAY_mm + screw.head_mm / 2.0 + BESIDE_mm
-    outside = (width + 2.0 * (clearance + TRAY_mm), height + 2.0 * (clearance + TRAY_mm))
+    length = screw.length_mm(ear_mm + TOUCH_mm + engaged, "the inertial sensor's tray")
+    depth = length - ear_mm - TOUCH_mm + END_mm
+    ear = width / 2.0 + clearance + tray_mm + screw.head_mm / 2.0 + BESIDE_mm
+    outside = (width + 2.0 * (clearance + tray_mm), height + 2.0 * (clearance + tray_mm))
     middle = (x0, y0)
-    tray = Prism(
-        outline=Rect(size_mm=outside, centre_mm=middle), low_mm=top - TRAY_mm - deep, high_mm=top
-    )
-    ears = Prism(
-        outline=Rect(
-            size_mm=(2.0 * (ear + screw.head_mm / 2.0 + BESIDE_mm), screw.head_mm + 2.0),
-            centre_mm=middle,
-        ),
-        low_mm=top - EAR_mm,
-        high_mm=top,
-    )
-    pocket = Prism(
-        outline=Rect(size_mm=(width + 2.0 * clearance, height + 2.0 * clearance), centre_mm=middle),
-        low_mm=top - TRAY_mm - deep - 1.0,
-        high_mm=top - TRAY_mm,
-    )
-    seats: tuple[Point3, ...] = ((x0 - ear, y0, top - EAR_mm), (x0 + ear, y0, top - EAR_mm))
+    tray = block(outside, top - tray_mm - deep, top, middle)
+    across = 2.0 * (ear + screw.head_mm / 2.0 + BESIDE_mm)
+    ears = block((across, screw.head_mm + 2.0), top - ear_mm, top, middle)
+    inside = (width + 2.0 * clearance, height + 2.0 * clearance)
+    pocket = block(inside, top - tray_mm - deep - 1.0, top - tray_mm, middle)
+    seats: tuple[Point3, ...] = ((x0 - ear, y0, top - ear_mm), (x0 + ear, y0, top - ear_mm))
     joint = Joint(
         name="imu",
         screw=screw,
@@ -67,40 +51,20 @@ def imu_seat(
         thread_part=f"cover{label}",
         seats_mm=seats,
         directions=((0.0, 0.0, 1.0),) * 2,
-        grip_mm=EAR_mm + TOUCH_mm,
+        grip_mm=ear_mm + TOUCH_mm,
         length_mm=length,
         depth_mm=depth,
     )
+    radius = screw.hole_mm(hardware.thread) / 2.0 + tray_mm
+    high = floor_mm + max(depth + 1.0, hardware.wall_mm)
     bosses = tuple(
-        Prism(
-            outline=Circle(
-                radius_mm=screw.hole_mm(hardware.thread) / 2.0 + TRAY_mm, centre_mm=(x, y)
-            ),
-            low_mm=floor_mm + 0.5 * hardware.wall_mm,
-            high_mm=floor_mm + max(depth + 1.0, hardware.wall_mm),
-        )
-        for x, y, _ in seats
+        disc(radius, floor_mm + 0.5 * hardware.wall_mm, high, (x, y)) for x, y, _ in seats
     )
-    away = (0.0, 0.0, -75.0)
+    seat = Difference(Union((tray, ears)), (pocket, *joint.passing()))
+    imu = block((width, height), top - tray_mm - deep, top - tray_mm - TOUCH_mm, middle)
     parts = (
-        Part(
-            name="imu_seat",
-            node=Difference(body=Union(parts=(tray, ears)), tools=(pocket, *joint.passing())),
-            material="resin",
-            step_mm=away,
-            note="tray for the inertial sensor",
-        ),
-        Part(
-            name="imu",
-            node=Prism(
-                outline=Rect(size_mm=(width, height), centre_mm=middle),
-                low_mm=top - TRAY_mm - deep,
-                high_mm=top - TRAY_mm - TOUCH_mm,
-            ),
-            material="electronics",
-            step_mm=(0.0, 0.0, -95.0),
-            note="inertial sensor, held by tape",
-        ),
+        Part("imu_seat", seat, "resin", (0.0, 0.0, -75.0), "tray for the inertial sensor"),
+        Part("imu", imu, "electronics", (0.0, 0.0, -95.0), "inertial sensor, held by tape"),
     )
     kit = HardwareAssembly(
         parts=parts, joints=(joint,), clearances_mm={"inertial sensor in tray": clearance}
@@ -131,6 +95,7 @@ def handle(
     DesignError
         If the shaft is too thick for the connector.
     """
+    notch_mm = (5.0, 2.0)  # width and depth of the way for the bar's wires out of the socket
     hardware, clearance = design.hardware, design.print_rules.clearance_mm
     screw = SCREWS[hardware.screw_clamp]
     wall = max(hardware.wall_mm, screw.nominal_mm)
@@ -182,36 +147,23 @@ def handle(
         depth_mm=neck - bore,
     )
     tools: list[Node] = [
-        Prism(
-            outline=Circle(radius_mm=bore),
-            low_mm=bottom - 1.0,
-            high_mm=bottom + hardware.adapter_depth_mm,
-        ),
+        disc(bore, bottom - 1.0, bottom + hardware.adapter_depth_mm),
         *hold.passing(),
         *grip.holding(),
     ]
     if room > 0.0:
-        across, deep = NOTCH_mm
+        across, deep = notch_mm
         tools += [
-            Prism(outline=Circle(radius_mm=room), low_mm=top - tall, high_mm=top + 1.0),
-            Prism(
-                outline=Rect(size_mm=(across, 2.0 * edge), centre_mm=(0.0, -edge)),
-                low_mm=top - deep,
-                high_mm=top + 1.0,
-            ),
+            disc(room, top - tall, top + 1.0),
+            block((across, 2.0 * edge), top - deep, top + 1.0, (0.0, -edge)),
         ]
-    body = Union(
-        parts=(
-            Prism(outline=Circle(radius_mm=edge), low_mm=top - thick, high_mm=top),
-            Prism(outline=Circle(radius_mm=neck), low_mm=bottom, high_mm=top),
-        )
-    )
+    body = Union((disc(edge, top - thick, top), disc(neck, bottom, top)))
     part = Part(
-        name="adapter",
-        node=Difference(body=body, tools=tuple(tools)),
-        material="resin",
-        step_mm=(0.0, 0.0, -150.0),
-        note=f"socket for a shaft of {hardware.adapter_diameter_mm:g} mm",
+        "adapter",
+        Difference(body, tuple(tools)),
+        "resin",
+        (0.0, 0.0, -150.0),
+        f"socket for a shaft of {hardware.adapter_diameter_mm:g} mm",
     )
     kit = HardwareAssembly(
         parts=(part,), joints=(hold, grip), clearances_mm={"shaft in adapter": clearance}

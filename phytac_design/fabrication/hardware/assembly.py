@@ -1,4 +1,4 @@
-"""All hardware of a design: which parts its shape and its cameras ask for."""
+"""All hardware of a design: the parts that its shape and its cameras need."""
 
 from phytac_design.design.hardware_table import HardwareSection
 from phytac_design.design.spec import Design
@@ -18,7 +18,7 @@ def make_hardware(design: Design, surface: Surface) -> HardwareAssembly:
     Raises
     ------
     DesignError
-        If something asked for does not fit.
+        If a part does not fit.
     """
     if design.hardware.parts == "none":
         return HardwareAssembly(left_out={"hardware": 'hardware.parts = "none"'})
@@ -82,9 +82,9 @@ def _sheet(design: Design, surface: Surface) -> HardwareAssembly:
 
 
 def check_hardware(design: Design, surface: Surface) -> None:
-    """Refuse hardware that was asked for and does not fit, before anything is made.
+    """Reject hardware of the design that does not fit, before anything is made.
 
-    What only the defaults ask for is left out later instead; no solid is built here.
+    Default hardware that does not fit is left out later instead; no solid is built here.
 
     Raises
     ------

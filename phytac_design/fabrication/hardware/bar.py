@@ -16,13 +16,14 @@ from phytac_design.fabrication.hardware.camera_unit import SKIN_mm, around_mm
 from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part
 from phytac_design.fabrication.hardware.screws import SCREWS, END_mm, Joint, TOUCH_mm
 from phytac_design.fabrication.hardware.solid_nodes import (
-    Circle,
     Difference,
     Intersection,
     Node,
     Prism,
     Rect,
     Union,
+    block,
+    disc,
 )
 from phytac_shapes.errors import DesignError
 
@@ -59,7 +60,7 @@ def _radii_mm(design: Design) -> tuple[float, float]:
 
 
 def _length_mm(design: Design, plate_mm: float) -> tuple[float, float]:
-    """Length of the foot's screws, and the foot's thickness that it asks for."""
+    """Length of the foot's screws, and the foot's thickness that they need."""
     hardware = design.hardware
     screw = SCREWS[hardware.screw_bar]
     least = max(hardware.wall_mm, GROOVE_mm[1] + SKIN_mm) + TOUCH_mm
@@ -123,57 +124,34 @@ def bar(
     inside = radius - WITHIN_mm
     flats = Rect(size_mm=(4.0 * inside, 2.0 * CORE * inside))
     core = Intersection(
-        first=Prism(outline=Circle(radius_mm=inside), low_mm=top - 0.5 * thick, high_mm=tip_mm),
-        second=Prism(outline=flats, low_mm=top - thick, high_mm=tip_mm + 1.0),
+        disc(inside, top - 0.5 * thick, tip_mm), Prism(flats, top - thick, tip_mm + 1.0)
     )
     width, deep = GROOVE_mm
-    groove = Prism(
-        outline=Rect(size_mm=(width, 2.0 * foot), centre_mm=(0.0, -foot - CORE * inside)),
-        low_mm=top - deep,
-        high_mm=top + 1.0,
-    )
-    disc = Prism(outline=Circle(radius_mm=foot), low_mm=top - thick, high_mm=top)
-    body = Union(parts=(Difference(body=disc, tools=(groove, *joint.passing())), core))
+    groove = block((width, 2.0 * foot), top - deep, top + 1.0, (0.0, -foot - CORE * inside))
+    plate = disc(foot, top - thick, top)
+    body = Union((Difference(plate, (groove, *joint.passing())), core))
     strip_width, strip = strip_mm(design)
     middle = CORE * inside + TOUCH_mm / 2.0 + strip / 2.0
     strips = tuple(
-        Prism(
-            outline=Rect(size_mm=(strip_width, strip - TOUCH_mm), centre_mm=(0.0, side * middle)),
-            low_mm=low_mm + plate_mm,
-            high_mm=tip_mm,
-        )
+        block((strip_width, strip - TOUCH_mm), low_mm + plate_mm, tip_mm, (0.0, side * middle))
         for side in (-1.0, 1.0)
     )
-    away = (0.0, 0.0, -0.6 * tip_mm - 40.0)
-    parts = (
-        Part(
-            name="bar",
-            node=body,
-            material="resin",
-            step_mm=away,
-            note=f"core of the light bar; flats for strips of {strip_width:.1f} x {strip:.1f} mm",
-        ),
-        *(
-            Part(
-                name=f"light_strip_{number}",
-                node=strip_node,
-                material="light",
-                step_mm=(0.0, 40.0 * (2 * number - 3), away[2]),
-                note=f"light strip {strip_width:.1f} x {strip:.1f} mm with polarising film",
-            )
-            for number, strip_node in enumerate(strips, start=1)
-        ),
-    )
-    opening = Prism(
-        outline=Circle(radius_mm=radius + clearance), low_mm=low_mm - 1.0, high_mm=tip_mm
-    )
+    away = -0.6 * tip_mm - 40.0
+    size = f"{strip_width:.1f} x {strip:.1f} mm"
+    note = f"core of the light bar; flats for strips of {size}"
+    parts = [Part("bar", body, "resin", (0.0, 0.0, away), note)]
+    note = f"light strip {size} with polarising film"
+    for number, node in enumerate(strips, start=1):
+        step = (0.0, 40.0 * (2 * number - 3), away)
+        parts.append(Part(f"light_strip_{number}", node, "light", step, note))
+    opening = disc(radius + clearance, low_mm - 1.0, tip_mm)
     # Any line out crosses the hole half-way: beside the core, and where the wires pass.
     middle_z = low_mm + 0.5 * plate_mm
     gaps = around_mm(radius + 0.5 * clearance, middle_z)
     for share in (0.5, 0.75, 0.95):
         gaps += ((0.0, -share * radius, middle_z), (0.0, share * radius, middle_z))
     kit = HardwareAssembly(
-        parts=parts,
+        parts=tuple(parts),
         joints=(joint,),
         clearances_mm={"bar in connector": clearance},
         openings_mm=gaps,

@@ -79,21 +79,18 @@ class CadKernel:
             centre = cq.Vector(*outline.centre_mm, z_mm)
             return cq.Wire.makeCircle(outline.radius_mm, centre, cq.Vector(0.0, 0.0, 1.0))
         if isinstance(outline, Rect):
-            half = np.array(outline.size_mm) / 2.0
-            signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
             if outline.corner_mm > 0.0:
-                return self._rounded(outline, half, signs, z_mm)
-            corners = np.array(outline.centre_mm) + signs * half
+                return self._rounded(outline, z_mm)
+            corners = outline.arc_centres()
         else:
             corners = np.array(outline.points_mm)
         points = [cq.Vector(x, y, z_mm) for x, y in corners.tolist()]
         return cq.Wire.makePolygon(points, close=True)
 
-    def _rounded(self, outline: Rect, half: Any, signs: Any, z_mm: float) -> Any:
+    def _rounded(self, outline: Rect, z_mm: float) -> Any:
         cq = self._cq
         edges, ends = [], []
-        centres = np.array(outline.centre_mm) + signs * (half - outline.corner_mm)
-        for number, centre in enumerate(centres):
+        for number, centre in enumerate(outline.arc_centres()):
             turn = 0.5 * np.pi * (number + np.array([0.0, 0.5, 1.0]))
             arc = centre + outline.corner_mm * np.column_stack([np.cos(turn), np.sin(turn)])
             points = [cq.Vector(x, y, z_mm) for x, y in arc.tolist()]

@@ -74,21 +74,18 @@ def _unit(turn: FloatArray) -> FloatArray:
 
 def _rounded(outline: Rect, tolerance_mm: float) -> FloatArray:
     """Corners of a rounded rectangle: arcs of equal area, as those of a circle."""
-    half = np.array(outline.size_mm) / 2.0
-    signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-    centre = np.array(outline.centre_mm)
     radius = outline.corner_mm
     if radius <= 0.0:
-        return np.asarray(centre + signs * half)
+        return outline.arc_centres()
     steps = sides_for(radius, tolerance_mm) // 4
     out = []
-    for number, sign in enumerate(signs):
+    for number, centre in enumerate(outline.arc_centres()):
         turn = 0.5 * np.pi * (number + np.arange(steps + 1) / steps)
         arc = _unit(turn)
         # Ends stay on the straight sides; the corners between make up for their area too: a
         # quarter's area is 2 outer triangles (q·s/2) and n - 2 inner ones (q²·s/2), s = sin(π/2n).
         arc[1:-1] *= _equal_area(steps)
-        out.append(centre + sign * (half - radius) + radius * arc)
+        out.append(centre + radius * arc)
     return np.concatenate(out)
 
 

@@ -25,6 +25,8 @@ from phytac_design.fabrication.hardware.solid_nodes import (
     Prism,
     Rect,
     Union,
+    block,
+    disc,
     tube,
 )
 from phytac_shapes.errors import DesignError
@@ -33,15 +35,11 @@ SKIN_mm = 0.8
 """Material that a blind hole leaves, so that no light passes."""
 BOSS_mm = 1.2
 """Wall of bosses and posts around a hole."""
-RING_MIN_mm = 2.0
-"""Narrowest light ring."""
-BOSS_MIN_mm = 1.5
-"""Least radius of a boss."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraUnit:
-    """Where the camera's parts lie along z, and the kit of those that are the same everywhere.
+    """Positions of the camera's parts along z, and those parts that are the same for every mount.
 
     Attributes
     ----------
@@ -53,7 +51,7 @@ class CameraUnit:
         Least outline of the plate: it carries the cover.
     added, removed : tuple of Node
         Bosses to add to the mount, and holes to cut.
-    kit : Kit
+    kit : HardwareAssembly
         Cover, board with lens, ring light if there is one, and the joint.
     """
 
@@ -74,7 +72,7 @@ def camera_unit(
     Parameters
     ----------
     stop_mm : float
-        Where the room for plate and lens ends: the rim's end.
+        Where the space for plate and lens ends: the rim's end.
     label : str
         Ends the parts' names: ``""``, ``"_near"`` or ``"_far"``.
     ring : bool
@@ -85,6 +83,7 @@ def camera_unit(
     DesignError
         If lens and plate have no room before the rim, or the screws do not fit.
     """
+    boss_min_mm = 1.5  # least radius of a boss
     hardware, clearance = design.hardware, design.print_rules.clearance_mm
     wall = hardware.wall_mm
     lens = camera_mm + hardware.lens_pupil_mm
@@ -108,7 +107,7 @@ def camera_unit(
         )
     joint, extra = _joint(design, board, back, label=label, mount=mount)
     floor = board - hardware.board_thickness_mm - hardware.back_room_mm - wall - extra
-    boss = max(joint.screw.hole_mm(hardware.thread) / 2.0 + BOSS_mm, BOSS_MIN_mm)
+    boss = max(joint.screw.hole_mm(hardware.thread) / 2.0 + BOSS_mm, boss_min_mm)
     added = _rods(design, boss, board + TOUCH_mm, back + 0.5 * wall)
     kit = HardwareAssembly()
     bosses: tuple[Node, ...] = ()
@@ -116,50 +115,33 @@ def camera_unit(
     if hardware.imu == "seat" and label != "_far":
         kit, bosses, holes = imu_seat(design, floor, label=label)
     room, cover = _cover(design, joint, (floor, board, back), boss)
-    cover = Difference(body=Union(parts=(cover, *bosses)), tools=(*joint.passing(), *holes))
+    cover = Difference(Union((cover, *bosses)), (*joint.passing(), *holes))
     lens_radius = hardware.lens_diameter_mm / 2.0
-    opening = Prism(
-        outline=Circle(radius_mm=lens_radius + clearance), low_mm=back - 1.0, high_mm=front + 1.0
+    opening = disc(lens_radius + clearance, back - 1.0, front + 1.0)
+    camera = design.camera
+    note = (
+        f"camera board {hardware.board} with a lens of "
+        f"{1e-3 * camera.focal_px * camera.pixel_um:.2f} mm focal length, "
+        f"{camera.width_px} x {camera.height_px} px of {camera.pixel_um:g} um"
     )
+    node = _camera(design, board, lens, joint)
     parts = [
-        Part(
-            name=f"cover{label}",
-            node=cover,
-            material="resin",
-            step_mm=(0.0, 0.0, -45.0),
-            note="camera cover",
-        ),
-        Part(
-            name=f"camera{label}",
-            node=_camera(design, board, lens, joint),
-            material="electronics",
-            step_mm=(0.0, 0.0, -25.0),
-            note=(
-                f"camera board {hardware.board} with a lens of "
-                f"{1e-3 * design.camera.focal_px * design.camera.pixel_um:.2f} mm focal length, "
-                f"{design.camera.width_px} x {design.camera.height_px} px of "
-                f"{design.camera.pixel_um:g} um"
-            ),
-        ),
+        Part(f"cover{label}", cover, "resin", (0.0, 0.0, -45.0), "camera cover"),
+        Part(f"camera{label}", node, "electronics", (0.0, 0.0, -25.0), note),
     ]
     removed: list[Node] = [opening, *joint.holding()]
     middle = 0.5 * (front + back)
     gaps = around_mm(lens_radius + 0.5 * clearance, middle)
     if ring:
-        gaps += ((0.0, -0.5 * sum(ring_radii_mm(design)), middle),)
         inner, outer = ring_radii_mm(design)
+        gaps += ((0.0, -0.5 * (inner + outer), middle),)
         seat, wires, light = _ring(design, front)
         removed += [seat, wires]
-        parts.append(
-            Part(
-                name=f"ring_light{label}",
-                node=light,
-                material="light",
-                step_mm=(0.0, 0.0, 15.0),
-                note=f"ring of light, ø{2.0 * (inner + clearance):.1f} to "
-                f"ø{2.0 * (outer - clearance):.1f} mm, {hardware.strip_thickness_mm:g} mm thick",
-            )
+        note = (
+            f"ring of light, ø{2.0 * (inner + clearance):.1f} to "
+            f"ø{2.0 * (outer - clearance):.1f} mm, {hardware.strip_thickness_mm:g} mm thick"
         )
+        parts.append(Part(f"ring_light{label}", light, "light", (0.0, 0.0, 15.0), note))
     return CameraUnit(
         front_mm=front,
         back_mm=back,
@@ -179,10 +161,7 @@ def camera_unit(
 
 def _rods(design: Design, radius: float, low: float, high: float) -> tuple[Node, ...]:
     """Rods along z over all holes of the board."""
-    return tuple(
-        Prism(outline=Circle(radius_mm=radius, centre_mm=hole), low_mm=low, high_mm=high)
-        for hole in design.hardware.board_holes_mm
-    )
+    return tuple(disc(radius, low, high, hole) for hole in design.hardware.board_holes_mm)
 
 
 def _cover(
@@ -198,7 +177,7 @@ def _cover(
     )
     top = back - TOUCH_mm
     tools: list[Node] = [
-        Prism(outline=inside, low_mm=floor + hardware.wall_mm, high_mm=top + 1.0),
+        Prism(inside, floor + hardware.wall_mm, top + 1.0),
         _cable(design, inside, floor),
     ]
     # Thick bosses of the mount reach into the cover's wall.
@@ -211,8 +190,7 @@ def _cover(
         floor + 0.5 * hardware.wall_mm,
         board - hardware.board_thickness_mm - TOUCH_mm,
     )
-    block = Prism(outline=outside, low_mm=floor, high_mm=top)
-    return outside, Union(parts=(Difference(body=block, tools=tuple(tools)), *posts))
+    return outside, Union((Difference(Prism(outside, floor, top), tuple(tools)), *posts))
 
 
 def _joint(
@@ -255,10 +233,11 @@ def _cable(design: Design, inside: Rect, floor: float) -> Prism:
     x, y = inside.centre_mm
     edge = y - inside.size_mm[1] / 2.0
     deep = 4.0 * hardware.wall_mm
-    return Prism(
-        outline=Rect(size_mm=(width, deep), centre_mm=(x, edge - deep / 2.0 + 0.1)),
-        low_mm=floor + hardware.wall_mm,
-        high_mm=floor + hardware.wall_mm + height,
+    return block(
+        (width, deep),
+        floor + hardware.wall_mm,
+        floor + hardware.wall_mm + height,
+        (x, edge - deep / 2.0 + 0.1),
     )
 
 
@@ -268,22 +247,16 @@ def _camera(design: Design, board: float, lens: float, joint: Joint) -> Node:
     outline = Rect(size_mm=hardware.board_size_mm, centre_mm=hardware.board_offset_mm)
     low = board - hardware.board_thickness_mm
     return Difference(
-        body=Union(
-            parts=(
-                Prism(outline=outline, low_mm=low, high_mm=board),
-                Prism(
-                    outline=Circle(radius_mm=hardware.lens_diameter_mm / 2.0),
-                    low_mm=low + 0.5 * hardware.board_thickness_mm,
-                    high_mm=lens,
+        Union(
+            (
+                Prism(outline, low, board),
+                disc(
+                    hardware.lens_diameter_mm / 2.0, low + 0.5 * hardware.board_thickness_mm, lens
                 ),
             )
         ),
-        tools=tuple(
-            Prism(
-                outline=Circle(radius_mm=joint.screw.clearance_mm / 2.0, centre_mm=hole),
-                low_mm=low - 1.0,
-                high_mm=board + 1.0,
-            )
+        tuple(
+            disc(joint.screw.clearance_mm / 2.0, low - 1.0, board + 1.0, hole)
             for hole in hardware.board_holes_mm
         ),
     )
@@ -299,14 +272,36 @@ def around_mm(radius_mm: float, z_mm: float, count: int = 16) -> tuple[Point3, .
 
 def ring_radii_mm(design: Design) -> tuple[float, float]:
     """Inner and outer radius of the light ring's seat: within the screws, or else around them."""
+    ring_min_mm = 2.0  # narrowest light ring
     hardware, clearance = design.hardware, design.print_rules.clearance_mm
     hole = SCREWS[hardware.screw_camera].hole_mm(hardware.thread) / 2.0 + SKIN_mm
     places = np.linalg.norm(np.array(hardware.board_holes_mm), axis=1)
     inner = hardware.lens_diameter_mm / 2.0 + clearance + BOSS_mm
     room = float(places.min()) - hole - inner - 2.0 * clearance
-    if room < min(hardware.ring_width_mm, RING_MIN_mm):
+    if room < min(hardware.ring_width_mm, ring_min_mm):
         inner, room = float(places.max()) + hole, np.inf
     return inner, inner + min(hardware.ring_width_mm, room) + 2.0 * clearance
+
+
+def check_cavity(design: Design, half_mm: float, part: str, *, ring: bool) -> None:
+    """Reject a mount or base whose inside, ``half_mm`` from the axis, holds no lens or light ring.
+
+    Raises
+    ------
+    DesignError
+        If one of them is wider.
+    """
+    lens = design.hardware.lens_diameter_mm
+    sizes = [("lens", lens, lens / 2.0 + design.print_rules.clearance_mm, "lens_diameter_mm")]
+    if ring:
+        outer = ring_radii_mm(design)[1]
+        sizes.append(("light ring", round(2.0 * outer, 1), outer, "ring_width_mm"))
+    for what, diameter, radius, field in sizes:
+        if radius > half_mm:
+            raise DesignError(
+                f"the {what} of ø{diameter:g} mm does not fit the {part}, which is "
+                f"{2.0 * half_mm:.1f} mm wide inside; lower hardware.{field}"
+            )
 
 
 def _ring(design: Design, front: float) -> tuple[Node, Node, Node]:
@@ -314,18 +309,12 @@ def _ring(design: Design, front: float) -> tuple[Node, Node, Node]:
     hardware, clearance = design.hardware, design.print_rules.clearance_mm
     inner, outer = ring_radii_mm(design)
     deep = min(hardware.strip_thickness_mm, 0.5 * hardware.wall_mm)
-    seat = tube(
-        Circle(radius_mm=outer), Circle(radius_mm=inner), front - deep - TOUCH_mm, front + 0.5
-    )
+    seat = tube(Circle(outer), Circle(inner), front - deep - TOUCH_mm, front + 0.5)
     middle: Point2 = (0.0, -0.5 * (inner + outer))
-    wires = Prism(
-        outline=Circle(radius_mm=min(1.0, 0.25 * (outer - inner)), centre_mm=middle),
-        low_mm=front - hardware.wall_mm - 1.0,
-        high_mm=front,
-    )
+    wires = disc(min(1.0, 0.25 * (outer - inner)), front - hardware.wall_mm - 1.0, front, middle)
     light = tube(
-        Circle(radius_mm=outer - clearance),
-        Circle(radius_mm=inner + clearance),
+        Circle(outer - clearance),
+        Circle(inner + clearance),
         front - deep,
         front - deep + hardware.strip_thickness_mm,
     )

@@ -17,24 +17,16 @@ from phytac_design.geometry.strips import joined
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import Markers
 from phytac_design.optics.scene import FIRST_MARKER, build_scene
-from phytac_design.solids.solid_mesh import to_triangles
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
-NONE_mm3 = 1e-6
-"""A smaller common volume is rounding."""
-SPOKES = 24
-"""Rays around an axis that measure a hole."""
-HOLE_mm = 0.15
-"""A measured hole is a standard one within this."""
-SCENE_mm = 0.005
-"""Accuracy of the scene's fixed parts."""
 DIRECTIONS = 1500
-"""Rays from each place inside that look for light."""
+"""Rays from each place inside in the check for light leaks."""
 
 
 def meets(solids: Mapping[str, Any]) -> dict[str, float]:
     """Common volume (mm³) of every pair of solids that share any, by ``"one / other"``."""
+    none_mm3 = 1e-6  # a smaller common volume is rounding
     boxes = {name: solid.bounding_box() for name, solid in solids.items()}
     found = {}
     for one, other in combinations(solids, 2):
@@ -42,7 +34,7 @@ def meets(solids: Mapping[str, Any]) -> dict[str, float]:
         if any(a[i] >= b[i + 3] or b[i] >= a[i + 3] for i in range(3)):
             continue
         volume = float((solids[one] ^ solids[other]).volume())
-        if volume > NONE_mm3:
+        if volume > none_mm3:
             found[f"{one} / {other}"] = volume
     return found
 
@@ -84,6 +76,8 @@ def _sizes(
     mesh: TriangleMesh | None, places: FloatArray, ways: FloatArray, table: dict[str, float]
 ) -> tuple[str, ...]:
     """Sizes of the table that the hole around each place is for."""
+    hole_mm = 0.15  # a measured hole is a standard one within this
+    spokes = 24  # rays around an axis that measure a hole
     if len(places) == 0 or mesh is None:
         return ()
     tree = RayTree(mesh)
@@ -91,23 +85,12 @@ def _sizes(
     for place, way in zip(places, ways, strict=True):
         first = np.cross(way, np.eye(3)[np.abs(way).argmin()])
         first /= np.linalg.norm(first)
-        turn = 2.0 * np.pi * (np.arange(SPOKES) + 0.5) / SPOKES
+        turn = 2.0 * np.pi * (np.arange(spokes) + 0.5) / spokes
         around = np.outer(np.cos(turn), first) + np.outer(np.sin(turn), np.cross(way, first))
-        hits = tree.cast(np.tile(place, (SPOKES, 1)), around, 20.0)
+        hits = tree.cast(np.tile(place, (spokes, 1)), around, 20.0)
         diameter = 2.0 * float(np.where(hits.triangle >= 0, hits.distance_mm, 20.0).mean())
-        out.append(" ".join(key for key in table if abs(table[key] - diameter) <= HOLE_mm))
+        out.append(" ".join(key for key in table if abs(table[key] - diameter) <= hole_mm))
     return tuple(out)
-
-
-def joined_mesh(meshes: list[TriangleMesh]) -> TriangleMesh:
-    """Several meshes as one."""
-    starts = np.cumsum([0] + [len(mesh.vertices_mm) for mesh in meshes])
-    return TriangleMesh(
-        vertices_mm=np.concatenate([mesh.vertices_mm for mesh in meshes]),
-        triangles=np.concatenate(
-            [mesh.triangles + start for mesh, start in zip(meshes, starts, strict=False)]
-        ),
-    )
 
 
 def sphere(count: int) -> FloatArray:
@@ -122,7 +105,7 @@ def sphere(count: int) -> FloatArray:
 def light_leaks(
     walls: TriangleMesh, places_mm: FloatArray, directions: int = DIRECTIONS
 ) -> tuple[int, int]:
-    """Straight lines from places (n, 3) inside that meet no wall on their way out, and all.
+    """Number of rays from places (n, 3) inside that meet no wall, and number of all rays.
 
     Parameters
     ----------
@@ -137,7 +120,7 @@ def light_leaks(
 def inside_places(
     design: Design, surface: Surface, kit: HardwareAssembly, cameras: list[Camera]
 ) -> FloatArray:
-    """Places (n, 3) inside the sensor from which light is looked for.
+    """Places (n, 3) inside the sensor from which the light check starts.
 
     Before each camera, along the axis beside the bar, all around every edge of the sensing wall,
     and in every opening between parts.
@@ -173,14 +156,15 @@ def hidden_rays(
 
     Lines that the scene's own wall or light bar cuts are known to it and do not count.
     """
+    scene_mm = 0.005  # accuracy of the scene's fixed parts
     coarse = 0.2 * design.receptor.diameter_outer_mm
     scene = build_scene(design, surface, markers, tolerance_mm=coarse)
     target = scene.vertices[np.unique(scene.triangles[scene.part >= FIRST_MARKER])]
     tree = RayTree(hardware)
     fixed = joined(
         [
-            shell_mesh(design, surface, tolerance_mm=SCENE_mm),
-            bar_mesh(design, surface, tolerance_mm=SCENE_mm),
+            shell_mesh(design, surface, tolerance_mm=scene_mm),
+            bar_mesh(design, surface, tolerance_mm=scene_mm),
         ]
     )
     known = RayTree(
@@ -199,8 +183,3 @@ def hidden_rays(
             )
         cut += int(blocked.sum())
     return cut, len(target) * len(cameras)
-
-
-def meshes_of(solids: Mapping[str, Any]) -> dict[str, TriangleMesh]:
-    """Triangles of manifolds."""
-    return {name: to_triangles(solid) for name, solid in solids.items()}

@@ -19,7 +19,7 @@ COLOURS: dict[str, tuple[float, float, float]] = {
 """Display colours by material, red, green, blue from 0 to 1."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Part:
     """One body of the assembly.
 
@@ -81,7 +81,7 @@ class HardwareAssembly:
             return (x, y, z)
 
         parts = tuple(
-            replace(part, node=Far(node=part.node, z_mm=z_mm), step_mm=point(part.step_mm, 0.0))
+            replace(part, node=Far(part.node, z_mm), step_mm=point(part.step_mm, 0.0))
             for part in self.parts
         )
         joints = tuple(
@@ -105,11 +105,11 @@ class HardwareAssembly:
                 x, y, z = (way + np.array(self._step(joint))).tolist()
                 out.append(
                     Part(
-                        name=f"screw_{joint.name}_{number}",
-                        node=Union(parts=bodies),
-                        material="steel",
-                        step_mm=(x, y, z),
-                        note=screw_name(joint),
+                        f"screw_{joint.name}_{number}",
+                        Union(bodies),
+                        "steel",
+                        (x, y, z),
+                        screw_name(joint),
                     )
                 )
         return tuple(out)

@@ -1,4 +1,4 @@
-"""What a build says about its hardware: parts, joints, gaps, and the checks' figures."""
+"""Report of the hardware: parts, joints, gaps, and results of the checks."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,26 +6,27 @@ from typing import Any
 
 from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
+from phytac_design.fabrication.bill import bill_part
 from phytac_design.fabrication.hardware.bodies import SHELL, SWITCHES
 from phytac_design.fabrication.hardware.checks import (
     JointHoles,
     hidden_rays,
     inside_places,
-    joined_mesh,
     light_leaks,
     meets,
-    meshes_of,
     sides_of_joint,
 )
 from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part, screw_name
 from phytac_design.fabrication.switch_set import SwitchSet
+from phytac_design.geometry.triangles import merged
 from phytac_design.layout import Markers
+from phytac_design.solids.solid_mesh import to_triangles
 from phytac_design.solids.wall_mesh import wall_mesh
 from phytac_shapes import Surface
 from phytac_shapes.errors import DesignError
 
 COARSE_mm = 0.05
-"""Accuracy of the wall that light is looked for through."""
+"""Accuracy of the wall in the check for light leaks."""
 BOUGHT = {"electronics": "electronics", "light": "electronics", "steel": "steel"}
 
 
@@ -39,11 +40,11 @@ class AssemblyChecks:
         Bodies compared, and pairs of them.
     meets_mm3 : dict
         Common volume of each pair that shares any.
-    sides : tuple of Sides
+    sides : tuple of JointHoles
         Measured screw sizes of each joint.
     uncovered : int
         Receptors' holes that no bowl covers.
-    leaks, looked : int
+    leaks, rays : int
         Rays from inside that find a way out, and all that were sent.
     hidden, lines : int
         Lines from cameras to markers that hardware cuts, and all.
@@ -55,12 +56,12 @@ class AssemblyChecks:
     sides: tuple[JointHoles, ...]
     uncovered: int
     leaks: int
-    looked: int
+    rays: int
     hidden: int
     lines: int
 
-    def refuse(self) -> None:
-        """Raise a ``DesignError`` at the first thing that is not as it must be."""
+    def raise_failure(self) -> None:
+        """Raise a ``DesignError`` for the first failed check."""
         if self.meets_mm3:
             pair, volume = max(self.meets_mm3.items(), key=lambda item: item[1])
             one, other = pair.split(" / ")
@@ -80,7 +81,7 @@ class AssemblyChecks:
         if self.uncovered or self.leaks:
             raise DesignError(
                 f"light gets into the sensor: {self.uncovered} receptor holes that no bowl "
-                f"covers, {self.leaks} of {self.looked} lines of sight to the outside; raise "
+                f"covers, {self.leaks} of {self.rays} lines of sight to the outside; raise "
                 "hardware.wall_mm, or switch.footprint_diameter_mm above the holes"
             )
         if self.hidden:
@@ -100,14 +101,15 @@ def verdict(
     solids: Mapping[str, Any],
 ) -> AssemblyChecks:
     """Run all checks on an assembly of shell, switches and hardware."""
-    hardware = {name: body for name, body in solids.items() if name not in (SHELL, SWITCHES)}
-    meshes = meshes_of(hardware)
+    meshes = {
+        name: to_triangles(body) for name, body in solids.items() if name not in (SHELL, SWITCHES)
+    }
     places = inside_places(design, surface, kit, cameras)
     wall = wall_mesh(surface, design.wall, tolerance_mm=COARSE_mm)
-    leaks, looked = light_leaks(joined_mesh([wall, *meshes.values()]), places)
+    leaks, rays = light_leaks(merged([wall, *meshes.values()]), places)
     # A camera looks out through its own lens.
     opaque = [meshes[name] for name in meshes if not name.startswith("camera")]
-    hidden, lines = hidden_rays(design, surface, markers, cameras, joined_mesh(opaque))
+    hidden, lines = hidden_rays(design, surface, markers, cameras, merged(opaque))
     bowl = [switches.bowls[k].diameter_mm for k in switches.bowl]
     count = len(solids)
     return AssemblyChecks(
@@ -117,7 +119,7 @@ def verdict(
         sides=tuple(sides_of_joint(joint, meshes) for joint in kit.joints),
         uncovered=sum(size <= design.receptor.diameter_hole_mm for size in bowl),
         leaks=leaks,
-        looked=looked,
+        rays=rays,
         hidden=hidden,
         lines=lines,
     )
@@ -154,7 +156,7 @@ def hardware_facts(
         "light": {
             "holes_uncovered": found.uncovered,
             "leaks": found.leaks,
-            "lines_checked": found.looked,
+            "lines_checked": found.rays,
         },
         "view": {"lines_cut": found.hidden, "lines_checked": found.lines},
         "left_out": kit.left_out,
@@ -173,24 +175,22 @@ def parts_list(kit: HardwareAssembly, solids: Mapping[str, Any]) -> list[dict[st
         steel = part.material == "steel"
         name = f"screw {part.note}" if steel else part.name.replace("_", " ")
         out.append(
-            {
-                "part": name if len(equal) == 1 or steel else name.removesuffix(" 1"),
-                "file": f"fixtures/{part.name}.stl" if part.printed else "",
-                "count": len(equal),
-                "material": BOUGHT.get(part.material, part.material),
-                "volume_mm3": float(solids[part.name].volume()),
-                "note": "hexagon socket" if steel else part.note,
-            }
+            bill_part(
+                name if len(equal) == 1 or steel else name.removesuffix(" 1"),
+                file=f"fixtures/{part.name}.stl" if part.printed else "",
+                count=len(equal),
+                material=BOUGHT.get(part.material, part.material),
+                volume_mm3=float(solids[part.name].volume()),
+                note="hexagon socket" if steel else part.note,
+            )
         )
     out.extend(
-        {
-            "part": f"heat-set insert {joint.screw.name}",
-            "file": "",
-            "count": len(joint.seats_mm),
-            "material": "brass",
-            "volume_mm3": 0.0,
-            "note": f"brass, hole {joint.screw.insert_mm:g} mm, for {joint.name}",
-        }
+        bill_part(
+            f"heat-set insert {joint.screw.name}",
+            count=len(joint.seats_mm),
+            material="brass",
+            note=f"brass, hole {joint.screw.insert_mm:g} mm, for {joint.name}",
+        )
         for joint in kit.joints
         if joint.thread == "heat-set"
     )

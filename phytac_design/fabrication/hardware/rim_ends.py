@@ -1,4 +1,4 @@
-"""The rims of tubes and domes, as hardware sees them: outlines and lengths in the end's own frame.
+"""The rims of tubes and domes: outlines and lengths in the frame of the end.
 
 In that frame the rim's root is the plane z = 0, the sensor lies at z > 0, and the rim at z < 0. For
 the near end it is the sensor's own; for the far one it is turned about x.
@@ -102,7 +102,7 @@ def outline_of(points_mm: FloatArray) -> Outline:
     radius = np.linalg.norm(points_mm, axis=1)
     size = float(radius.max())
     if float(np.ptp(radius)) <= FLAT_mm * size:
-        return Circle(radius_mm=float(radius.mean()))
+        return Circle(float(radius.mean()))
     x, y = np.abs(points_mm).T
     half = np.array([x.max(), y.max()])
     # The arc through the point nearest the corner: (r - a)² + (r - b)² = r².

@@ -7,8 +7,6 @@ import numpy as np
 from phytac_design.fabrication.hardware.solid_nodes import Node, Point3, Rod
 from phytac_shapes.errors import DesignError
 
-ENGAGED = 1.5
-"""Least thread in a tapped plastic part, in nominal diameters."""
 END_mm = 0.3
 """A blind hole is at least this much deeper than the screw."""
 TOUCH_mm = 0.05
@@ -55,7 +53,8 @@ class Screw:
 
     def engaged_mm(self, thread: str) -> float:
         """Least length of thread that holds."""
-        return ENGAGED * self.nominal_mm if thread == "tapped" else self.insert_length_mm
+        engaged = 1.5  # least thread in a tapped plastic part, in nominal diameters
+        return engaged * self.nominal_mm if thread == "tapped" else self.insert_length_mm
 
     def length_mm(self, least: float, what: str) -> float:
         """Shortest standard length from ``least`` on.
@@ -155,11 +154,7 @@ class Joint:
 
     def _rods(self, start_mm: float, end_mm: float, diameter_mm: float) -> tuple[Node, ...]:
         return tuple(
-            Rod(
-                start_mm=self._on(i, start_mm),
-                end_mm=self._on(i, end_mm),
-                radius_mm=diameter_mm / 2.0,
-            )
+            Rod(self._on(i, start_mm), self._on(i, end_mm), diameter_mm / 2.0)
             for i in range(len(self.seats_mm))
         )
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phytac_design.design.spec import Design, WallSection
-from phytac_design.fabrication.hardware.camera_unit import camera_unit, ring_radii_mm
+from phytac_design.fabrication.hardware.camera_unit import camera_unit, check_cavity
 from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part
 from phytac_design.fabrication.hardware.screws import SCREWS, END_mm, Joint, TOUCH_mm
 from phytac_design.fabrication.hardware.solid_nodes import (
@@ -32,37 +32,28 @@ from phytac_design.fabrication.hardware.solid_nodes import (
     polygon,
     span_mm,
 )
-from phytac_design.fabrication.hardware.tube_parts import refuse_large
+from phytac_design.fabrication.hardware.tube_parts import check_bed
 from phytac_design.geometry.boundary_loops import Loop, chart_loops
 from phytac_design.geometry.wall_sampling import chart_stations
 from phytac_shapes import Surface
 from phytac_shapes.errors import DesignError
 
-LEAN_MAX = 0.36
-"""Steepest rim, as the tangent of its lean, that base and frame are made for (20°)."""
-SHELF_mm = 0.5
-"""How far shelf and frame stay behind the rim's inner edge."""
-COARSE_mm = 0.02
-"""Outlines of base and frame follow the rim within this."""
 GRIP_mm = 0.3
 """Gap between frame and base beside the rim: the frame presses on the rim."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Rim:
-    """The rim of a sheet: heights of its faces, and outlines seen along z."""
+    """The rim of a sheet: heights of its faces, and outlines in the projection along z."""
 
     surface: Surface
     loop: Loop
-    flange_mm: float
-    inner_mm: float
+
+    def points(self, offset_mm: float, extension_mm: float) -> np.ndarray:
+        return self.loop.points_mm(self.surface, offset_mm, extension_mm)
 
     def outline(self, extension_mm: float, offset_mm: float) -> Outline:
-        points = self.loop.points_mm(self.surface, offset_mm, extension_mm)[:, :2]
-        return _simple(points)
-
-    def z_mm(self, offset_mm: float, extension_mm: float) -> np.ndarray:
-        return self.loop.points_mm(self.surface, offset_mm, extension_mm)[:, 2]
+        return _simple(self.points(offset_mm, extension_mm)[:, :2])
 
 
 def base_and_frame(
@@ -75,6 +66,7 @@ def base_and_frame(
     DesignError
         If the rim leans too much, or screws, board or lens do not fit.
     """
+    shelf_mm = 0.5  # how far shelf and frame stay behind the rim's inner edge
     hardware, wall, clearance = design.hardware, design.wall, design.print_rules.clearance_mm
     if min(wall.rim_length_mm, wall.rim_flange_mm) <= 0.0:
         raise DesignError(
@@ -82,20 +74,22 @@ def base_and_frame(
             f"{wall.rim_length_mm:g}, wall.rim_flange_mm = {wall.rim_flange_mm:g}); give it both, "
             'or set hardware.parts = "none"'
         )
-    rim = _rim(design, surface)
+    coarse_mm = 0.02  # outlines of base and frame follow the rim within this
+    (loop,) = chart_loops(surface, *chart_stations(surface, wall, coarse_mm))
+    rim = _Rim(surface=surface, loop=loop)
     lean = _lean(rim)
     length, flange, inner = wall.rim_length_mm, wall.rim_flange_mm, -wall.thickness_mm
-    tops = np.concatenate([rim.z_mm(flange, way) for way in (0.0, length)])
+    tops = np.concatenate([rim.points(flange, way)[:, 2] for way in (0.0, length)])
     high = float(tops.max()) + TOUCH_mm
-    low = float(min(rim.z_mm(inner, way).min() for way in (0.0, length)))
+    low = float(min(rim.points(inner, way)[:, 2].min() for way in (0.0, length)))
     # Cutters lean with the rim's normals: shelf and tongue keep off by as much.
     reach = 1.1 * (high - float(tops.min())) + 0.5
     aside = lean * (flange + reach)
-    shelf = SHELF_mm + aside
-    if length < shelf + clearance + SHELF_mm:
+    shelf = shelf_mm + aside
+    if length < shelf + clearance + shelf_mm:
         raise DesignError(
             f"a rim of {length:g} mm gives base and frame no hold: here they need "
-            f"{shelf + clearance + SHELF_mm:.1f} mm; raise wall.rim_length_mm"
+            f"{shelf + clearance + shelf_mm:.1f} mm; raise wall.rim_length_mm"
         )
     unit = camera_unit(design, camera_mm, low, label="", mount="base", ring=ring)
     screw = SCREWS[hardware.screw_clamp]
@@ -107,66 +101,32 @@ def base_and_frame(
     centre = _middle(holes[0])
     outer = Rect(size_mm=_pair(size + 2.0 * beside), centre_mm=centre)
     cavity = rim.outline(shelf, inner)
-    _refuse_narrow(design, cavity, ring=ring)
+    check_cavity(design, half_mm(cavity), "base", ring=ring)
     joint = _joint(design, outer, beside, high)
-    above = Slab(wall=_thick(wall, under=TOUCH_mm, over=reach, longer=clearance))
+    above = Slab(_thick(wall, under=TOUCH_mm, over=reach, longer=clearance))
     # Below the screws the base needs no more than its wall.
     step = max(unit.back_mm, low - joint.depth_mm - hardware.wall_mm)
-    thin = Prism(
-        outline=grown(cavity, hardware.wall_mm),
-        low_mm=unit.back_mm,
-        high_mm=step + 0.5 * hardware.wall_mm,
-    )
+    thin = Prism(grown(cavity, hardware.wall_mm), unit.back_mm, step + 0.5 * hardware.wall_mm)
     body = Difference(
-        body=Union(parts=(Prism(outline=outer, low_mm=step, high_mm=high), thin)),
-        tools=(Prism(outline=cavity, low_mm=unit.front_mm, high_mm=high + 1.0), above),
+        Union((Prism(outer, step, high), thin)), (Prism(cavity, unit.front_mm, high + 1.0), above)
     )
-    plate = Prism(outline=unit.plate, low_mm=unit.back_mm, high_mm=unit.front_mm)
-    base = Difference(
-        body=Union(parts=(body, plate, *unit.added)), tools=(*unit.removed, *joint.holding())
-    )
+    plate = Prism(unit.plate, unit.back_mm, unit.front_mm)
+    base = Difference(Union((body, plate, *unit.added)), (*unit.removed, *joint.holding()))
     top = high + GRIP_mm + hardware.wall_mm
-    below = Slab(wall=_thick(wall, under=reach, over=TOUCH_mm, longer=clearance))
+    below = Slab(_thick(wall, under=reach, over=TOUCH_mm, longer=clearance))
     tongue = Prism(
-        outline=grown(rim.outline(length, flange), -clearance - aside),
-        low_mm=float(tops.min()) - SHELF_mm,
-        high_mm=top,
+        grown(rim.outline(length, flange), -clearance - aside), float(tops.min()) - shelf_mm, top
     )
-    cover = Prism(outline=outer, low_mm=high + GRIP_mm, high_mm=top)
-    opening = Prism(outline=rim.outline(SHELF_mm, flange), low_mm=low - 1.0, high_mm=top + 1.0)
-    frame: Node = Difference(
-        body=Union(parts=(tongue, cover)), tools=(opening, below, *joint.passing())
-    )
-    refuse_large(design, (span_mm(outer), span_mm(unit.plate)), high - unit.back_mm, "base")
+    cover = Prism(outer, high + GRIP_mm, top)
+    opening = Prism(rim.outline(shelf_mm, flange), low - 1.0, top + 1.0)
+    frame: Node = Difference(Union((tongue, cover)), (opening, below, *joint.passing()))
+    check_bed(design, (span_mm(outer), span_mm(unit.plate)), high - unit.back_mm, "base")
     parts = (
-        Part(
-            name="base",
-            node=base,
-            material="resin",
-            step_mm=(0.0, 0.0, -10.0),
-            note="base with camera mount",
-        ),
-        Part(
-            name="frame",
-            node=frame,
-            material="resin",
-            step_mm=(0.0, 0.0, 25.0),
-            note="holds the sheet's rim on the base",
-        ),
+        Part("base", base, "resin", (0.0, 0.0, -10.0), "base with camera mount"),
+        Part("frame", frame, "resin", (0.0, 0.0, 25.0), "holds the sheet's rim on the base"),
     )
     return unit.kit + HardwareAssembly(
         parts=parts, joints=(joint,), clearances_mm={"rim in base": clearance}
-    )
-
-
-def _rim(design: Design, surface: Surface) -> _Rim:
-    u, v = chart_stations(surface, design.wall, COARSE_mm)
-    (loop,) = chart_loops(surface, u, v)
-    return _Rim(
-        surface=surface,
-        loop=loop,
-        flange_mm=design.wall.rim_flange_mm,
-        inner_mm=-design.wall.thickness_mm,
     )
 
 
@@ -206,30 +166,18 @@ def _joint(design: Design, outer: Rect, beside: float, high: float) -> Joint:
 
 
 def _lean(rim: _Rim) -> float:
-    """Steepest lean of the rim, as a tangent; refused if too much."""
+    """Steepest lean of the rim, as a tangent; rejected if too steep."""
+    # Steepest rim, as the tangent of its lean, that base and frame are made for (20°).
+    lean_max = 0.36
     normals = rim.surface.normal(rim.loop.uv)
     lean = float((np.linalg.norm(normals[:, :2], axis=1) / np.abs(normals[:, 2])).max())
-    if lean > LEAN_MAX:
+    if lean > lean_max:
         raise DesignError(
             f"no frame is made for a sheet that leans by {np.degrees(np.arctan(lean)):.0f}° at its "
-            f"rim (at most {np.degrees(np.arctan(LEAN_MAX)):.0f}°); lower the tilt, or set "
+            f"rim (at most {np.degrees(np.arctan(lean_max)):.0f}°); lower the tilt, or set "
             'hardware.parts = "none"'
         )
     return lean
-
-
-def _refuse_narrow(design: Design, cavity: Outline, *, ring: bool) -> None:
-    hardware = design.hardware
-    reach = hardware.lens_diameter_mm / 2.0 + design.print_rules.clearance_mm
-    what = "lens"
-    if ring:
-        reach, what = ring_radii_mm(design)[1], "light ring"
-    if reach > half_mm(cavity):
-        raise DesignError(
-            f"the {what} of ø{2.0 * reach:.1f} mm does not fit the base, which is "
-            f"{2.0 * half_mm(cavity):.1f} mm wide inside; correct hardware.lens_diameter_mm or "
-            "lower hardware.ring_width_mm"
-        )
 
 
 def _simple(points: np.ndarray) -> Outline:

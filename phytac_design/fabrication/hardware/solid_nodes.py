@@ -1,4 +1,4 @@
-"""Solids as plain descriptions, evaluated alike by the mesh kernel and by the CAD kernel."""
+"""Descriptions of solids (CSG trees), evaluated by the mesh kernel and by the CAD kernel."""
 
 from dataclasses import dataclass, replace
 
@@ -11,7 +11,7 @@ Point2 = tuple[float, float]
 Point3 = tuple[float, float, float]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Circle:
     """A circle around ``centre_mm``."""
 
@@ -27,8 +27,13 @@ class Rect:
     corner_mm: float = 0.0
     centre_mm: Point2 = (0.0, 0.0)
 
+    def arc_centres(self) -> FloatArray:
+        """Centres (4, 2) of the corners' arcs, anticlockwise from (+x, +y)."""
+        signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+        return self.centre_mm + signs * (np.array(self.size_mm) / 2.0 - self.corner_mm)
 
-@dataclass(frozen=True, kw_only=True)
+
+@dataclass(frozen=True)
 class Polygon:
     """A closed polygon, anticlockwise."""
 
@@ -38,7 +43,7 @@ class Polygon:
 Outline = Circle | Rect | Polygon
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Prism:
     """An outline drawn out along z."""
 
@@ -47,7 +52,7 @@ class Prism:
     high_mm: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Rod:
     """A round rod between two points."""
 
@@ -56,37 +61,37 @@ class Rod:
     radius_mm: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Slab:
-    """The design's own wall with its rims, other thicknesses: what fits around the true one."""
+    """The design's wall and rims with other thicknesses, to cut a clearance around the real one."""
 
     wall: WallSection
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Union:
-    """All of several solids."""
+    """Union of solids."""
 
     parts: tuple["Node", ...]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Difference:
-    """A solid without others."""
+    """A solid minus others."""
 
     body: "Node"
     tools: tuple["Node", ...]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Intersection:
-    """What two solids share."""
+    """Intersection of two solids."""
 
     first: "Node"
     second: "Node"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Far:
     """A solid of the far end: made as if at the near one, turned about x and moved to ``z_mm``."""
 
@@ -148,12 +153,19 @@ def span_mm(outline: Outline) -> Point2:
     return (float(width), float(height))
 
 
+def disc(radius_mm: float, low_mm: float, high_mm: float, centre_mm: Point2 = (0.0, 0.0)) -> Prism:
+    """Cylinder along z."""
+    return Prism(Circle(radius_mm, centre_mm), low_mm, high_mm)
+
+
+def block(size_mm: Point2, low_mm: float, high_mm: float, centre_mm: Point2 = (0.0, 0.0)) -> Prism:
+    """Box with sides along x, y and z."""
+    return Prism(Rect(size_mm=size_mm, centre_mm=centre_mm), low_mm, high_mm)
+
+
 def tube(outer: Outline, inner: Outline, low_mm: float, high_mm: float) -> Node:
     """Ring between two outlines."""
-    return Difference(
-        body=Prism(outline=outer, low_mm=low_mm, high_mm=high_mm),
-        tools=(Prism(outline=inner, low_mm=low_mm - 1.0, high_mm=high_mm + 1.0),),
-    )
+    return Difference(Prism(outer, low_mm, high_mm), (Prism(inner, low_mm - 1.0, high_mm + 1.0),))
 
 
 def triples(points_mm: FloatArray) -> tuple[Point3, ...]:

@@ -14,10 +14,7 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.adapters import handle, handle_plate_mm
 from phytac_design.fabrication.hardware.bar import bar, foot_mm, foot_plate_mm
-from phytac_design.fabrication.hardware.camera_unit import (
-    camera_unit,
-    ring_radii_mm,
-)
+from phytac_design.fabrication.hardware.camera_unit import camera_unit, check_cavity
 from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part
 from phytac_design.fabrication.hardware.rim_ends import End, rim_places
 from phytac_design.fabrication.hardware.screws import SCREWS, Joint, TOUCH_mm
@@ -38,10 +35,6 @@ from phytac_shapes.errors import DesignError
 
 VIEW_mm = 0.3
 """Least distance between a spigot and the camera's lines of sight."""
-GAPS = 16
-"""Places around a rim from which light is looked for."""
-SPIGOT_MIN_mm = 1.0
-"""A shorter spigot is left out."""
 
 
 def mount(
@@ -54,39 +47,27 @@ def mount(
     DesignError
         If board, lens, ring or screws do not fit.
     """
+    spigot_min_mm = 1.0  # a shorter spigot is left out
     clearance, wall = design.print_rules.clearance_mm, design.hardware.wall_mm
     name = f"mount{label}"
     unit = camera_unit(design, camera_mm, end.stop_mm, label=label, mount=name, ring=ring)
-    thin = _spigot_mm(design)
-    inset = clearance + thin
+    inset = clearance + design.print_rules.wall_free_min_mm + 0.2
     top = camera_mm * (inset + VIEW_mm) / half_mm(end.edge)
-    spigot = top - (end.stop_mm - TOUCH_mm) >= SPIGOT_MIN_mm
+    spigot = top - (end.stop_mm - TOUCH_mm) >= spigot_min_mm
     cavity = grown(end.inner, -inset) if spigot else end.inner
-    _refuse_narrow(design, cavity, ring=ring)
+    check_cavity(design, half_mm(cavity), "mount", ring=ring)
     socket, cuts, joint = _socket(design, surface, end, name, top if spigot else None)
     gaps = _gaps(design, surface, end, top if spigot else None)
-    hollow = Prism(outline=cavity, low_mm=unit.front_mm, high_mm=1.0)
-    plate = Prism(outline=unit.plate, low_mm=unit.back_mm, high_mm=unit.front_mm)
+    hollow = Prism(cavity, unit.front_mm, 1.0)
+    plate = Prism(unit.plate, unit.back_mm, unit.front_mm)
     # Behind the socket the tube needs no more than its wall.
     step = max(unit.back_mm, end.stop_mm - TOUCH_mm - wall)
-    shaft = Union(
-        parts=(
-            Prism(outline=socket, low_mm=step, high_mm=0.0),
-            Prism(outline=grown(cavity, wall), low_mm=unit.back_mm, high_mm=step + 0.5 * wall),
-        )
-    )
-    body = Difference(
-        body=Union(parts=(Difference(body=shaft, tools=(hollow, cuts)), plate, *unit.added)),
-        tools=(*unit.removed, *joint.holding()),
-    )
-    refuse_large(design, (span_mm(socket), span_mm(unit.plate)), -unit.back_mm, name)
-    part = Part(
-        name=name,
-        node=body,
-        material="resin",
-        step_mm=(0.0, 0.0, -10.0),
-        note="camera mount" if surface.periodic[1] and not any(surface.poles) else "base",
-    )
+    tube = Prism(grown(cavity, wall), unit.back_mm, step + 0.5 * wall)
+    shaft = Difference(Union((Prism(socket, step, 0.0), tube)), (hollow, cuts))
+    body = Difference(Union((shaft, plate, *unit.added)), (*unit.removed, *joint.holding()))
+    check_bed(design, (span_mm(socket), span_mm(unit.plate)), -unit.back_mm, name)
+    note = "camera mount" if surface.periodic[1] and not any(surface.poles) else "base"
+    part = Part(name, body, "resin", (0.0, 0.0, -10.0), note)
     return unit.kit + HardwareAssembly(
         parts=(part,),
         joints=(joint,),
@@ -118,8 +99,8 @@ def connector(
     tools: list[Node] = [cuts, *clamp.holding()]
     inset = clearance + hardware.wall_mm
     if half_mm(end.inner) > inset + hardware.wall_mm:
-        tools.append(Prism(outline=grown(end.inner, -inset), low_mm=seat, high_mm=1.0))
-    body: Node = Difference(body=Prism(outline=socket, low_mm=low, high_mm=0.0), tools=tuple(tools))
+        tools.append(Prism(grown(end.inner, -inset), seat, 1.0))
+    body: Node = Difference(Prism(socket, low, 0.0), tuple(tools))
     kit = HardwareAssembly(
         joints=(clamp,),
         openings_mm=_gaps(design, surface, end, -VIEW_mm),
@@ -127,21 +108,15 @@ def connector(
     )
     if bar_mm > 0.0:
         own, removed = bar(design, low, half_mm(socket), plate_mm=plate, tip_mm=bar_mm)
-        body = Difference(body=body, tools=removed)
+        body = Difference(body, removed)
         kit = kit + own
     if hardware.adapter == "handle":
         foot = foot_mm(design, plate) if bar_mm > 0.0 else (0.0, 0.0)
         own, removed = handle(design, low, half_mm(socket), foot)
-        body = Difference(body=body, tools=removed)
+        body = Difference(body, removed)
         kit = kit + own
-    refuse_large(design, (span_mm(socket),), -low, name)
-    part = Part(
-        name=name,
-        node=body,
-        material="resin",
-        step_mm=(0.0, 0.0, -20.0),
-        note="closes the end without a camera",
-    )
+    check_bed(design, (span_mm(socket),), -low, name)
+    part = Part(name, body, "resin", (0.0, 0.0, -20.0), "closes the end without a camera")
     return kit + HardwareAssembly(parts=(part,))
 
 
@@ -152,17 +127,18 @@ def _socket(
     hardware, clearance = design.hardware, design.print_rules.clearance_mm
     room = grown(end.outer, clearance)
     seat = end.stop_mm - TOUCH_mm
-    cut: Node = Prism(outline=room, low_mm=seat, high_mm=1.0)
+    cut: Node = Prism(room, seat, 1.0)
     if spigot_mm is not None:
-        inside = Prism(outline=grown(end.inner, -clearance), low_mm=seat - 1.0, high_mm=spigot_mm)
-        cut = Difference(body=cut, tools=(inside,))
+        inside = Prism(grown(end.inner, -clearance), seat - 1.0, spigot_mm)
+        cut = Difference(cut, (inside,))
     return grown(room, hardware.wall_mm), cut, _clamp(design, surface, end, name)
 
 
 def _gaps(
     design: Design, surface: Surface, end: End, spigot_mm: float | None
 ) -> tuple[Point3, ...]:
-    """Points in the gap between rim and spigot, or rim and seat, that any way of light crosses."""
+    """Points in the gap between rim and spigot, or rim and seat, which any light path crosses."""
+    gaps = 16  # places around a rim from which the light check starts
     gap = design.print_rules.clearance_mm
     if spigot_mm is None:
         offset, z = -0.5 * design.wall.thickness_mm, end.stop_mm - 0.5 * TOUCH_mm
@@ -170,7 +146,7 @@ def _gaps(
         offset, z = -design.wall.thickness_mm - 0.5 * gap, 0.5 * (spigot_mm + end.stop_mm)
     share = z / end.stop_mm
     points, _ = rim_places(
-        design, surface, end, count=GAPS, offset_mm=offset, share=min(share, 1.0)
+        design, surface, end, count=gaps, offset_mm=offset, share=min(share, 1.0)
     )
     return triples(np.column_stack([points[:, :2], np.full(len(points), z)]))
 
@@ -231,30 +207,10 @@ def _clamp(design: Design, surface: Surface, end: End, name: str) -> Joint:
     )
 
 
-def _spigot_mm(design: Design) -> float:
-    return design.print_rules.wall_free_min_mm + 0.2
-
-
-def _refuse_narrow(design: Design, cavity: Outline, *, ring: bool) -> None:
-    hardware = design.hardware
-    inside = half_mm(cavity)
-    lens = hardware.lens_diameter_mm / 2.0 + design.print_rules.clearance_mm
-    if lens > inside:
-        raise DesignError(
-            f"the lens of ø{hardware.lens_diameter_mm:g} mm does not fit the mount, which is "
-            f"{2.0 * inside:.1f} mm wide inside; correct hardware.lens_diameter_mm"
-        )
-    if ring and ring_radii_mm(design)[1] > inside:
-        raise DesignError(
-            f"the light ring of ø{2.0 * ring_radii_mm(design)[1]:.1f} mm does not fit the mount, "
-            f"which is {2.0 * inside:.1f} mm wide inside; lower hardware.ring_width_mm"
-        )
-
-
-def refuse_large(
+def check_bed(
     design: Design, sizes: tuple[tuple[float, float], ...], tall: float, name: str
 ) -> None:
-    """Refuse a part that no bed takes in any of its upright positions."""
+    """Reject a part that fits the bed in none of its upright positions."""
     width, height = (max(size[i] for size in sizes) for i in (0, 1))
     bed = sorted(design.print_rules.bed_mm)
     if any(a > b for a, b in zip(sorted((width, height, tall)), bed, strict=True)):

@@ -1,4 +1,4 @@
-"""What is checked on every mold that is written, and what it is made of."""
+"""Checks of every mold that is written, and the volumes of its materials."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -26,15 +26,13 @@ from phytac_shapes.errors import NumericalError
 
 SHARED_mm3 = 1e-6
 """Largest volume that two plates may share: rounding."""
-VOLUME_TOL = 0.005
-"""Largest relative error of a cavity's volume."""
 FINE_mm = 3e-4
 """Tolerance of the section that cavities are compared with."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Audit:
-    """A mold set looked at from outside.
+    """Measurements of a mold set.
 
     Attributes
     ----------
@@ -80,7 +78,7 @@ class Audit:
 
 
 def fine_sections(switches: SwitchSet) -> dict[SwitchKind, FloatArray]:
-    """Sections of all kinds of switches, as true as cavities are judged by."""
+    """Sections of all kinds of switches, as accurate as the comparison with cavities needs."""
     return {kind: switches.profile(kind, FINE_mm) for kind in switches.kinds}
 
 
@@ -99,7 +97,7 @@ def releases_of(made: MoldSet) -> dict[str, Release]:
 
 
 def audit_set(made: MoldSet, fine: Mapping[SwitchKind, FloatArray]) -> Audit:
-    """Look at one set from outside; ``fine`` are the switches' sections.
+    """Measure one set; ``fine`` are the switches' sections.
 
     Raises
     ------
@@ -135,14 +133,15 @@ def audit_set(made: MoldSet, fine: Mapping[SwitchKind, FloatArray]) -> Audit:
 
 
 def check_mold(made: MoldSet, audit: Audit) -> None:
-    """Stop where a mold would not work.
+    """Reject a mold that would not work.
 
     Raises
     ------
     NumericalError
         If parts do not release, do not close, or hold the wrong shape.
     """
-    asked = made.sizes.section.draft_deg
+    volume_tol = 0.005  # largest relative error of a cavity's volume
+    required = made.sizes.section.draft_deg
     for name, release in audit.releases.items():
         if release.caught:
             x, y = release.places_mm[0]
@@ -150,12 +149,12 @@ def check_mold(made: MoldSet, audit: Audit) -> None:
                 f"mold: {name} does not release: {release.caught} rays along the pull are caught, "
                 f"the first at x {x:.2f}, y {y:.2f} mm; please report this design"
             )
-        if release.draft_deg < asked - 1e-3:
+        if release.draft_deg < required - 1e-3:
             raise NumericalError(
                 f"mold: {name} has a face of {release.draft_deg:.3f} degrees against the pull, "
-                f"less than the {asked:g} asked for; lower [mold] draft_deg"
+                f"below the required {required:g}; lower [mold] draft_deg"
             )
-    if audit.shared_mm3 > SHARED_mm3 or audit.volume_error > VOLUME_TOL:
+    if audit.shared_mm3 > SHARED_mm3 or audit.volume_error > volume_tol:
         raise NumericalError(
             f"mold: its parts share {audit.shared_mm3:.3g} mm³ and its cavities are "
             f"{audit.volume_error:.2%} off their switches; please report this design"

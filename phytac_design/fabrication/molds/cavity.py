@@ -13,19 +13,13 @@ from phytac_design.geometry.triangles import sides_for, widening
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
-PROFILE_mm = 0.01
-"""Cavities keep this tolerance along their section, however coarse their rings are."""
 FLANK_deg = 15.0
 """Slope of keys and of the pinching rings: they must find each other and come apart by hand."""
 TROUGH_deg = 1.0
 """Least slope of the troughs behind the stems and of the cap's bosses in them."""
-SHOULDER_mm = 1.0
-"""Face around each stem's end, for the blade that trims it."""
 KEY_SIDES = 32
 EDGE_mm = 0.3
 """Least wall around a key's socket and between troughs, whatever the printer's rules."""
-VENT_MIN_mm = 0.2
-"""Least diameter of a vent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,12 +45,12 @@ class Cavity:
 
 @dataclass(frozen=True, kw_only=True)
 class MoldSizes:
-    """Everything that the plates of one mold have in common; mm, before the print's shrinkage.
+    """Dimensions common to the plates of one mold; mm, before the print's shrinkage.
 
     Attributes
     ----------
     section : MoldSection
-        The design's wishes.
+        The design's settings.
     rules : PrintSection
         The printer.
     cavities : mapping of kind to Cavity
@@ -75,7 +69,7 @@ class MoldSizes:
 
     @property
     def print_scale(self) -> float:
-        """What everything printed is enlarged by."""
+        """Scale factor of the printed parts."""
         scale = 1.0 / (1.0 - self.section.shrink_print)
         if self.section.way == "silicone-master":
             scale /= 1.0 - self.section.shrink_silicone
@@ -146,9 +140,10 @@ class MoldSizes:
 
     def trough_mm(self, cavity: Cavity, z_mm: float) -> float:
         """Half the width of the trough behind a kind of stems, at a height."""
+        shoulder_mm = 1.0  # face around each stem's end, for the blade that trims it
         slope = float(np.tan(np.radians(self.trough_deg)))
         tip = float(cavity.under[-1, 0])
-        return tip + SHOULDER_mm - slope * (z_mm + cavity.reach_mm)
+        return tip + shoulder_mm - slope * (z_mm + cavity.reach_mm)
 
     @property
     def trough_wall_mm(self) -> float:
@@ -174,15 +169,16 @@ class MoldSizes:
         DesignError
             If its draft leaves nothing of it.
         """
+        vent_min_mm = 0.2  # least diameter of a vent
         start = float(cavity.under[-1, 0]) - self.section.vent_step_mm
         # The flats of a ring's polygon are closer to the axis than its circle.
         flat = widening(self.sides) * np.cos(np.pi / self.sides)
         fall = np.tan(np.radians(self.section.draft_deg)) * (level_mm - cavity.reach_mm) / flat
         end = float(start - fall)
-        if 2.0 * end < VENT_MIN_mm:
+        if 2.0 * end < vent_min_mm:
             raise DesignError(
                 f"the vent of a stem of {cavity.reach_mm:.3g} mm would end {2.0 * end:.2g} mm "
-                f"wide, too thin for air to leave ({VENT_MIN_mm:g} mm); lower [mold] draft_deg or "
+                f"wide, too thin for air to leave ({vent_min_mm:g} mm); lower [mold] draft_deg or "
                 'vent_step_mm, raise [switch] tip_diameter_mm, or take way = "rigid"'
             )
         return np.array([[start, -cavity.reach_mm], [end, -level_mm]])
@@ -198,9 +194,11 @@ def make_sizes(
     DesignError
         If the keys do not fit their pads.
     """
+    # Cavities keep this tolerance along their section, however coarse their rings are.
+    profile_mm = 0.01
     scale = 1.0 / (1.0 - section.shrink_rubber)
     cavities = {
-        kind: _cavity(scale * switches.profile(kind, min(tolerance_mm, PROFILE_mm)))
+        kind: _cavity(scale * switches.profile(kind, min(tolerance_mm, profile_mm)))
         for kind in switches.kinds
     }
     widest = max(float(cavity.over[0, 0]) for cavity in cavities.values())

@@ -1,7 +1,7 @@
-"""The closed mold, looked at from outside: what its halves share, and what they leave for rubber.
+"""The closed mold, measured: common volume of its halves, and the cavities between them.
 
-Nothing here knows how the plates were built: halves of silicone are what is left of a block when
-the tray is taken away, cavities what is left of a column when both halves are.
+Independent of how the plates were built: a half of silicone is a block minus its tray, a cavity is
+a column minus both halves.
 """
 
 from collections.abc import Mapping
@@ -13,16 +13,11 @@ import numpy as np
 from phytac_design.fabrication.molds.cavity import MoldSizes
 from phytac_design.fabrication.molds.grid import Plan, SwitchKind
 from phytac_design.fabrication.switch_set import revolved_volume_mm3
-from phytac_design.geometry.triangles import TriangleMesh, prisms
-from phytac_design.solids.solid_mesh import apart, gap_mm, intersection, to_manifold, to_triangles
+from phytac_design.geometry.triangles import TriangleMesh, merged, prisms
+from phytac_design.solids.solid_mesh import box, to_manifold, to_triangles
 from phytac_shapes.arrays import FloatArray
 
 COLUMN_SIDES = 48
-PRESSED_mm = 1e-5
-"""Plates are pressed together by this, so that no film is left where they touch but for rounding:
-files are in single precision."""
-ASIDE_mm = 1e-4
-"""Distance from a plane within which a corner is taken to lie on it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,13 +42,7 @@ class Fit:
 def block(mesh: TriangleMesh, low_mm: float, high_mm: float, inset_mm: float) -> Any:
     """Box within a tray's frame, between two heights."""
     x, y = np.abs(mesh.vertices_mm[:, :2]).max(axis=0) - inset_mm
-    corner = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [x, y]
-    points = np.concatenate([np.column_stack([corner, np.full(4, z)]) for z in (low_mm, high_mm)])
-    k = np.arange(4)
-    n = (k + 1) % 4
-    caps = np.array([[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]])
-    sides = [np.column_stack([k, n, n + 4]), np.column_stack([k, n + 4, k + 4])]
-    return to_manifold(TriangleMesh(vertices_mm=points, triangles=np.concatenate([caps, *sides])))
+    return box(np.array([-x, -y, low_mm]), np.array([x, y, high_mm]))
 
 
 def silicone_halves(parts: Mapping[str, TriangleMesh], sizes: MoldSizes) -> tuple[Any, Any]:
@@ -76,23 +65,26 @@ def halves_of(parts: Mapping[str, TriangleMesh], sizes: MoldSizes) -> tuple[Any,
 
 def shared_mm3(first: Any, second: Any) -> float:
     """Volume that two solids share."""
-    return float(intersection(first, second).volume())
+    return float((first ^ second).volume())
 
 
 def cavities_of(
     plan: Plan, sizes: MoldSizes, halves: tuple[Any, Any]
 ) -> dict[SwitchKind, TriangleMesh]:
-    """What both halves leave for the first switch of each kind, its axis at the origin."""
+    """Cavity of the first switch of each kind, its axis at the origin."""
+    # Plates are pressed together by this, so that no film is left where they touch but for
+    # rounding: files are in single precision.
+    pressed_mm = 1e-5
     cells = {run.kind: run.cells[0] for run in reversed(plan.runs)}
     radius = sizes.rim_mm + 0.5 * sizes.section.land_mm
     columns, centres = [], {}
     for kind, cell in cells.items():
         centre = plan.centre_mm([cell], sizes.pitch_mm)
-        low = np.column_stack([centre, [2.0 * PRESSED_mm - sizes.cavities[kind].reach_mm]])
+        low = np.column_stack([centre, [2.0 * pressed_mm - sizes.cavities[kind].reach_mm]])
         high = np.column_stack([centre, [sizes.dome_mm + 0.1]])
         columns.append(prisms(low, high, radius, COLUMN_SIDES))
         centres[kind] = centre[0]
-    rest = apart(columns) - halves[0] - halves[1].translate((0.0, 0.0, PRESSED_mm))
+    rest = to_manifold(merged(columns)) - halves[0] - halves[1].translate((0.0, 0.0, pressed_mm))
     bodies = [to_triangles(body) for body in rest.decompose()]
     middle = np.array([0.5 * np.ptp(b.vertices_mm[:, :2], axis=0) for b in bodies])
     middle += np.array([b.vertices_mm[:, :2].min(axis=0) for b in bodies])
@@ -108,12 +100,13 @@ def cavities_of(
 
 def fit_of(cavity: TriangleMesh, profile: FloatArray, shrink: float, sides: int) -> Fit:
     """Compare the shrunk content of a cavity with a switch's fine section (k, 2)."""
+    aside_mm = 1e-4  # distance from a plane within which a corner is taken to lie on it
     scale = 1.0 - shrink
     volume = scale**3 * cavity.volume_mm3
     points = scale * cavity.vertices_mm
     line = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
     profile_all, profile = profile, profile[1:-1]
-    ahead = (np.abs(points[:, 1]) < ASIDE_mm) & (points[:, 0] > -ASIDE_mm)
+    ahead = (np.abs(points[:, 1]) < aside_mm) & (points[:, 0] > -aside_mm)
     pairs = np.concatenate([cavity.triangles[:, [k, (k + 1) % 3]] for k in range(3)])
     pairs = pairs[ahead[pairs].all(axis=1) & (pairs[:, 0] < pairs[:, 1])]
     rings = np.unique(np.round(line, 6), axis=0)
@@ -148,8 +141,8 @@ def least_gap_mm(
     """Least distance of two solids in columns over cells, between two heights."""
     low, high = (np.column_stack([centres, np.full(len(centres), z)]) for z in span_mm)
     columns = to_manifold(prisms(low, high, 0.48 * sizes.pitch_mm, COLUMN_SIDES))
-    first, second = (intersection(columns, solid) for solid in pair)
-    return gap_mm(first, second, 2.0 * sizes.section.key_mm)
+    first, second = (columns ^ solid for solid in pair)
+    return float(first.min_gap(second, 2.0 * sizes.section.key_mm))
 
 
 def _distance(points: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:

@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 
 from phytac_design.geometry.triangles import TriangleMesh
-from phytac_design.solids.solid_mesh import to_manifold, to_triangles, united
+from phytac_design.solids.solid_mesh import box, to_triangles, united
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
@@ -52,8 +53,6 @@ GLYPHS = {
 """Strokes of each letter through points xy of a grid of 2 by 4."""
 ADVANCE = 0.82
 """From one letter to the next, over the height of letters."""
-SLOPE_deg = 5.0
-"""Sides of letters fall off by this against the pull."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,6 +104,7 @@ def label(text: str, side_mm: float, stroke_mm: float, height_mm: float) -> Labe
     DesignError
         If strokes of that width leave nothing between them.
     """
+    slope_deg = 5.0  # sides of letters fall off by this against the pull
     drawn = strokes(text)
     free = 0.84 * side_mm - stroke_mm
     tall = min(free / ((len(text) - 1) * ADVANCE + 0.5), 0.5 * free)
@@ -113,11 +113,11 @@ def label(text: str, side_mm: float, stroke_mm: float, height_mm: float) -> Labe
             f"the mold has no room for its label {text!r}: letters of {tall:.2g} mm with strokes "
             f"of {stroke_mm:g} mm; raise [mold] channel_mm or lower [print_rules] engrave_min_mm"
         )
-    slope = np.tan(np.radians(SLOPE_deg))
+    slope = np.tan(np.radians(slope_deg))
     bars = [_bar(line, 0.5 * stroke_mm, height_mm, float(slope)) for line in tall * drawn]
     half = 0.5 * side_mm
-    block = _box(half, -1.0)
-    mesh = to_triangles(united([to_manifold(part) for part in [block, *bars]]))
+    base = box(np.array([-half, -half, -1.0]), np.array([half, half, 0.0]))
+    mesh = to_triangles(united([base, *bars]))
     top = mesh.vertices_mm[:, 2] > -1e-9
     triangles = mesh.triangles[top[mesh.triangles].all(axis=1)]
     edge = top & (np.abs(mesh.vertices_mm[:, :2]).max(axis=1) > half - 1e-9)
@@ -136,39 +136,17 @@ def label(text: str, side_mm: float, stroke_mm: float, height_mm: float) -> Labe
     )
 
 
-def _box(half: float, bottom: float) -> TriangleMesh:
-    """Box from ``bottom`` up to 0."""
-    return _frustum(half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]), None, bottom, 0.0)
-
-
-def _frustum(low: FloatArray, high: FloatArray | None, bottom: float, top: float) -> TriangleMesh:
-    """Solid between two quadrilaterals (4, 2), counter-clockwise."""
-    high = low if high is None else high
-    points = np.concatenate(
-        [np.column_stack([low, np.full(4, bottom)]), np.column_stack([high, np.full(4, top)])]
-    )
-    k = np.arange(4)
-    n = (k + 1) % 4
-    sides = [np.column_stack([k, n, n + 4]), np.column_stack([k, n + 4, k + 4])]
-    caps = [np.array([[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]])]
-    return TriangleMesh(vertices_mm=points, triangles=np.concatenate(sides + caps))
-
-
-def _bar(line: FloatArray, half: float, height: float, slope: float) -> TriangleMesh:
+def _bar(line: FloatArray, half: float, height: float, slope: float) -> Any:
     """Stroke with square ends, from below the face to its height, sides sloping in."""
+    import manifold3d
+
     start, end = line
-    way = (end - start) / np.hypot(*(end - start))
-    across = np.array([-way[1], way[0]])
-
-    def outline(wide: float) -> FloatArray:
-        return np.array(
-            [
-                end + wide * (way + across),
-                start + wide * (across - way),
-                start - wide * (way + across),
-                end + wide * (way - across),
-            ]
-        )
-
-    depth = 0.5
-    return _frustum(outline(half + depth * slope), outline(half - height * slope), -depth, height)
+    along = (end - start) / np.hypot(*(end - start))
+    across = np.array([-along[1], along[0]])
+    points = [
+        [*(point + (half - z * slope) * (sign * along + side * across)), z]
+        for z in (-0.5, height)
+        for point, sign in ((start, -1.0), (end, 1.0))
+        for side in (-1.0, 1.0)
+    ]
+    return manifold3d.Manifold.hull_points(np.array(points))

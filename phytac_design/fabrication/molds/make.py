@@ -38,7 +38,7 @@ class MoldSet:
     ----------
     plan : Plan
         What stands where.
-    sizes : Sizes
+    sizes : MoldSizes
         Outlines and thicknesses.
     parts : dict
         Name to mesh, in the frame of use (z towards the domes), before the print's shrinkage.

@@ -12,14 +12,12 @@ from phytac_design.fabrication.molds.labels import label
 from phytac_design.fabrication.molds.sheet import Sheet
 from phytac_shapes.arrays import FloatArray, IntArray
 
-LABEL_mm = 0.4
-"""Least height of labels: they must show in the rubber."""
-
 
 def label_sizes_mm(rules: PrintSection) -> tuple[float, float]:
     """Width and height of a label's strokes: raised on one face, sunken in the other."""
+    label_mm = 0.4  # least height of labels: they must show in the rubber
     stroke = max(rules.engrave_min_mm, rules.emboss_min_mm)
-    return stroke, max(stroke, LABEL_mm)
+    return stroke, max(stroke, label_mm)
 
 
 class CellGrid:
@@ -154,7 +152,7 @@ def core_face(
     Parameters
     ----------
     vent_level_mm : float or None
-        Depth to which a vent goes on below each stem; None leaves stems open.
+        Depth to which a vent continues below each stem; None leaves stems open.
 
     Returns
     -------

@@ -93,7 +93,7 @@ def cap_plate(plan: Plan, sizes: MoldSizes) -> TriangleMesh:
         top = _trough(field, run, cavity, -cavity.reach_mm - section.vent_gap_mm, gap)
         sheet.strip(field.around(run), foot)
         sheet.strip(foot, top)
-        sheet.ladder(top[: run.count + 1], top[: run.count : -1])
+        sheet.between_rows(top[: run.count + 1], top[: run.count : -1])
     flank = np.tan(np.radians(sizes.flank_deg))
     pad = np.array([[sizes.pad_mm + section.overflow_mm * flank, level], [sizes.pad_mm, 0.0]])
     pad[1, 1] = -sizes.depth_mm
@@ -111,7 +111,7 @@ def cap_plate(plan: Plan, sizes: MoldSizes) -> TriangleMesh:
 
 
 def check_troughs(sizes: MoldSizes) -> None:
-    """Refuse troughs that leave no wall between them.
+    """Reject troughs that leave no wall between them.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Whether plates come off: rays along the pull, and the slope of every face."""
+"""Demoulding check: rays along the pull, and the draft of every face."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,15 +11,11 @@ from phytac_shapes.arrays import FloatArray, IntArray
 
 RAY_STEP_mm = 0.1
 """Distance between rays: half the thinnest feature of a cavity."""
-FLAT_mm = 1e-6
-"""Rounding of a face's height."""
-CROSSINGS = 2
-"""A ray into a part that releases both ways goes in once and out once."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Release:
-    """What rays along the pull and slopes of faces say about a part.
+    """Rays along the pull, and slopes of the faces, of a part.
 
     Attributes
     ----------
@@ -91,7 +87,7 @@ def _count(xyz: FloatArray, triangles: IntArray, counts: IntArray, ceiling_mm: F
 
 @dataclass(frozen=True, kw_only=True)
 class Bottom:
-    """Where rubber ends below: within a rectangle nothing may look down on it from above that.
+    """Lower end of the rubber: within a rectangle no face above it may look down.
 
     Attributes
     ----------
@@ -119,18 +115,20 @@ def check_release(
         Ends of cavities that go right through: a hole that widens downwards lets every ray pass,
         but not what was cast in it.
     """
+    crossings = 2  # a ray into a part that releases both ways goes in once and out once
+    flat_mm = 1e-6  # rounding of a face's height
     low = mesh.vertices_mm[:, :2].min(axis=0) - 0.618 * step_mm
     xyz = np.column_stack([(mesh.vertices_mm[:, :2] - low) / step_mm, mesh.vertices_mm[:, 2]])
     size = np.ceil(xyz[:, :2].max(axis=0)).astype(np.int64) + 1
     counts = np.zeros((size[1], size[0]), dtype=np.int64)
     ceiling = np.full(counts.shape, -np.inf)
     _count(xyz, mesh.triangles, counts, ceiling)
-    bad = counts > CROSSINGS
+    bad = counts > crossings
     for bottom in bottoms:
         first = np.ceil((bottom.low_mm - low) / step_mm).astype(np.int64)
         last = np.floor((bottom.high_mm - low) / step_mm).astype(np.int64) + 1
         part = np.s_[first[1] : last[1], first[0] : last[0]]
-        bad[part] |= ceiling[part] > bottom.z_mm + FLAT_mm
+        bad[part] |= ceiling[part] > bottom.z_mm + flat_mm
     caught = np.argwhere(bad)
     a, b, c = np.moveaxis(mesh.corners_mm, 1, 0)
     normal = np.cross(b - a, c - a)

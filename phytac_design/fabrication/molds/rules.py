@@ -8,9 +8,6 @@ from phytac_design.fabrication.molds.cavity import Cavity, MoldSizes
 from phytac_design.fabrication.molds.mold_faces import label_sizes_mm
 from phytac_design.fabrication.molds.trays import FREEBOARD_mm
 
-BELOW_mm = 0.2
-"""Where the thickness of a core's ridge is taken, below its top."""
-
 
 def rule_rows(sizes: MoldSizes) -> list[dict[str, Any]]:
     """Each detail, the thinnest of its kind: what, got, needed (mm), and whether it holds."""
@@ -43,9 +40,10 @@ def rule_rows(sizes: MoldSizes) -> list[dict[str, Any]]:
 
 def _ridge_mm(cavity: Cavity) -> float:
     """Width of a core a little below its ridge: the thinnest wall that stands free."""
+    below_mm = 0.2  # where the thickness of a core's ridge is taken, below its top
     r, z = cavity.under.T
     top = int(z.argmax())
-    level = z[top] - BELOW_mm
+    level = z[top] - below_mm
     outer = np.interp(level, z[: top + 1], r[: top + 1])
     inner = np.interp(-level, -z[top:], r[top:])
     return float(outer - inner)

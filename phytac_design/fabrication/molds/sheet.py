@@ -87,7 +87,7 @@ class Sheet:
         """Fill rectangles (m, 4)."""
         self.faces(np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]]))
 
-    def ladder(self, lower: IntArray, upper: IntArray) -> None:
+    def between_rows(self, lower: IntArray, upper: IntArray) -> None:
         """Fill between two rows (n,) of points, both from left to right, the first in front."""
         self.faces(np.stack([lower[:-1], lower[1:], upper[1:]], axis=-1))
         self.faces(np.stack([lower[:-1], upper[1:], upper[:-1]], axis=-1))

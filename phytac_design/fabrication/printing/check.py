@@ -17,7 +17,7 @@ from phytac_design.fabrication.printing.overhang import (
 from phytac_design.fabrication.printing.receptors import check_receptors, owners
 from phytac_design.fabrication.printing.samples import sample_faces, welded
 from phytac_design.fabrication.printing.thickness import check_thickness
-from phytac_design.fabrication.printing.violations import Violation, in_order, place
+from phytac_design.fabrication.printing.violations import Violation, in_order, violation
 from phytac_design.fabrication.printing.voids import cups, sealed, undrained
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import TriangleMesh
@@ -27,21 +27,19 @@ from phytac_shapes.arrays import BoolArray, FloatArray
 
 SPACING_mm = 0.7
 """Default distance between the points at which thickness is measured."""
-SUPPORT_MIN_mm2 = 0.2
-"""Smaller overhangs bridge themselves."""
 LISTED = 20
 """Supported regions that a report lists, the largest first."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PrintReport:
-    """What a printer would have to say about a body.
+    """Result of all print rules on a body.
 
     Attributes
     ----------
     violations : tuple of Violation
         Every place that breaks a rule.
-    standing : Standing
+    standing : Orientation
         How the body stands in its build direction.
     supports : tuple of Overhang
         Parts of its surface that need supports there, largest first.
@@ -97,7 +95,7 @@ def check_body(
     spacing_mm : float
         Distance between the points at which thickness is measured.
     tolerance_mm : float
-        How far facets may stray from the true faces.
+        Distance of the facets from the true faces.
     up : (3,) float, optional
         Build direction; by default that of the rules.
     """
@@ -139,6 +137,7 @@ def _check(
     up: FloatArray | None = None,
     known: Any = None,
 ) -> PrintReport:
+    support_min_mm2 = 0.2  # smaller overhangs bridge themselves
     mesh = welded(mesh)
     tree = RayTree(mesh)
     tried = 0
@@ -150,7 +149,7 @@ def _check(
         standing = stand(mesh, tree, up / np.linalg.norm(up), rules)
     way = np.array(standing.up)
     samples = sample_faces(tree, spacing_mm)
-    thickness = check_thickness(
+    thin, wall_mm = check_thickness(
         tree,
         samples,
         rules,
@@ -161,10 +160,10 @@ def _check(
         else known(samples.point_mm),
     )
     supports = [
-        item for item in overhangs(mesh, tree, way, rules) if item.area_mm2 > SUPPORT_MIN_mm2
+        item for item in overhangs(mesh, tree, way, rules) if item.area_mm2 > support_min_mm2
     ]
     shut = sealed(mesh, rules)
-    found = [*thickness.violations, *shut, *_other_hollows(undrained(mesh, rules), shut)]
+    found = [*thin, *shut, *_other_hollows(undrained(mesh, rules), shut)]
     if rules.process == "sla":
         found += cups(mesh, way, rules)
     if rules.supports == "none":
@@ -175,7 +174,7 @@ def _check(
         violations=tuple(in_order(found)),
         standing=standing,
         supports=tuple(supports),
-        wall_mm=thickness.wall_mm,
+        wall_mm=wall_mm,
         tried=tried,
     )
 
@@ -193,25 +192,14 @@ def _other_hollows(slow: list[Violation], shut: list[Violation]) -> list[Violati
 
 
 def _overhang(item: Overhang, rules: PrintSection) -> Violation:
-    return Violation(
-        rule="overhang",
-        point_mm=item.point_mm,
-        measured=item.slope_deg,
-        asked=rules.overhang_deg,
-        unit="deg",
-        fix=f"{item.area_mm2:.1f} mm² hang free; turn the part or slope the face",
-    )
+    fix = f"{item.area_mm2:.1f} mm² hang free; turn the part or slope the face"
+    point, required = np.array(item.point_mm), rules.overhang_deg
+    return violation("overhang", point, item.slope_deg, required, fix, unit="deg")
 
 
 def _too_large(mesh: TriangleMesh, standing: Orientation, rules: PrintSection) -> Violation:
     size = np.array([*standing.footprint_mm, standing.height_mm])
     worst = int(np.argmax(size / np.array(rules.bed_mm)))
     middle = (mesh.vertices_mm.max(axis=0) + mesh.vertices_mm.min(axis=0)) / 2.0
-    return Violation(
-        rule="bed",
-        point_mm=place(middle),
-        measured=float(size[worst]),
-        asked=rules.bed_mm[worst],
-        unit="mm",
-        fix="print it in parts (they are written where it can be parted), or on a larger printer",
-    )
+    fix = "print it in parts (they are written where it can be parted), or on a larger printer"
+    return violation("bed", middle, size[worst], rules.bed_mm[worst], fix)

@@ -11,9 +11,6 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
-MORE = 6
-"""Pieces beyond the least number that are tried along an axis."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class CuttingPlane:
@@ -118,12 +115,13 @@ def gaps(design: Design, markers: Markers, normal: FloatArray) -> FloatArray:
 
 def _places(free: FloatArray, span: tuple[float, float, float], share: float) -> list[float] | None:
     """Offsets of cuts between the ends of a span so that no piece exceeds its third number."""
+    more = 6  # pieces beyond the least number that are tried along an axis
     low, high, room = span
     if room <= 0.0:
         return None
     least = max(1, int(np.ceil((high - low) / room)))
     places = free[:, 0] + share * (free[:, 1] - free[:, 0])
-    for count in range(least, least + MORE):
+    for count in range(least, least + more):
         found = _spread(places, (low, high, room), count)
         if found is not None:
             return found

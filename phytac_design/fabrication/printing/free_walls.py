@@ -1,15 +1,15 @@
-"""Whether a thin wall is held: walks along it to where it ends."""
+"""Whether a thin wall is supported, by walks along it to its edges."""
 
 import numpy as np
 
-from phytac_design.fabrication.printing.samples import frame
 from phytac_design.geometry.ray_tree import RayTree
+from phytac_design.geometry.triangles import frames_along
 from phytac_shapes.arrays import BoolArray, FloatArray
 
 STEP = 0.5
 """Steps of a walk over the wall's thickness: it follows bends of that radius."""
 STEPS = 300
-"""A wall that goes on for so many steps (around a tube, say) counts as held there."""
+"""A wall longer than so many steps (around a tube, for example) counts as held there."""
 HELD = 2.0
 """Where the body is this many times thicker than the wall, the wall is held."""
 EDGES = 2
@@ -31,7 +31,7 @@ def free_walls(
     count = len(middle_mm)
     if count == 0:
         return np.zeros(0, dtype=np.bool_)
-    first, second = frame(normal)
+    first, second, _ = np.moveaxis(frames_along(normal), 2, 0)
     way = np.concatenate([first, second, -first, -second])
     point, across = np.tile(middle_mm, (4, 1)), np.tile(normal, (4, 1))
     width = np.tile(width_mm, 4)

@@ -16,21 +16,13 @@ from phytac_shapes.errors import NumericalError
 
 DIRECTIONS = 150
 """Build directions of the coarse search, besides those along the axes."""
-FINALISTS = 40
-"""Cheapest directions among which one without cups is looked for."""
 TURNS_deg = np.arange(0.0, 90.0, 5.0)
 """Turns on the bed."""
-AXES = 6
-"""Directions along the axes, which come first."""
-FACING = 0.005
-"""Normals so alike count as one in the search."""
-ON_BED_mm = 0.02
-"""Faces so near to the bed stand on it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Orientation:
-    """How a body stands when printed in a direction.
+    """Figures of a body printed in one direction.
 
     Attributes
     ----------
@@ -88,11 +80,12 @@ def directions() -> FloatArray:
 
 def overhanging(tree: RayTree, up: FloatArray, rules: PrintSection) -> IntArray:
     """Triangles (k,) that look down and lie flatter than the rule, but for those on the bed."""
+    on_bed_mm = 0.02  # faces so near to the bed stand on it
     chosen = np.flatnonzero(tree.normal @ -up > np.cos(np.radians(rules.overhang_deg)) + 1e-9)
     if chosen.size == 0:
         return chosen
     height = (tree.corners[chosen] @ up).max(axis=1)
-    return np.asarray(chosen[height >= tree.lowest_mm(up) + ON_BED_mm])
+    return np.asarray(chosen[height >= tree.lowest_mm(up) + on_bed_mm])
 
 
 def overhangs(
@@ -104,27 +97,12 @@ def overhangs(
     label[own] = patches(mesh, own)
     count = int(label.max(initial=-1)) + 1
     area = np.bincount(label[own], tree.area_mm2[own], count)
-    middle = (
-        np.stack(
-            [
-                np.bincount(
-                    label[own], (tree.area_mm2[own] * tree.corners[own].mean(1)[:, k]), count
-                )
-                for k in range(3)
-            ],
-            axis=1,
-        )
-        / np.maximum(area, 1e-300)[:, None]
-    )
+    middle = _moments(tree, own, label[own], count) / np.maximum(area, 1e-300)[:, None]
     slope = np.degrees(np.arccos(np.clip(-(tree.normal[own] @ up), -1.0, 1.0)))
     least = np.full(count, 90.0)
     np.minimum.at(least, label[own], slope)
     return [
-        Overhang(
-            point_mm=(float(middle[k, 0]), float(middle[k, 1]), float(middle[k, 2])),
-            area_mm2=float(area[k]),
-            slope_deg=float(least[k]),
-        )
+        Overhang(point_mm=middle[k].tolist(), area_mm2=float(area[k]), slope_deg=float(least[k]))
         for k in np.argsort(-area, kind="stable")
     ]
 
@@ -162,13 +140,19 @@ def stand(
 
 def _facings(tree: RayTree) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Directions (k, 3) that faces look in, their areas (k,), and area times middle (k, 3)."""
-    whole = np.round(tree.normal / FACING).astype(np.int64)
+    facing = 0.005  # normals so alike count as one in the search
+    whole = np.round(tree.normal / facing).astype(np.int64)
     key = (whole[:, 0] * 1000 + whole[:, 1]) * 1000 + whole[:, 2]
     used, first, number = np.unique(key, return_index=True, return_inverse=True)
-    middle = tree.area_mm2[:, None] * tree.corners.mean(axis=1)
-    moment = [np.bincount(number, middle[:, k], len(used)) for k in range(3)]
+    moment = _moments(tree, np.arange(len(number)), number, len(used))
     area = np.bincount(number, tree.area_mm2, len(used))
-    return tree.normal[first], np.asarray(area, dtype=np.float64), np.stack(moment, axis=1)
+    return tree.normal[first], np.asarray(area, dtype=np.float64), moment
+
+
+def _moments(tree: RayTree, triangle: IntArray, label: IntArray, count: int) -> FloatArray:
+    """Area times middle of triangles (k,), summed by their label, (count, 3)."""
+    middle = tree.area_mm2[triangle, None] * tree.corners[triangle].mean(axis=1)
+    return np.stack([np.bincount(label, middle[:, k], count) for k in range(3)], axis=1)
 
 
 def on_bed(
@@ -194,6 +178,8 @@ def suggest(mesh: TriangleMesh, tree: RayTree, rules: PrintSection) -> tuple[Ori
 
     Directions in which the body fits the bed come first, then those without cups, then the cost.
     """
+    axes = 6  # directions along the axes, which come first
+    finalists = 40  # cheapest directions that are searched for one without cups
     ups = directions()
     if len(mesh.vertices_mm) < 4:
         raise NumericalError("a body without volume cannot be printed; check the mesh")
@@ -206,7 +192,7 @@ def suggest(mesh: TriangleMesh, tree: RayTree, rules: PrintSection) -> tuple[Ori
         height, _, fits[k] = on_bed(hull, up, rules)
         hanging = normal @ -up > flattest
         # Faces on the bed hang over nothing: they count where whole faces lie level.
-        level = overhanging(tree, up, rules) if k < AXES else None
+        level = overhanging(tree, up, rules) if k < axes else None
         low = float((hull @ up).min())
         drop = moment[hanging] @ up - low * area[hanging]
         figures[k] = (
@@ -220,5 +206,5 @@ def suggest(mesh: TriangleMesh, tree: RayTree, rules: PrintSection) -> tuple[Ori
     best = pool[np.argsort(cost[pool], kind="stable")]
     chosen = best[0]
     if rules.process == "sla":
-        chosen = next((k for k in best[:FINALISTS] if not cups(mesh, ups[k], rules)), chosen)
+        chosen = next((k for k in best[:finalists] if not cups(mesh, ups[k], rules)), chosen)
     return stand(mesh, tree, ups[chosen], rules, cost=float(cost[chosen])), len(ups)

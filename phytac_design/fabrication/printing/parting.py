@@ -18,31 +18,12 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError, NumericalError
 
-PEG_mm = 1.2
-"""Thinnest peg: one that does not break off by hand."""
-KEYS = ((2.0, 1.2), (1.3, 0.8), (0.9, 0.5))
-"""Length of pegs, and depth of their roots, over their diameter: the longest that have room."""
-IN_GAP = (0.5, 1.0)
-"""Where in the gap between two rows a cut is made: in its middle, or at the upper row."""
-ROUND_KEYS = (0.0, 0.22, 0.5, 0.74)
-"""Places of keys around a ring, as shares of it: uneven, so that pieces join in one way only."""
-SHEET_KEYS = (0.1, 0.5, 0.85)
-"""The same along the cut of a sheet."""
-OVER_mm = 0.02
-"""How far a socket's cutter runs beyond its boss, so that faces never coincide."""
-KEYS_MIN = 2
-SIDES = 24
-STATIONS = 360
-ALONG = 100
-STEEP = 0.5
-"""Greatest cosine between wall and cut plane's normal at a key: pegs stay inside the wall's run."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class KeySize:
     """Sizes of a key, mm: diameters of peg, socket and boss, length of the peg and of its root.
 
-    The socket runs through its boss, which is as long as the peg: it drains, and the tip is seen.
+    The socket runs through its boss, which is as long as the peg: it drains, the tip shows.
     """
 
     peg: float
@@ -60,7 +41,7 @@ class Parting:
     ----------
     pieces : list
         Manifolds, in order along the cuts.
-    cuts : list of Cut
+    cuts : list of CuttingPlane
         Where it is cut.
     keys_mm : (n, 3) float
         Middle of each key, on its cut.
@@ -82,14 +63,17 @@ class Parting:
 
 def key_sizes(rules: PrintSection) -> list[KeySize]:
     """Keys that a printer can make, longest first."""
-    peg = max(PEG_mm, rules.post_short_mm[0])
+    # Length of pegs, and depth of their roots, over their diameter: the longest that have room.
+    keys = ((2.0, 1.2), (1.3, 0.8), (0.9, 0.5))
+    peg_mm = 1.2  # thinnest peg: one that does not break off by hand
+    peg = max(peg_mm, rules.post_short_mm[0])
     socket = peg + 2.0 * rules.clearance_mm
     wall = max(rules.wall_free_min_mm, rules.wall_min_mm)
     return [
         KeySize(
             peg=peg, socket=socket, boss=socket + 2.0 * wall, length=long * peg, root=deep * peg
         )
-        for long, deep in KEYS
+        for long, deep in keys
     ]
 
 
@@ -117,12 +101,15 @@ def part_shell(
     NumericalError
         If a piece is not one body.
     """
+    keys_min = 2
+    # Where in the gap between two rows a cut is made: in its middle, or at the upper row.
+    in_gap = (0.5, 1.0)
     corners = to_triangles(solid).vertices_mm
     sizes = key_sizes(design.print_rules)
-    for size, share in product(sizes, IN_GAP):
+    for size, share in product(sizes, in_gap):
         cuts = plan_cuts(design, surface, markers, corners, size.length, share)
         keys = [_keys(design, surface, markers, cut, cuts, size) for cut in cuts]
-        if all(len(at) >= KEYS_MIN for at in keys):
+        if all(len(at) >= keys_min for at in keys):
             break
     else:
         raise DesignError(
@@ -155,6 +142,7 @@ def _parted(
     piece: Any, cut: CuttingPlane, at_mm: FloatArray, size: KeySize
 ) -> tuple[list[Any], float]:
     """Both sides of a cut, the lower one with pegs, the upper one with sockets; their clearance."""
+    over_mm = 0.02  # how far a socket's cutter runs beyond its boss, so that faces never coincide
     upper, lower = piece.split_by_plane(cut.normal.tolist(), cut.offset_mm)
     if upper.is_empty() or lower.is_empty():
         return [piece], 0.0
@@ -163,7 +151,7 @@ def _parted(
     if len(own) == 0:
         return [lower, upper], 0.0
     pegs = _rods(own, cut.normal, (-size.root, size.length), size.peg)
-    sockets = _rods(own, cut.normal, (-size.root, size.length + OVER_mm), size.socket)
+    sockets = _rods(own, cut.normal, (-size.root, size.length + over_mm), size.socket)
     clearance = (sockets ^ upper).volume() - (pegs - lower).volume()
     return [lower + pegs, upper - sockets], float(clearance)
 
@@ -171,8 +159,9 @@ def _parted(
 def _rods(
     at_mm: FloatArray, axis: FloatArray, ends_mm: tuple[float, float], diameter_mm: float
 ) -> Any:
+    sides = 24
     first, last = (at_mm + end * axis for end in ends_mm)
-    return to_manifold(prisms(first, last, diameter_mm / 2.0, SIDES))
+    return to_manifold(prisms(first, last, diameter_mm / 2.0, sides))
 
 
 def _refuse_torn(pieces: list[Any]) -> None:
@@ -193,8 +182,13 @@ def _keys(
     size: KeySize,
 ) -> FloatArray:
     """Middles (k, 3) of the keys of a cut, clear of receptors and of other cuts; maybe none."""
+    # Greatest cosine between wall and cut plane's normal at a key: pegs stay inside the wall's
+    # run.
+    steep = 0.5
+    # Places of keys around a ring, as shares of it: uneven, so that pieces join in one way only.
+    round_keys = (0.0, 0.22, 0.5, 0.74)
     uv = _cut_line(surface, cut)
-    uv = uv[np.abs(surface.normal(uv) @ cut.normal) <= STEEP]
+    uv = uv[np.abs(surface.normal(uv) @ cut.normal) <= steep]
     point = surface.point(uv, -size.boss / 2.0)
     # The wall may slant: the key stays in the cut, in the middle of the boss.
     point += (cut.offset_mm - point @ cut.normal)[:, None] * cut.normal
@@ -212,7 +206,7 @@ def _keys(
         if other.axis != cut.axis:
             clear = np.minimum(clear, np.abs(point @ other.normal - other.offset_mm) - reach)
     fine = np.flatnonzero(clear >= gap)
-    wanted = ROUND_KEYS if surface.periodic[1] else _sheet_shares(point, cut, cuts)
+    wanted = round_keys if surface.periodic[1] else _sheet_shares(point, cut, cuts)
     share = np.linspace(0.0, 1.0, len(point), endpoint=not surface.periodic[1])
     chosen: list[int] = []
     for target in wanted:
@@ -240,24 +234,27 @@ def _sheet_shares(
     point: FloatArray, cut: CuttingPlane, cuts: list[CuttingPlane]
 ) -> tuple[float, ...]:
     """Places of keys along a sheet's cut: the same in each piece that other cuts leave of it."""
+    sheet_keys = (0.1, 0.5, 0.85)  # uneven places of keys along the cut of a sheet
     limits = [0.0, 1.0]
     for other in cuts:
         if other.axis != cut.axis:
             along = point @ other.normal - other.offset_mm
             limits.append(float(np.argmin(np.abs(along))) / len(point))
     limits.sort()
-    return tuple(a + share * (b - a) for a, b in pairwise(limits) for share in SHEET_KEYS)
+    return tuple(a + share * (b - a) for a, b in pairwise(limits) for share in sheet_keys)
 
 
 def _cut_line(surface: Surface, cut: CuttingPlane) -> FloatArray:
     """Chart points (n, 2) where the outer face meets a cut, in order."""
+    along = 100
+    stations = 360
     axis = cut.axis
     low, high = surface.domain[1 - axis]
-    others = np.linspace(low, high, STATIONS, endpoint=not surface.periodic[1 - axis])
-    t = np.linspace(surface.domain[axis, 0], surface.domain[axis, 1], ALONG)
-    uv = np.zeros((STATIONS, ALONG, 2))
+    others = np.linspace(low, high, stations, endpoint=not surface.periodic[1 - axis])
+    t = np.linspace(surface.domain[axis, 0], surface.domain[axis, 1], along)
+    uv = np.zeros((stations, along, 2))
     uv[..., axis], uv[..., 1 - axis] = t, others[:, None]
-    height = (surface.point(uv.reshape(-1, 2)) @ cut.normal).reshape(STATIONS, ALONG)
+    height = (surface.point(uv.reshape(-1, 2)) @ cut.normal).reshape(stations, along)
     above = height >= cut.offset_mm
     cross = above[:, 1:] != above[:, :-1]
     met = cross.any(axis=1)

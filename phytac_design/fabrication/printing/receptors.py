@@ -4,9 +4,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.printing.violations import Violation, place
+from phytac_design.fabrication.printing.violations import Violation, violation
 from phytac_design.layout import Markers
-from phytac_design.layout.receptor_distances import segment_distance_mm
+from phytac_design.layout.receptor_distances import near_axes
 from phytac_design.solids.receptor_tubes import receptor_axes
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -15,8 +15,6 @@ from phytac_shapes.errors import DesignError
 SLACK_mm = 1e-6
 NEAR = 1.04
 """Polygons that stand for tubes reach this much farther out than the tubes."""
-NEAR_mm = 0.02
-"""How far beyond its end a point may be to count as on a tube."""
 
 
 def check_receptors(design: Design, markers: Markers) -> list[Violation]:
@@ -27,7 +25,7 @@ def check_receptors(design: Design, markers: Markers) -> list[Violation]:
     found = []
     for k in range(markers.count):
         height = float(markers.height_mm[k])
-        asked = {
+        checks = {
             "post": (
                 outer,
                 rules.post_diameter_mm(height),
@@ -41,16 +39,8 @@ def check_receptors(design: Design, markers: Markers) -> list[Violation]:
             "hole": (hole, rules.hole_min_mm, "raise receptor.diameter_hole_mm"),
         }
         found += [
-            Violation(
-                rule=rule,
-                point_mm=place(middle[k]),
-                measured=measured,
-                asked=least,
-                unit="mm",
-                fix=fix,
-                marker=k,
-            )
-            for rule, (measured, least, fix) in asked.items()
+            violation(rule, middle[k], measured, least, fix, marker=k)
+            for rule, (measured, least, fix) in checks.items()
             if measured < least - SLACK_mm
         ]
     return found + _gaps(design, markers)
@@ -58,40 +48,17 @@ def check_receptors(design: Design, markers: Markers) -> list[Violation]:
 
 def _gaps(design: Design, markers: Markers) -> list[Violation]:
     diameter, least = design.receptor.diameter_outer_mm, design.print_rules.gap_min_mm
-    pairs = _near_pairs(markers, diameter + least)
-    if len(pairs) == 0:
+    if markers.count < 2:
         return []
+    pairs, distance = near_axes(markers, diameter + least)
     first, second = pairs.T
-    gap = -diameter + segment_distance_mm(
-        markers.foot_mm[first], markers.tip_mm[first], markers.foot_mm[second],
-        markers.tip_mm[second],
-    )  # fmt: skip
+    gap = distance - diameter
     middle = (markers.tip_mm[first] + markers.tip_mm[second]) / 2.0
+    fix = "to marker {}: lower receptor.diameter_outer_mm or the number of markers, or shorten them"
     return [
-        Violation(
-            rule="gap",
-            point_mm=place(middle[k]),
-            measured=float(gap[k]),
-            asked=least,
-            unit="mm",
-            fix=f"to marker {second[k]}: lower receptor.diameter_outer_mm or the number of "
-            "markers, or shorten them",
-            marker=int(first[k]),
-        )
+        violation("gap", middle[k], gap[k], least, fix.format(second[k]), marker=int(first[k]))
         for k in np.flatnonzero(gap < least - SLACK_mm)
     ]
-
-
-def _near_pairs(markers: Markers, reach_mm: float) -> IntArray:
-    """Pairs (k, 2) of receptors whose axes may come within ``reach_mm``."""
-    longest = float(markers.height_mm.max(initial=0.0))
-    steps = int(np.ceil(longest / reach_mm)) + 1
-    share = np.linspace(0.0, 1.0, steps + 1)[:, None]
-    points = markers.foot_mm[:, None] + share * (markers.tip_mm - markers.foot_mm)[:, None]
-    tree = cKDTree(points.reshape(-1, 3))
-    pairs = tree.query_pairs(reach_mm + longest / steps, output_type="ndarray") // (steps + 1)
-    pairs = np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1)
-    return np.asarray(np.unique(pairs, axis=0))
 
 
 def owners(design: Design, surface: Surface, markers: Markers, points_mm: FloatArray) -> IntArray:
@@ -102,6 +69,7 @@ def owners(design: Design, surface: Surface, markers: Markers, points_mm: FloatA
     points_mm : (n, 3) float
         Points on or in the shell.
     """
+    near_mm = 0.02  # how far beyond its end a point may be to count as on a tube
     owner = np.full(len(points_mm), -1, dtype=np.int64)
     if markers.count == 0 or len(points_mm) == 0:
         return owner
@@ -119,6 +87,6 @@ def owners(design: Design, surface: Surface, markers: Markers, points_mm: FloatA
     arm = points_mm - start[near]
     way = np.einsum("ni,ni->n", arm, markers.direction[near])
     off = np.linalg.norm(arm - way[:, None] * markers.direction[near], axis=1)
-    on = (off <= NEAR * radius) & (way <= length[near] + NEAR_mm)
+    on = (off <= NEAR * radius) & (way <= length[near] + near_mm)
     owner[on] = near[on]
     return owner

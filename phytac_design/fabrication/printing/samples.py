@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from phytac_design.geometry.ray_tree import RayTree
-from phytac_design.geometry.triangles import TriangleMesh
+from phytac_design.geometry.triangles import TriangleMesh, proper_triangles
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 STEPS = np.array([0.7548776662466927, 0.5698402909980532])
@@ -68,14 +68,6 @@ def sample_faces(tree: RayTree, spacing_mm: float) -> Samples:
     )
 
 
-def frame(normal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Two unit vectors (n, 3) square to each normal and to each other."""
-    helper = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    first = np.cross(helper, normal)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return first, np.cross(normal, first)
-
-
 def regions(
     points_mm: FloatArray, width_mm: FloatArray, corners: IntArray, reach_mm: float
 ) -> IntArray:
@@ -127,12 +119,8 @@ def welded(mesh: TriangleMesh, grid_mm: float = 1e-6) -> TriangleMesh:
         return_index=True,
         return_inverse=True,
     )
-    triangles = renumbered.reshape(-1)[mesh.triangles]
-    a, b, c = triangles.T
-    return TriangleMesh(
-        vertices_mm=mesh.vertices_mm[first],
-        triangles=triangles[(a != b) & (b != c) & (c != a)],
-    )
+    triangles = proper_triangles(renumbered.reshape(-1)[mesh.triangles])
+    return TriangleMesh(vertices_mm=mesh.vertices_mm[first], triangles=triangles)
 
 
 def bodies(mesh: TriangleMesh) -> IntArray:

@@ -3,8 +3,6 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-
 from phytac_shapes.arrays import FloatArray
 
 RULES = ("wall", "free wall", "post", "hole", "gap", "overhang", "sealed", "drain", "cup", "bed")
@@ -22,7 +20,7 @@ class Violation:
     point_mm : (3,) tuple of float
         Middle of the place, in the body's frame.
     measured, asked : float
-        What is there, and the least (overhang, bed: the most) that the rule asks for.
+        Measured value, and the minimum (overhang, bed: maximum) of the rule.
     unit : str
         Of both.
     fix : str
@@ -47,19 +45,36 @@ class Violation:
         return data
 
     def text(self) -> str:
-        """One line for people."""
+        """One line of text."""
         owner = "" if self.marker is None else f" (marker {self.marker})"
         x, y, z = self.point_mm
         return (
-            f"{self.rule} {self.measured:.3g} {self.unit}, asked {self.asked:.3g} {self.unit}, at "
-            f"({x:.1f}, {y:.1f}, {z:.1f}) mm{owner}: {self.fix}"
+            f"{self.rule} {self.measured:.3g} {self.unit} (required {self.asked:.3g} {self.unit}) "
+            f"at ({x:.1f}, {y:.1f}, {z:.1f}) mm{owner}: {self.fix}"
         )
 
 
-def place(point_mm: FloatArray) -> tuple[float, float, float]:
-    """Return a point (3,) as plain numbers."""
-    x, y, z = (float(value) for value in np.asarray(point_mm))
-    return x, y, z
+def violation(
+    rule: str,
+    point_mm: FloatArray,
+    measured: float,
+    required: float,
+    fix: str,
+    *,
+    unit: str = "mm",
+    marker: int | None = None,
+) -> Violation:
+    """Violation at a point (3,)."""
+    x, y, z = map(float, point_mm)
+    return Violation(
+        rule=rule,
+        point_mm=(x, y, z),
+        measured=float(measured),
+        asked=float(required),
+        unit=unit,
+        fix=fix,
+        marker=marker,
+    )
 
 
 def in_order(violations: list[Violation]) -> list[Violation]:

@@ -1,6 +1,6 @@
 """Hollows that hold resin: sealed ones, ones that drain too slowly, cups.
 
-The first are closed faces that look inward. The others are seen on a grid of cells: a ball of the
+The first are closed faces that look inward. The others are found on a grid of cells: a ball of the
 drain's diameter is moved through the air; where it can be but cannot leave, resin is trapped
 unless the openings are together as large as the drain's.
 """
@@ -14,17 +14,12 @@ from scipy import ndimage
 from phytac_design.core.kernels import kernel
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.fabrication.printing.samples import bodies
-from phytac_design.fabrication.printing.violations import Violation, place
+from phytac_design.fabrication.printing.violations import Violation, violation
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-CELLS_MAX = 1_500_000
-CELLS_CUP = 300_000
-"""Cells of the grid, for drains and for cups (looked for in several directions)."""
-CELLS_DRAIN = 7.0
-"""Cells across the drain's diameter, where the number of cells allows."""
 COARSE = 2.5
-"""A drain narrower than this many cells is not looked for."""
+"""Drains narrower than this many cells are not searched."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,10 +39,6 @@ class Grid:
     solid: BoolArray
     low_mm: FloatArray
     cell_mm: float
-
-    def point_mm(self, index: FloatArray) -> FloatArray:
-        """Middle of a cell, or a place between, (..., 3)."""
-        return np.asarray(self.low_mm + self.cell_mm * np.asarray(index))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,41 +116,20 @@ def sealed(mesh: TriangleMesh, rules: PrintSection) -> list[Violation]:
         own = number == k
         weight = np.einsum("ni,ni->n", a[own], np.cross(b[own], c[own]))
         centre = np.average((a[own] + b[own] + c[own]) / 4.0, axis=0, weights=weight)
-        found.append(
-            Violation(
-                rule="sealed",
-                point_mm=place(centre),
-                measured=0.0,
-                asked=rules.drain_min_mm,
-                unit="mm",
-                fix=f"{-volume[k]:.2f} mm³ of resin are shut in; fill the hollow or open a drain",
-            )
-        )
+        fix = f"{-volume[k]:.2f} mm³ of resin are shut in; fill the hollow or open a drain"
+        found.append(violation("sealed", centre, 0.0, rules.drain_min_mm, fix))
     return found
 
 
 def undrained(mesh: TriangleMesh, rules: PrintSection) -> list[Violation]:
     """Hollows whose openings are together smaller than the drain."""
-    drain = rules.drain_min_mm
-    cell = cell_size_mm(mesh, rules, CELLS_MAX)
-    if drain < COARSE * cell:
+    grid = _grid(mesh, rules, cells_max=1_500_000)
+    if grid is None:
         return []
-    grid = fill(mesh, cell, drain / 2.0 + 2.0 * cell)
-    core = _ball_centres(grid, drain)
-    label = ndimage.label(core)[0]
-    hollows = _hollows(grid, np.where(label == label[0, 0, 0], 0, label), drain)
-    return [
-        Violation(
-            rule="drain",
-            point_mm=place(item.middle_mm),
-            measured=2.0 * float(np.sqrt(area / np.pi)),
-            asked=drain,
-            unit="mm",
-            fix=f"about {float(item.cells.sum()) * cell**3:.0f} mm³ of resin run out too slowly; "
-            "widen the opening",
-        )
-        for item, area in _holding(grid, hollows, np.pi / 4.0 * drain**2, _reached)
-    ]
+    label = ndimage.label(_ball_centres(grid, rules.drain_min_mm))[0]
+    hollows = _hollows(grid, np.where(label == label[0, 0, 0], 0, label), rules.drain_min_mm)
+    advice = "run out too slowly; widen the opening"
+    return _trapped("drain", grid, hollows, rules, _reached, advice)
 
 
 def cups(mesh: TriangleMesh, up: FloatArray, rules: PrintSection) -> list[Violation]:
@@ -173,34 +143,43 @@ def cups(mesh: TriangleMesh, up: FloatArray, rules: PrintSection) -> list[Violat
     up : (3,) float
         Build direction.
     """
-    drain = rules.drain_min_mm
-    if drain == 0.0:
+    turn, drain = upright(up), rules.drain_min_mm
+    turned = TriangleMesh(vertices_mm=mesh.vertices_mm @ turn.T, triangles=mesh.triangles)
+    # Coarser than for drains: cups are searched in several directions.
+    grid = _grid(turned, rules, cells_max=300_000)
+    if grid is None:
         return []
-    turned = TriangleMesh(vertices_mm=mesh.vertices_mm @ upright(up).T, triangles=mesh.triangles)
-    cell = cell_size_mm(turned, rules, CELLS_CUP)
-    if drain < COARSE * cell:
-        return []
-    grid = fill(turned, cell, drain / 2.0 + 2.0 * cell)
     pools = _pools(_ball_centres(grid, drain))
     hollows = [
-        item.below(drain / 2.0 / cell)
+        replace(item.below(drain / 2.0 / grid.cell_mm), middle_mm=item.middle_mm @ turn)
         for item in _hollows(grid, ndimage.label(pools)[0], drain)
-        if item.depth * cell >= drain / 2.0
+        if item.depth * grid.cell_mm >= drain / 2.0
     ]
-    return [
-        Violation(
-            rule="cup",
-            point_mm=place(item.middle_mm @ upright(up)),
-            measured=2.0 * float(np.sqrt(area / np.pi)),
-            asked=drain,
-            unit="mm",
-            fix=f"holds about {float(item.cells.sum()) * cell**3:.0f} mm³ of resin as it stands; "
-            "turn the part or open a drain",
-        )
-        for item, area in _holding(
-            grid, hollows, np.pi / 4.0 * drain**2, lambda air: air & ~_pools(air)
-        )
-    ]
+    advice = "stay inside as it stands; turn the part or open a drain"
+    return _trapped("cup", grid, hollows, rules, lambda air: air & ~_pools(air), advice)
+
+
+def _grid(mesh: TriangleMesh, rules: PrintSection, *, cells_max: int) -> Grid | None:
+    """Cells of a body with a margin for the drain's ball; None if cells are too coarse for it."""
+    drain, cell = rules.drain_min_mm, cell_size_mm(mesh, rules, cells_max)
+    return None if drain < COARSE * cell else fill(mesh, cell, drain / 2.0 + 2.0 * cell)
+
+
+def _trapped(
+    rule: str,
+    grid: Grid,
+    hollows: list[Hollow],
+    rules: PrintSection,
+    reached: Callable[[BoolArray], BoolArray],
+    advice: str,
+) -> list[Violation]:
+    """Violations of the hollows whose openings are together smaller than the drain."""
+    drain = rules.drain_min_mm
+    found = []
+    for item, area in _holding(grid, hollows, np.pi / 4.0 * drain**2, reached):
+        fix = f"about {float(item.cells.sum()) * grid.cell_mm**3:.0f} mm³ of resin {advice}"
+        found.append(violation(rule, item.middle_mm, 2.0 * np.sqrt(area / np.pi), drain, fix))
+    return found
 
 
 def _hollows(grid: Grid, label: IntArray, drain_mm: float) -> list[Hollow]:
@@ -225,7 +204,7 @@ def _hollows(grid: Grid, label: IntArray, drain_mm: float) -> list[Hollow]:
                 counted=cells,
                 depth=span[2].stop - span[2].start,
                 brim=span[2].stop - box[2].start,
-                middle_mm=grid.point_mm(centre),
+                middle_mm=grid.low_mm + grid.cell_mm * centre,
             )
         )
     return found
@@ -240,7 +219,7 @@ def _reached(air: BoolArray) -> BoolArray:
 def _holding(
     grid: Grid,
     hollows: list[Hollow],
-    asked_mm2: float,
+    required_mm2: float,
     reached: Callable[[BoolArray], BoolArray],
 ) -> list[tuple[Hollow, float]]:
     """Hollows with too small openings, and their area (mm²).
@@ -256,7 +235,7 @@ def _holding(
         for item in hollows:
             opening = ndimage.binary_dilation(item.counted) & outside[item.box]
             area = float(opening.sum()) * grid.cell_mm**2
-            if area < asked_mm2:
+            if area < required_mm2:
                 slow.append((item, area))
         if len(slow) == len(hollows):
             return slow
@@ -266,8 +245,9 @@ def _holding(
 
 def cell_size_mm(mesh: TriangleMesh, rules: PrintSection, cells: int) -> float:
     """Side of the cells that suits the drain and the size of the body."""
+    cells_drain = 7.0  # cells across the drain's diameter, where the number of cells allows
     size = np.ptp(mesh.vertices_mm, axis=0) + 2.0 * rules.drain_min_mm
-    return float(max(rules.drain_min_mm / CELLS_DRAIN, np.cbrt(np.prod(size) / cells)))
+    return float(max(rules.drain_min_mm / cells_drain, np.cbrt(np.prod(size) / cells)))
 
 
 def upright(up: FloatArray) -> FloatArray:
