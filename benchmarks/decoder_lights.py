@@ -122,7 +122,7 @@ def add_lights(table: Table, bench: PressedSensor, *, quick: bool) -> None:
 
 def _faded(bench: PressedSensor, poses: list[int]) -> list[NDArray[np.float32]]:
     """Light on the chip where all paint has faded."""
-    eye = bench.eyes.eyes[0]
+    eye = bench.eyes.cameras[0]
     names = (*bench.job.design.layout.colours, "red")
     paint = to_linear(np.array([PAINTS[name] for name in names]))
     before = eye.paint

@@ -88,7 +88,7 @@ class PressedSensor:
 
     def chip(self, motion: FloatArray, bits: BoolArray) -> NDArray[np.float32]:
         """Light on the chip."""
-        eye = self.eyes.eyes[0]
+        eye = self.eyes.cameras[0]
         return eye.light(eye.scene(motion, bits))
 
     def shot(
@@ -105,7 +105,7 @@ class PressedSensor:
         used = given if corner is None else replace(given, vignetting=corner)
         tinted = light * np.array([gains[1], 1.0, gains[0]], dtype=np.float32)
         rng = np.random.default_rng([SEEN, seed])
-        camera = self.eyes.eyes[0].camera
+        camera = self.eyes.cameras[0].camera
         return expose(tinted, camera, used, brightness=2.0**stops, rng=rng)
 
     def forces_of(self, index: int, forces_N: FloatArray) -> tuple[float, FloatArray]:

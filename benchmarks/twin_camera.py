@@ -211,9 +211,9 @@ def samples_of_a_pixel(table: Table, case: CameraCase, *, quick: bool) -> None:
     with one_thread_each(THREADS):
         for samples in (8, 24) if quick else (8, 23, 24, 54, 96):
             eyes = case.eyes(replace(CLEAN, lens_blur=True), samples=samples)
-            scene = eyes.eyes[0].rest
-            eyes.eyes[0].light(scene)
-            light, seconds = timed(partial(eyes.eyes[0].light, scene))
+            scene = eyes.cameras[0].rest
+            eyes.cameras[0].light(scene)
+            light, seconds = timed(partial(eyes.cameras[0].light, scene))
             scatter = rms(eyes.at_rest.grid_px)
             views, side = sample_views(samples)
             table.add(
@@ -310,7 +310,7 @@ def readable(table: Table, case: CameraCase) -> None:
             continue
         lost += int((~matched.found).sum())
         wrong += int(((on != bits) & eyes.nominal.tips.readable).sum())
-    blur = [eye.blur for eye in eyes.eyes]
+    blur = [eye.blur for eye in eyes.cameras]
     table.add(
         f"{case.design.name}: markers lost with the default exposure, switches off and on",
         lost,

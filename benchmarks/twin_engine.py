@@ -19,9 +19,8 @@ from phytac_design.datasets.samples_writer import FILE, TABLE
 from phytac_design.design.accuracy import Preset
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.simulation.run.job import Job
-from phytac_design.simulation.run.journal import WORK
 from phytac_design.simulation.scenario.scenario_file import Scenario, load_scenario, parse_scenario
-from phytac_design.workflows.simulate import SimulationResult, simulate
+from phytac_design.workflows.simulate import JOURNAL_FOLDER, SimulationResult, simulate
 from phytac_shapes.errors import InputError, PhytacError
 
 KILLS = 10
@@ -126,7 +125,7 @@ def worker_rows(table: Table, *, quick: bool) -> None:
 
 def _stored(out: Path) -> int:
     """Samples that an unfinished run has stored."""
-    return sum(1 for _ in (out / WORK).rglob("*.bin"))
+    return sum(1 for _ in (out / JOURNAL_FOLDER).rglob("*.bin"))
 
 
 def kill_rows(table: Table, *, quick: bool) -> None:

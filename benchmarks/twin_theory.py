@@ -25,7 +25,7 @@ from phytac_design.simulation.indenters import Touches, flat_touches
 from phytac_design.simulation.response import point_motions, turned_points
 from phytac_design.simulation.scenario.contact_box import contact_box
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
-from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
+from phytac_design.simulation.scenario.sections import SensorInstanceSection
 from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_design.simulation.solver import Displacement, Solver
 from phytac_shapes import Surface
@@ -126,7 +126,7 @@ def newton_all(this: DesignUnit, solver: Solver, touches: Touches, count: int) -
         force = solver.load(one, one.force_N)
         end = solve_large(solver.model, Loading(force=force))[0]
         out.seconds.append(time.process_time() - start)
-        out.tips_mm.append(turned_points(solver.feet.large(end.state.motion), this.arm_mm))
+        out.tips_mm.append(turned_points(solver.kinematics.large(end.state.motion), this.arm_mm))
     return out
 
 

@@ -1,4 +1,4 @@
-"""The simulation as a whole: the same data however it is made, resumed, refused, and told."""
+"""The simulation as a whole: the same data however it is made, resumed, rejected, and reported."""
 
 import json
 import os
@@ -18,15 +18,20 @@ from typer.testing import CliRunner
 
 from phytac_decoder.pipeline.decode import read_image
 from phytac_design.cli.app import app
+from phytac_design.core.journal import Journal
 from phytac_design.datasets.samples import STATUSES, Samples
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.datasets.samples_writer import FILE, TABLE
 from phytac_design.design.design_file import load_design, to_toml
 from phytac_design.simulation.run.job import Job
-from phytac_design.simulation.run.journal import WORK, Journal
 from phytac_design.simulation.scenario.scenario_file import Scenario, load_scenario, parse_scenario
 from phytac_design.stages.build import copy_of
-from phytac_design.workflows.simulate import SimulationResult, imaging_model, simulate
+from phytac_design.workflows.simulate import (
+    JOURNAL_FOLDER,
+    SimulationResult,
+    imaging_model,
+    simulate,
+)
 from phytac_shapes.errors import DesignError, OutputError
 from tests.designs import small
 
@@ -116,12 +121,14 @@ def test_another_seed_and_another_print_give_other_data(whole: Path, tmp_path: P
     assert 0.05 < np.nanmax(apart) < np.nanmax(np.abs(first.shift_px))
 
 
-def test_a_journal_half_done_is_finished_and_damage_is_mended(whole: Path, tmp_path: Path) -> None:
+def test_a_journal_half_done_is_finished_and_damage_is_repaired(
+    whole: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "data"
     job = job_of()
     with pytest.raises(_StopError):
         simulate(job, out, workers=0, progress=_stop_after(3))
-    done = sorted((out / WORK).glob("*/*.bin"))
+    done = sorted((out / JOURNAL_FOLDER).glob("*/*.bin"))
     assert 3 <= len(done) < 6
     done[0].write_bytes(done[0].read_bytes()[:-7])
     said: list[str] = []
@@ -150,7 +157,7 @@ def _often(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("phytac_design.workflows.simulate.PROGRESS_INTERVAL_s", 0.0)
 
 
-def test_a_killed_command_goes_on_and_gives_the_same_files(whole: Path, tmp_path: Path) -> None:
+def test_a_killed_command_resumes_and_gives_the_same_files(whole: Path, tmp_path: Path) -> None:
     design = tmp_path / "small.toml"
     design.write_text(to_toml(SMALL))
     coarse = tmp_path / "smoke.toml"
@@ -158,13 +165,13 @@ def test_a_killed_command_goes_on_and_gives_the_same_files(whole: Path, tmp_path
     coarse.write_text(smoke.read_text() + "\n[solve]\nsamples_per_pixel = 8\n")
     out = tmp_path / "data"
     command = [
-        str(Path(sys.executable).parent / "phytac"), "simulate", str(design), str(coarse),
+        sys.executable, "-m", "phytac_design", "simulate", str(design), str(coarse),
         "--samples", "6", "--seed", "3", "--accuracy", "draft", "--workers", "2",
         "--out", str(out),
     ]  # fmt: skip
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     end = time.monotonic() + 120.0
-    while not list((out / WORK).glob("*/*.bin")) and time.monotonic() < end:
+    while not list((out / JOURNAL_FOLDER).glob("*/*.bin")) and time.monotonic() < end:
         time.sleep(0.02)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
@@ -178,7 +185,7 @@ def test_a_killed_command_goes_on_and_gives_the_same_files(whole: Path, tmp_path
     assert files(out) == files(whole)
 
 
-def test_a_data_set_that_is_there_is_kept_or_refused(whole: Path) -> None:
+def test_a_data_set_that_exists_is_kept_or_rejected(whole: Path) -> None:
     before = files(whole)
     assert run(job_of(), whole, workers=0).solved == 0
     with pytest.raises(OutputError, match="another data set"):
@@ -239,7 +246,7 @@ def test_inputs_alone_are_the_networks(tmp_path: Path) -> None:
     assert len(samples.key_nodes.sample) == int(job.plan.switching.bits.sum())
 
 
-def test_a_sample_that_fails_is_told(tmp_path: Path) -> None:
+def test_a_sample_that_fails_is_reported(tmp_path: Path) -> None:
     at = {"along": 0.5, "around": 0.5, "force_N": 1e4, "radius_mm": 4.0}
     job = job_of(tables={"touch": {"samples": 1, "at": [at], "multi_share": 0.0}})
     run(job, tmp_path / "data", workers=0)
@@ -263,7 +270,7 @@ def test_contacts_that_overlap_share_what_they_press(tmp_path: Path) -> None:
     assert job.plan.switching.receptor_force_N.sum() == pytest.approx(10.0)
 
 
-def test_markers_too_blurred_to_tell_are_missing_and_told(tmp_path: Path) -> None:
+def test_markers_too_blurred_to_identify_are_missing_and_reported(tmp_path: Path) -> None:
     design = copy_of(load_design("cylinder40"), camera={"f_number": 2.8})
     job = job_of(design=design, tables={"touch": {"samples": 1}})
     said: list[str] = []
@@ -274,20 +281,20 @@ def test_markers_too_blurred_to_tell_are_missing_and_told(tmp_path: Path) -> Non
     lost = np.isnan(samples.shift_px[0, :, 0])
     said_of = re.match(r"warning: (\d+) of 216 markers \((.*) and \d+ more\) cannot be", warning)
     assert said_of
-    # One that can be told at rest may still be lost in a sample.
+    # One that is identified at rest may still be lost in a sample.
     assert 10 < int(said_of[1]) <= lost.sum() <= int(said_of[1]) + 3
     assert lost[[int(number) for number in said_of[2].split(", ")]].all()
     assert STATUSES[samples.status[0]] == "flagged"
-    # Nor is more than one that is just told at rest mistaken for another.
+    # Nor is more than one that is just identified at rest mistaken for another.
     assert (np.linalg.norm(samples.shift_px[0], axis=1) > 10.0).sum() <= 1
 
 
-def test_knobs_of_the_eyes_reach_them() -> None:
+def test_settings_reach_the_imaging_model() -> None:
     tables = {"solve": {"centroids": "pixels", "samples_per_pixel": 3}}
-    eyes = imaging_model(job_of(tables=tables))
-    assert (eyes.centroids, eyes.eyes[0].samples) == ("pixels", 3)
+    imaging = imaging_model(job_of(tables=tables))
+    assert (imaging.centroids, imaging.cameras[0].samples) == ("pixels", 3)
     plain = imaging_model(replace(job_of(), scenario=load_scenario("smoke")))
-    assert (plain.centroids, plain.eyes[0].samples) == ("paint", 54)
+    assert (plain.centroids, plain.cameras[0].samples) == ("paint", 54)
 
 
 def test_a_full_disk_is_an_error_with_a_fix(
@@ -311,10 +318,10 @@ def test_a_full_disk_is_an_error_with_a_fix(
         ({"design": "cylinder60"}, "load_design"),
     ],
 )
-def test_jobs_that_cannot_be_are_refused_at_once(change: dict[str, Any], match: str) -> None:
+def test_invalid_jobs_are_rejected_at_once(change: dict[str, Any], match: str) -> None:
     with pytest.raises(DesignError, match=match):
         replace(job_of(), **change)
 
 
 def test_the_journal_is_gone_at_the_end(whole: Path) -> None:
-    assert not Journal(whole).root.exists()
+    assert not (whole / JOURNAL_FOLDER).exists()

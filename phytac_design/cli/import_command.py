@@ -1,21 +1,13 @@
 """The command that reads a user's own rig."""
 
 import json
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, say
-
-
-class Keep(StrEnum):
-    """What of a sample is kept."""
-
-    inputs = "inputs"
-    points = "points"
-    frames = "frames"
+from phytac_design.cli.simulate_commands import Keep
 
 
 def import_(

@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -12,22 +13,11 @@ from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOp
 from phytac_shapes.errors import DesignError
 
 REASONS = 5
-"""Reasons that are told at the end."""
+"""Reasons listed at the end."""
 
 
-class Route(StrEnum):
-    """How a sample is seen."""
-
-    points = "points"
-    frames = "frames"
-
-
-class Displacement(StrEnum):
-    """How the shell is solved."""
-
-    auto = "auto"
-    linear = "linear"
-    large = "large"
+Route = StrEnum("Route", ["points", "frames"])
+Displacement = StrEnum("Displacement", ["auto", "linear", "large"])
 
 
 class Keep(StrEnum):
@@ -76,9 +66,9 @@ def simulate(
     force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Simulate a scenario on a virtual sensor: a data set to train and judge decoders.
+    """Simulate a scenario on a virtual sensor: a data set to train and evaluate decoders.
 
-    A run that was stopped or killed goes on where it was when the same command is given again.
+    A run that was stopped or killed resumes when the same command is run again.
     """
     from phytac_design.design.design_file import load_design
     from phytac_design.simulation.run.job import Job
@@ -112,18 +102,10 @@ def simulate(
     try:
         done = run(job, target, workers=count, force=force, progress=say)
     except KeyboardInterrupt:
-        say("stopped; run the same command again to go on where it was")
+        say("stopped; run the same command again to resume")
         raise typer.Exit(130) from None
     if as_json:
-        summary = {
-            "out": str(done.out),
-            "samples": done.samples,
-            "solved": done.solved,
-            "statuses": done.statuses,
-            "theories": done.theories,
-            "reasons": done.reasons,
-            "seconds": round(done.seconds, 3),
-        }
+        summary = asdict(done) | {"out": str(done.out), "seconds": round(done.seconds, 3)}
         typer.echo(json.dumps(summary, indent=1))
         return
     statuses = ", ".join(f"{number} {name}" for name, number in done.statuses.items() if number)

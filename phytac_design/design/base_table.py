@@ -54,9 +54,10 @@ class Section(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _no_truth_values(cls, data: Any) -> Any:
-        """Refuse true and false, which would otherwise pass for 1 and 0."""
+        """Reject true and false where no switch is meant; they would pass for 1 and 0."""
         if isinstance(data, dict):
-            wrong = [str(key) for key, value in data.items() if isinstance(value, bool)]
+            switches = {k for k, info in cls.model_fields.items() if info.annotation is bool}
+            wrong = [str(k) for k, v in data.items() if isinstance(v, bool) and k not in switches]
             if wrong:
                 raise ValueError(
                     f"{', '.join(wrong)} must be a number or a text, not true or false"

@@ -1,1 +1,1 @@
-"""Simulated contacts: what the sensor would measure, to train and judge decoders."""
+"""Simulated contacts: what the sensor would measure, to train and evaluate decoders."""

@@ -170,8 +170,9 @@ def _places(
         empty = 0 if len(uv) else empty + 1
         if empty == EMPTY_DRAWS_MAX:
             raise DesignError(
-                f"no contact can be drawn: {EMPTY_DRAWS_MAX * PLACES_PER_DRAW} places drawn, none of them in the "
-                "regions asked for; widen along and around"
+                "no contact can be drawn: none of the "
+                f"{EMPTY_DRAWS_MAX * PLACES_PER_DRAW} places drawn lies in the "
+                "given regions; widen along and around"
             )
         yield from zip(uv, surface.point(uv), strict=True)
 

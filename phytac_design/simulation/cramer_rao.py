@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phytac_design.simulation.contacts import tangent_step
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
@@ -105,7 +106,7 @@ class ContactSignals:
             Forces.
         noise_px : float
             Standard deviation of each coordinate of each centroid.
-        prior : Prior
+        prior : PositionPrior
             What is known beforehand.
 
         Raises
@@ -160,7 +161,8 @@ def contact_signals(
     count = len(uv)
     radius = np.broadcast_to(np.asarray(radius_mm, dtype=np.float64), count)
     step = np.minimum(STEP_MM, STEP_SHARE * radius)
-    steps = _stencil(surface, uv, step[:, None])
+    sides = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    steps = [tangent_step(surface, uv, step[:, None] * side) for side in sides]
     thin = np.minimum(STEP_MM, 0.25 * radius)
     places = np.concatenate([uv, *steps, uv, uv])
     radii = np.concatenate([np.tile(radius, 5), radius + thin, radius - thin])
@@ -180,24 +182,6 @@ def contact_signals(
         (per_N[a] - per_N[b]) / span[:, None] for (a, b), span in zip(pairs, spans, strict=True)
     ]
     return ContactSignals(shift=per_N[0], slopes=np.stack(slopes, axis=2))
-
-
-def _stencil(surface: Surface, uv: FloatArray, step_mm: FloatArray) -> list[FloatArray]:
-    """Positions a step to either side, along and around; clipped to open edges."""
-    point, normal = surface.point(uv), surface.normal(uv)
-    along = surface.tangents(uv)[:, 0]
-    along = along / np.linalg.norm(along, axis=1, keepdims=True)
-    around = np.cross(normal, along)
-    low, high = surface.domain.T
-    steps = []
-    for direction in (along, around):
-        for sign in (1.0, -1.0):
-            moved = surface.chart(point + sign * step_mm * direction)
-            for axis in range(2):
-                if not surface.periodic[axis]:
-                    moved[:, axis] = np.clip(moved[:, axis], low[axis], high[axis])
-            steps.append(moved)
-    return steps
 
 
 def _span(surface: Surface, first: FloatArray, second: FloatArray) -> FloatArray:

@@ -1,7 +1,7 @@
 """Simulated data sets: contacts, their truth, and what was measured."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -35,38 +35,20 @@ class Dataset:
     def from_arrays(cls, arrays: Mapping[str, Any], name: str) -> "Dataset":
         """Read the set ``name`` from a stage's arrays (keys ``name.field``)."""
         part = {key.removeprefix(f"{name}."): arrays[key] for key in arrays if key.startswith(name)}
+
+        def fields_of(kind: type) -> dict[str, Any]:
+            return {item.name: part[item.name] for item in fields(kind) if item.name in part}
+
         return cls(
-            contacts=Contacts(
-                sample=part["sample"],
-                uv=part["uv"],
-                radius_mm=part["radius_mm"],
-                force_N=part["force_N"],
-                samples=len(part["bits"]),
-            ),
-            switching=Switching(
-                bits=part["bits"],
-                owner=part["owner"],
-                receptor_force_N=part["receptor_force_N"],
-                tripped=part["tripped"],
-            ),
+            contacts=Contacts(**fields_of(Contacts), samples=len(part["bits"])),
+            switching=Switching(**fields_of(Switching)),
             shift_px=part["shift_px"],
         )
 
     def arrays(self, name: str) -> dict[str, Any]:
         """Arrays for a stage, keys ``name.field``."""
-        contacts, switching = self.contacts, self.switching
-        fields = {
-            "sample": contacts.sample,
-            "uv": contacts.uv,
-            "radius_mm": contacts.radius_mm,
-            "force_N": contacts.force_N,
-            "bits": switching.bits,
-            "owner": switching.owner,
-            "receptor_force_N": switching.receptor_force_N,
-            "tripped": switching.tripped,
-            "shift_px": self.shift_px,
-        }
-        return {f"{name}.{key}": value for key, value in fields.items()}
+        held = vars(self.contacts) | vars(self.switching) | {"shift_px": self.shift_px}
+        return {f"{name}.{key}": value for key, value in held.items() if key != "samples"}
 
 
 def key_node_data(model: ForceModel, data: Dataset) -> KeyNodeData:

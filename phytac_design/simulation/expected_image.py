@@ -1,4 +1,4 @@
-"""What the decoder's own eyes see of the rendered sensor, before the first real frame."""
+"""What the decoder's marker detector finds on the rendered sensor, before the first real frame."""
 
 from dataclasses import dataclass
 

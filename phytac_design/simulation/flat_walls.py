@@ -9,7 +9,7 @@ is that of
 
 with A, E, t and ν the wall's area, modulus, thickness and Poisson's ratio (derived here from
 Berger's energy). α = 1 for a plate whose edges hold still; walls of a box give way there, and α is
-told by large displacements. A wall of one mode of deflection loses the share v = e / (e + e₀) of
+fitted to large displacements. A wall of one mode of deflection loses the share v = e / (e + e₀) of
 its softness, with e₀ = xᵀK x / xᵀB x: images and slopes per newton go by powers of v.
 """
 
@@ -28,24 +28,38 @@ from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
-STEP = 1e-4
-"""Stretch of the differences that stand for B."""
-MOST = 0.85
-"""Largest share v of a wall's softness that tables hold for."""
-MODES, FAINT = 64, 1e-5
-"""Numbers of slopes at most, and least stretching of a mode of slopes, over the most."""
-BATCH, TOLD = 64, 400
-"""Loads solved together, and places at most that tell the modes."""
-GIVE = (0.02, 2.0)
-"""α is in between."""
-SEVERAL, FINE = 4, 4001
-"""Discs that α is told by besides one, and shares v that it is looked for at."""
-LEVEL = 0.02
-"""Height of one place over another's wall that it may have, over their distance."""
-LEAST = 9
-"""Fewer places make no wall."""
-PARALLEL = 1e-4
-"""One less the cosine of normals of one wall's elements."""
+
+@dataclass(frozen=True, kw_only=True)
+class MembraneSettings:
+    """How flat walls under tension are found and tabulated."""
+
+    stretch_step: float = 1e-4
+    """Stretch of the differences that stand for B."""
+    lost_softness_max: float = 0.85
+    """Largest share v of a wall's softness that tables hold for."""
+    modes_max: int = 64
+    """Slopes at most."""
+    mode_size_min: float = 1e-5
+    """Least stretching of a mode of slopes, over the largest."""
+    batch: int = 64
+    """Loads solved together."""
+    mode_places_max: int = 400
+    """Places at most that the modes are found from."""
+    edge_factor_range: tuple[float, float] = (0.02, 2.0)
+    """α is in between."""
+    discs: int = 4
+    """Discs that α is fitted to besides one."""
+    shares_tried: int = 4001
+    """Shares v at which α is looked for."""
+    coplanar_share: float = 0.02
+    """Height of one place over another's wall that it may have, over their distance."""
+    places_min: int = 9
+    """Fewer places make no wall."""
+    parallel_cosine_drop: float = 1e-4
+    """One less the cosine of normals of one wall's elements."""
+
+
+SETTINGS = MembraneSettings()
 
 
 class StretchedWall:
@@ -69,11 +83,13 @@ class StretchedWall:
         aside -= np.outer(aside @ normal, normal)
         corotational = Corotational(model)
         sides = []
-        for step in (STEP, -STEP):
+        for step in (SETTINGS.stretch_step, -SETTINGS.stretch_step):
             state = replace(corotational.rest(), displacement_mm=step * aside)
             local = corotational.local(state)
             sides.append(corotational.element_tangents(local, local.forces))
-        change = np.where(elements[:, None, None], (sides[0] - sides[1]) / (2.0 * STEP), 0.0)
+        change = np.where(
+            elements[:, None, None], (sides[0] - sides[1]) / (2.0 * SETTINGS.stretch_step), 0.0
+        )
         whole = corotational.assembled((change + np.swapaxes(change, 1, 2)) / 2.0)
         self._change: Any = whole[self._free][:, self._free].tocsc()
         self._still: Any = model.stiffness[self._free][:, self._free].tocsc()
@@ -153,7 +169,7 @@ def add_membrane_walls(
         rows[own] = np.moveaxis(table.image[1:], 0, 1)
         slopes[own, :, : table.slope.shape[2]] = np.sqrt(give) * np.moveaxis(table.slope, 0, 1)
     whole = np.concatenate([places.shift_px, rows], axis=1)
-    walls = BergerWall(wall=number, slopes=slopes, most=MOST)
+    walls = BergerWall(wall=number, slopes=slopes, most=SETTINGS.lost_softness_max)
     return replace(places, shift_px=whole, walls=walls), gives
 
 
@@ -171,11 +187,11 @@ def flat_walls(model: ShellModel, places: ResponseTable) -> list[tuple[IntArray,
         one = left[0]
         arm = places.point_mm[left] - places.point_mm[one]
         mine = normal[left] @ normal[one] > 1.0 - FLAT_COSINE_DROP
-        mine &= np.abs(arm @ normal[one]) <= LEVEL * np.linalg.norm(arm, axis=1)
+        mine &= np.abs(arm @ normal[one]) <= SETTINGS.coplanar_share * np.linalg.norm(arm, axis=1)
         own, left = left[mine], left[~mine]
-        elements = np.abs(across @ normal[one]) > 1.0 - PARALLEL
+        elements = np.abs(across @ normal[one]) > 1.0 - SETTINGS.parallel_cosine_drop
         elements &= np.abs((centre - places.point_mm[one]) @ normal[one]) < 1.5 * thick
-        if len(own) >= LEAST and elements.any():
+        if len(own) >= SETTINGS.places_min and elements.any():
             out.append((own, elements))
     return out
 
@@ -193,15 +209,17 @@ def _tabulated(
     places: ResponseTable,
 ) -> tuple[WallTable, float]:
     """Tables of a wall's places at ``uv`` (q, 2), at α = 1, and its α."""
-    parts = [np.arange(k, min(k + BATCH, len(uv))) for k in range(0, len(uv), BATCH)]
+    parts = [
+        np.arange(k, min(k + SETTINGS.batch, len(uv))) for k in range(0, len(uv), SETTINGS.batch)
+    ]
     loads: Any = hstack([csc_matrix(shell.linear(uv[own], places.radius_mm)[0]) for own in parts])
     loads = loads.tocsc()
     still = wall.at(0.0)
-    # Motions whose products with any other tell its slopes, of places all over the wall.
-    some = still(loads[:, :: -(-len(uv) // TOLD)].toarray())
+    # Motions whose products with any other give its slopes, of places all over the wall.
+    some = still(loads[:, :: -(-len(uv) // SETTINGS.mode_places_max)].toarray())
     size, turn = np.linalg.eigh(wall.stretching(some, some))
-    kept = np.argsort(-size)[:MODES]
-    kept = kept[size[kept] > FAINT * size[-1]]
+    kept = np.argsort(-size)[: SETTINGS.modes_max]
+    kept = kept[size[kept] > SETTINGS.mode_size_min * size[-1]]
     modes = (some @ turn[:, kept]) / np.sqrt(size[kept])
 
     def seen(moved: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, FloatArray]:
@@ -216,7 +234,9 @@ def _tabulated(
     motion = still(load)
     half = wall.halved_at(load[:, 0], motion[:, 0])
     count = places.orders - 1
-    nodes = MOST * (1.0 - np.cos(np.pi * (np.arange(count) + 1.0) / count)) / 2.0
+    nodes = (
+        SETTINGS.lost_softness_max * (1.0 - np.cos(np.pi * (np.arange(count) + 1.0) / count)) / 2.0
+    )
     images, slopes = [], []
     for v in nodes.tolist():
         now = seen(wall.at(half * v / (1.0 - v)))
@@ -239,8 +259,8 @@ def _powers(nodes: FloatArray, values: FloatArray) -> FloatArray:
 
 def _images(shell: DiscResponse, see: ImageResponse, motion: FloatArray) -> FloatArray:
     """Shifts (c, 2n) px of linear motions (6N, c)."""
-    feet = np.asarray(shell.feet.matrix @ motion).reshape(len(see.slope), 6, -1)
-    return np.asarray(np.einsum("nij,njc->cni", see.slope, feet).reshape(motion.shape[1], -1))
+    receptors = np.asarray(shell.kinematics.matrix @ motion).reshape(len(see.slope), 6, -1)
+    return np.asarray(np.einsum("nij,njc->cni", see.slope, receptors).reshape(motion.shape[1], -1))
 
 
 def _edge_factor(
@@ -253,28 +273,32 @@ def _edge_factor(
     loads, still : (6N, d) float
         Of a newton on each, and its linear motions.
     """
-    lost = np.linspace(0.0, MOST, FINE)
+    lost = np.linspace(0.0, SETTINGS.lost_softness_max, SETTINGS.shares_tried)
     powers = lost[:, None] ** np.arange(len(table.image))
     top = float(shell.forces[-1])
     found = []
-    for count, force in ((1, top / 2.0), (1, top), (SEVERAL, top / 2.0)):
+    for count, force in ((1, top / 2.0), (1, top), (SETTINGS.discs, top / 2.0)):
         load, motion = loads[:, :count].sum(axis=1), still[:, :count].sum(axis=1)
         large = shell.shell.approximate(force * load, force * motion)
         if large is None:
             continue
-        seen = see.shift(shell.feet.large(large)).ravel() / force
+        seen = see.shift(shell.kinematics.large(large)).ravel() / force
         left = powers @ table.image[:, :count].sum(axis=1) - seen
         at = int(np.argmin(np.linalg.norm(left, axis=1)))
         slope = force * powers[at] @ table.slope[:, :count].sum(axis=1)
         found.append(lost[at] / (1.0 - lost[at]) / max(float(slope @ slope), 1e-12))
-    return float(np.exp(np.mean(np.log(np.clip(found, *GIVE))))) if found else 1.0
+    return (
+        float(np.exp(np.mean(np.log(np.clip(found, *SETTINGS.edge_factor_range)))))
+        if found
+        else 1.0
+    )
 
 
 def _independent_discs(slope: FloatArray) -> list[int]:
     """Places of slopes (q, r) that are soft, and do not slope alike."""
     size = np.sum(slope**2, axis=1)
     out = [int(np.argmax(size))]
-    for _ in range(SEVERAL - 1):
+    for _ in range(SETTINGS.discs - 1):
         alike = (slope @ slope[out].T) ** 2 / np.maximum(np.outer(size, size[out]), 1e-300)
         out.append(int(np.argmax(size * (1.0 - alike.max(axis=1)))))
     return out

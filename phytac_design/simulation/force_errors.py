@@ -1,7 +1,6 @@
 """How far decoded forces are from the truth, per contact."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -10,46 +9,28 @@ from phytac_design.simulation.contacts import Contacts, Switching
 from phytac_shapes.arrays import BoolArray, FloatArray
 
 
-@dataclass(frozen=True, kw_only=True)
-class Score:
-    """Errors of contact forces.
+def force_score(estimate_N: FloatArray, truth_N: FloatArray) -> dict[str, Any]:
+    """Errors of estimated against true contact forces, (c,) each; NaN without contacts.
 
-    Attributes
-    ----------
-    mae_N, sd_N, rmse_N, bias_N : float
-        Mean absolute error, standard deviation of the error, root mean square, mean error.
-    relative_error : float
-        Mean of |error| / force over contacts.
-    samples : int
-        Contacts judged.
+    Returns
+    -------
+    dict
+        ``mae_N``, ``sd_N``, ``rmse_N``, ``bias_N``: mean absolute error, standard deviation of the
+        error, root mean square, mean error; ``relative_error``: mean of |error| / force;
+        ``samples``: contacts.
     """
-
-    mae_N: float
-    sd_N: float
-    rmse_N: float
-    bias_N: float
-    relative_error: float
-    samples: int
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values."""
-        return asdict(self)
-
-
-def force_score(estimate_N: FloatArray, truth_N: FloatArray) -> Score:
-    """Score estimated against true contact forces, (c,) each."""
     if len(truth_N) == 0:
-        nan = float("nan")
-        return Score(mae_N=nan, sd_N=nan, rmse_N=nan, bias_N=nan, relative_error=nan, samples=0)
+        names = ("mae_N", "sd_N", "rmse_N", "bias_N", "relative_error")
+        return dict.fromkeys(names, float("nan")) | {"samples": 0}
     error = estimate_N - truth_N
-    return Score(
-        mae_N=float(np.abs(error).mean()),
-        sd_N=float(error.std()),
-        rmse_N=float(np.sqrt((error**2).mean())),
-        bias_N=float(error.mean()),
-        relative_error=float((np.abs(error) / truth_N).mean()),
-        samples=len(truth_N),
-    )
+    return {
+        "mae_N": float(np.abs(error).mean()),
+        "sd_N": float(error.std()),
+        "rmse_N": float(np.sqrt((error**2).mean())),
+        "bias_N": float(error.mean()),
+        "relative_error": float((np.abs(error) / truth_N).mean()),
+        "samples": len(truth_N),
+    }
 
 
 def contact_forces(receptor_N: FloatArray, contacts: Contacts, switching: Switching) -> FloatArray:
@@ -68,7 +49,7 @@ def score_contacts(
     height_mm: FloatArray,
     middle_mm: tuple[float, float],
 ) -> dict[str, Any]:
-    """Scores over all judged contacts and apart by number, force and height.
+    """Scores over all evaluated contacts and apart by number, force and height.
 
     Parameters
     ----------
@@ -93,11 +74,11 @@ def score_contacts(
         "middle": middle,
         "near_rims": ~middle,
     }
-    out: dict[str, Any] = force_score(estimate[seen], truth[seen]).as_dict()
+    out: dict[str, Any] = force_score(estimate[seen], truth[seen])
     for name, group in groups.items():
-        out[name] = force_score(estimate[seen & group], truth[seen & group]).as_dict()
+        out[name] = force_score(estimate[seen & group], truth[seen & group])
     owner = switching.owner
     on = owner >= 0
-    receptor = force_score(receptor_N[on], switching.receptor_force_N[on]).as_dict()
+    receptor = force_score(receptor_N[on], switching.receptor_force_N[on])
     out["receptor"] = {key: value for key, value in receptor.items() if key != "relative_error"}
     return out

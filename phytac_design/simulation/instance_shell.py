@@ -1,7 +1,5 @@
 """The simulated sensor's own shell: its mesh is finer than the decoder's and not nested in it."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from phytac_design.design.spec import Design
@@ -55,28 +53,6 @@ def truth_mesh(design: Design, surface: Surface, refine: int) -> ShellMesh:
     return plain_mesh(surface, thickness_mm=wall, size_mm=cell / refine)
 
 
-@dataclass(frozen=True, kw_only=True)
-class UnitShell:
-    """Shell of one virtual sensor.
-
-    Attributes
-    ----------
-    mesh : ShellMesh
-        Its mesh.
-    model : ShellModel
-        Its linear model.
-    whole_nodes : int
-        Nodes of the mesh that is fine all over.
-    whole_because : str
-        Why the mesh is fine all over; "" where it is fine in the touched part alone.
-    """
-
-    mesh: ShellMesh
-    model: ShellModel
-    whole_nodes: int
-    whole_because: str
-
-
 def instance_shell(
     design: Design,
     surface: Surface,
@@ -85,34 +61,28 @@ def instance_shell(
     region: ChartBox | None = None,
     *,
     local: bool = True,
-) -> UnitShell:
-    """Shell of a virtual sensor as printed: its wall, its material, its receptors where they are.
+) -> tuple[ShellMesh, ShellModel]:
+    """Mesh and linear model of a sensor instance: its own wall, material and receptor positions.
 
-    Unit 0 on a mesh that is fine all over is :func:`truth_shell`.
+    Instance 0 on a mesh that is fine all over is :func:`truth_shell`.
 
     Parameters
     ----------
     design, surface : Design, Surface
         The sensor as designed.
-    unit : Unit
-        How this print differs.
+    unit : SensorInstance
+        How this instance differs.
     refine : int
         As in :func:`truth_shell`.
-    region : Region, optional
+    region : ChartBox, optional
         The touched part of the chart. None: all of it.
     local : bool
         Whether the mesh is fine in that part alone.
     """
-    whole = truth_mesh(design, surface, refine)
-    mesh, because = whole, "asked for"
+    mesh = truth_mesh(design, surface, refine)
     if local and region is not None:
-        mesh, because = local_mesh(design, surface, whole, region)
-    return UnitShell(
-        mesh=mesh,
-        model=instance_model(design, surface, unit, mesh),
-        whole_nodes=len(whole.nodes_mm),
-        whole_because=because,
-    )
+        mesh = local_mesh(design, surface, mesh, region)
+    return mesh, instance_model(design, surface, unit, mesh)
 
 
 def instance_model(
@@ -135,14 +105,13 @@ def instance_model(
     )
 
 
-def local_mesh(
-    design: Design, surface: Surface, whole: ShellMesh, region: ChartBox
-) -> tuple[ShellMesh, str]:
-    """Mesh as fine as ``whole`` in and around a region and coarser elsewhere; or whole, and why."""
-    if any(surface.poles):
-        return whole, "a mesh around a pole has no lines to thin out"
-    if region.whole.all():
-        return whole, "all of the wall is touched"
+def local_mesh(design: Design, surface: Surface, whole: ShellMesh, region: ChartBox) -> ShellMesh:
+    """Mesh as fine as ``whole`` in and around a region and coarser elsewhere.
+
+    ``whole`` itself where that saves little, and around a pole, where no line can be thinned out.
+    """
+    if any(surface.poles) or region.whole.all():
+        return whole
     size = np.sort(np.ptp(surface.bounds_mm(), axis=0))[1] / 2.0
     margin = MARGIN * float(np.sqrt(size * design.wall.thickness_mm))
     lines = []
@@ -155,6 +124,5 @@ def local_mesh(
             fine = thinned_lines(surface, axis, fine, part=part, margin_mm=margin)
         lines.append(fine)
     mesh = _shell(surface, product_grid(surface, lines[0], lines[1]), whole.thickness_mm)
-    if len(mesh.nodes_mm) > LOCAL_NODES_SHARE_MAX * len(whole.nodes_mm):
-        return whole, "nearly all of the wall is touched"
-    return mesh, ""
+    worth = len(mesh.nodes_mm) <= LOCAL_NODES_SHARE_MAX * len(whole.nodes_mm)
+    return mesh if worth else whole

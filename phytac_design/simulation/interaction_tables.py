@@ -6,7 +6,7 @@ motions do together to the image by its bend (the lens, and arms that turn)::
 
     M = H·x_ik + x_i·H'·x_k
 
-Images of some pairs, drawn at random, tell the axes along which most of all of them lies (Halko,
+Images of some random pairs give the axes along which most of all of them lies (Halko,
 Martinsson and Tropp 2011 find a range so). Along an axis g ::
 
     g·H·x_ik = -Π‴(x_i, x_k, z)      K·z = Hᵀ·g
@@ -16,6 +16,7 @@ axis, and pairs only products.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,28 +28,38 @@ from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
 from phytac_shapes.arrays import FloatArray, IntArray
 
-SHARE = 2.2
-"""Distance of places over the disc's radius."""
-MOST = 250
-"""Places at most: tables grow by their square."""
+
+@dataclass(frozen=True, kw_only=True)
+class InteractionSettings:
+    """How interactions of discs are tabulated."""
+
+    spacing_share: float = 2.2
+    """Distance of places over the disc's radius."""
+    places_max: int = 250
+    """Places at most: tables grow by their square."""
+    pairs_per_axis: int = 6
+    """Pairs drawn at random, for each axis."""
+    near_radii: float = 6.0
+    """Distance over the disc's radius up to which pairs count as near."""
+    near_share: float = 0.6
+    """Share of near pairs among those drawn: they interact more, and differ more."""
+    batch: int = 32
+    """Loads solved together."""
+    difference_step: float = 1e-2
+    """Motion (mm and rad) of the differences for the image's bend."""
+
+
+SETTINGS = InteractionSettings()
+
 ELEMENTS_MAX = 40000
 """Shells of more have no such tables: time and memory grow with both."""
 AXES_MAX = 64
 """Of the images, at most."""
-DRAWN = 6
-"""Pairs drawn at random, for each axis."""
-NEAR, NEAR_SHARE = 6.0, 0.6
-"""Distance over the disc's radius up to which pairs count as near, and the share of those drawn
-that are: they do more to each other, and differ more."""
-BATCH = 32
-"""Loads solved together."""
-MOVED = 1e-2
-"""Motion (mm and rad) of the differences for the image's bend."""
 
 
 def pair_spacing_mm(area_mm2: float, radius_mm: float) -> float:
     """Distance of the places of a table over so much surface."""
-    return max(SHARE * radius_mm, float(np.sqrt(area_mm2 / MOST)))
+    return max(SETTINGS.spacing_share * radius_mm, float(np.sqrt(area_mm2 / SETTINGS.places_max)))
 
 
 class InteractionSolver:
@@ -56,7 +67,7 @@ class InteractionSolver:
 
     Parameters
     ----------
-    shell, see : Pressed, Seen
+    shell, see : DiscResponse, ImageResponse
         The sensor's shell, and what its cameras see.
     uv : (p, 2) float
         Places.
@@ -69,11 +80,11 @@ class InteractionSolver:
     ) -> None:
         self.shell, self.see, self.uv, self.radius_mm = shell, see, uv, radius_mm
         self.held = shell.model.fixed.ravel()
-        parts = [uv[k : k + BATCH] for k in range(0, len(uv), BATCH)]
+        parts = [uv[k : k + SETTINGS.batch] for k in range(0, len(uv), SETTINGS.batch)]
         # A newton's linear motions, (6N, p), and those of receptors, (p, n, 6).
         self.motion = np.concatenate([shell.linear(part, radius_mm)[1] for part in parts], axis=1)
-        self.feet = np.stack([shell.feet.linear(motion) for motion in self.motion.T])
-        self.bend = image_curvature(see, self.feet.shape[1])
+        self.receptors = np.stack([shell.kinematics.linear(motion) for motion in self.motion.T])
+        self.bend = image_curvature(see, self.receptors.shape[1])
         self.point_mm = shell.surface.point(uv)
         quads = shell.model.quads
         # DOFs (E, 24) of the elements.
@@ -102,9 +113,9 @@ class InteractionSolver:
         """Pairs (k, 2) of places that do not overlap, near ones more often."""
         gap = np.linalg.norm(self.point_mm[:, None] - self.point_mm[None], axis=2)
         pairs = np.argwhere(np.triu(gap > 2.0 * self.radius_mm))
-        near = gap[pairs[:, 0], pairs[:, 1]] < NEAR * self.radius_mm
-        rng, count = np.random.default_rng(0), DRAWN * AXES_MAX
-        some = rng.permutation(np.flatnonzero(near))[: round(NEAR_SHARE * count)]
+        near = gap[pairs[:, 0], pairs[:, 1]] < SETTINGS.near_radii * self.radius_mm
+        rng, count = np.random.default_rng(0), SETTINGS.pairs_per_axis * AXES_MAX
+        some = rng.permutation(np.flatnonzero(near))[: round(SETTINGS.near_share * count)]
         rest = rng.permutation(np.setdiff1d(np.arange(len(pairs)), some))[: count - len(some)]
         return np.asarray(pairs[np.sort(np.concatenate([some, rest]))])
 
@@ -119,22 +130,26 @@ class InteractionSolver:
                 np.add.at(push[k], self.dofs[some].ravel(), -force.ravel())
         push[:, self.held] = 0.0
         out = []
-        for first in range(0, len(pairs), BATCH):
-            part = slice(first, first + BATCH)
+        for first in range(0, len(pairs), SETTINGS.batch):
+            part = slice(first, first + SETTINGS.batch)
             moved = self.shell.model.solve(push[part].T).motion.reshape(len(self.motion), -1)
             for (i, j), motion in zip(pairs[part], moved.T, strict=True):
-                slope = np.einsum("nij,nj->ni", self.see.slope, self.shell.feet.linear(motion))
-                bent = np.einsum("nj,nijk,nk->ni", self.feet[i], self.bend, self.feet[j])
+                slope = np.einsum(
+                    "nij,nj->ni", self.see.slope, self.shell.kinematics.linear(motion)
+                )
+                bent = np.einsum("nj,nijk,nk->ni", self.receptors[i], self.bend, self.receptors[j])
                 out.append((slope + bent).ravel())
         return np.array(out).reshape(len(pairs), -1)
 
     def coordinates(self, axes: FloatArray) -> NDArray[np.float32]:
         """M (p, p, r) of all pairs along axes (r, 2n), px/N²."""
-        push = np.stack([self.shell.feet.matrix.T @ self.see.pull(g).ravel() for g in axes], axis=1)
+        push = np.stack(
+            [self.shell.kinematics.matrix.T @ self.see.pull(g).ravel() for g in axes], axis=1
+        )
         push[self.held] = 0.0
         stirred = self.shell.model.solve(push).motion.reshape(push.shape)
         count = self.motion.shape[1]
-        told = np.zeros((len(axes), count, count), dtype=np.float32)
+        terms = np.zeros((len(axes), count, count), dtype=np.float32)
         for some, third in cubic_stiffness(self.shell.model):
             own = self.motion[self.dofs[some]].astype(np.float32)
             z = stirred[self.dofs[some]].astype(np.float32)
@@ -142,18 +157,18 @@ class InteractionSolver:
             along = (third.reshape(len(third), -1, DOFS) @ z).transpose(2, 0, 1)
             for number, matrix in enumerate(along):
                 pulls = matrix.reshape(-1, DOFS, DOFS) @ own
-                told[number] -= flat.T @ pulls.reshape(-1, count)
-        feet = self.feet.reshape(count, -1)
+                terms[number] -= flat.T @ pulls.reshape(-1, count)
+        receptors = self.receptors.reshape(count, -1)
         for number, axis in enumerate(axes):
             bend = np.einsum("ni,nijk->njk", axis.reshape(-1, 2), self.bend)
-            turned = np.einsum("pnj,njk->pnk", self.feet, bend).reshape(count, -1)
-            told[number] += (turned @ feet.T).astype(np.float32)
-        return np.ascontiguousarray(told.transpose(1, 2, 0))
+            turned = np.einsum("pnj,njk->pnk", self.receptors, bend).reshape(count, -1)
+            terms[number] += (turned @ receptors.T).astype(np.float32)
+        return np.ascontiguousarray(terms.transpose(1, 2, 0))
 
 
 def image_curvature(see: ImageResponse, count: int) -> FloatArray:
     """Second derivatives (n, 2, 6, 6) of the images of n markers by their motion."""
-    step = MOVED * np.eye(6)
+    step = SETTINGS.difference_step * np.eye(6)
 
     def at(motion: FloatArray) -> FloatArray:
         return see.shift(np.tile(motion, (count, 1)))
@@ -163,5 +178,5 @@ def image_curvature(see: ImageResponse, count: int) -> FloatArray:
         for k in range(i + 1):
             one, two = step[i] + step[k], step[i] - step[k]
             bent = at(one) + at(-one) - at(two) - at(-two)
-            out[:, :, i, k] = out[:, :, k, i] = bent / (4.0 * MOVED**2)
+            out[:, :, i, k] = out[:, :, k, i] = bent / (4.0 * SETTINGS.difference_step**2)
     return out

@@ -64,7 +64,9 @@ class DiscResponse:
         receptor = design.receptor
         self.mesh, self.surface, self.model, self.orders = mesh, surface, model, orders
         self.holes = Holes.of(surface, markers.uv, receptor.diameter_hole_mm / 2.0)
-        self.feet = ReceptorKinematics(mesh, surface, markers.uv, receptor.diameter_outer_mm / 2.0)
+        self.kinematics = ReceptorKinematics(
+            mesh, surface, markers.uv, receptor.diameter_outer_mm / 2.0
+        )
         self.shell = QuasiNewtonSolver(model)
         most = design.training.force_max_N
         self.forces = most * np.arange(1, orders) / max(orders - 1, 1)
@@ -112,7 +114,7 @@ class DiscResponse:
         return loads, self.model.solve(loads).motion.reshape(loads.shape)
 
     def _motions(self, load: FloatArray, first: FloatArray) -> list[FloatArray]:
-        out = [self.feet.linear(first)]
+        out = [self.kinematics.linear(first)]
         if self.orders == 1:
             return out
         series = self._series(load, first)
@@ -124,7 +126,7 @@ class DiscResponse:
             if large:
                 self.solved += 1
                 series = large
-        return out + [self.feet.large(motion) for motion in series]
+        return out + [self.kinematics.large(motion) for motion in series]
 
     def _series(self, load: FloatArray, first: FloatArray) -> list[FloatArray]:
         """Motions (6N,) at the forces by Koiter's expansion; none where it says nothing."""

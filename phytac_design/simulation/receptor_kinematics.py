@@ -9,9 +9,10 @@ to j of length L the shear is
 
 at the middle of the edge, exact to second order (the same that the elements take, MITC4). The
 edges of a node give its gradient g by least squares, nearer ones heavier; the face turns by θ and
-then by g × n more. The tube takes the mean over a ring in its foot: no point of the wall tells.
+then by g × n more. The tube takes the mean over a ring in its base.
 """
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -24,11 +25,20 @@ from phytac_design.simulation.response import motion_probe
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 
-RING = 0.5
-"""Radius of the ring over a tube's outer radius: the mean of a linear slope over the foot lies
-nearer, that of a solid foot's turn, which resists bending, farther out."""
-PLACES = 12
-"""Places on it."""
+
+@dataclass(frozen=True, kw_only=True)
+class RingSettings:
+    """Ring in a tube's base over which its motion is the mean."""
+
+    radius_share: float = 0.5
+    """Radius of the ring over a tube's outer radius: the mean of a linear slope over the base lies
+    nearer, that of a solid base's turn, which resists bending, farther out."""
+    points: int = 12
+    """Places on it."""
+
+
+RING = RingSettings()
+
 NO_EDGE = 1e-9
 """Edges shorter than this share of the longest are the collapsed ones at a pole."""
 
@@ -56,7 +66,7 @@ class ReceptorKinematics:
         self._length = np.linalg.norm(step, axis=1)
         self._along = step / self._length[:, None]
         self._lean = self._leaning()
-        self._mean = _means(mesh, surface, uv, RING * radius_mm)
+        self._mean = _means(mesh, surface, uv, RING.radius_share * radius_mm)
 
     @cached_property
     def matrix(self) -> csr_matrix:
@@ -136,13 +146,15 @@ def _edges(mesh: ShellMesh) -> tuple[IntArray, IntArray]:
 def _means(mesh: ShellMesh, surface: Surface, uv: FloatArray, radius_mm: float) -> csr_matrix:
     """Mean motion (6n, 6N) over rings about places; what lies beyond a rim counts at the rim."""
     along, around = tangent_frame(surface, uv)
-    angle = 2.0 * np.pi * np.arange(PLACES) / PLACES
+    angle = 2.0 * np.pi * np.arange(RING.points) / RING.points
     ring = along[:, None] * np.cos(angle)[:, None] + around[:, None] * np.sin(angle)[:, None]
     places = surface.chart((surface.point(uv)[:, None] + radius_mm * ring).reshape(-1, 3))
     for axis, (low, high) in enumerate(surface.domain):
         if not surface.periodic[axis]:
             places[:, axis] = np.clip(places[:, axis], low, high)
     mean = kron(
-        kron(identity(len(uv)), np.full((1, PLACES), 1.0 / PLACES)), identity(6), format="csr"
+        kron(identity(len(uv)), np.full((1, RING.points), 1.0 / RING.points)),
+        identity(6),
+        format="csr",
     )
     return csr_matrix(mean @ motion_probe(mesh, places))

@@ -36,18 +36,27 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
-BATCH = 32
-"""Loads solved together."""
+
+@dataclass(frozen=True, kw_only=True)
+class PlaceSettings:
+    """Where places of the tables stand."""
+
+    batch: int = 32
+    """Loads solved together."""
+    flat_angle_rad: float = 0.1
+    """Median angle between the walls at neighbouring places from which on they are close enough. On
+    flatter walls markers show the wall's slope rather than its motion, which changes sooner."""
+    flat_refinement: float = 2.0
+    """How much closer places stand there."""
+    ring_points: int = 513
+    """Points along u that rings are spaced by."""
+
+
+SETTINGS = PlaceSettings()
+
 HIGHER_ORDER_SPACING = 2.0
 """Distance of places at which the higher powers of the force are solved, over that of places:
 they are a small part of the shifts, and are interpolated."""
-TURN_rad = 0.1
-"""Median angle between the walls at neighbouring places from which on they are close enough. On
-flatter walls markers show the wall's slope rather than its motion, which changes sooner."""
-CLOSER = 2.0
-"""How much closer places stand there."""
-FINE = 513
-"""Points along u that rings are spaced by."""
 BYTES_MAX = 400e6
 """Largest tables; places stand wider apart where they would be larger."""
 
@@ -106,7 +115,7 @@ class TabulatedResponse:
 def rings(surface: Surface, spacing_mm: float, sectors: int) -> PlaceRings:
     """Places at most about ``spacing_mm`` apart; ``sectors`` > 1 repeats them around so often."""
     (u0, u1), (v0, v1) = surface.domain
-    u, v = np.linspace(u0, u1, FINE), np.linspace(v0, v1, 65)
+    u, v = np.linspace(u0, u1, SETTINGS.ring_points), np.linspace(v0, v1, 65)
     grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
     metric = surface.metric(grid).reshape(len(u), len(v), 2, 2)
     along = np.sqrt(metric[..., 0, 0]).max(axis=1)
@@ -144,8 +153,8 @@ def place_spacing_mm(surface: Surface, share: float, radius_mm: float) -> float:
         surface.point(uv), k=min(FLATNESS_NEIGHBOURS, len(uv))
     )
     cosine = np.einsum("pqi,pi->pq", normal[near], normal).min(axis=1)
-    flatter = float(np.median(cosine)) > np.cos(TURN_rad)
-    return spacing / CLOSER if flatter else spacing
+    flatter = float(np.median(cosine)) > np.cos(SETTINGS.flat_angle_rad)
+    return spacing / SETTINGS.flat_refinement if flatter else spacing
 
 
 def tabulate_responses(
@@ -171,12 +180,12 @@ def tabulate_responses(
         The sensor.
     mesh, model : ShellMesh, ShellModel
         The decoder's own shell.
-    see : Seen
+    see : ImageResponse
         What the cameras see of the markers.
     spacing_mm : float
         Between places, at most.
     orders : int
-        Powers of the force: 1 (linear theory) to 5; see :data:`pressed.SOLVED_AT`.
+        Powers of the force: 1 (linear theory) to 5; see :data:`pressed.LARGE_SOLVED_ABOVE`.
     near : callable, optional
         ``near(spacing, uv)`` says which of places (p, 2) so far apart are wanted; all without it.
 
@@ -203,7 +212,7 @@ def tabulate_responses(
         wanted = np.flatnonzero(_wanted(ring.uv, apart_mm, near))
         if len(wanted) < PLACES_MIN:
             raise DesignError(
-                f"the part of the surface asked for holds {len(wanted)} places of the tables, "
+                f"the given part of the surface holds {len(wanted)} places of the tables, "
                 f"{apart_mm:.2g} mm apart; it takes {PLACES_MIN}: widen it"
             )
         row = np.full(len(ring.uv), -1)
@@ -213,10 +222,12 @@ def tabulate_responses(
         out = np.zeros((len(wanted), powers, 2 * markers.count), dtype=np.float32)
         copies = [wanted[ring.base[wanted] == base] for base in solved]
         unsure = 0
-        for first in range(0, len(solved), BATCH):
-            batch = solved[first : first + BATCH]
+        for first in range(0, len(solved), SETTINGS.batch):
+            batch = solved[first : first + SETTINGS.batch]
             for own, motions in zip(
-                copies[first : first + BATCH], shell.motions(ring.uv[batch], radius), strict=True
+                copies[first : first + SETTINGS.batch],
+                shell.motions(ring.uv[batch], radius),
+                strict=True,
             ):
                 unsure += len(motions) < powers
                 for place in own:
@@ -224,7 +235,7 @@ def tabulate_responses(
                     turned = [_turned(m, turn, times, columns, sectors) for m in motions]
                     out[row[place], : len(motions)] = see.powers(turned, shell.forces)
             progress(
-                f"places: {min(first + BATCH, len(solved))} of {len(solved)}"
+                f"places: {min(first + SETTINGS.batch, len(solved))} of {len(solved)}"
                 + (", large displacements" if powers > 1 else "")
             )
         along, around = tangent_frame(surface, ring.uv[wanted])
@@ -259,7 +270,7 @@ def tabulate_responses(
     progress("places: flat walls")
     places, give = add_membrane_walls(shell, see, places, uv)
     progress("places: pairs of contacts")
-    # Of contacts on flat walls tension tells; beyond the expansion pairs on other flat parts
+    # Of contacts on flat walls tension decides; beyond the expansion pairs on other flat parts
     # would double the errors, while on curved walls they still help (patch).
     holds = unsure == 0 and not give and (shell.beyond == 0 or not places.flat.any())
     pairs = _pairs(shell, see, radius, near, progress) if holds else None

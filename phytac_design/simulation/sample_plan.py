@@ -26,7 +26,7 @@ class ChartBox:
 
 @dataclass(frozen=True, kw_only=True)
 class SamplePlan:
-    """All samples of a scenario on one unit; cheap to make, the same for every worker.
+    """All samples of a scenario on one sensor instance; cheap to make, the same for every worker.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class SamplePlan:
         Brightness of the light over that at the start.
     switching : Switching
         Switches with their hysteresis, and the truth per receptor.
-    region : Region
+    region : ChartBox
         Where contacts lie.
     """
 

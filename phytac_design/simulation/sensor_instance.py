@@ -1,4 +1,4 @@
-"""One printed sensor: how it differs from its design, drawn once."""
+"""One sensor instance: how it differs from its design."""
 
 from dataclasses import dataclass
 

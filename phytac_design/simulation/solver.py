@@ -39,9 +39,7 @@ class SampleMotion:
         ``rest``, ``linear`` or ``large``: what was solved.
     error_estimate : float
         Error of theory and iteration over the greatest translation; that of the mesh is not part
-        of it. NaN where it was not looked for (``linear`` asked for) or nothing was found.
-    softest : float
-        Least Ritz value of the tangent against the stiffness at rest; NaN where not looked for.
+        of it. NaN where it was not looked for (``linear`` set) or nothing was found.
     guarded : str
         Why the slow, path-following method was taken; "" where it was not.
     """
@@ -51,7 +49,6 @@ class SampleMotion:
     reason: str
     theory: Theory
     error_estimate: float
-    lowest_eigenvalue: float = float("nan")
     guarded: str = ""
 
 
@@ -64,8 +61,8 @@ class Solver:
     ----------
     design, surface : Design, Surface
         The sensor as designed.
-    unit : Unit
-        How this print differs.
+    unit : SensorInstance
+        How this instance differs.
     refine : int
         Elements of the mesh per marker pitch (``accuracy.PRESETS``).
     displacement : str
@@ -73,19 +70,17 @@ class Solver:
         its safety, is within the tolerance, and large in the others.
     tolerance : float
         Error that ``auto`` leaves, over the greatest translation.
-    region : Region, optional
+    region : ChartBox, optional
         The touched part of the chart; None: all of it.
     local : bool
         Whether the mesh is fine in that part alone.
 
     Attributes
     ----------
-    feet : Feet
+    kinematics : ReceptorKinematics
         How the receptors move with the wall.
-    nodes, whole_nodes : int
-        Of the mesh, and of one that is fine all over.
-    whole_because : str
-        Why the mesh is fine all over; "" where it is not.
+    nodes : int
+        Of the mesh.
     """
 
     def __init__(
@@ -102,13 +97,11 @@ class Solver:
     ) -> None:
         self.surface = surface
         self.displacement, self.tolerance = displacement, tolerance
-        shell = instance_shell(design, surface, unit, refine, region, local=local)
-        self.mesh, self.model = shell.mesh, shell.model
-        self.nodes, self.whole_nodes = len(shell.mesh.nodes_mm), shell.whole_nodes
-        self.whole_because = shell.whole_because
+        self.mesh, self.model = instance_shell(design, surface, unit, refine, region, local=local)
+        self.nodes = len(self.mesh.nodes_mm)
         self.count = unit.markers.count
         receptor = design.receptor
-        self.feet = ReceptorKinematics(
+        self.kinematics = ReceptorKinematics(
             self.mesh, surface, unit.markers.uv, receptor.diameter_outer_mm / 2.0
         )
         self._holes = Holes.of(surface, unit.markers.uv, receptor.diameter_hole_mm / 2.0)
@@ -132,7 +125,6 @@ class Solver:
                 reason="",
                 theory="rest",
                 error_estimate=0.0,
-                lowest_eigenvalue=1.0,
             )
         theory: Theory = "linear" if self.displacement == "linear" else "large"
         try:
@@ -144,7 +136,7 @@ class Solver:
         if self.displacement == "linear":
             reason = self._too_deep(dent)
             return SampleMotion(
-                motion=self.feet.linear(linear),
+                motion=self.kinematics.linear(linear),
                 status="flagged" if reason else "ok",
                 reason=reason,
                 theory="linear",
@@ -156,14 +148,13 @@ class Solver:
         if sample.motion is None or not np.all(np.isfinite(sample.motion)):
             return _failed(sample.reason or "the motion is not finite", theory, found.guarded)
         theory = "large" if sample.large else "linear"
-        moved = self.feet.large if sample.large else self.feet.linear
+        moved = self.kinematics.large if sample.large else self.kinematics.linear
         return SampleMotion(
             motion=moved(sample.motion),
             status=sample.status,
             reason=sample.reason,
             theory=theory,
             error_estimate=found.error,
-            lowest_eigenvalue=found.lowest_eigenvalue,
             guarded=found.guarded,
         )
 
@@ -183,7 +174,7 @@ class Solver:
         )
 
     def _refuse_deep(self, linear: FloatArray) -> float:
-        """How far loads press the wall in, mm; refused if by more than the sensor has.
+        """How far loads press the wall in, mm; rejected if by more than the sensor has.
 
         Raises
         ------

@@ -10,10 +10,11 @@ import numpy as np
 from phytac_design.design.scene import ALL_AT_ONCE
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
 from phytac_design.simulation.contacts import Contacts, Switching
+from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
 from phytac_design.simulation.scene_scope import scope_of
 from phytac_design.stages.decoder import along_mm, middle_mm
 from phytac_design.stages.response import MECHANICS, truth_model
-from phytac_design.stages.views import MARKS, write_image
+from phytac_design.stages.views import write_image
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError
 
@@ -49,7 +50,7 @@ class DecodedFrames:
     missed: int = 0
     false: int = 0
     lost: int = 0
-    refused: list[str] = field(default_factory=list)
+    rejected: list[str] = field(default_factory=list)
 
 
 def draw_frame_contacts(context: Context) -> FrameContacts:
@@ -130,7 +131,7 @@ def render_sample(
 
 def write_frames(folder: Path, name: str, frames: tuple[ImageArray, ...]) -> None:
     """Write ``views/NAME.png``, and ``views/NAME_far.png`` of a second camera."""
-    for frame, mark in zip(frames, MARKS, strict=False):
+    for frame, mark in zip(frames, CAMERA_SUFFIXES, strict=False):
         write_image(export_path(folder, f"views/{name}{mark}.png"), frame)
 
 
@@ -150,7 +151,7 @@ def decode_all(context: Context, folder: Path, pressed: FrameContacts) -> Decode
     try:
         rest_px = rest_positions(bundle, rest_frames)
     except InputError as error:  # only a forced build of markers that cannot be seen gets here
-        tally.refused.append(str(error))
+        tally.rejected.append(str(error))
     truth = pressed.switching.receptor_force_N[pressed.example]
     write_frames(
         folder, "frame_pressed", render_sample(context, pressed, pressed.example, pressed.shown)
@@ -164,7 +165,7 @@ def decode_all(context: Context, folder: Path, pressed: FrameContacts) -> Decode
         try:
             measured = measure_frame(bundle, frames, rest_px=rest_px)
         except InputError as error:
-            tally.refused.append(str(error))
+            tally.rejected.append(str(error))
             tally.missed += int(on.sum())
             continue
         for name in tally.forces_N:
@@ -177,7 +178,7 @@ def decode_all(context: Context, folder: Path, pressed: FrameContacts) -> Decode
 
 
 def run(context: Context, folder: Path) -> None:
-    """Decode rendered frames of one to five contacts each and judge the forces."""
+    """Decode rendered frames of one to five contacts each and evaluate the forces."""
     from phytac_design.simulation.force_errors import score_contacts
 
     pressed = draw_frame_contacts(context)
@@ -201,8 +202,8 @@ def run(context: Context, folder: Path) -> None:
             "koi_missed": tally.missed,
             "koi_false": tally.false,
             "markers_not_found": tally.lost,
-            "refused": len(tally.refused),
-            "first_refusal": tally.refused[0] if tally.refused else "",
+            "refused": len(tally.rejected),
+            "first_refusal": tally.rejected[0] if tally.rejected else "",
             "estimators": scores,
         },
     )

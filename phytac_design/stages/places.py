@@ -6,7 +6,13 @@ from typing import TYPE_CHECKING
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.scene_scope import scope_of
-from phytac_design.stages.response import IMAGE_ARRAYS, MECHANICS, TOUCH, image_response_of
+from phytac_design.stages.response import (
+    IMAGE_ARRAYS,
+    MECHANICS,
+    TOUCH,
+    decoder_shell,
+    image_response_of,
+)
 
 if TYPE_CHECKING:
     from phytac_decoder.estimation.locator import ContactLocator
@@ -18,17 +24,11 @@ NOISE_FACTOR = 1.4
 def run_places(context: Context, folder: Path) -> None:
     """Tabulate linear and large-displacement shifts over the surface."""
     from phytac_decoder.io.bundle_locator import response_arrays
-    from phytac_design.mechanics.meshing.mesh import marker_mesh
-    from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
     from phytac_design.simulation.response_tables import place_spacing_mm, tabulate_responses
 
     design, surface, markers = context.design, context.surface, context.markers
     training, accuracy, scope = design.training, context.accuracy, scope_of(context)
-    mesh = marker_mesh(
-        surface, markers, thickness_mm=design.wall.thickness_mm, refine=accuracy.refine
-    )
-    receptors = accuracy.receptors and not unknown_receptors(design)
-    model = sensor_model(design, markers, mesh, receptors=receptors)
+    mesh, model, _ = decoder_shell(context)
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     done = tabulate_responses(
         design,

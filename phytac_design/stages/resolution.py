@@ -8,7 +8,7 @@ import numpy as np
 
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.simulation.scene_scope import scope_of
-from phytac_design.stages.response import MECHANICS, TOUCH
+from phytac_design.stages.response import MECHANICS, TOUCH, decoder_shell
 from phytac_shapes.arrays import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -34,23 +34,14 @@ def _medians(bound: "CramerRaoBound", middle: BoolArray) -> dict[str, float]:
 
 def run_resolution(context: Context, folder: Path) -> None:
     """Cramér-Rao bound of force and place at every receptor."""
-    from phytac_design.mechanics.meshing.mesh import marker_mesh
-    from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
     from phytac_design.simulation.cramer_rao import ContactSignals, cell_prior, contact_signals
     from phytac_design.simulation.response import motion_responses
 
     design, surface, markers = context.design, context.surface, context.markers
     training = design.training
-    mesh = marker_mesh(
-        surface,
-        markers,
-        thickness_mm=design.wall.thickness_mm,
-        refine=context.accuracy.refine,
-    )
-    receptors = context.accuracy.receptors and not unknown_receptors(design)
-    model = sensor_model(design, markers, mesh, receptors=receptors)
+    mesh, model, _ = decoder_shell(context)
     views = context.arrays("views")
-    # A marker that a camera does not see tells nothing through it.
+    # A marker that a camera does not see has no information through it.
     slopes = np.where(views["seen_by"][:, :, None, None], views["paint_slopes"], 0.0)
 
     def shifts(uv: FloatArray, radius_mm: FloatArray) -> FloatArray:
@@ -61,10 +52,10 @@ def run_resolution(context: Context, folder: Path) -> None:
 
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     scope = scope_of(context)
-    asked = np.arange(markers.count)
+    chosen = np.arange(markers.count)
     if scope is not None:
-        asked = np.flatnonzero(scope.in_play(markers))
-    signals = contact_signals(surface, shifts, uv=markers.uv[asked], radius_mm=radius)
+        chosen = np.flatnonzero(scope.in_play(markers))
+    signals = contact_signals(surface, shifts, uv=markers.uv[chosen], radius_mm=radius)
     prior = cell_prior(
         surface.area_mm2(),
         markers.count,
@@ -73,7 +64,7 @@ def run_resolution(context: Context, folder: Path) -> None:
     )
     noise = design.camera.noise_centroid_px
     along = surface.unwrap(markers.uv)[:, 1]
-    place = ((along - along.min()) / max(float(np.ptp(along)), 1e-9))[asked]
+    place = ((along - along.min()) / max(float(np.ptp(along)), 1e-9))[chosen]
     middle = (place > RIM_SHARE) & (place < 1.0 - RIM_SHARE)
     middle = middle if middle.any() else np.ones_like(middle)  # one row, or one marker
     arrays: dict[str, Any] = {}
@@ -87,7 +78,7 @@ def run_resolution(context: Context, folder: Path) -> None:
         for key, value in asdict(bound).items():
             # A scene knows nothing of receptors that are not in play.
             arrays[f"{key}_{force:g}"] = np.full(markers.count, np.nan)
-            arrays[f"{key}_{force:g}"][asked] = value
+            arrays[f"{key}_{force:g}"][chosen] = value
         table[f"{force:g} N"] = _medians(bound, middle)
         table_read[f"{force:g} N"] = _medians(
             as_read.bound(force, noise_px=noise, prior=prior), middle

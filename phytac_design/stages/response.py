@@ -1,4 +1,4 @@
-"""The decoder's own mechanics (response) and, on another mesh, simulated data (twin)."""
+"""The decoder's own mechanics (response) and, on another mesh, simulated data (stage twin)."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,7 @@ IMAGE_ARRAYS = {"views": ("paint_point_mm", "paint_slope", "camera")}
 """Where the paint is, how its image moves with the wall, and which camera reads it: all that
 mechanics asks of the pictures."""
 SCENE_SAMPLES = {"test": 24, "anywhere": 12}
-"""Samples of a scene that trains nothing: to judge with."""
+"""Samples of a scene that trains nothing, for evaluation."""
 
 
 def arms_mm(context: Context) -> FloatArray:
@@ -48,6 +48,22 @@ def image_response_of(context: Context) -> "ImageResponse":
     return ImageResponse(readers_of(context), context.markers.mid_mm, arms_mm(context), slope)
 
 
+def decoder_shell(context: Context) -> "tuple[ShellMesh, ShellModel, bool]":
+    """Mesh and model of the decoder's own shell, and whether it has its receptors' stiffness."""
+    from phytac_design.mechanics.meshing.mesh import marker_mesh
+    from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
+
+    design, markers = context.design, context.markers
+    mesh = marker_mesh(
+        context.surface,
+        markers,
+        thickness_mm=design.wall.thickness_mm,
+        refine=context.accuracy.refine,
+    )
+    receptors = context.accuracy.receptors and not unknown_receptors(design)
+    return mesh, sensor_model(design, markers, mesh, receptors=receptors), receptors
+
+
 def cell_radius_mm(context: Context) -> float:
     """Radius of the disc that has the area of one marker's cell.
 
@@ -65,22 +81,14 @@ def run_response(context: Context, folder: Path) -> None:
 
     In a scene only forces on receptors in play are: to the others the matrices give no force.
     """
-    from phytac_design.mechanics.meshing.mesh import marker_mesh
-    from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
+    from phytac_design.mechanics.shell.receptor_stiffness import unknown_receptors
     from phytac_design.simulation.response import condense_pressed, pressed_motion
 
-    design, surface, markers = context.design, context.surface, context.markers
-    mesh = marker_mesh(
-        surface,
-        markers,
-        thickness_mm=design.wall.thickness_mm,
-        refine=context.accuracy.refine,
-    )
-    unknown = unknown_receptors(design)
+    surface, markers = context.surface, context.markers
+    unknown = unknown_receptors(context.design)
     if context.accuracy.receptors and unknown:
         context.progress(f"response: the wall is taken as plain: {unknown}")
-    receptors = context.accuracy.receptors and not unknown
-    model = sensor_model(design, markers, mesh, receptors=receptors)
+    mesh, model, receptors = decoder_shell(context)
     scope = scope_of(context)
     pressed = np.arange(markers.count)
     if scope is not None:
@@ -187,7 +195,7 @@ def truth_model(context: Context) -> "tuple[ShellMesh, ShellModel]":
     refine = context.accuracy.truth_refine
     if scope is None:
         return truth_shell(design, surface, refine)
-    mesh, _ = local_mesh(design, surface, truth_mesh(design, surface, refine), scope.touched)
+    mesh = local_mesh(design, surface, truth_mesh(design, surface, refine), scope.touched)
     receptors = not unknown_receptors(design)
     return mesh, sensor_model(design, context.markers, mesh, receptors=receptors)
 

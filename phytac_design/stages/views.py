@@ -10,6 +10,7 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage, export_path, write_arrays, write_facts
 from phytac_design.layout import make_markers
+from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
 from phytac_design.simulation.scene_scope import scope_of
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import DesignError, MissingPartError
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from phytac_design.optics.visibility import Visibility
     from phytac_design.simulation.expected_image import ExpectedView
 
-MARKS = ("", "_far")
-"""What the names of pictures and frames of each camera end in; one camera's, in nothing."""
 PICTURES = ("markers", "cameras", "bodies", "camera.noise_pixel")
 SHARPNESS = ("camera.f_number", "camera.pixel_um", "camera.focus_mm", "camera.noise_centroid_px")
 
@@ -30,11 +29,6 @@ def write_image(path: Path, image: ImageArray) -> None:
     """Write a PNG (BGR)."""
     # OpenCV's own writing says nothing of a full disk and leaves half a picture.
     path.write_bytes(bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1]))
-
-
-def png_bytes(image: ImageArray) -> bytes:
-    """PNG (BGR) of a camera's frame; little pressed, as noise hardly is."""
-    return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
 
 
 def picture_or_frame(scene: Any, camera: Any) -> tuple[ImageArray, str]:
@@ -152,7 +146,7 @@ def run_views(context: Context, folder: Path) -> None:
     cameras = cameras_of(design, surface)
     shots = [
         shoot(context, folder, camera, mark, rng, alone=len(cameras) == 1)
-        for camera, mark in zip(cameras, MARKS, strict=False)
+        for camera, mark in zip(cameras, CAMERA_SUFFIXES, strict=False)
     ]
     best, camera = best_of([shot.seen for shot in shots])
     shown_px = [

@@ -17,6 +17,7 @@ from phytac_design.design.camera_files import read_lens
 from phytac_design.design.design_file import design_hash
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
+from phytac_design.simulation.frame_files import CAMERA_SUFFIXES, encode_png
 from phytac_design.simulation.indenters import Touches
 from phytac_design.simulation.rig_import.contacts import contacts_of, sequences_of
 from phytac_design.simulation.rig_import.frames import (
@@ -32,16 +33,24 @@ from phytac_design.simulation.rig_import.rig_samples import (
     rest_positions_of,
     samples_of,
 )
-from phytac_design.stages.views import MARKS, png_bytes
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError, OutputError
 
-LENS_WARN_PX = 1.0
-LENS_SHARE_MAX = 0.02
-"""Largest difference of a calibrated lens from the design's, over the image's half diagonal."""
-LENS_GRID = 21
-GAP_TIMES = 20.0
-"""Pauses of this many usual intervals are told."""
+
+@dataclass(frozen=True, kw_only=True)
+class ImportLimits:
+    """Limits of warnings and refusals."""
+
+    lens_warn_px: float = 1.0
+    lens_share_max: float = 0.02
+    """Largest difference of a calibrated lens from the design's, over the image's half diagonal."""
+    lens_grid: int = 21
+    pause_intervals: float = 20.0
+    """Pauses of this many usual intervals are reported."""
+
+
+LIMITS = ImportLimits()
+
 KEEPS = ("inputs", "points", "frames")
 
 
@@ -128,7 +137,7 @@ def import_rig(
     settings : Settings, optional
         How to read them.
     progress : callable
-        Told what goes on.
+        Called with each line of progress.
 
     Raises
     ------
@@ -145,24 +154,33 @@ def import_rig(
     notes["lenses"] = _check_lenses(rig.bundle, cameras, progress)
     problems = RowProblems(where=str(log_path))
     log = read_rig_log(log_path, problems)
+    training = design.training
+    radius_mm = chosen.radius_mm
+    if radius_mm is None:
+        radius_mm = 0.5 * (training.patch_radius_min_mm + training.patch_radius_max_mm)
+    if "radius_mm" not in log.numbers:
+        notes["radius_assumed_mm"] = radius_mm
     touches = contacts_of(
         log,
         design,
         rig.surface,
         rig.markers,
         off_mm=chosen.off_mm,
-        radius_mm=_radius(design, log, chosen, notes),
+        radius_mm=radius_mm,
         problems=problems,
     )
-    numbers = _match(log, rig.sources, chosen, problems)
+    clock: dict[str, Any] = {"offset_s": chosen.offset_s, "tolerance_s": chosen.tolerance_s}
+    numbers = np.stack(
+        [match_frames(log, source, **clock, problems=problems) for source in rig.sources]
+    )
     times = _times(log, rig.sources[0], numbers[0], problems, notes)
     if not chosen.skip_bad:
-        problems.refuse()
+        problems.raise_all()
     rest_px = rest_positions_of(rig, list(rest), progress)
     sound = np.setdiff1d(np.arange(log.samples), problems.samples)
     seen = measure_samples(rig, log, numbers, sound, rest_px, problems, progress)
     if not chosen.skip_bad:
-        problems.refuse()
+        problems.raise_all()
     if not seen:
         raise InputError(f"no sample is usable: {problems.text()}")
     samples = _kept(rig, log, touches, seen, times, notes)
@@ -219,34 +237,6 @@ def _rig(design: Design, bundle: Path, frames: Sequence[Path], chosen: ImportSet
     )
 
 
-def _radius(design: Design, log: RigLog, chosen: ImportSettings, notes: dict[str, Any]) -> float:
-    """Radius of contacts that the log does not say."""
-    training = design.training
-    middle = 0.5 * (training.patch_radius_min_mm + training.patch_radius_max_mm)
-    radius = middle if chosen.radius_mm is None else chosen.radius_mm
-    if "radius_mm" not in log.numbers:
-        notes["radius_assumed_mm"] = radius
-    return radius
-
-
-def _match(
-    log: RigLog, sources: Sequence[FrameSource], chosen: ImportSettings, problems: RowProblems
-) -> IntArray:
-    """Picture of each sample, (cameras, s)."""
-    return np.stack(
-        [
-            match_frames(
-                log,
-                source,
-                offset_s=chosen.offset_s,
-                tolerance_s=chosen.tolerance_s,
-                problems=problems,
-            )
-            for source in sources
-        ]
-    )
-
-
 def _times(
     log: RigLog, source: FrameSource, number: IntArray, problems: RowProblems, notes: dict[str, Any]
 ) -> FloatArray:
@@ -260,13 +250,13 @@ def _times(
         notes["clock"] = "none: frames are counted"
         return number.astype(np.float64)
     latest = np.fmax.accumulate(np.concatenate([[-np.inf], times[:-1]]))
-    late = np.flatnonzero((times <= latest) & (number >= 0))
-    problems.add(
-        late,
-        (
-            f"line {log.first_line[k]}: its time {times[k]:.6g} s is not after {latest[k]:.6g} s "
-            "of a sample before; put samples in the order of time"
-            for k in late
+    problems.add_rows(
+        (times <= latest) & (number >= 0),
+        np.arange(len(times)),
+        log.first_line,
+        lambda k: (
+            f"its time {times[k]:.6g} s is not after {latest[k]:.6g} s of a sample before; put "
+            "samples in the order of time"
         ),
     )
     return times
@@ -302,12 +292,12 @@ def _gaps(time_s: FloatArray) -> str:
     """Pauses in the log, as a sentence; empty for none."""
     step = np.diff(time_s)
     usual = float(np.median(step)) if len(step) else 0.0
-    long = np.flatnonzero(step > GAP_TIMES * usual)
+    long = np.flatnonzero(step > LIMITS.pause_intervals * usual)
     if len(long) == 0:
         return ""
     return (
-        f"{len(long)} pauses of more than {GAP_TIMES:g} times the usual {usual:.3g} s; the first "
-        f"of {step[long[0]]:.3g} s at {time_s[long[0]]:.3f} s"
+        f"{len(long)} pauses of more than {LIMITS.pause_intervals:g} times the usual "
+        f"{usual:.3g} s; the first of {step[long[0]]:.3g} s at {time_s[long[0]]:.3f} s"
     )
 
 
@@ -331,7 +321,7 @@ def _check_lenses(
         away = lens_difference_px(made, found)
         most, limit = (
             float(away.max()),
-            LENS_SHARE_MAX * 0.5 * np.hypot(made.width_px, made.height_px),
+            LIMITS.lens_share_max * 0.5 * np.hypot(made.width_px, made.height_px),
         )
         said = (
             f"{path}: this lens images the sensor up to {most:.1f} px (median "
@@ -340,7 +330,7 @@ def _check_lenses(
         fix = "set camera.calibration in the design to this file and build again"
         if not most <= limit:
             raise InputError(f"{said}, more than {limit:.1f} px; {fix}")
-        if most > LENS_WARN_PX:
+        if most > LIMITS.lens_warn_px:
             progress(f"warning: {said}; {fix}")
         out.append({"most_px": most, "median_px": float(np.median(away))})
     return out
@@ -351,8 +341,8 @@ def lens_difference_px(made: Lens, found: Lens) -> FloatArray:
 
     Infinite where the second one sees nothing.
     """
-    x = np.linspace(0.0, made.width_px - 1.0, LENS_GRID)
-    y = np.linspace(0.0, made.height_px - 1.0, LENS_GRID)
+    x = np.linspace(0.0, made.width_px - 1.0, LIMITS.lens_grid)
+    y = np.linspace(0.0, made.height_px - 1.0, LIMITS.lens_grid)
     pixels = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     directions = made.unproject(pixels)
     seen = np.isfinite(directions).all(axis=1)
@@ -374,7 +364,7 @@ def _write(
         (part / FRAMES).mkdir(parents=True)
         names = [
             _keep_frame(source, int(number), part / FRAMES / f"{sample:06d}{mark}")
-            for source, mark, row in zip(sources, MARKS, pictures, strict=False)
+            for source, mark, row in zip(sources, CAMERA_SUFFIXES, pictures, strict=False)
             for sample, number in enumerate(row)
         ]
         if not names:
@@ -397,5 +387,5 @@ def _keep_frame(source: FrameSource, number: int, target: Path) -> str:
         if suffix in (".png", ".jpg"):
             return Path(shutil.copyfile(source.files[number], target.with_suffix(suffix))).name
     path = target.with_suffix(".png")
-    path.write_bytes(png_bytes(source.read(number)))
+    path.write_bytes(encode_png(source.read(number)))
     return path.name

@@ -19,31 +19,33 @@ import numpy as np
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.sensor_limits import id_list
 from phytac_decoder.pipeline.decode import FOUND_WELL
+from phytac_design.core.journal import Journal, write_atomically
+from phytac_design.core.workers import WorkerPool
 from phytac_design.datasets.samples import STATUSES, THEORIES, Samples, inputs_alone, key_nodes
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.datasets.samples_writer import FILE, FRAMES, TABLE, file_hash, write_samples
 from phytac_design.optics.exposure import Exposure
 from phytac_design.rules.check import check_design
+from phytac_design.simulation.frame_files import CAMERA_SUFFIXES, encode_png
 from phytac_design.simulation.imaging.imaging_model import ImagingModel, RestObservation
 from phytac_design.simulation.imaging.nominal_view import expected_views
 from phytac_design.simulation.run.data_set import data_set_info, gather_samples
 from phytac_design.simulation.run.job import Job
-from phytac_design.simulation.run.journal import Journal, write_whole
-from phytac_design.simulation.run.worker_pool import Crew
 from phytac_design.simulation.solver import Solver
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.decoder import untrained_model
-from phytac_design.stages.views import MARKS, png_bytes
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import DesignError, InputError, OutputError
 
+JOURNAL_FOLDER = ".work"
+"""Folder of finished samples inside the data set's; removed when the data set is complete."""
 IMAGING_STREAM = 7
 """Stream of random numbers of what is seen of a sample."""
 PROGRESS_INTERVAL_s = 2.0
 """Seconds between lines of progress."""
 FEW_FOUND = "less than 95 % of the markers were found"
 LONG_S = 120.0
-"""More time left than this is told in minutes."""
+"""Above this the remaining time is shown in minutes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,16 +75,16 @@ class SimulationResult:
 
 @dataclass(frozen=True, kw_only=True)
 class ImagingReference:
-    """What all workers need to know of how the unit is seen, found once.
+    """What all workers need to know of how the sensor is imaged, found once.
 
     Attributes
     ----------
     views : dict
         What the design's cameras are expected to show.
     compliance_px : (2n, n) float or None
-        Tells doubtful switches by their motion, where frames are read and some are doubtful.
+        Confirms doubtful switches by their motion, where frames are read and some are doubtful.
     rest : RestObservation or str
-        What the unloaded unit shows, or why it cannot be read.
+        What the unloaded sensor shows, or why it cannot be read.
     """
 
     views: dict[str, Any]
@@ -91,29 +93,29 @@ class ImagingReference:
 
 
 def observe_rest(job: Job, progress: Callable[[str], None]) -> ImagingReference:
-    """Look at the unit at rest."""
+    """Observe the sensor at rest."""
     progress("simulate: the sensor at rest")
     views = expected_views(job.design, job.surface, job.markers)
-    eyes = imaging_model(job, views=views)
+    imaging = imaging_model(job, views=views)
     compliance = None
-    if job.scenario.solve.route == "frames" and not eyes.nominal.tips.readable.all():
+    if job.scenario.solve.route == "frames" and not imaging.nominal.tips.readable.all():
         compliance = force_model_of(job).compliance_px
-        eyes = imaging_model(job, views=views, compliance_px=compliance)
-    if eyes.status:
-        progress(f"warning: this sensor cannot be read: {eyes.status}")
+        imaging = imaging_model(job, views=views, compliance_px=compliance)
+    if imaging.status:
+        progress(f"warning: this sensor cannot be read: {imaging.status}")
     else:
-        lost = np.flatnonzero(~np.isfinite(eyes.at_rest.rest_px[:, 0]))
+        lost = np.flatnonzero(~np.isfinite(imaging.at_rest.rest_px[:, 0]))
         if len(lost):
             progress(
                 f"warning: {len(lost)} of {job.markers.count} markers ({id_list(lost)}) cannot be "
-                "told at rest and are missing in every sample: their images are too small or too "
-                "blurred; raise camera.f_number or set eyes.lens_blur = false"
+                "identified at rest and are missing in every sample: their images are too small or "
+                "too blurred; raise camera.f_number or set eyes.lens_blur = false"
             )
-    return ImagingReference(views=views, compliance_px=compliance, rest=eyes.rest)
+    return ImagingReference(views=views, compliance_px=compliance, rest=imaging.rest)
 
 
 def imaging_model(job: Job, **known: Any) -> ImagingModel:
-    """Eyes of the job's unit."""
+    """Imaging model of the job's sensor instance."""
     settings = job.scenario.eyes.model_dump()
     if settings["noise_pixel"] is None:
         settings["noise_pixel"] = job.design.camera.noise_pixel
@@ -143,11 +145,11 @@ def force_model_of(job: Job) -> ForceModel:
 
 
 class SampleWorker:
-    """One process's twin of the sensor: what is dear is made once."""
+    """Simulation of one process; what is expensive is made once."""
 
     def __init__(self, plain: Mapping[str, Any], out: Path, sight: ImagingReference) -> None:
         self.job = job = Job.of(plain)
-        self.journal, self.frames = Journal(out), out / FRAMES
+        self.journal, self.frames = Journal(out / JOURNAL_FOLDER), out / FRAMES
         solve = job.scenario.solve
         self.solver = Solver(
             job.design,
@@ -159,7 +161,7 @@ class SampleWorker:
             region=job.plan.region,
             local=solve.local,
         )
-        self.eyes = imaging_model(
+        self.imaging = imaging_model(
             job, views=sight.views, compliance_px=sight.compliance_px, at_rest=sight.rest
         )
 
@@ -184,12 +186,12 @@ class SampleWorker:
         if moved.motion is not None:
             bits, light = plan.switching.bits[index], float(plan.light[index])
             if job.scenario.solve.route == "frames":
-                frames = self.eyes.frame(moved.motion, bits, light, rng)
-                seen = self.eyes.read(frames)
+                frames = self.imaging.frame(moved.motion, bits, light, rng)
+                seen = self.imaging.read(frames)
                 if job.keep == "frames":
-                    facts["frames"] = self.keep_frames(index, frames)
+                    facts["frames"] = self.write_frames(index, frames)
             else:
-                seen = self.eyes.points(moved.motion, bits, light, rng)
+                seen = self.imaging.points(moved.motion, bits, light, rng)
             if seen.status:
                 facts["status"] = "failed"
                 facts["reasons"].append(seen.status)
@@ -199,20 +201,20 @@ class SampleWorker:
                     facts["status"] = "flagged"
                     facts["reasons"].append(FEW_FOUND)
         try:
-            self.journal.put(index, arrays, facts)
+            self.journal.put(str(index), facts, arrays)
         except OSError as error:
             raise _full(self.frames.parent, error) from None
         return facts
 
-    def keep_frames(self, index: int, frames: tuple[ImageArray, ...]) -> dict[str, str]:
+    def write_frames(self, index: int, frames: tuple[ImageArray, ...]) -> dict[str, str]:
         """Write the frames of a sample; their hashes by name."""
         out = {}
-        for frame, mark in zip(frames, MARKS, strict=False):
+        for frame, mark in zip(frames, CAMERA_SUFFIXES, strict=False):
             name = f"{index:06d}{mark}.png"
-            data = png_bytes(frame)
+            data = encode_png(frame)
             try:
                 self.frames.mkdir(exist_ok=True)
-                write_whole(self.frames / name, data)
+                write_atomically(self.frames / name, data)
             except OSError as error:
                 raise _full(self.frames.parent, error) from None
             out[name] = sha256(data).hexdigest()
@@ -224,11 +226,6 @@ def _full(out: Path, error: OSError) -> OutputError:
         f"cannot write {out}: {error.strerror}; make room, then run the same command again: what "
         "is done stays"
     )
-
-
-def start(plain: Mapping[str, Any], out: Path, sight: ImagingReference) -> SampleWorker:
-    """Make a worker's state."""
-    return SampleWorker(plain, out, sight)
 
 
 def work(worker: SampleWorker, index: int) -> dict[str, Any]:
@@ -244,7 +241,7 @@ def simulate(
     force: bool = False,
     progress: Callable[[str], None] = print,
 ) -> SimulationResult:
-    """Simulate a job into ``out``, going on where an earlier run of the same job ended.
+    """Simulate a job into ``out``, resuming an earlier run of the same job.
 
     Parameters
     ----------
@@ -274,21 +271,24 @@ def simulate(
     if ready is not None:
         progress(f"{out} holds this data set already")
         return _result(out, ready, 0, begin)
-    journal = Journal(out)
+    journal = Journal(out / JOURNAL_FOLDER)
     with journal.opened(job.key, force=force):
         facts = dict(done_before(journal, out / FRAMES, total))
         before = len(facts)
         if before:
             progress(f"simulate: {before} of {total} samples were done before")
         sight = observe_rest(job, progress) if before < total else None
-        crew = Crew(start=start, given=(job.plain(), out, sight), work=work, workers=workers)
+        given = (job.plain(), out, sight)
         said, first = time.monotonic(), 0.0
-        for index, item in crew.run(k for k in range(total) if k not in facts):
-            facts[index] = item if item is not None else lost(job, journal, index)
-            first = first or time.perf_counter()
-            if time.monotonic() - said > PROGRESS_INTERVAL_s or len(facts) == total:
-                said = time.monotonic()
-                progress(_line(facts, before, total, time.perf_counter() - first))
+        missing = [index for index in range(total) if index not in facts]
+        with WorkerPool(work, workers=workers, start=SampleWorker, arguments=given) as pool:
+            for result in pool.run(missing):
+                index = missing[result.index]
+                facts[index] = store_lost(job, journal, index) if result.lost else result.value
+                first = first or time.perf_counter()
+                if time.monotonic() - said > PROGRESS_INTERVAL_s or len(facts) == total:
+                    said = time.monotonic()
+                    progress(_line(facts, before, total, time.perf_counter() - first))
         samples = gather_samples(job, journal)
         if job.keep == "inputs":
             noise_px = job.design.camera.noise_centroid_px
@@ -340,15 +340,15 @@ def finished_data_set(out: Path, job: Job, *, force: bool) -> Samples | None:
 def done_before(journal: Journal, frames: Path, total: int) -> Iterator[tuple[int, dict[str, Any]]]:
     """Facts of samples that an earlier run stored whole, their frames included."""
     for index in range(total):
-        found = journal.get(index)
+        found = journal.get(str(index))
         if found is None:
             continue
-        pictures = found[1]["frames"].items()
+        pictures = found[0]["frames"].items()
         if all((frames / n).is_file() and file_hash(frames / n) == h for n, h in pictures):
-            yield index, found[1]
+            yield index, found[0]
 
 
-def lost(job: Job, journal: Journal, index: int) -> dict[str, Any]:
+def store_lost(job: Job, journal: Journal, index: int) -> dict[str, Any]:
     """Store a sample whose process died twice."""
     count = job.markers.count
     facts = {
@@ -359,9 +359,9 @@ def lost(job: Job, journal: Journal, index: int) -> dict[str, Any]:
     }
     empty = {"shift_px": np.full((count, 2), np.nan), "bits_read": np.zeros(count, dtype=np.bool_)}
     try:
-        journal.put(index, empty, facts)
+        journal.put(str(index), facts, empty)
     except OSError as error:
-        raise _full(journal.root.parent, error) from None
+        raise _full(journal.folder.parent, error) from None
     return facts
 
 

@@ -136,6 +136,6 @@ def test_cell_prior() -> None:
 
 
 @pytest.mark.parametrize("bad", [{"noise": 0.0}, {"noise": -1.0}, {"force": 0.0}])
-def test_nonsense_is_refused(bad: dict[str, float]) -> None:
+def test_invalid_input_is_rejected(bad: dict[str, float]) -> None:
     with pytest.raises(NumericalError, match="needs noise, prior and forces above zero"):
         bound(FREE, **bad)

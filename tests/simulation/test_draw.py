@@ -19,11 +19,11 @@ from phytac_design.simulation.scenario.instance_scatter import draw_sensor_insta
 from phytac_design.simulation.scenario.presses import reach_mm
 from phytac_design.simulation.scenario.scenario_file import (
     Scenario,
-    SensorInstanceSection,
     load_scenario,
     parse_scenario,
     shipped_scenarios,
 )
+from phytac_design.simulation.scenario.sections import SensorInstanceSection
 from phytac_design.simulation.scenario.viscoelasticity import (
     Relaxation,
     felt_force,
@@ -111,7 +111,7 @@ DRAWN = {
 
 @pytest.mark.parametrize("name", DRAWN)
 @pytest.mark.parametrize("shape", ["cylinder40", "hemisphere"])
-def test_a_sample_does_not_depend_on_how_many_are_asked_for(name: str, shape: str) -> None:
+def test_a_sample_does_not_depend_on_the_number_of_samples(name: str, shape: str) -> None:
     few, many = (plan(_asked(DRAWN[name], n), sensor(shape)) for n in (23, 61))
     first = many.touches.sample < 23
     for key, array in columns(few.touches).items():

@@ -9,7 +9,7 @@ from phytac_design.layout import make_markers
 from phytac_design.simulation.indenters import INDENTERS
 from phytac_design.simulation.scenario.draw_plan import draw_plan
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
-from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
+from phytac_design.simulation.scenario.sections import SensorInstanceSection
 from phytac_shapes.errors import DesignError
 from tests.designs import changed
 from tests.simulation.test_draw import AT, plan, scenario, sensor
@@ -136,7 +136,7 @@ def test_drawn_indenters_follow_their_table() -> None:
     assert free.length_mm == pytest.approx(4.0 * free.radius_mm)
 
 
-def test_no_room_and_nothing_there_are_refused() -> None:
+def test_no_room_and_empty_parts_are_rejected() -> None:
     narrow = {"along": [0.5, 0.52], "around": [0.5, 0.52], "samples": 30}
     with pytest.raises(DesignError, match=r"holds no receptor; widen touch.along"):
         plan(scenario(touch=narrow))

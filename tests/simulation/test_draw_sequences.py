@@ -64,20 +64,20 @@ def test_pads_of_a_hand_do_not_overlap(shape: str) -> None:
     assert (apart > size[:, :, None] + size[:, None]).all()
 
 
-def test_pads_without_room_are_refused() -> None:
+def test_pads_without_room_are_rejected() -> None:
     pads = [{"along": 0.5, "around": 0.5}, {"along": 0.51, "around": 0.5}]
     with pytest.raises(DesignError, match=r"pad [01] would shrink to 0\.\d+ of its radius"):
         plan(scenario("grips", grip={"pads": pads}))
 
 
-def test_more_than_all_pads_can_give_is_refused() -> None:
+def test_more_than_all_pads_can_give_is_rejected() -> None:
     with pytest.raises(DesignError, match=r"grip.total_max_N = 230 is more than 9 pads of 25 N"):
         plan(scenario("grips", grip={"total_max_N": 230.0}))
     with pytest.raises(DesignError, match=r"grip.total_min_N = 222 exceeds the largest sum of 220"):
         plan(scenario("grips", grip={"total_min_N": 222.0}))
 
 
-def test_capped_forces_sum_to_what_is_asked() -> None:
+def test_capped_forces_sum_to_the_given_total() -> None:
     rng = np.random.default_rng(0)
     parts = rng.random((500, 9)) ** 3
     parts /= parts.sum(axis=1, keepdims=True)

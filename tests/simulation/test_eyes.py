@@ -1,4 +1,4 @@
-"""Points against frames, and what a unit's eyes make of noise, scatter and blindness."""
+"""Points against frames; noise, scatter and blindness of the imaging model."""
 
 from dataclasses import replace
 from typing import Any
@@ -64,7 +64,7 @@ def unit_of(design: Design) -> SensorInstance:
 
 
 class Rig:
-    """A unit with its eyes, pressed a few times with 25 N."""
+    """A sensor instance and its imaging model, pressed a few times with 25 N."""
 
     def __init__(self, design: Design, unit: SensorInstance | None = None) -> None:
         self.design, self.surface = design, design.surface()
@@ -81,7 +81,7 @@ class Rig:
         self.motion = superpose(response, contacts)
         self.bits = switch_states(design, self.surface, markers, contacts).bits
         self.views = expected_views(design, self.surface, markers)
-        self.eyes = self.make(self.unit)
+        self.imaging = self.make(self.unit)
         self.still = np.zeros((markers.count, 6))
         self.off = np.zeros(markers.count, dtype=np.bool_)
 
@@ -90,18 +90,18 @@ class Rig:
             self.design, self.surface, unit, exposure=EXPOSURE, views=self.views, **options
         )
 
-    def errors(self, eyes: ImagingModel | None = None) -> tuple[FloatArray, FloatArray]:
+    def errors(self, imaging: ImagingModel | None = None) -> tuple[FloatArray, FloatArray]:
         """Points less frames without noise, and those shifts, (samples, n, 2) px."""
-        eyes = eyes or self.eyes
-        zero = eyes.read(eyes.frame(self.still, self.off)).shift_px
+        imaging = imaging or self.imaging
+        zero = imaging.read(imaging.frame(self.still, self.off)).shift_px
         frames, points = [], []
         for motion, bits in zip(self.motion, self.bits, strict=True):
-            seen = eyes.read(eyes.frame(motion, bits))
+            seen = imaging.read(imaging.frame(motion, bits))
             np.testing.assert_array_equal(seen.bits, bits)
             assert seen.found.all()
             assert seen.status == ""
             frames.append(seen.shift_px - zero)
-            points.append(eyes.points(motion, bits).shift_px)
+            points.append(imaging.points(motion, bits).shift_px)
         return np.array(points) - np.array(frames), np.array(frames)
 
 
@@ -127,8 +127,8 @@ def test_points_are_what_frames_show(rig: Rig) -> None:
 
 def test_paint_is_where_frames_show_it(rig: Rig) -> None:
     # Paint on a tube's far side would pull its centroid aside by pixels.
-    place = rig.eyes._paints[0].centroids(rig.still)
-    error = place - rig.eyes.at_rest.rest_px
+    place = rig.imaging._paints[0].centroids(rig.still)
+    error = place - rig.imaging.at_rest.rest_px
     assert rms(error) < 0.25
     assert np.abs(error.mean(axis=0)).max() < 0.05
 
@@ -138,33 +138,33 @@ def test_a_tip_covers_other_paint_as_its_receptor_turns(rig: Rig) -> None:
     some = np.array([2, 11, 22, 31, 37])
     bits[some] = True
     motion[some, 3:] = 0.3 * rig.unit.markers.normal[np.roll(some, 2)]
-    frames = rig.eyes.read(rig.eyes.frame(motion, bits))
+    frames = rig.imaging.read(rig.imaging.frame(motion, bits))
     np.testing.assert_array_equal(frames.bits, bits)
-    error = rig.eyes.points(motion, bits).shift_px - frames.shift_px
-    without = rig.eyes._covered(motion, bits)
+    error = rig.imaging.points(motion, bits).shift_px - frames.shift_px
+    without = rig.imaging._covered(motion, bits)
     assert rms(error[some]) < 2.0 * AGREE_px
     assert rms(without[some]) > 2.4 * AGREE_px
 
 
 def test_pixels_agree_too(rig: Rig) -> None:
-    eyes = rig.make(rig.unit, centroids="pixels", wall_follows=False, at_rest=rig.eyes.rest)
+    imaging = rig.make(rig.unit, centroids="pixels", wall_follows=False, at_rest=rig.imaging.rest)
     motion, bits = rig.motion[0], rig.bits[0]
-    paint, pixels = rig.eyes.exact(motion, bits), eyes.exact(motion, bits)
+    paint, pixels = rig.imaging.exact(motion, bits), imaging.exact(motion, bits)
     assert rms(paint - pixels) < 0.02  # nothing hides anything here
     # A receptor brought before another one covers some of it, and only pixels know.
     push, tips, eye = rig.still.copy(), rig.unit.markers.tip_mm, rig.unit.cameras[0].position_mm
     push[20, :3] = eye + 0.8 * (tips[21] - eye) + [2.8, 2.8, 0.0] - tips[20]
-    hidden = np.abs(eyes.exact(push, rig.off) - rig.eyes.exact(push, rig.off))[21].max()
-    frames = eyes.read(eyes.frame(push, rig.off)).shift_px
+    hidden = np.abs(imaging.exact(push, rig.off) - rig.imaging.exact(push, rig.off))[21].max()
+    frames = imaging.read(imaging.frame(push, rig.off)).shift_px
     assert hidden > 0.5
-    left = np.linalg.norm(eyes.exact(push, rig.off)[21] - frames[21])
+    left = np.linalg.norm(imaging.exact(push, rig.off)[21] - frames[21])
     assert left < 0.15 * np.linalg.norm(frames[21])
 
 
 def test_nothing_moves_at_rest(rig: Rig) -> None:
-    np.testing.assert_array_equal(rig.eyes.exact(rig.still, rig.off), 0.0)
-    np.testing.assert_array_equal(rig.eyes.points(rig.still, rig.off).shift_px, 0.0)
-    dim = rig.eyes.read(rig.eyes.frame(rig.still, rig.off, 0.8)).shift_px
+    np.testing.assert_array_equal(rig.imaging.exact(rig.still, rig.off), 0.0)
+    np.testing.assert_array_equal(rig.imaging.points(rig.still, rig.off).shift_px, 0.0)
+    dim = rig.imaging.read(rig.imaging.frame(rig.still, rig.off, 0.8)).shift_px
     assert rms(dim) < AGREE_px
 
 
@@ -172,7 +172,7 @@ def test_moving_all_receptors_is_moving_the_camera(rig: Rig) -> None:
     step = np.array([0.3, -0.2, 0.5])
     motion = rig.still.copy()
     motion[:, :3] = step
-    paint = rig.eyes._paints[0]
+    paint = rig.imaging._paints[0]
     camera = paint.camera
     there = paint.centroids(motion)
     try:
@@ -185,30 +185,30 @@ def test_moving_all_receptors_is_moving_the_camera(rig: Rig) -> None:
 
 
 def test_points_have_the_noise_of_frames(rig: Rig) -> None:
-    eyes, rest = rig.eyes, rig.eyes.at_rest
+    imaging, rest = rig.imaging, rig.imaging.at_rest
     rng = np.random.default_rng(5)
-    points = np.stack([eyes.points(rig.still, rig.off, 1.0, rng).shift_px for _ in range(200)])
+    points = np.stack([imaging.points(rig.still, rig.off, 1.0, rng).shift_px for _ in range(200)])
     np.testing.assert_allclose(points.std(axis=0), rest.noise_px, rtol=0.35, atol=0.015)
     frames = np.stack(
-        [eyes.read(eyes.frame(rig.still, rig.off, 1.0, rng)).shift_px for _ in range(8)]
+        [imaging.read(imaging.frame(rig.still, rig.off, 1.0, rng)).shift_px for _ in range(8)]
     )
     assert rms(frames.std(axis=0, ddof=1)) == pytest.approx(rms(rest.noise_px), rel=0.2)
     assert 0.002 < np.median(rest.noise_px) < 0.1
-    dark = np.stack([eyes.points(rig.still, rig.off, 0.25, rng).shift_px for _ in range(100)])
+    dark = np.stack([imaging.points(rig.still, rig.off, 0.25, rng).shift_px for _ in range(100)])
     assert rms(dark) > 1.6 * rms(points)
 
 
 def test_same_generator_same_sample(rig: Rig) -> None:
     motion, bits = rig.motion[0], rig.bits[0]
     one, two = (
-        rig.eyes.points(motion, bits, 1.0, np.random.default_rng(4)).shift_px for _ in range(2)
+        rig.imaging.points(motion, bits, 1.0, np.random.default_rng(4)).shift_px for _ in range(2)
     )
     np.testing.assert_array_equal(one, two)
     again = rig.make(rig.unit)
-    a, b = (e.frame(motion, bits, 1.0, np.random.default_rng(4))[0] for e in (rig.eyes, again))
+    a, b = (e.frame(motion, bits, 1.0, np.random.default_rng(4))[0] for e in (rig.imaging, again))
     np.testing.assert_array_equal(a, b)
     assert isinstance(again.rest, RestObservation)
-    np.testing.assert_array_equal(again.rest.noise_px, rig.eyes.at_rest.noise_px)
+    np.testing.assert_array_equal(again.rest.noise_px, rig.imaging.at_rest.noise_px)
 
 
 def turned(camera: Camera, degrees: float, step_mm: FloatArray) -> Camera:
@@ -220,7 +220,7 @@ def turned(camera: Camera, degrees: float, step_mm: FloatArray) -> Camera:
     )
 
 
-def test_a_scattered_unit_is_read_against_its_own_rest_frame(rig: Rig) -> None:
+def test_a_scattered_instance_is_read_against_its_own_rest_frame(rig: Rig) -> None:
     rng = np.random.default_rng(2)
     unit = rig.unit
     markers = unit.markers
@@ -238,40 +238,40 @@ def test_a_scattered_unit_is_read_against_its_own_rest_frame(rig: Rig) -> None:
         cameras=(turned(unit.cameras[0], 0.6, np.array([0.2, -0.1, 0.1])),),
         paint=1.0 + rng.normal(0.0, 0.05, (3, 3)),
     )
-    eyes = rig.make(scattered)
-    assert eyes.status == ""
-    away = np.linalg.norm(eyes.at_rest.rest_px - eyes.nominal.rest_px, axis=1)
+    imaging = rig.make(scattered)
+    assert imaging.status == ""
+    away = np.linalg.norm(imaging.at_rest.rest_px - imaging.nominal.rest_px, axis=1)
     assert away.max() > 4.0
-    error, _ = rig.errors(eyes)
+    error, _ = rig.errors(imaging)
     assert rms(error) < AGREE_px
 
 
-def test_a_unit_that_cannot_be_read_says_so(rig: Rig) -> None:
+def test_an_unreadable_instance_has_a_status(rig: Rig) -> None:
     blind = replace(rig.unit, cameras=(turned(rig.unit.cameras[0], 30.0, np.zeros(3)),))
-    eyes = rig.make(blind)
-    assert "markers; is this a frame of the sensor" in eyes.status
-    frames = eyes.frame(rig.still, rig.off)
-    for seen in (eyes.read(frames), eyes.points(rig.still, rig.off)):
-        assert seen.status == eyes.status
+    imaging = rig.make(blind)
+    assert "markers; is this a frame of the sensor" in imaging.status
+    frames = imaging.frame(rig.still, rig.off)
+    for seen in (imaging.read(frames), imaging.points(rig.still, rig.off)):
+        assert seen.status == imaging.status
         assert not seen.found.any()
         assert np.isnan(seen.shift_px).all()
     with pytest.raises(InputError, match="of the sensor"):
-        _ = eyes.at_rest
+        _ = imaging.at_rest
 
 
 def test_a_frame_that_cannot_be_read_says_so(rig: Rig) -> None:
-    dark = rig.eyes.read((np.zeros((648, 864, 3), dtype=np.uint8),))
+    dark = rig.imaging.read((np.zeros((648, 864, 3), dtype=np.uint8),))
     assert "found 0 of 40 markers" in dark.status
-    small = rig.eyes.read((np.zeros((64, 86, 3), dtype=np.uint8),))
+    small = rig.imaging.read((np.zeros((64, 86, 3), dtype=np.uint8),))
     assert "image is 86x64 px" in small.status
     assert not small.found.any()
 
 
 def test_two_cameras_read_each_their_own() -> None:
     rig = Rig(design("both"))
-    number = rig.eyes.nominal.read_by
+    number = rig.imaging.nominal.read_by
     assert 8 < number.sum() < 32
-    assert len(rig.eyes.frame(rig.still, rig.off)) == 2
+    assert len(rig.imaging.frame(rig.still, rig.off)) == 2
     error, shift = rig.errors()
     for camera in (0, 1):
         assert rms(error[:, number == camera]) < AGREE_px
@@ -298,7 +298,7 @@ def test_grid_error_belongs_to_a_place() -> None:
 
 
 def test_the_wall_goes_with_its_receptors(rig: Rig) -> None:
-    eye, markers = rig.eyes.eyes[0], rig.unit.markers
+    eye, markers = rig.imaging.cameras[0], rig.unit.markers
     wall = WallMotion(rig.design, rig.surface, markers, eye.rest)
     np.testing.assert_array_equal(wall.moved(eye.rest, rig.still).vertices, eye.rest.vertices)
     motion = rig.still.copy()
@@ -350,13 +350,13 @@ def test_paint_slopes_are_how_frames_show_a_receptor_that_turns() -> None:
     slope = paint_slope(flat, surface, markers, camera, rest=rest, seen=seen)
     readers = Readers(cameras=(camera,), read_by=np.zeros(markers.count, dtype=np.int64))
     arm = seen.paint_point_mm - markers.mid_mm
-    eyes = ImagingModel(flat, surface, unit_of(flat), exposure=EXPOSURE)
+    imaging = ImagingModel(flat, surface, unit_of(flat), exposure=EXPOSURE)
     still, off = np.zeros((markers.count, 6)), np.zeros(markers.count, dtype=np.bool_)
-    zero = eyes.read(eyes.frame(still, off)).shift_px
+    zero = imaging.read(imaging.frame(still, off)).shift_px
     # Tilts alone: motion moves a centroid as it moves any point.
     motion = np.zeros((markers.count, 6))
     motion[:, 3:5] = np.random.default_rng(2).normal(0.0, 0.05, (markers.count, 2))
-    shown = eyes.read(eyes.frame(motion, off)).shift_px - zero
+    shown = imaging.read(imaging.frame(motion, off)).shift_px - zero
     error = {
         name: rms(Watched(readers, markers.mid_mm, arm, own).shift(motion) - shown) / rms(shown)
         for name, own in (("paint", slope), ("point", None))

@@ -68,7 +68,7 @@ def test_a_marker_on_the_pole_leaves_the_others_their_stiffness() -> None:
     assert np.isfinite(model.stiffness_noise_N_px[1:]).all()
 
 
-def test_a_lone_marker_on_the_axis_is_refused() -> None:
+def test_a_lone_marker_on_the_axis_is_rejected() -> None:
     camera = Camera.on_axis(width_px=100, height_px=100, focal_px=50, stand_off_mm=10)
     slope = camera.jacobian(np.array([[0.0, 0.0, 5.0]]))
     normal = np.array([[0.0, 0.0, 1.0]])
@@ -122,7 +122,7 @@ def test_a_sound_sensor_has_no_limits() -> None:
     assert limit_facts(bundle)["fem_unusable_count"] == 0
 
 
-def test_hidden_tips_are_told_from_tips_that_look_alike() -> None:
+def test_hidden_tips_differ_from_tips_that_look_alike() -> None:
     bundle = sound()
     on, rest = bundle.tips.red_on_px.copy(), bundle.tips.red_rest_px.copy()
     on[2] = 0.0

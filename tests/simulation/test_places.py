@@ -186,7 +186,7 @@ def test_higher_powers_between_places_are_those_that_would_be_solved() -> None:
 
 
 @pytest.mark.parametrize(("far_mm", "way"), [(11.0, 0), (11.0, 1), (15.0, 0)])
-def test_pairs_of_contacts_tell_what_both_do_beyond_their_sum(far_mm: float, way: int) -> None:
+def test_interactions_add_what_two_contacts_do_beyond_their_sum(far_mm: float, way: int) -> None:
     """On the simulated sensor's shell, with large displacements; along the axis and around it."""
     places = tabulated().places
     assert places.pairs is not None

@@ -70,7 +70,7 @@ def one_newton() -> FloatArray:
 @cache
 def newton(force_N: float) -> FloatArray:
     """Shifts (2n,) px."""
-    motion = pressed(1).feet.large(newton_motion(force_N * one_newton()))
+    motion = pressed(1).kinematics.large(newton_motion(force_N * one_newton()))
     moved = SEE.watched + turned_points(motion, SEE.arm_mm)
     return np.asarray(SEE.readers.project(moved) - SEE.rest).ravel()
 

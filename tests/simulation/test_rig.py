@@ -1,4 +1,4 @@
-"""``phytac import``: a made-up rig in, a data set out; what is wrong with it is told at once."""
+"""``phytac import``: a made-up rig in, a data set out; all that is wrong is reported at once."""
 
 import shutil
 from collections.abc import Callable
@@ -68,7 +68,7 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def bring(bundle: Path, tmp_path: Path) -> Import:
-    """Import a changed example, of which only the changes are told."""
+    """Import a changed example, of which only the changes are given."""
 
     def run(
         log: str = LOG,
@@ -132,7 +132,7 @@ def test_the_example_from_end_to_end(bundle: Path, tmp_path: Path) -> None:
 
 
 def check_truth(samples: Samples) -> None:
-    """Where all switches are read right, the truth per receptor is the twin's."""
+    """Where all switches are read right, the truth per receptor is the simulation's."""
     surface = DESIGN.surface()
     markers = make_markers(DESIGN, surface)
     touches, truth = samples.touches, samples.truth
@@ -236,7 +236,7 @@ def test_two_readings_of_a_place_without_radius(bring: Import) -> None:
 
 
 def test_frames_that_show_no_sensor(bring: Import, tmp_path: Path) -> None:
-    """They are told with line and name, and left out when asked to."""
+    """They are reported with line and name, and left out with --skip-bad."""
     frames = tmp_path / "frames"
     shutil.copytree(EXAMPLE / "frames", frames)
     cv2.imwrite(str(frames / "frame_0003.jpg"), np.zeros((480, 640, 3), np.uint8))
@@ -271,7 +271,7 @@ def test_frames_of_another_camera_mode(bring: Import, tmp_path: Path) -> None:
         bring(frames=frames, rest=str(EXAMPLE / "frames" / "frame_0000.jpg"), skip_bad=True)
 
 
-def test_a_log_that_speaks_against_its_pictures_is_flagged(bring: Import) -> None:
+def test_a_log_that_contradicts_its_pictures_is_flagged(bring: Import) -> None:
     """The last press is said to be elsewhere."""
     cells = ROWS[-1].split(",")
     moved = ",".join([*cells[:3], "0", "-20", *cells[5:]])

@@ -95,7 +95,7 @@ def test_bad_rows_are_noted_with_their_line(tmp_path: Path, case: str) -> None:
     np.testing.assert_allclose(touches.uv[-2:], MARKERS.uv[[7, 8]])
     assert touches.samples == 3
     with pytest.raises(InputError, match="or leave these samples out with --skip-bad"):
-        problems.refuse()
+        problems.raise_all()
 
 
 def test_contacts_of_one_sample(tmp_path: Path) -> None:

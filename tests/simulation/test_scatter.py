@@ -18,7 +18,7 @@ from phytac_design.simulation.scenario.instance_scatter import (
     draw_sensor_instance,
     thickness_factor,
 )
-from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
+from phytac_design.simulation.scenario.sections import SensorInstanceSection
 from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes.arrays import FloatArray
 from tests.designs import changed
@@ -224,7 +224,7 @@ def test_a_release_share_of_the_file_counts_for_the_design_too() -> None:
     assert own.off_N == pytest.approx(0.5 * own.on_N, rel=1e-12)
 
 
-def test_walls_wave_as_much_as_asked_and_close_at_the_seam() -> None:
+def test_walls_have_the_given_scatter_and_close_at_the_seam() -> None:
     for number in range(1, 20):
         field = _wall(SURFACE, SensorInstanceSection(number=number), 4)
         factor = thickness_factor(field, grid())

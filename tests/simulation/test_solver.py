@@ -31,7 +31,7 @@ from phytac_design.simulation.scenario.instance_scatter import (
     draw_sensor_instance,
     thickness_factor,
 )
-from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
+from phytac_design.simulation.scenario.sections import SensorInstanceSection
 from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_design.simulation.solver import SampleMotion, Solver
 from phytac_shapes.errors import NumericalError
@@ -79,15 +79,14 @@ def large() -> Solver:
 
 
 @pytest.mark.parametrize("name", ["small", "hemisphere"])
-def test_unit_zero_is_the_design(name: str) -> None:
+def test_instance_zero_is_the_design(name: str) -> None:
     design = DESIGN if name == "small" else load_design(name)
     surface = design.surface()
     mesh, model = truth_shell(design, surface, 2)
-    mine = instance_shell(design, surface, unit_of(design), 2)
-    np.testing.assert_array_equal(mine.mesh.nodes_mm, mesh.nodes_mm)
-    np.testing.assert_array_equal(mine.mesh.quads, mesh.quads)
-    np.testing.assert_array_equal(mine.model.stiffness.data, model.stiffness.data)
-    assert mine.whole_because
+    mine, own = instance_shell(design, surface, unit_of(design), 2)
+    np.testing.assert_array_equal(mine.nodes_mm, mesh.nodes_mm)
+    np.testing.assert_array_equal(mine.quads, mesh.quads)
+    np.testing.assert_array_equal(own.stiffness.data, model.stiffness.data)
 
 
 def test_a_print_has_its_own_wall_material_and_receptors() -> None:
@@ -98,7 +97,7 @@ def test_a_print_has_its_own_wall_material_and_receptors() -> None:
     np.testing.assert_allclose(soft.stiffness.data, 0.8 * plain.stiffness.data, atol=1e-9)
     thick = instance_model(DESIGN, SURFACE, replace(unit, wall=replace(unit.wall, mean=1.1)), mesh)
     np.testing.assert_allclose(thick.thickness_mm, 1.1 * np.asarray(plain.thickness_mm))
-    # Uneven walls: each element has the thickness of its own place, also over the seam.
+    # Walls of varying thickness: each element has that of its place, also over the seam.
     uneven = unit_of(DESIGN, 3, marker_mm=0.0, height_mm=0.0, thickness_wave_share=0.05).wall
     wavy = instance_model(DESIGN, SURFACE, replace(unit, wall=uneven), mesh)
     ratio = np.asarray(wavy.thickness_mm) / np.asarray(plain.thickness_mm)
@@ -230,8 +229,6 @@ def test_only_the_touched_part_is_fine(where: str, finest: Solver) -> None:
         for part in (region, None)
     ]
     part, whole = both
-    assert part.whole_because == ""
-    assert part.whole_nodes == whole.nodes
     assert part.nodes < 0.8 * whole.nodes
     assert part.mesh.scaled_jacobian().min() > 0.99
 
@@ -255,22 +252,18 @@ def test_where_a_local_mesh_is_none() -> None:
     mesh = truth_mesh(DESIGN, SURFACE, REFINE)
     all_over = ChartBox(low=SURFACE.domain[:, 0], high=SURFACE.domain[:, 1], whole=np.ones(2, bool))
     nearly = replace(all_over, low=np.array([2.0, 0.0]), whole=np.array([False, True]))
-    for region, why in ((all_over, "all of the wall"), (nearly, "nearly all")):
-        same, because = local_mesh(DESIGN, SURFACE, mesh, region)
-        assert same is mesh
-        assert why in because
+    for region in (all_over, nearly):
+        assert local_mesh(DESIGN, SURFACE, mesh, region) is mesh
     dome = load_design("hemisphere")
     surface = dome.surface()
     small_part = replace(all_over, high=all_over.low + 0.1, whole=np.zeros(2, bool))
-    shell = instance_shell(dome, surface, unit_of(dome), 2, small_part)
-    assert "pole" in shell.whole_because
-    assert len(shell.mesh.nodes_mm) == shell.whole_nodes
+    whole = truth_mesh(dome, surface, 2)
+    assert local_mesh(dome, surface, whole, small_part) is whole
     sheet = load_design("patch")
     face = sheet.surface()
     spot = contact_box(face, face.domain.mean(axis=1)[None], np.array([4.0]))
-    shell = instance_shell(sheet, face, unit_of(sheet), 4, spot)
-    assert shell.whole_because == ""
-    assert len(shell.mesh.nodes_mm) < 0.8 * shell.whole_nodes
+    whole = truth_mesh(sheet, face, 4)
+    assert len(local_mesh(sheet, face, whole, spot).nodes_mm) < 0.8 * len(whole.nodes_mm)
 
 
 def test_points_on_rigid_arms_turn_with_the_wall() -> None:

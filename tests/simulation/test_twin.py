@@ -192,7 +192,7 @@ def test_decoding_another_mesh_is_close_but_not_exact() -> None:
     seen = state.tripped
     estimate = contact_forces(decode_points(model, data, "koi_inverse"), drawn, state)
     result = force_score(estimate[seen], drawn.force_N[seen])
-    assert 0.005 < result.relative_error < 0.2
+    assert 0.005 < result["relative_error"] < 0.2
     rows = key_node_data(model, data)
     assert len(rows.force_N) == state.bits.sum()
     assert np.allclose(rows.features[:, 0], rows.apparent_mm)
@@ -200,7 +200,7 @@ def test_decoding_another_mesh_is_close_but_not_exact() -> None:
 
 def test_scores_are_what_they_say() -> None:
     result = force_score(np.array([1.1, 1.8, 3.0]), np.array([1.0, 2.0, 3.0]))
-    assert result.mae_N == pytest.approx(0.1)
-    assert result.bias_N == pytest.approx(-0.1 / 3)
-    assert result.relative_error == pytest.approx((0.1 + 0.1) / 3)
-    assert np.isnan(force_score(np.array([]), np.array([])).mae_N)
+    assert result["mae_N"] == pytest.approx(0.1)
+    assert result["bias_N"] == pytest.approx(-0.1 / 3)
+    assert result["relative_error"] == pytest.approx((0.1 + 0.1) / 3)
+    assert np.isnan(force_score(np.array([]), np.array([]))["mae_N"])

@@ -115,7 +115,7 @@ def seen_and_told(one: Bench, forces: list[float]) -> tuple[FloatArray, FloatArr
     weight = np.array(forces)
     large = one.pressed.shell.approximate(loads @ weight, still @ weight)
     assert large is not None
-    seen = one.see.shift(one.pressed.feet.large(large)).ravel()
+    seen = one.see.shift(one.pressed.kinematics.large(large)).ravel()
     points = one.pressed.surface.point(uv)
     told = []
     for places in (one.places, replace(one.places, walls=None, shift_px=powers(one.places))):

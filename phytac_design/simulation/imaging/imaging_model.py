@@ -28,7 +28,7 @@ from phytac_shapes.errors import InputError
 
 Centroids = Literal["paint", "pixels"]
 REST_FRAMES = 8
-"""Noisy rest frames that a unit's rest positions and their noise are measured in."""
+"""Noisy rest frames that an instance's rest positions and their noise are measured in."""
 REST_NOISE_MAX_px = 1.0
 """A marker at rest whose place scatters more from frame to frame is mistaken for others."""
 REST_STREAM = 23
@@ -67,12 +67,12 @@ class MarkerReading:
 
 @dataclass(frozen=True, kw_only=True)
 class RestObservation:
-    """What the unloaded unit shows, measured in its own frames; arrays over n markers.
+    """What the unloaded sensor shows, measured in its own frames; arrays over n markers.
 
     Attributes
     ----------
     bundle : Bundle
-        The design's eyes, set to where this unit's markers are.
+        The design's marker detector, set to where this instance's markers are.
     rest_px : (n, 2) float
         Rest positions: mean of ``REST_FRAMES`` frames; NaN where not found.
     noise_px : (n, 2) float
@@ -80,7 +80,7 @@ class RestObservation:
     grid_px : (n, 2) float
         Standard deviation of the error that depends on where on the pixels a marker lies.
     tip_bias_px : (n, 2) float
-        What this unit's own tip covers, less what the decoder allows for.
+        What this instance's own tip covers, less what the decoder allows for.
     """
 
     bundle: Bundle
@@ -91,21 +91,21 @@ class RestObservation:
 
 
 class ImagingModel:
-    """All cameras of one unit.
+    """All cameras of one sensor instance.
 
     Parameters
     ----------
     design, surface : Design, Surface
         The sensor as designed: what the decoder expects.
-    unit : Unit
+    unit : SensorInstance
         The sensor as made.
     exposure : Exposure
         How frames are exposed.
     views : mapping, optional
         Arrays of the stage ``views``, where they are known already.
     compliance_px : (2n, n) float, optional
-        Of the stage ``response``: with it switches whose red is in doubt are asked for the force
-        that their markers' motion speaks of, as the decoder does.
+        Of the stage ``response``: with it switches whose red is doubtful are confirmed by the
+        force that their markers' motion needs, as in the decoder.
     centroids : {"paint", "pixels"}
         How points are found: from the paint that faces the camera, or with what neighbours, bar
         and wall hide of it as well, from exact ID maps.
@@ -114,7 +114,7 @@ class ImagingModel:
     wall_follows : bool
         Whether the wall in the scene moves with its receptors.
     at_rest : RestObservation or str, optional
-        :attr:`rest` of other eyes of the same unit and settings, so as not to measure it again.
+        :attr:`rest` of another model of the same instance and settings, to skip measuring it.
     """
 
     def __init__(
@@ -143,7 +143,7 @@ class ImagingModel:
             compliance_px=compliance_px,
         )
         strip = bar_strip(design, surface, nominal) if exposure.fall_off else None
-        self.eyes = [
+        self.cameras = [
             SimulatedCamera(
                 design,
                 surface,
@@ -164,17 +164,17 @@ class ImagingModel:
 
     @property
     def rest(self) -> RestObservation | str:
-        """What the unloaded unit shows, or why it cannot be read; can be pickled."""
+        """What the unloaded sensor shows, or why it cannot be read; can be pickled."""
         return self._rest
 
     @property
     def status(self) -> str:
-        """Why this unit cannot be read at all; "" if it can."""
+        """Why this sensor cannot be read at all; "" if it can."""
         return self._rest if isinstance(self._rest, str) else ""
 
     @property
     def at_rest(self) -> RestObservation:
-        """What the unloaded unit shows.
+        """What the unloaded sensor shows.
 
         Raises
         ------
@@ -206,11 +206,12 @@ class ImagingModel:
             Draws the noise; none without.
         """
         return tuple(
-            self._exposed(eye, eye.light(eye.scene(motion, bits)), light, rng) for eye in self.eyes
+            self._exposed(simulated, simulated.light(simulated.scene(motion, bits)), light, rng)
+            for simulated in self.cameras
         )
 
     def read(self, frames: tuple[ImageArray, ...]) -> MarkerReading:
-        """Read frames as the decoder does, against this unit's rest frames."""
+        """Read frames as the decoder does, against this instance's rest frames."""
         if self.status:
             return MarkerReading.nothing(self.count, self.status)
         rest = self.at_rest
@@ -236,9 +237,10 @@ class ImagingModel:
     ) -> MarkerReading:
         """What :meth:`read` would find in :meth:`frame`, without an image; parameters as there.
 
-        Bits are taken as they are. Noise is that of each marker's centroid in this unit's frames,
-        which grows as light gets scarce; and the error of segmentation that depends on where on
-        the pixels a marker lies: the same for the same place, and none for a marker at rest.
+        Bits are taken as they are. Noise is that of each marker's centroid in this
+        instance's frames, which grows as light gets scarce; and the error of segmentation
+        that depends on where on the pixels a marker lies: the same for the same place, and
+        none for a marker at rest.
         """
         if self.status:
             return MarkerReading.nothing(self.count, self.status)
@@ -279,22 +281,25 @@ class ImagingModel:
 
     @cached_property
     def _tips(self) -> list[TipCover]:
-        return [TipCover(eye.rest, eye.on, eye.camera, eye.pivots_mm) for eye in self.eyes]
+        return [
+            TipCover(simulated.rest, simulated.on, simulated.camera, simulated.pivots_mm)
+            for simulated in self.cameras
+        ]
 
     @cached_property
     def _paints(self) -> list[PaintPoints]:
         return [
             PaintPoints(
-                eye.rest,
-                eye.camera,
+                simulated.rest,
+                simulated.camera,
                 self.unit.markers,
                 chosen=self.nominal.read_by == number,
                 colours=self.nominal.colours,
                 colour=self.nominal.colour,
-                strip=eye.strip,
-                paint=eye.paint,
+                strip=simulated.strip,
+                paint=simulated.paint,
             )
-            for number, eye in enumerate(self.eyes)
+            for number, simulated in enumerate(self.cameras)
         ]
 
     @cached_property
@@ -305,41 +310,41 @@ class ImagingModel:
     def _watches(self) -> list[tuple[Watch, FloatArray]]:
         """Watch on each camera's scene, and how far hiding moves each centroid at rest, (n, 2)."""
         out = []
-        for eye in self.eyes:
-            watch = Watch(eye.rest, eye.camera, wall_back=WALL_BACK)
-            out.append((watch, sight_of(watch.look(eye.rest), eye.rest).offset_px))
+        for simulated in self.cameras:
+            watch = Watch(simulated.rest, simulated.camera, wall_back=WALL_BACK)
+            out.append((watch, sight_of(watch.look(simulated.rest), simulated.rest).offset_px))
         return out
 
     def _hiding(self, motion: FloatArray, bits: BoolArray) -> FloatArray:
         """How far what hides parts of a marker moves its centroid, over that at rest, (n, 2) px."""
         each = []
-        for eye, (watch, rest) in zip(self.eyes, self._watches, strict=True):
-            scene = eye.scene(motion, bits, follow=False)
+        for simulated, (watch, rest) in zip(self.cameras, self._watches, strict=True):
+            scene = simulated.scene(motion, bits, follow=False)
             each.append(sight_of(watch.look(scene), scene).offset_px - rest)
         return np.asarray(np.stack(each)[self.nominal.read_by, np.arange(self.count)])
 
     def _exposed(
         self,
-        eye: SimulatedCamera,
+        simulated: SimulatedCamera,
         light: NDArray[np.float32],
         brightness: float,
         rng: np.random.Generator | None,
     ) -> ImageArray:
-        return expose(light, eye.camera, self.exposure, brightness=brightness, rng=rng)
+        return expose(light, simulated.camera, self.exposure, brightness=brightness, rng=rng)
 
     @cached_property
     def _rest(self) -> RestObservation | str:
-        """Measure the unit at rest; a sentence if its frames cannot be read."""
+        """Measure the sensor at rest; a sentence if its frames cannot be read."""
         if self._given is not None:
             return self._given
         still, off = np.zeros((self.count, 6)), np.zeros(self.count, dtype=np.bool_)
-        lights = [eye.light(eye.scene(still, off)) for eye in self.eyes]
+        lights = [simulated.light(simulated.scene(still, off)) for simulated in self.cameras]
         rng = np.random.default_rng([REST_STREAM, self.unit.number])
 
         def draw() -> tuple[ImageArray, ...]:
             return tuple(
-                self._exposed(eye, light, 1.0, rng)
-                for eye, light in zip(self.eyes, lights, strict=True)
+                self._exposed(simulated, light, 1.0, rng)
+                for simulated, light in zip(self.cameras, lights, strict=True)
             )
 
         try:
@@ -348,8 +353,8 @@ class ImagingModel:
                 [locate_markers(bundle, draw())[0].position_px for _ in range(REST_FRAMES)]
             )
             clean = tuple(
-                self._exposed(eye, light, 1.0, None)
-                for eye, light in zip(self.eyes, lights, strict=True)
+                self._exposed(simulated, light, 1.0, None)
+                for simulated, light in zip(self.cameras, lights, strict=True)
             )
             before = locate_markers(bundle, clean)[0].position_px
             grid = self._grid(bundle, before)
@@ -369,18 +374,18 @@ class ImagingModel:
     def _grid(self, bundle: Bundle, before: FloatArray) -> FloatArray:
         """Standard deviation (n, 2) px of the centroids' error over places on the pixels."""
         still, off = np.zeros((self.count, 6)), np.zeros(self.count, dtype=np.bool_)
-        scenes = [eye.scene(still, off) for eye in self.eyes]
+        scenes = [simulated.scene(still, off) for simulated in self.cameras]
         found = [before]
         for shift in PIXEL_SHIFTS_px:
             frames = tuple(
-                self._exposed(eye, eye.light(scene, shift), 1.0, None)
-                for eye, scene in zip(self.eyes, scenes, strict=True)
+                self._exposed(simulated, simulated.light(scene, shift), 1.0, None)
+                for simulated, scene in zip(self.cameras, scenes, strict=True)
             )
             found.append(locate_markers(bundle, frames)[0].position_px - np.array(shift))
         return np.asarray(np.stack(found).std(axis=0, ddof=1))
 
     def _set_to(self, frames: tuple[ImageArray, ...]) -> Bundle:
-        """The design's eyes, with markers and tips expected where this unit's rest frame has them.
+        """Marker detector that expects markers and tips where this instance's rest frame has them.
 
         What is not found there is expected where the design has it.
         """

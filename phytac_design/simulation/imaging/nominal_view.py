@@ -1,4 +1,4 @@
-"""What the decoder expects to see of a sensor as designed: its eyes, without forces."""
+"""What the decoder expects to see of a sensor as designed, without forces."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -27,7 +27,7 @@ from phytac_shapes.arrays import FloatArray
 
 
 def expected_views(design: Design, surface: Surface, markers: Markers) -> dict[str, Any]:
-    """What the design's cameras show: the arrays of the stage ``views`` that its eyes need."""
+    """What the design's cameras show: the arrays of the stage ``views`` that detection needs."""
     cameras = cameras_of(design, surface)
     each = [_look(design, surface, markers, camera, alone=len(cameras) == 1) for camera in cameras]
     best, number = best_of([seen for seen, _ in each])

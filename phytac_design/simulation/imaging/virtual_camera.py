@@ -20,7 +20,7 @@ from phytac_shapes.arrays import BoolArray, FloatArray
 
 
 class SimulatedCamera:
-    """One camera of a unit: its scene, lens and light."""
+    """One camera of a sensor instance: its scene, lens and light."""
 
     def __init__(
         self,

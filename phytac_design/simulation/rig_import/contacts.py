@@ -1,6 +1,6 @@
 """Contacts of a user's rig on the design's surface: places, forces, and whether they make sense."""
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -13,14 +13,23 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import InputError
 
-LEAST_mm = 0.05
-"""Contacts of a smaller radius are taken for a wrong unit."""
+
+@dataclass(frozen=True, kw_only=True)
+class ContactLimits:
+    """When a log's numbers are taken for another unit."""
+
+    radius_min_mm: float = 0.05
+    """Contacts of a smaller radius are taken for a wrong unit."""
+    force_ratio_max: float = 10.0
+    """Forces whose median is this many times the sensor's greatest are in another unit."""
+    friction_max: float = 5.0
+    """Tangential over normal force; rubber on glass reaches 3."""
+
+
+LIMITS = ContactLimits()
+
 LENGTHS = {"m": 1000.0, "cm": 10.0, "inches": 25.4, "µm": 0.001}
-FORCE_TIMES = 10.0
-"""Forces whose median is this many times the sensor's greatest are in another unit."""
 FORCE_UNITS = {"mN": 1e-3, "g": 9.80665e-3}
-FRICTION_MAX = 5.0
-"""Tangential over normal force; rubber on glass reaches 3."""
 CYLINDER = INDENTERS.index("cylinder")
 
 
@@ -63,14 +72,16 @@ def contacts_of(
     order = rows[keep][np.argsort(log.sample[keep], kind="stable")]
     length = numbers.get("length_mm", np.zeros(len(rows)))
     bad = keep & (log.indenter == CYLINDER) & ~(length > 0.0)
-    _note(log, problems, bad, lambda _: "a cylinder needs its length_mm, above 0")
+    problems.add_rows(
+        bad, log.sample, log.line, lambda _: "a cylinder needs its length_mm, above 0"
+    )
     radius = np.nan_to_num(numbers.get("radius_mm", np.zeros(len(rows))))
     size = float(np.sort(np.ptp(surface.bounds_mm(), axis=0))[1])
-    bad = keep & (radius > 0.0) & ((radius > size / 2.0) | (radius < LEAST_mm))
-    _note(
-        log,
-        problems,
+    bad = keep & (radius > 0.0) & ((radius > size / 2.0) | (radius < LIMITS.radius_min_mm))
+    problems.add_rows(
         bad,
+        log.sample,
+        log.line,
         lambda k: (
             f"a contact of radius {radius[k]:g} mm on a sensor {size:.3g} mm wide; is radius_mm in "
             "mm?"
@@ -107,12 +118,6 @@ def sequences_of(
     return np.concatenate([[0], np.cumsum(new)]).astype(np.int64)
 
 
-def _note(log: RigLog, problems: RowProblems, bad: BoolArray, text: Callable[[int], str]) -> None:
-    """Note a problem of each bad row (r,)."""
-    rows = np.flatnonzero(bad)
-    problems.add(log.sample[rows], (f"line {log.line[k]}: {text(int(k))}" for k in rows))
-
-
 def _places(
     log: RigLog,
     design: Design,
@@ -131,10 +136,10 @@ def _places(
         low, high = surface.domain.T
         closed = np.array(surface.periodic)
         bad = ~closed & ((uv < low) | (uv > high))
-        _note(
-            log,
-            problems,
+        problems.add_rows(
             bad.any(axis=1),
+            log.sample,
+            log.line,
             lambda k: (
                 f"({uv[k, 0]:g}, {uv[k, 1]:g}) is off the surface, whose chart runs from "
                 f"({low[0]:g}, {low[1]:g}) to ({high[0]:g}, {high[1]:g})"
@@ -154,10 +159,10 @@ def _marker_ids(log: RigLog, markers: Markers, problems: RowProblems) -> IntArra
     if "marker" in log.numbers:
         named = log.numbers["marker"]
         good = (named >= 0) & (named < markers.count)
-        _note(
-            log,
-            problems,
+        problems.add_rows(
             np.isfinite(named) & ~good,
+            log.sample,
+            log.line,
             lambda k: f"marker must be 0 to {markers.count - 1} (got {named[k]:g})",
         )
         return np.where(good, np.nan_to_num(named), -1.0).astype(np.int64)
@@ -176,10 +181,10 @@ def _marker_ids(log: RigLog, markers: Markers, problems: RowProblems) -> IntArra
     out[there] = [
         known.get((int(r), int(c)), -1) for r, c in zip(row[there], column[there], strict=True)
     ]
-    _note(
-        log,
-        problems,
+    problems.add_rows(
         there & (out < 0),
+        log.sample,
+        log.line,
         lambda k: f"no marker stands in row {row[k]:g}, column {column[k]:g}",
     )
     return out
@@ -193,13 +198,16 @@ def _on_surface(
     off_mm: float,
     problems: RowProblems,
 ) -> FloatArray:
-    """Feet (r, 2) of points (r, 3) on the outer face; NaN for those too far off."""
+    """Nearest places (r, 2) of points (r, 3) on the outer face; NaN for those too far off."""
     given = np.isfinite(points_mm).all(axis=1)
-    uv, away = _feet(points_mm[given], design, surface)
+    uv, away = _nearest_places(points_mm[given], design, surface)
     far = away > off_mm
     if len(far) and far.mean() > 0.5:
         for unit, times in LENGTHS.items():
-            if np.mean(_feet(points_mm[given] * times, design, surface)[1] > off_mm) < 0.1:
+            if (
+                np.mean(_nearest_places(points_mm[given] * times, design, surface)[1] > off_mm)
+                < 0.1
+            ):
                 raise InputError(
                     f"{log.path}: positions lie off the surface, but as {unit} most lie on it; "
                     f"columns x_mm, y_mm, z_mm are in mm: multiply them by {times:g}"
@@ -207,10 +215,10 @@ def _on_surface(
     out, gap = np.full((len(points_mm), 2), np.nan), np.zeros(len(points_mm))
     out[given] = np.where(far[:, None], np.nan, uv)
     gap[given] = away
-    _note(
-        log,
-        problems,
+    problems.add_rows(
         gap > off_mm,
+        log.sample,
+        log.line,
         lambda k: (
             f"({points_mm[k, 0]:g}, {points_mm[k, 1]:g}, {points_mm[k, 2]:g}) mm is "
             f"{gap[k]:.3g} mm off the surface (at most {off_mm:g}); positions are in the sensor's "
@@ -220,7 +228,9 @@ def _on_surface(
     return out
 
 
-def _feet(points_mm: FloatArray, design: Design, surface: Surface) -> tuple[FloatArray, FloatArray]:
+def _nearest_places(
+    points_mm: FloatArray, design: Design, surface: Surface
+) -> tuple[FloatArray, FloatArray]:
     """Nearest places (m, 2) within the surface's edges, and how far off the wall they are, mm."""
     uv = surface.chart(points_mm)
     low, high = surface.domain.T
@@ -263,24 +273,24 @@ def _forces(
         )
     most = design.training.force_max_N
     middle = float(np.median(force[known])) if known.any() else 0.0
-    if middle > FORCE_TIMES * most:
+    if middle > LIMITS.force_ratio_max * most:
         fits = [unit for unit, times in FORCE_UNITS.items() if middle * times <= most]
         guess = f"in {' or '.join(fits)} they would fit; " if fits else ""
         raise InputError(
             f"{log.path}: half of the forces are above {middle:g} N, and the sensor is made for up "
             f"to {most:g} N; {guess}convert them to N"
         )
-    _note(
-        log,
-        problems,
+    problems.add_rows(
         np.nan_to_num(force) < 0.0,
+        log.sample,
+        log.line,
         lambda k: f"the force pulls outward ({force[k]:g} N); {turn}",
     )
-    slip = np.linalg.norm(friction, axis=1) > FRICTION_MAX
-    _note(
-        log,
-        problems,
+    slip = np.linalg.norm(friction, axis=1) > LIMITS.friction_max
+    problems.add_rows(
         slip,
+        log.sample,
+        log.line,
         lambda k: (
             f"the force is mostly along the surface ({np.linalg.norm(friction[k]):.3g} times its "
             "normal part); is it in the sensor's frame?"

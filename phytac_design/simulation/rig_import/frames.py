@@ -7,14 +7,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from phytac_decoder.io.recorded_frames import STAMP_NS, STAMP_S, SUFFIXES
 from phytac_decoder.pipeline.decode import read_image
 from phytac_design.simulation.rig_import.log import RigLog, RowProblems
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-STAMP_NS = re.compile(r"\d{16,19}")
-STAMP_S = re.compile(r"\d+\.\d+")
 NUMBER = re.compile(r"(\d+)$")
 
 
@@ -151,7 +149,7 @@ def open_source(where: Path, *, fps: float | None) -> FrameSource:
     where : Path
         Either.
     fps : float or None
-        Pictures per second, where neither names nor the video tell their times.
+        Pictures per second, where neither names nor the video give their times.
 
     Raises
     ------
@@ -212,8 +210,7 @@ def match_frames(
         said = [f"no single frame {text!r} in {source.where}" for text in log.frame]
     else:
         out, said = _nearest(log, source, offset_s, tolerance_s)
-    lacking = np.flatnonzero(out < 0)
-    problems.add(lacking, (f"line {log.first_line[s]}: {said[s]}" for s in lacking))
+    problems.add_rows(out < 0, np.arange(len(out)), log.first_line, said.__getitem__)
     owner: dict[int, int] = {}
     for sample in np.flatnonzero(out >= 0):
         earlier = owner.setdefault(int(out[sample]), int(sample))

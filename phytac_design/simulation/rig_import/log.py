@@ -1,7 +1,7 @@
 """The log of a user's rig: contacts with position and force, as CSV (``docs/datasets.md``)."""
 
 import csv
-from collections.abc import Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from phytac_design.simulation.indenters import INDENTERS
-from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.bounded_reader import read_text
 from phytac_shapes.errors import InputError
 
@@ -19,6 +19,7 @@ FORCES = (("force_N",), ("fx_N", "fy_N", "fz_N"))
 MATCHES = ("frame", "timestamp_s")
 TEXTS = ("frame", "sample", "indenter")
 OPTIONAL = ("sample", "sequence", "radius_mm", "length_mm", "turn_deg", "indenter")
+WHOLE = ("sequence", "row", "column", "marker")
 IGNORED = ("displacement_mm",)
 KNOWN = (*MATCHES, *OPTIONAL, *(name for ways in (PLACES, FORCES) for way in ways for name in way))
 BENCH = {
@@ -40,7 +41,7 @@ SPLIT = "fields are separated by commas, decimals by a point"
 
 @dataclass(frozen=True, kw_only=True)
 class RowProblems:
-    """What is wrong with samples, collected to be told at once.
+    """What is wrong with samples, collected for one error.
 
     Attributes
     ----------
@@ -53,12 +54,16 @@ class RowProblems:
     where: str
     found: list[tuple[int, str]] = field(default_factory=list)
 
-    def add(self, samples: "int | Iterable[int]", texts: "str | Iterable[str]") -> None:
-        """Note one problem, or one for each of several samples."""
-        if isinstance(samples, int) and isinstance(texts, str):
-            self.found.append((samples, texts))
-        elif not isinstance(samples, int):
-            self.found.extend(zip(map(int, samples), texts, strict=True))
+    def add(self, sample: int, text: str) -> None:
+        """Note one problem."""
+        self.found.append((int(sample), text))
+
+    def add_rows(
+        self, bad: BoolArray, sample: IntArray, line: IntArray, text: Callable[[int], str]
+    ) -> None:
+        """Note ``text(row)`` for each bad row (r,), of its sample and line (r,)."""
+        for row in np.flatnonzero(bad).tolist():
+            self.add(sample[row], f"line {line[row]}: {text(row)}")
 
     @property
     def samples(self) -> IntArray:
@@ -74,7 +79,7 @@ class RowProblems:
             f"{count}{self.where} ({len(self.samples)} samples): {'; '.join(lines[:SHOWN])}{more}"
         )
 
-    def refuse(self) -> None:
+    def raise_all(self) -> None:
         """Raise them all.
 
         Raises
@@ -301,29 +306,16 @@ def _numbers(
         bad = ~np.isfinite(values)
         if name in places:
             bad &= ~none
-        if name in ("sequence", "row", "column", "marker"):
+        if name in WHOLE:
             bad |= np.isfinite(values) & (values != np.rint(values))
-        cells = columns[name]
-        problems.add(
-            sample[bad],
-            (
-                f"line {line[k]}: {name} is not a {_kind(name)} (got {cells[k][:CELL_SHOWN]!r})"
-                for k in np.flatnonzero(bad)
-            ),
-        )
+        kind = "whole number" if name in WHOLE else "finite number"
+        said = [f"{name} is not a {kind} (got {cell[:CELL_SHOWN]!r})" for cell in columns[name]]
+        problems.add_rows(bad, sample, line, said.__getitem__)
         values[bad] = np.nan
     for name in sorted({"radius_mm", "length_mm"} & set(out)):
-        bad = out[name] < 0.0
-        problems.add(
-            sample[bad],
-            (f"line {line[k]}: {name} is negative ({out[name][k]:g})" for k in np.flatnonzero(bad)),
-        )
+        said = [f"{name} is negative ({value:g})" for value in out[name]]
+        problems.add_rows(out[name] < 0.0, sample, line, said.__getitem__)
     return out
-
-
-def _kind(name: str) -> str:
-    whole = name in ("sequence", "row", "column", "marker")
-    return "whole number" if whole else "finite number"
 
 
 def _floats(cells: list[str]) -> FloatArray:
@@ -341,14 +333,7 @@ def _indenters(
     columns: dict[str, list[str]], sample: IntArray, line: IntArray, problems: RowProblems
 ) -> IntArray:
     cells = columns.get("indenter", [INDENTERS[0]] * len(sample))
-    out = np.zeros(len(sample), dtype=np.int64)
-    for k, cell in enumerate(cells):
-        if cell in INDENTERS:
-            out[k] = INDENTERS.index(cell)
-        else:
-            problems.add(
-                int(sample[k]),
-                f"line {line[k]}: indenter must be one of {', '.join(INDENTERS)} (got "
-                f"{cell[:CELL_SHOWN]!r})",
-            )
-    return out
+    known = np.array([cell in INDENTERS for cell in cells])
+    said = f"indenter must be one of {', '.join(INDENTERS)}"
+    problems.add_rows(~known, sample, line, lambda k: f"{said} (got {cells[k][:CELL_SHOWN]!r})")
+    return np.array([INDENTERS.index(cell) if cell in INDENTERS else 0 for cell in cells])

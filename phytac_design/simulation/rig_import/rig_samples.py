@@ -1,4 +1,4 @@
-"""What the decoder's eyes see in the pictures of a user's rig, and the samples that gives."""
+"""Markers that the decoder detects in a user's pictures, and the samples made of them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -71,7 +71,7 @@ class RigSetup:
 
 
 def rest_positions_of(
-    rig: RigSetup, rest: list[str], tell: Callable[[str], None]
+    rig: RigSetup, rest: list[str], progress: Callable[[str], None]
 ) -> FloatArray | None:
     """Rest positions (n, 2) px, measured in pictures of the unloaded sensor; None without any.
 
@@ -81,7 +81,7 @@ def rest_positions_of(
         If there is not one for each camera, or it is of no use.
     """
     if not rest:
-        tell(
+        progress(
             "warning: no --rest: shifts are against the design's predicted rest positions, so that "
             "errors of print and assembly count as motion"
         )
@@ -97,7 +97,7 @@ def rest_positions_of(
         images.append(read_image(Path(text)) if number is None else source.read(number))
     _, bits = locate_markers(rig.bundle, images)
     if bits.any():
-        tell(f"warning: {int(bits.sum())} switches read as on in the picture at rest; is it?")
+        progress(f"warning: {int(bits.sum())} switches read as on in the picture at rest; is it?")
     return rest_positions(rig.bundle, images)
 
 
@@ -108,7 +108,7 @@ def measure_samples(
     samples: IntArray,
     rest_px: FloatArray | None,
     problems: RowProblems,
-    tell: Callable[[str], None],
+    progress: Callable[[str], None],
 ) -> dict[int, Measured]:
     """What the pictures of some samples show; those that show no sensor are noted.
 
@@ -141,7 +141,7 @@ def measure_samples(
         except InputError as error:
             problems.add(sample, f"line {log.first_line[sample]}: frame {name!r}: {error}")
         if (count + 1) % SAY_EVERY == 0 or count + 1 == len(order):
-            tell(f"import: {count + 1} of {len(order)} frames")
+            progress(f"import: {count + 1} of {len(order)} frames")
     return seen
 
 
@@ -151,7 +151,7 @@ def samples_of(
     """Samples of what was pressed and seen, (s,) each, and a doubt about the forces' unit, or "".
 
     The true switch states of a rig are not known: those read stand for them, and a contact's
-    force is shared among the switches under it that were read as on, as in the twin.
+    force is shared among the switches under it that were read as on, as in simulation.
     """
     bits = np.zeros((len(seen), rig.markers.count), dtype=np.bool_)
     for row, measured in zip(bits, seen, strict=True):

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from phytac_design.core.journal import Journal
 from phytac_design.datasets.samples import (
     STATUSES,
     THEORIES,
@@ -13,7 +14,6 @@ from phytac_design.datasets.samples import (
 from phytac_design.design.design_file import design_hash
 from phytac_design.engine.cache import code_hash
 from phytac_design.simulation.run.job import Job
-from phytac_design.simulation.run.journal import Journal
 from phytac_design.simulation.scenario.scenario_file import scenario_hash
 from phytac_shapes.errors import OutputError
 
@@ -21,15 +21,15 @@ from phytac_shapes.errors import OutputError
 def gather_samples(job: Job, journal: Journal) -> Samples:
     """All samples of a job, from its journal."""
     plan, touches = job.plan, job.plan.touches
-    items = [journal.get(index) for index in range(touches.samples)]
+    items = [journal.get(str(index)) for index in range(touches.samples)]
     missing = [index for index, item in enumerate(items) if item is None]
     if missing:
         raise OutputError(
             f"sample {missing[0]} was stored but cannot be read again; check the disk, then run "
             "the same command again"
         )
-    arrays = [item[0] for item in items if item is not None]
-    facts = [item[1] for item in items if item is not None]
+    facts = [item[0] for item in items if item is not None]
+    arrays = [item[1] for item in items if item is not None]
     reasons = sorted({text for fact in facts for text in fact["reasons"]})
     remarks = [(k, reasons.index(text)) for k, f in enumerate(facts) for text in f["reasons"]]
     order = np.argsort(touches.sample, kind="stable")

@@ -31,11 +31,11 @@ class Job:
     design : Design
         The sensor.
     scenario : Scenario
-        What is done to it, on which virtual unit, and how it is solved and seen.
+        What is done to it, on which sensor instance, and how it is solved and seen.
     seed : int
         Of everything random.
     accuracy : str
-        Preset of the twin's mesh.
+        Preset of the simulation's mesh.
     keep : str
         ``inputs`` of the network alone, ``points`` (all markers), or ``frames`` as well.
     """
@@ -47,7 +47,7 @@ class Job:
     keep: Keep = "points"
 
     def __post_init__(self) -> None:
-        """Refuse settings that no data set can be made with.
+        """Reject settings that no data set can be made with.
 
         Raises
         ------
@@ -125,5 +125,5 @@ class Job:
 
     @property
     def refine(self) -> int:
-        """Elements of the twin's mesh per marker pitch."""
+        """Elements of the simulation's mesh per marker pitch."""
         return PRESETS[self.accuracy].truth_refine

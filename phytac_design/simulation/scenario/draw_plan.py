@@ -1,4 +1,4 @@
-"""From a scenario and a printed sensor to all of its samples: forces, switches, light, region."""
+"""From a scenario and a sensor instance to all of its samples: forces, switches, light, region."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,7 +23,8 @@ from phytac_design.simulation.scenario.presses import (
     reach_mm,
     select_contacts,
 )
-from phytac_design.simulation.scenario.scenario_file import CycleSection, Scenario, TimeSection
+from phytac_design.simulation.scenario.scenario_file import Scenario
+from phytac_design.simulation.scenario.sections import CycleSection, TimeSection
 from phytac_design.simulation.scenario.viscoelasticity import (
     Relaxation,
     felt_cycles,
@@ -85,17 +86,17 @@ def draw_plan(
     seed: int,
     carried: Shares | None = None,
 ) -> SamplePlan:
-    """Draw all samples of a scenario on one unit.
+    """Draw all samples of a scenario on one sensor instance.
 
-    A sample of presses or grips depends on the seed and its own number only, not on how many are
-    asked for. The rig presses where receptors were designed, not where they were printed.
+    A sample of presses or grips depends on the seed and its own number only, not on how many there
+    are. The rig presses where receptors were designed, not where they were printed.
 
     Parameters
     ----------
     design, surface : Design, Surface
         The sensor as designed.
-    unit : Unit
-        The print, see ``scatter.draw_unit``.
+    unit : SensorInstance
+        The print, see ``scatter.draw_sensor_instance``.
     scenario : Scenario
         What is done to it.
     seed : int

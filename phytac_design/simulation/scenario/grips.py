@@ -1,28 +1,34 @@
 """A hand of fixed pads around a sensor: where its pads lie, and how hard each of them presses."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.simulation.indenters import Touches
 from phytac_design.simulation.scenario.placement import ChartWindow, chart_window
-from phytac_design.simulation.scenario.presses import (
-    ContactRanges,
-    contact_ranges,
-    indenter_shape,
-    pick_kinds,
-)
+from phytac_design.simulation.scenario.presses import ContactRanges, contact_ranges, draw_indenters
 from phytac_design.simulation.scenario.random_streams import RandomStream, random_stream
-from phytac_design.simulation.scenario.scenario_file import GripSection, Scenario
+from phytac_design.simulation.scenario.scenario_file import Scenario
+from phytac_design.simulation.scenario.sections import GripSection
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
-PAD_GAP = 0.98
-"""Pads that would overlap shrink until two neighbours take up this share of their distance."""
-LEAST_SHARE = 0.2
-"""Pads that would have to shrink below this share of their radius are refused."""
-NEARLY_ALL = 0.98
-"""Largest sum of forces where none is given, over that of all pads at their largest."""
+
+@dataclass(frozen=True, kw_only=True)
+class PadSettings:
+    """How pads of a hand are fitted and loaded."""
+
+    gap: float = 0.98
+    """Pads that would overlap shrink until two neighbours take up this share of their distance."""
+    share_min: float = 0.2
+    """Pads that would have to shrink below this share of their radius are rejected."""
+    total_share: float = 0.98
+    """Largest sum of forces where none is given, over that of all pads at their largest."""
+
+
+SETTINGS = PadSettings()
 
 
 def draw_grips(
@@ -47,28 +53,16 @@ def draw_grips(
     body = np.array([rng.random((count, 5)) for rng in draws]).reshape(-1, 5)
     spread = np.array([rng.standard_normal(count) for rng in draws]).reshape(-1, count)
     uv = part.wrapped(_pad_positions(grip, part, header).reshape(-1, 2))
-    kinds = scenario.touch.indenters
-    kind = pick_kinds(kinds, body[:, 0])
-    low, high = limits.radius_mm
-    radius = (low + (high - low) * body[:, 1]) * np.array([k.radius_share for k in kinds])[kind]
-    index, length, turn = indenter_shape(kinds, kind, radius, body[:, 2])
-    shrink = _shrink(surface, uv, np.hypot(radius, length / 2.0), count)
+    indenters = draw_indenters(scenario.touch, limits.radius_mm, body)
+    reach = np.hypot(indenters["radius_mm"], indenters["length_mm"] / 2.0)
+    shrink = _shrink(surface, uv, reach, count)
     share = np.array([pad.share for pad in grip.pads]) * np.exp(grip.scatter * spread)
-    touch = scenario.touch
-    slide = touch.friction_min + (touch.friction_max - touch.friction_min) * body[:, 3]
-    angle = 2.0 * np.pi * body[:, 4]
-    if touch.friction_deg is not None:
-        angle = np.full(len(body), np.radians(touch.friction_deg))
     return Touches(
         sample=np.repeat(np.arange(grips), count),
         uv=uv,
-        radius_mm=shrink * radius,
         force_N=(share / share.sum(axis=1, keepdims=True)).ravel(),
         samples=grips,
-        indenter=index,
-        length_mm=shrink * length,
-        turn_rad=turn,
-        friction=slide[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]),
+        **indenters | {name: shrink * indenters[name] for name in ("radius_mm", "length_mm")},
     )
 
 
@@ -100,10 +94,10 @@ def _shrink(surface: Surface, uv: FloatArray, reach_mm: FloatArray, count: int) 
     reach = reach_mm.reshape(-1, count)
     apart = np.linalg.norm(at[:, :, None] - at[:, None], axis=3)
     apart += np.where(np.eye(count, dtype=np.bool_), np.inf, 0.0)
-    fits = PAD_GAP * apart / (reach[:, :, None] + reach[:, None])
+    fits = SETTINGS.gap * apart / (reach[:, :, None] + reach[:, None])
     out = np.minimum(fits.min(axis=2), 1.0).ravel()
     worst = int(np.argmin(out))
-    if out[worst] < LEAST_SHARE:
+    if out[worst] < SETTINGS.share_min:
         raise DesignError(
             f"the pads of a hand have no room on the {surface.name}: pad {worst % count} would "
             f"shrink to {out[worst]:.2f} of its radius; give [[grip.pads]] farther apart, or "
@@ -128,7 +122,7 @@ def level_forces(
     grip = grip_section(scenario)
     count, most = parts.shape[1], limits.force_N[1]
     low = count * limits.force_N[0] if grip.total_min_N is None else grip.total_min_N
-    high = NEARLY_ALL * count * most if grip.total_max_N is None else grip.total_max_N
+    high = SETTINGS.total_share * count * most if grip.total_max_N is None else grip.total_max_N
     if high > count * most:
         raise DesignError(
             f"grip.total_max_N = {high:g} is more than {count} pads of {most:g} N can give; lower "

@@ -1,6 +1,6 @@
-"""Drawing one printed sensor: how it differs from its design."""
+"""Drawing one sensor instance: how it differs from its design."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,17 +13,27 @@ from phytac_design.layout.marker_layout import with_heights
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.contacts import tangent_step
 from phytac_design.simulation.scenario.random_streams import RandomStream, random_stream
-from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
+from phytac_design.simulation.scenario.sections import SensorInstanceSection
 from phytac_design.simulation.sensor_instance import SensorInstance, ThicknessField
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
 CUT_SD = 3.0
 """Normal variates are cut at so many standard deviations: no print is beyond reason."""
-WAVES = 6
-"""Waves of the wall's thickness."""
-CYCLES_MAX = 3
-"""Most cycles of such a wave along an axis."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScatterSettings:
+    """How sensor instances scatter; part of what a seed stands for."""
+
+    waves: int = 6
+    """Waves of the wall's thickness."""
+    cycles_max: int = 3
+    """Most cycles of such a wave along an axis."""
+
+
+SETTINGS = ScatterSettings()
+
 HEIGHT_SHARE_MIN = 0.2
 """A receptor keeps at least this share of its height."""
 
@@ -127,12 +137,12 @@ def _wall(surface: Surface, section: SensorInstanceSection, seed: int) -> Thickn
         return ThicknessField(mean=1.0, waves=np.zeros((0, 4)), domain=surface.domain)
     rng = random_stream(seed, RandomStream.WAVE, section.number)
     steps = np.where(surface.periodic, 1.0, 0.5)
-    most = np.array([CYCLES_MAX, 0 if any(surface.poles) else CYCLES_MAX])
+    most = np.array([SETTINGS.cycles_max, 0 if any(surface.poles) else SETTINGS.cycles_max])
     grid = np.stack(
         np.meshgrid(*(np.arange(0.0, m + 0.25, s) for m, s in zip(most, steps, strict=True))), -1
     ).reshape(-1, 2)
     known = grid[np.any(grid > 0.0, axis=1)]
-    cycles = known[rng.permutation(len(known))[:WAVES]]
+    cycles = known[rng.permutation(len(known))[: SETTINGS.waves]]
     phase = rng.uniform(0.0, 2.0 * np.pi, len(cycles))
     if any(surface.poles):
         pole = 1.0 if surface.poles[1] else 0.0

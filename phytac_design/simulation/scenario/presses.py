@@ -5,6 +5,7 @@ They are drawn before any history: the force of each is the one it is pressed wi
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,25 +21,30 @@ from phytac_design.simulation.scenario.placement import (
 )
 from phytac_design.simulation.scenario.random_streams import RandomStream, random_stream
 from phytac_design.simulation.scenario.scenario_file import Scenario
-from phytac_design.simulation.scenario.sections import (
-    LENGTH_RADII,
-    ContactsSection,
-    IndenterSection,
-)
+from phytac_design.simulation.scenario.sections import LENGTH_RADII, ContactsSection
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
-TRIES = 400
-"""Places tried for the contacts of one sample."""
-FIRST, MORE = 8, 56
-"""Places drawn at once for every sample, and for those that need more."""
-DRAWS = 10
-"""Random numbers of one candidate: four of its place, radius, force, kind, turn, friction (2)."""
+
+@dataclass(frozen=True, kw_only=True)
+class PlacingSettings:
+    """How places are tried for the contacts of a sample; part of what a seed stands for."""
+
+    tries: int = 400
+    """Places tried for the contacts of one sample."""
+    first: int = 8
+    """Places drawn at once for every sample."""
+    more: int = 56
+    """Places drawn at once for samples that need more."""
+    draws: int = 10
+    """Random numbers of one candidate: place (4), radius, force, kind, turn, friction (2)."""
+
+
+SETTINGS = PlacingSettings()
+
 CHUNK = 4096
 """Samples drawn at once, to bound the memory."""
-EVEN_MULTI, EVEN_EMPTY = (np.sqrt(5.0) - 1.0) / 2.0, np.sqrt(2.0) - 1.0
-"""Irrational steps: a share of samples taken by them is even over any run of samples."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,14 +182,14 @@ def _wanted(
 ) -> IntArray:
     """Contacts (s,) that each sample should have."""
     start = random_stream(seed, RandomStream.OFFSET, 0).random(2)
-    multi = _evenly(numbers, EVEN_MULTI, start[0], multi_share)
-    empty = _evenly(numbers, EVEN_EMPTY, start[1], touch.empty_share)
+    multi = _evenly(numbers, (np.sqrt(5.0) - 1.0) / 2.0, start[0], multi_share)
+    empty = _evenly(numbers, np.sqrt(2.0) - 1.0, start[1], touch.empty_share)
     many = np.array([rng.integers(2, touch.most + 1) for rng in rngs], dtype=np.int64)
     return np.where(empty, 0, np.where(multi, many, 1))
 
 
 def _evenly(numbers: IntArray, step: float, start: float, share: float) -> BoolArray:
-    """Samples (s,) that are among a share of all."""
+    """Samples (s,) that are among a share of all, by an irrational step: even over any run."""
     return np.asarray(np.mod(numbers * step + start, 1.0) < share)
 
 
@@ -212,9 +218,9 @@ class _Draw:
         kept: list[Touches] = []
         taken: list[list[tuple[FloatArray, float]]] = [[] for _ in numbers]
         lacking, tried = np.flatnonzero(wanted > 0), 0
-        while len(lacking) and tried < TRIES:
-            count = FIRST if tried == 0 else MORE
-            draws = np.concatenate([rngs[int(k)].random((count, DRAWS)) for k in lacking])
+        while len(lacking) and tried < SETTINGS.tries:
+            count = SETTINGS.first if tried == 0 else SETTINGS.more
+            draws = np.concatenate([rngs[int(k)].random((count, SETTINGS.draws)) for k in lacking])
             receptor = np.full((len(lacking), count), -1, dtype=np.int64)
             if tried == 0 and self.route is not None:
                 receptor[:, 0] = self.route[numbers[lacking] % len(self.route)]
@@ -232,9 +238,11 @@ class _Draw:
             lacking = np.array([k for k in lacking if len(taken[k]) < wanted[k]], dtype=np.int64)
             tried += count
         for k in lacking:
-            self.refuse_cramped(int(numbers[k]), len(taken[k]), int(wanted[k]))
+            self.reject_cramped(int(numbers[k]), len(taken[k]), int(wanted[k]))
         if not kept:
-            return self.candidates(*(np.zeros(0, dtype=np.int64),) * 2, np.zeros((0, DRAWS)))
+            return self.candidates(
+                *(np.zeros(0, dtype=np.int64),) * 2, np.zeros((0, SETTINGS.draws))
+            )
         whole = concatenate_contacts(kept, len(numbers))
         return select_contacts(whole, np.argsort(whole.sample, kind="stable"))
 
@@ -243,58 +251,65 @@ class _Draw:
         room = size + self.room_mm
         return all(np.linalg.norm(at - other) > room + own for other, own in taken)
 
-    def refuse_cramped(self, number: int, got: int, wanted: int) -> None:
-        """Refuse a sample with no contact, or with one where several were due."""
+    def reject_cramped(self, number: int, got: int, wanted: int) -> None:
+        """Reject a sample with no contact, or with one where several were due."""
         if got < min(wanted, 2):
             what = "a contact" if got == 0 else "two contacts apart from each other"
             raise DesignError(
-                f"sample {number}: no room for {what} in the touched part after {TRIES} tries; "
-                "widen touch.along and touch.around, lower touch.radius_max_mm, or set "
+                f"sample {number}: no room for {what} in the touched part after {SETTINGS.tries} "
+                "tries; widen touch.along and touch.around, lower touch.radius_max_mm, or set "
                 "touch.multi_share = 0"
             )
 
     def candidates(self, sample: IntArray, receptor: IntArray, draw: FloatArray) -> Touches:
-        """Contacts (m,) out of random numbers (m, DRAWS); places that hit nothing are NaN."""
-        touch, kinds = self.touch, self.touch.indenters
-        kind = pick_kinds(kinds, draw[:, 6])
-        low, high = self.limits.radius_mm
-        radius = (low + (high - low) * draw[:, 4]) * np.array([k.radius_share for k in kinds])[kind]
+        """Contacts (m,) out of random numbers (m, draws); places that hit nothing are NaN."""
         low, high = self.limits.force_N
-        slide = touch.friction_min + (touch.friction_max - touch.friction_min) * draw[:, 8]
-        angle = 2.0 * np.pi * draw[:, 9]
-        if touch.friction_deg is not None:
-            angle = np.full(len(draw), np.radians(touch.friction_deg))
-        shape = indenter_shape(kinds, kind, radius, draw[:, 7])
         return Touches(
             sample=sample,
             uv=self.place(receptor, draw[:, :4]),
-            radius_mm=radius,
             force_N=low + (high - low) * draw[:, 5],
             samples=int(sample.max(initial=-1)) + 1,
-            indenter=shape[0],
-            length_mm=shape[1],
-            turn_rad=shape[2],
-            friction=slide[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]),
+            **draw_indenters(self.touch, self.limits.radius_mm, draw[:, [6, 4, 7, 8, 9]]),
         )
 
 
-def pick_kinds(kinds: Sequence[IndenterSection], draw: FloatArray) -> IntArray:
-    """Indenter (m,), index into ``kinds``, by their shares, for random numbers (m,)."""
+def draw_indenters(
+    touch: ContactsSection, radius_mm: tuple[float, float], draw: FloatArray
+) -> dict[str, Any]:
+    """Fields ``radius_mm``, ``indenter``, ``length_mm``, ``turn_rad``, ``friction`` of contacts.
+
+    Parameters
+    ----------
+    touch : ContactsSection
+        Its indenters and friction are used.
+    radius_mm : (low, high)
+        Range of the radius, before the indenter's own factor.
+    draw : (m, 5) float
+        Random numbers in [0, 1): indenter, radius, turn, size and direction of friction.
+    """
+    kinds = touch.indenters
     until = np.cumsum([kind.share for kind in kinds])
-    return np.minimum(np.searchsorted(until / until[-1], draw, side="right"), len(kinds) - 1)
-
-
-def indenter_shape(
-    kinds: Sequence[IndenterSection], kind: IntArray, radius_mm: FloatArray, draw: FloatArray
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Index into ``INDENTERS``, length in mm and turn in rad, (m,) each."""
+    kind = np.searchsorted(until / until[-1], draw[:, 0], side="right")
+    kind = np.minimum(kind, len(kinds) - 1)
+    low, high = radius_mm
+    radius = (low + (high - low) * draw[:, 1]) * np.array([k.radius_share for k in kinds])[kind]
     index = np.array([INDENTERS.index(item.kind) for item in kinds], dtype=np.int64)[kind]
     rod = index == INDENTERS.index("cylinder")
     given = np.array([np.nan if item.length_mm is None else item.length_mm for item in kinds])[kind]
-    length = np.where(np.isnan(given), LENGTH_RADII * radius_mm, given)
+    length = np.where(np.isnan(given), LENGTH_RADII * radius, given)
     fixed = np.array([np.nan if item.turn_deg is None else item.turn_deg for item in kinds])[kind]
-    turn = np.where(np.isnan(fixed), np.pi * draw, np.radians(fixed))
-    return index, np.where(rod, length, 0.0), np.where(rod, turn, 0.0)
+    turn = np.where(np.isnan(fixed), np.pi * draw[:, 2], np.radians(fixed))
+    slide = touch.friction_min + (touch.friction_max - touch.friction_min) * draw[:, 3]
+    angle = 2.0 * np.pi * draw[:, 4]
+    if touch.friction_deg is not None:
+        angle = np.full(len(draw), np.radians(touch.friction_deg))
+    return {
+        "radius_mm": radius,
+        "indenter": index,
+        "length_mm": np.where(rod, length, 0.0),
+        "turn_rad": np.where(rod, turn, 0.0),
+        "friction": slide[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]),
+    }
 
 
 def reach_mm(touches: Touches) -> FloatArray:

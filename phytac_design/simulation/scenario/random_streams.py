@@ -1,7 +1,7 @@
 """Streams of random numbers: one for each purpose and index, so that draws do not disturb others.
 
-A sample's draws depend on the seed and on its own number only: not on how many samples are asked
-for, in which order, or by how many processes.
+A sample's draws depend on the seed and on its own number only: not on the number of samples, their
+order, or by how many processes.
 """
 
 from enum import IntEnum
@@ -9,7 +9,7 @@ from enum import IntEnum
 import numpy as np
 
 SCENARIO_SEED = 6
-"""Second word of every seed here; other parts of the twin use others."""
+"""Second word of every seed here; other parts of the simulation use others."""
 
 
 class RandomStream(IntEnum):

@@ -10,6 +10,7 @@ from typing import Any, Literal, Self, Union, get_args, get_origin
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
+from phytac_design.design.base_table import Section
 from phytac_design.simulation.scenario.sections import (
     ContactsSection,
     CycleSection,
@@ -18,14 +19,13 @@ from phytac_design.simulation.scenario.sections import (
     LightSection,
     SensorInstanceSection,
     SolveSection,
-    Table,
     TimeSection,
 )
 from phytac_shapes.bounded_reader import joined, read_text, toml_table
 from phytac_shapes.errors import DesignError
 
 
-class Scenario(Table):
+class Scenario(Section):
     """One scenario. Lengths in mm, forces in N, times in s, angles in degrees (here only)."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
@@ -133,7 +133,7 @@ def parse_scenario(data: dict[str, Any], where: str) -> Scenario:
         lines = [
             _explain(item)
             for item in problems
-            # An item that is refused makes its list too short as well: once is enough.
+            # A rejected item makes its list too short as well: once is enough.
             if item["loc"] not in above
         ]
         raise DesignError(f"scenario {where}: {joined(lines)}") from None
@@ -177,7 +177,7 @@ def _explain(item: Any) -> str:
     if item["type"] == "missing":
         return f"{where} is missing; see docs/scenarios.md for what it means"
     message = item["msg"][0].lower() + item["msg"][1:]
-    got = "" if isinstance(item["input"], dict | Table) else f" (got {item['input']!r})"
+    got = "" if isinstance(item["input"], dict | Section) else f" (got {item['input']!r})"
     return f"{where or 'file'}: {message.removeprefix('value error, ')}{got}"
 
 
@@ -200,20 +200,3 @@ def _inner(annotation: Any) -> type[BaseModel] | None:
             if found:
                 return found
     return None
-
-
-__all__ = [
-    "CycleSection",
-    "ImagingSection",
-    "GripSection",
-    "LightSection",
-    "Scenario",
-    "SolveSection",
-    "TimeSection",
-    "ContactsSection",
-    "SensorInstanceSection",
-    "load_scenario",
-    "parse_scenario",
-    "scenario_hash",
-    "shipped_scenarios",
-]

@@ -16,24 +16,7 @@ LENGTH_RADII = 4.0
 """Length of a cylinder's strip over its half-width, where none is given."""
 
 
-class Table(Section):
-    """A table of a scenario file."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _no_truth_values(cls, data: Any) -> Any:
-        """Refuse true and false where no switch is meant; they would pass for 1 and 0."""
-        if isinstance(data, dict):
-            switches = {k for k, info in cls.model_fields.items() if info.annotation is bool}
-            wrong = [k for k, v in data.items() if isinstance(v, bool) and k not in switches]
-            if wrong:
-                raise ValueError(
-                    f"{', '.join(wrong)} must be a number or a text, not true or false"
-                )
-        return data
-
-
-def _refuse_disorder(table: Any, *pairs: tuple[str, str]) -> None:
+def _check_order(table: Any, *pairs: tuple[str, str]) -> None:
     """Raise ``ValueError`` where a range (names of its ends) has its ends swapped."""
     for low, high in pairs:
         first, last = getattr(table, low), getattr(table, high)
@@ -41,7 +24,7 @@ def _refuse_disorder(table: Any, *pairs: tuple[str, str]) -> None:
             raise ValueError(f"{low} must not exceed {high} (got {first:g} and {last:g})")
 
 
-class IndenterSection(Table):
+class IndenterSection(Section):
     """One kind of indenter, and how often it is taken."""
 
     kind: IndenterKind = "flat"
@@ -66,7 +49,7 @@ class IndenterSection(Table):
         return self
 
 
-class GivenContact(Table):
+class GivenContact(Section):
     """One contact given by hand.
 
     Its place is one of: a marker, its row and column, shares of the chart, the point of the
@@ -126,7 +109,7 @@ class GivenContact(Table):
         return self
 
 
-class ContactsSection(Table):
+class ContactsSection(Section):
     """Contacts: how many, how strong, how large, where, with which indenters."""
 
     samples: int | None = Field(None, ge=1, le=SAMPLES_MAX)
@@ -174,7 +157,7 @@ class ContactsSection(Table):
 
     @model_validator(mode="after")
     def _ranges(self) -> Self:
-        _refuse_disorder(
+        _check_order(
             self,
             ("force_min_N", "force_max_N"),
             ("radius_min_mm", "radius_max_mm"),
@@ -187,7 +170,7 @@ class ContactsSection(Table):
         return self
 
 
-class PadSection(Table):
+class PadSection(Section):
     """One pad of a hand."""
 
     along: float = Field(ge=0.0, le=1.0)
@@ -212,7 +195,7 @@ DEFAULT_PADS: tuple[PadSection, ...] = (
 """Nine pads as on the paper's glove (nine sensors over five fingers); places are assumed."""
 
 
-class GripSection(Table):
+class GripSection(Section):
     """A hand of fixed pads, closed around the sensor again and again."""
 
     pads: tuple[PadSection, ...] = Field(DEFAULT_PADS, min_length=1, max_length=50)
@@ -235,11 +218,11 @@ class GripSection(Table):
 
     @model_validator(mode="after")
     def _ranges(self) -> Self:
-        _refuse_disorder(self, ("total_min_N", "total_max_N"))
+        _check_order(self, ("total_min_N", "total_max_N"))
         return self
 
 
-class CycleSection(Table):
+class CycleSection(Section):
     """One press, again and again."""
 
     count: int = Field(1000, ge=1, le=100_000)
@@ -263,7 +246,7 @@ class CycleSection(Table):
         return self
 
 
-class TimeSection(Table):
+class TimeSection(Section):
     """Timing of a press, and how the wall creeps."""
 
     ramp_s: float = assumed(0.5, gt=0.0, le=1e6)
@@ -301,7 +284,7 @@ class TimeSection(Table):
         return self
 
 
-class LightSection(Table):
+class LightSection(Section):
     """How the light drifts."""
 
     drift_share: float = Field(0.0, gt=-1.0, lt=1.0)
@@ -310,7 +293,7 @@ class LightSection(Table):
     """Time constant of the exponential drift."""
 
 
-class SensorInstanceSection(Table):
+class SensorInstanceSection(Section):
     """Which printed sensor, and how prints scatter. Standard deviations, cut at three of them."""
 
     number: int = Field(0, ge=0, le=1_000_000)
@@ -341,7 +324,7 @@ class SensorInstanceSection(Table):
     """Red, green and blue that each paint reflects, relative."""
 
 
-class ImagingSection(Table):
+class ImagingSection(Section):
     """How frames are exposed."""
 
     lens_blur: StrictBool = True
@@ -361,7 +344,7 @@ class ImagingSection(Table):
     """Quality of JPEG compression; 0 for none."""
 
 
-class SolveSection(Table):
+class SolveSection(Section):
     """How the shell is solved, and what is seen of it."""
 
     displacement: Literal["auto", "linear", "large"] = "auto"

@@ -233,7 +233,7 @@ def force_under_depth(
 def force_under_cycles(
     relaxation: Relaxation, times_s: FloatArray, depth_N: FloatArray, cycles: IntArray
 ) -> DepthResponse:
-    """:func:`force_under_depth` within chosen cycles (m,) of a depth that repeats itself, (m, t) each."""
+    """:func:`force_under_depth` within chosen cycles (m,) of a periodic depth, (m, t) each."""
     force, felt, chosen = [], [], set(np.asarray(cycles).tolist())
     memory: FloatArray | None = None
     for number in range(max(chosen, default=-1) + 1):

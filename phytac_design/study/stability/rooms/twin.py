@@ -13,7 +13,7 @@ from phytac_design.simulation.scenario.instance_scatter import (
     draw_sensor_instance,
     thickness_factor,
 )
-from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection
+from phytac_design.simulation.scenario.sections import SensorInstanceSection
 from phytac_design.study.stability.bases import SHAPES, design_of, numbers_of
 from phytac_design.study.stability.case import Case, Evidence, Expect, Room
 from phytac_design.study.stability.faces import face_of

@@ -1,4 +1,4 @@
-"""The journal of a simulation: whole samples or none, one run at a time, one job."""
+"""The journal of a run: complete results or none, one process at a time, one run."""
 
 import subprocess
 import sys
@@ -7,72 +7,72 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phytac_design.simulation.run.journal import WORK, Journal
+from phytac_design.core.journal import Journal
 from phytac_shapes.errors import OutputError
 
 ARRAYS = {"shift_px": np.array([[0.5, np.nan], [1e-300, -0.0]]), "bits": np.array([True, False])}
 FACTS = {"status": 1, "reason": "unstable: …"}
 
 
-def test_a_sample_comes_back_as_it_was_put(tmp_path: Path) -> None:
+def test_a_result_is_read_as_it_was_stored(tmp_path: Path) -> None:
     journal = Journal(tmp_path)
     with journal.opened("a"):
-        journal.put(1234, ARRAYS, FACTS)
-        assert journal.get(1233) is None
-        found = journal.get(1234)
+        journal.put("1234", FACTS, ARRAYS)
+        assert journal.get("1233") is None
+        found = journal.get("1234")
     assert found is not None
-    arrays, facts = found
+    facts, arrays = found
     assert facts == FACTS
     assert set(arrays) == set(ARRAYS)
     for name, array in ARRAYS.items():
         np.testing.assert_array_equal(arrays[name], array)
 
 
-def test_a_sample_cut_short_or_changed_counts_as_not_done(tmp_path: Path) -> None:
+def test_a_truncated_or_changed_result_counts_as_missing(tmp_path: Path) -> None:
     journal = Journal(tmp_path)
     with journal.opened("a"):
-        journal.put(0, ARRAYS, FACTS)
-        path = journal.path(0)
+        journal.put("0", FACTS, ARRAYS)
+        path = journal.path("0")
         whole = path.read_bytes()
         for at in range(0, len(whole), 37):
             path.write_bytes(whole[:at])
-            assert journal.get(0) is None
+            assert journal.get("0") is None
             path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
-            assert journal.get(0) is None
+            assert journal.get("0") is None
         path.write_bytes(whole)
-        assert journal.get(0) is not None
+        assert journal.get("0") is not None
 
 
-def test_samples_are_kept_for_the_same_job_and_refused_for_another(tmp_path: Path) -> None:
+def test_results_are_kept_for_the_same_run_and_rejected_for_another(tmp_path: Path) -> None:
     journal = Journal(tmp_path)
     with journal.opened("a"):
-        journal.put(0, ARRAYS, FACTS)
+        journal.put("0", FACTS, ARRAYS)
     with journal.opened("a"):
-        assert journal.get(0) is not None
+        assert journal.get("0") is not None
     with pytest.raises(OutputError, match="other settings"), journal.opened("b"):
         pass
     with journal.opened("a"):
-        assert journal.get(0) is not None
+        assert journal.get("0") is not None
     with journal.opened("b", force=True):
-        assert journal.get(0) is None
+        assert journal.get("0") is None
     with pytest.raises(OutputError, match="other settings"), journal.opened("a"):
         pass
 
 
-def test_a_note_that_cannot_be_read_is_of_another_job(tmp_path: Path) -> None:
+def test_a_damaged_run_key_is_of_another_run(tmp_path: Path) -> None:
     journal = Journal(tmp_path)
     with journal.opened("a"):
         pass
     for text in ("", "[]", '{"kee": 1}', "{"):
-        (tmp_path / WORK / "job.json").write_text(text)
+        (tmp_path / "run.json").write_text(text)
         with pytest.raises(OutputError, match="other settings"), journal.opened("a"):
             pass
 
 
-def test_two_runs_do_not_write_at_once_but_a_killed_one_holds_nothing(tmp_path: Path) -> None:
+def test_two_processes_do_not_write_at_once_but_a_killed_one_holds_nothing(tmp_path: Path) -> None:
     text = (
         "import sys, time\nfrom pathlib import Path\n"
-        "from phytac_design.simulation.run.journal import Journal\n"
+        "from phytac_design.core.journal import Journal\n"
         "with Journal(Path(sys.argv[1])).opened('a'):\n    print('open', flush=True)\n"
         "    time.sleep(60)\n"
     )
@@ -90,19 +90,19 @@ def test_two_runs_do_not_write_at_once_but_a_killed_one_holds_nothing(tmp_path: 
         other.wait()
         other.stdout.close()
     with journal.opened("a"):
-        journal.put(0, ARRAYS, FACTS)
+        journal.put("0", FACTS, ARRAYS)
 
 
-def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_rejected(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("")
-    with pytest.raises(OutputError, match="--out"), Journal(file).opened("a"):
+    with pytest.raises(OutputError, match="--out"), Journal(file / "work").opened("a"):
         pass
 
 
 def test_nothing_is_left_behind(tmp_path: Path) -> None:
-    journal = Journal(tmp_path)
+    journal = Journal(tmp_path / "work")
     with journal.opened("a"):
-        journal.put(0, ARRAYS, FACTS)
+        journal.put("0", FACTS, ARRAYS)
         journal.drop()
     assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,258 @@
+"""Tasks over worker processes: results as they come; a crash or a hang costs one task.
+
+Workers are spawned, with one BLAS thread each, and import nothing but this module before their
+start function. Scripts that use a pool must guard their own start with
+``if __name__ == "__main__":``.
+"""
+
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing import connection, get_context, parent_process
+from multiprocessing.connection import Connection
+from typing import Any, Self
+
+from phytac_design.core.threads import THREADS, one_thread_each
+
+START_S = 60.0
+"""Added to the time limit of a new process's first task, for its imports."""
+EXIT_S = 5.0
+"""Wait for the exit code of a process that closed its pipe."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskResult:
+    """What became of one task.
+
+    Attributes
+    ----------
+    index : int
+        Position of the task among those of the call.
+    value : Any
+        What the function returned; None where it did not return.
+    lost : str
+        Why it did not return: its process died or ran out of time. Else empty.
+    """
+
+    index: int
+    value: Any = None
+    lost: str = ""
+
+
+class WorkerPool:
+    """Processes that run one function on many tasks; use it as a context manager.
+
+    Functions are those of a module, because they are pickled by name; tasks, values and errors are
+    pickled. Processes are started when they are first needed and kept until the pool is closed.
+
+    Parameters
+    ----------
+    work : callable
+        ``work(state, task)`` does one task.
+    workers : int
+        Processes; 0 works in the calling one, without time limits.
+    start : callable, optional
+        ``start(*arguments)`` makes the state of a process, once; the state is None without it.
+    arguments : sequence
+        Of ``start``.
+    time_limit_s : callable, optional
+        Seconds that a task may take, by the task.
+    retries : int
+        How often a task is repeated whose process died. It then runs alone, after all others.
+    tasks_per_process : int, optional
+        Tasks after which a process is replaced by a new one.
+    """
+
+    def __init__(
+        self,
+        work: Callable[[Any, Any], Any],
+        *,
+        workers: int,
+        start: Callable[..., Any] | None = None,
+        arguments: Sequence[Any] = (),
+        time_limit_s: Callable[[Any], float] | None = None,
+        retries: int = 1,
+        tasks_per_process: int | None = None,
+    ) -> None:
+        self.work, self.start, self.arguments = work, start, tuple(arguments)
+        self.workers, self.retries, self.tasks_per_process = workers, retries, tasks_per_process
+        self.time_limit_s = time_limit_s
+        self._processes: list[_Process] = []
+        self._states: list[Any] = []
+
+    def __enter__(self) -> Self:
+        """Return the pool."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
+
+    def close(self) -> None:
+        """Kill all processes."""
+        while self._processes:
+            self._processes.pop().stop()
+
+    def run(self, tasks: Iterable[Any]) -> Iterator[TaskResult]:
+        """Results in the order in which they arrive; tasks are taken when a worker is free.
+
+        Raises
+        ------
+        Exception
+            Whatever ``start`` or ``work`` raised.
+        """
+        if self.workers == 0:
+            for index, task in enumerate(tasks):
+                if not self._states:
+                    self._states.append(self.start(*self.arguments) if self.start else None)
+                yield TaskResult(index=index, value=self.work(self._states[0], task))
+            return
+        queue = (_Task(*item) for item in enumerate(tasks))
+        retries: deque[_Task] = deque()
+        try:
+            while busy := self._busy(queue) or self._busy(_first(retries)):
+                for process in _ready(busy):
+                    task, result = process.result()
+                    if process.dead or process.tasks == self.tasks_per_process:
+                        process.stop()
+                        self._processes.remove(process)
+                    if process.dead and task.attempts <= self.retries:
+                        retries.append(task)
+                    else:
+                        yield result
+        finally:
+            for process in [process for process in self._processes if process.task]:
+                process.stop()
+                self._processes.remove(process)
+
+    def _busy(self, queue: Iterator["_Task"]) -> list["_Process"]:
+        """Give out tasks to free workers; all processes that have one."""
+        free = [process for process in self._processes if process.task is None]
+        count = self.workers - len(self._processes) + len(free)
+        for _, task in zip(range(count), queue, strict=False):
+            if free:
+                free.pop().give(task, self.time_limit_s)
+            else:
+                self._processes.append(_Process(self.start, self.arguments, self.work))
+                self._processes[-1].give(task, self.time_limit_s)
+        return [process for process in self._processes if process.task]
+
+
+def _first(queue: deque["_Task"]) -> Iterator["_Task"]:
+    if queue:
+        yield queue.popleft()
+
+
+@dataclass
+class _Task:
+    index: int
+    task: Any
+    attempts: int = 0
+
+
+class _Process:
+    """A worker process, its pipe, and the task that it works on."""
+
+    def __init__(
+        self,
+        start: Callable[..., Any] | None,
+        arguments: tuple[Any, ...],
+        work: Callable[[Any, Any], Any],
+    ) -> None:
+        context = get_context("spawn")
+        self.pipe, other = context.Pipe()
+        self.process = context.Process(target=_serve, args=(other, start, arguments, work))
+        with one_thread_each(THREADS):
+            self.process.start()
+        other.close()
+        self.task: _Task | None = None
+        self.tasks, self.dead = 0, False
+        self.limit_s = self.deadline = float("inf")
+
+    def give(self, task: _Task, time_limit_s: Callable[[Any], float] | None) -> None:
+        """Send a task."""
+        if time_limit_s:
+            self.limit_s = time_limit_s(task.task)
+            self.deadline = time.monotonic() + self.limit_s + (0.0 if self.tasks else START_S)
+        self.task = task
+        task.attempts += 1
+        self.tasks += 1
+        # A process that died at its start has closed its pipe: result() finds that.
+        with suppress(BrokenPipeError, ConnectionResetError):
+            self.pipe.send(task.task)
+
+    def result(self) -> tuple[_Task, TaskResult]:
+        """Result of the task, which is there or overdue."""
+        task, self.task = self.task, None
+        if task is None:
+            raise RuntimeError("this process has no task")
+        if not self.pipe.poll():
+            self.dead, task.attempts = True, sys.maxsize
+            return task, TaskResult(index=task.index, lost=f"no answer within {self.limit_s:g} s")
+        try:
+            value, error = self.pipe.recv()
+        except (EOFError, OSError):
+            self.dead = True
+            self.process.join(EXIT_S)
+            lost = f"its process died (exit code {self.process.exitcode}; out of memory?)"
+            return task, TaskResult(index=task.index, lost=lost)
+        if error is not None:
+            raise error
+        return task, TaskResult(index=task.index, value=value)
+
+    def stop(self) -> None:
+        """Kill the process."""
+        self.process.kill()
+        self.process.join()
+        self.pipe.close()
+
+
+def _ready(busy: list[_Process]) -> list[_Process]:
+    """Wait for those that have answered, died, or are overdue."""
+    deadline = min(process.deadline for process in busy)
+    timeout = None if deadline == float("inf") else max(deadline - time.monotonic(), 0.0)
+    pipes = connection.wait([process.pipe for process in busy], timeout)
+    now = time.monotonic()
+    return [process for process in busy if process.pipe in pipes or now >= process.deadline]
+
+
+def _serve(
+    pipe: Connection,
+    start: Callable[..., Any] | None,
+    arguments: tuple[Any, ...],
+    work: Callable[[Any, Any], Any],
+) -> None:
+    """Do tasks until the pipe closes; end with the parent, however that ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # The parent handles Ctrl-C and ends its workers.
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    state: Any = None
+    failure: Exception | None = None
+    try:
+        state = start(*arguments) if start else None
+    except Exception as error:  # noqa: BLE001  raised in the parent
+        failure = error
+    while True:
+        try:
+            task = pipe.recv()
+        except (EOFError, OSError):
+            return
+        try:
+            answer = (work(state, task) if failure is None else None, failure)
+        except Exception as error:  # noqa: BLE001  raised in the parent
+            error.add_note(traceback.format_exc())
+            answer = (None, error)
+        pipe.send(answer)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

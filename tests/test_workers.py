@@ -1,0 +1,154 @@
+"""Tasks over processes: same results for any number of them, errors raised, deaths survived."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from phytac_design.core.workers import TaskResult, WorkerPool
+from phytac_shapes.errors import DesignError
+
+
+def start(base: int) -> int:
+    if base < 0:
+        raise DesignError("base below zero")
+    return base
+
+
+def work(base: int, task: int) -> int:
+    if task == 13:
+        raise DesignError("thirteen")
+    return base + task
+
+
+def die_at_two(_: None, task: int) -> int:
+    if task == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return task
+
+
+def die_once(_: None, mark: Path) -> int:
+    if not mark.exists():
+        mark.touch()
+        os._exit(3)
+    return 1
+
+
+def sleep(_: None, seconds: float) -> float:
+    time.sleep(seconds)
+    return seconds
+
+
+def process_id(_: None, __: int) -> int:
+    return os.getpid()
+
+
+def environment(_: None, name: str) -> str | None:
+    return os.environ.get(name)
+
+
+@pytest.mark.parametrize("workers", [0, 1, 3])
+def test_every_task_is_done_once(workers: int) -> None:
+    with WorkerPool(work, workers=workers, start=start, arguments=(100,)) as pool:
+        found = list(pool.run([5, 3, 9, 0]))
+        assert sorted((r.index, r.value) for r in found) == [(0, 105), (1, 103), (2, 109), (3, 100)]
+        assert list(pool.run([])) == []
+        assert [r.value for r in pool.run([7])] == [107]
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_errors_of_workers_are_raised(workers: int) -> None:
+    with (
+        pytest.raises(DesignError, match="below zero"),
+        WorkerPool(work, workers=workers, start=start, arguments=(-1,)) as pool,
+    ):
+        list(pool.run([1]))
+    with WorkerPool(work, workers=workers, start=start, arguments=(0,)) as pool:
+        with pytest.raises(DesignError, match="thirteen"):
+            list(pool.run([13]))
+        assert [r.value for r in pool.run([1])] == [1]
+
+
+def test_a_task_that_kills_its_process_costs_no_other() -> None:
+    with WorkerPool(die_at_two, workers=2) as pool:
+        results = sorted(pool.run(range(5)), key=lambda r: r.index)
+    assert [r.value for r in results] == [0, 1, None, 3, 4]
+    assert "exit code -9" in results[2].lost
+
+
+def test_a_task_whose_process_died_is_repeated(tmp_path: Path) -> None:
+    with WorkerPool(die_once, workers=1) as pool:
+        assert list(pool.run([tmp_path / "a"])) == [TaskResult(index=0, value=1)]
+    with WorkerPool(die_once, workers=1, retries=0) as pool:
+        assert [r.value for r in pool.run([tmp_path / "b"])] == [None]
+
+
+def test_a_task_over_its_time_is_lost_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("phytac_design.core.workers.START_S", 0.0)
+    with WorkerPool(sleep, workers=1) as pool:
+        list(pool.run([0.0]))
+        pool.time_limit_s = lambda task: 0.5 if task else 30.0
+        results = list(pool.run([100.0, 0.0]))
+    assert results[0] == TaskResult(index=0, lost="no answer within 0.5 s")
+    assert results[1] == TaskResult(index=1, value=0.0)
+
+
+def test_processes_are_kept_or_replaced_and_have_one_thread() -> None:
+    with WorkerPool(process_id, workers=1) as pool:
+        assert len({r.value for r in pool.run(range(3))}) == 1
+    with WorkerPool(process_id, workers=1, tasks_per_process=1) as pool:
+        assert len({r.value for r in pool.run(range(3))}) == 3
+    with WorkerPool(environment, workers=1) as pool:
+        assert [r.value for r in pool.run(["OPENBLAS_NUM_THREADS"])] == ["1"]
+
+
+SCRIPT = """
+import os, sys, time
+from pathlib import Path
+from phytac_design.core.workers import WorkerPool
+folder = Path(sys.argv[1])
+def work(_, task):
+    (folder / str(os.getpid())).touch()
+    time.sleep(60)
+if __name__ == "__main__":
+    list(WorkerPool(work, workers=2).run(range(4)))
+"""
+
+
+def test_workers_end_with_a_killed_parent(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    folder = tmp_path / "pids"
+    folder.mkdir()
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    parent = subprocess.Popen(
+        [sys.executable, str(script), str(folder)], env=env, stderr=subprocess.DEVNULL
+    )
+    try:
+        _until(lambda: len(list(folder.iterdir())) == 2, 60.0)
+    finally:
+        parent.kill()
+        parent.wait()
+    pids = [int(path.name) for path in folder.iterdir()]
+    assert len(pids) == 2
+    _until(lambda: not any(_alive(pid) for pid in pids), 10.0)
+
+
+def _alive(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != "Z"
+
+
+def _until(reached: "object", seconds: float) -> None:
+    assert callable(reached)
+    end = time.monotonic() + seconds
+    while not reached():
+        assert time.monotonic() < end
+        time.sleep(0.05)
