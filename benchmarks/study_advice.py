@@ -68,7 +68,7 @@ def advice(table: Table, *, quick: bool) -> None:
 def _pieces(table: Table, name: str, found: Advice) -> None:
     """Counts and gains."""
     pieces = found.pieces
-    close = [trial for trial in pieces if abs(trial.hit - 1.0) <= CLOSE]
+    close = [trial for trial in pieces if abs(trial.gain / trial.predicted_gain - 1.0) <= CLOSE]
     far = [trial for trial in pieces if trial not in close]
     table.add(
         f"{name}: pieces of advice that helped when applied",
@@ -77,7 +77,7 @@ def _pieces(table: Table, name: str, found: Advice) -> None:
         reference="",
         source=SOURCE,
         target=">= 1",
-        note="; ".join(trial.move.knob.words(trial.move.amount) for trial in pieces),
+        note="; ".join(trial.words for trial in pieces),
     )
     table.add(
         f"{name}: of those, gained as foretold within 25 %",
@@ -87,20 +87,19 @@ def _pieces(table: Table, name: str, found: Advice) -> None:
         source="gain by slopes against gain of the changed design, judged",
         target=f">= {len(pieces)}",
         note="; ".join(
-            f"{t.move.knob.name}: {t.gain:.3g} for {t.move.gain:.3g}" for t in far
+            f"{t.variable.name}: {t.gain:.3g} for {t.predicted_gain:.3g}" for t in far
         ),
     )  # fmt: skip
-    best = [trial for trial in pieces if trial.move.goal in FORCES]
+    best = [trial for trial in pieces if trial.goal in FORCES]
     if best:
         top = max(best, key=lambda trial: trial.gain)
         table.add(
             f"{name}: best gain of force",
             100.0 * top.gain,
             "%",
-            reference=round(100.0 * top.move.gain, 2),
+            reference=round(100.0 * top.predicted_gain, 2),
             source="reference: foretold by slopes",
-            note=f"{top.move.knob.words(top.move.amount)}; costs: "
-            f"{', '.join(top.costs) or 'nothing'}",
+            note=f"{top.variable.words(top.amount)}; costs: {', '.join(top.costs) or 'nothing'}",
         )
     broke = [trial for trial in pieces if faults_of(trial.achieved) > faults_of(found.figures)]
     table.add(
@@ -111,15 +110,15 @@ def _pieces(table: Table, name: str, found: Advice) -> None:
         source=SOURCE,
         target="<= 0",
         note="tried, and no advice: "
-        + ("; ".join(f"{t.move.knob.name}: {t.reason[:60]}" for t in found.tried) or "none"),
+        + ("; ".join(f"{t.variable.name}: {t.reason[:60]}" for t in found.tried) or "none"),
     )
 
 
 def _slopes(table: Table, name: str, found: Advice) -> None:
     """Slopes of the force against what applying the move did, of all moves that were judged."""
-    judged = [t for t in (*found.pieces, *found.tried) if t.achieved and t.move.slope is not None]
-    away = [abs(_error(trial.move.slope, trial.move.amount, trial.achieved, found.figures))
-            for trial in judged if trial.move.slope is not None]  # fmt: skip
+    judged = [t for t in (*found.pieces, *found.tried) if t.achieved and t.slope is not None]
+    away = [abs(_error(trial.slope, trial.amount, trial.achieved, found.figures))
+            for trial in judged if trial.slope is not None]  # fmt: skip
     if away:
         table.add(
             f"{name}: error of slopes of force over the middle heights, median",

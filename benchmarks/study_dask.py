@@ -107,7 +107,7 @@ def overhead_ms(pool: DaskPool, count: int) -> float:
     study, space = study_for(4)
     spec, params = spec_of(study, space), drawn(study, space, 1)[0]
     tasks = [
-        Nothing(order=k, key=f"nothing-{k}", spec=spec, params=params, rungs=RUNGS)
+        Nothing(order=k, key=f"nothing-{k}", spec=spec, params=params, levels=RUNGS)
         for k in range(count)
     ]
     start = time.perf_counter()

@@ -14,10 +14,10 @@ from phytac_design.optics.density import density_of
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.study.search.dask_pool import DaskPool
 from phytac_design.study.search.driver import run_study
-from phytac_design.study.search.rebuild import rebuild
 from phytac_design.study.search.report import read_results
 from phytac_design.study.search.space import make_space
 from phytac_design.study.search.study_file import Budget, load_study
+from phytac_design.study.search.study_folder import rebuild
 
 STUDIES = {"dense-cylinder": (32, 1000), "dense-cone": (16, None), "dense-hemisphere": (16, None)}
 """Candidates of each study, and the count that is asked for."""

@@ -10,7 +10,6 @@ from benchmarks.harness import Table
 from benchmarks.study_cases import THIN, one_thread, study_of
 from phytac_design.engine.cache import code_hash
 from phytac_design.study.search.driver import Kind, run_study
-from phytac_design.study.search.pareto import hypervolume
 from phytac_design.study.search.report import Results, read_results
 from phytac_design.study.search.space import Space
 from phytac_design.study.search.study_file import Study
@@ -79,7 +78,10 @@ def optimiser(table: Table, *, quick: bool) -> None:
 def _covered(results: Results) -> float:
     """Hypervolume of a front."""
     values = results.objectives()[results.front()]
-    return hypervolume(values, REFERENCE)
+    from optuna._hypervolume import compute_hypervolume
+
+    inside = values[np.all(values < REFERENCE, axis=1)]
+    return float(compute_hypervolume(inside, REFERENCE)) if len(inside) else 0.0
 
 
 def _known(table: Table, *, quick: bool) -> None:

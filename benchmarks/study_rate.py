@@ -138,7 +138,7 @@ def _costs(table: Table, shape: str, found: list[Outcome], judged: list[Outcome]
 
 def _orders(table: Table, shape: str, found: list[Outcome], judged: list[Outcome]) -> None:
     """Spearman of each measure with what it stands in for."""
-    joined = [one.and_then(other) for one, other in zip(found, judged, strict=False)]
+    joined = [one.merged(other) for one, other in zip(found, judged, strict=False)]
     for name in measures_up_to(ALL):
         earlier = MEASURES[name].proxy
         rows = joined if MEASURES[name].rung == "twin" else found

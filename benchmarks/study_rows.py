@@ -17,7 +17,7 @@ from phytac_design.study.search.driver import run_study
 from phytac_design.study.search.measures import measures_up_to
 from phytac_design.study.search.report import read_results, write_page
 from phytac_design.study.search.study_folder import OPEN
-from phytac_design.study.search.successive_halving import Outcome, Task
+from phytac_design.study.search.successive_halving import Outcome, SerialPool, Task
 
 RUNGS = ("rules", "sampled")
 GOALS = [
@@ -27,7 +27,7 @@ GOALS = [
 ]
 
 
-class ClosedForm:
+class ClosedForm(SerialPool):
     """A pool that answers at once: this part is about the driver, not about designs.
 
     Also keeps the memory of this process after each batch.
@@ -51,14 +51,6 @@ class ClosedForm:
             yield task, Outcome(rung=RUNGS[-1], measures=found, seconds=seconds, design="0" * 64)
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         self.memory_MB.append(pages * resource.getpagesize() / 2**20)
-
-    @property
-    def workers(self) -> int:
-        """One."""
-        return 1
-
-    def close(self) -> None:
-        """Nothing is held."""
 
 
 def rows(table: Table, *, quick: bool) -> None:

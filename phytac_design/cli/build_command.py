@@ -70,7 +70,7 @@ def build(
         )
     loaded: Design
     if from_study is not None and trial is not None:
-        from phytac_design.study.search.rebuild import rebuild
+        from phytac_design.study.search.study_folder import rebuild
 
         loaded = rebuild(from_study, trial)
     else:

@@ -20,10 +20,10 @@ def studio(
         bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")
     ] = True,
 ) -> None:
-    """Change a design and see it: controls in a browser of this machine, until Ctrl-C.
+    """Edit a design with controls in a browser of this machine, until Ctrl-C.
 
-    Designs are read from and saved into the folder that this is started in; builds go into its
-    folder `exports`, studies are found in it.
+    Designs are read from and saved in the current folder; builds are written to its subfolder
+    `exports`, and its studies are listed.
     """
     try:
         from phytac_design.studio.server import StudioServer, open_browser
@@ -33,15 +33,15 @@ def studio(
         raise MissingPartError(
             f"the studio needs {error.name}; pip install 'phytac-design[studio]'"
         ) from None
-    running = StudioServer(Path.cwd(), design, port=port)
+    server = StudioServer(Path.cwd(), design, port=port)
 
     def ready(url: str) -> None:
-        say(f"the studio of {Path.cwd()}: {url} (for this machine alone; Ctrl-C stops)")
+        say(f"the studio of {Path.cwd()}: {url} (for this machine only; Ctrl-C stops)")
         if browser and not open_browser(url):
             say("no browser was found; open that address in one")
 
     try:
-        running.run(ready=ready)
+        server.run(ready=ready)
     except KeyboardInterrupt:
         say("stopped")
         raise typer.Exit(130) from None

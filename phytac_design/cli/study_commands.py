@@ -19,16 +19,16 @@ OutOption = Annotated[
     Path | None, typer.Option(help="The study's own folder; studies/NAME if not given.")
 ]
 WorkersOption = Annotated[
-    int, typer.Option(min=0, help="Processes on this machine; 0 for this one alone.")
+    int, typer.Option(min=0, help="Worker processes on this machine; 0 for none.")
 ]
 SchedulerOption = Annotated[
     str, typer.Option(help="Address of a running Dask scheduler, as tcp://host:8786.")
 ]
 CandidatesOption = Annotated[
-    int | None, typer.Option(min=1, help="In place of the study's budget.candidates.")
+    int | None, typer.Option(min=1, help="Replaces the study's budget.candidates.")
 ]
 SecondsOption = Annotated[
-    float | None, typer.Option(min=0.0, help="In place of the study's budget.seconds.")
+    float | None, typer.Option(min=0.0, help="Replaces the study's budget.seconds.")
 ]
 
 
@@ -40,11 +40,11 @@ def sweep(
     candidates: CandidatesOption = None,
     seconds: SecondsOption = None,
     measures: Annotated[
-        bool, typer.Option("--measures", help="List what a study can ask for, and end.")
+        bool, typer.Option("--measures", help="List the measures of studies, and exit.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Cover a design space evenly; without a study, list the shipped ones."""
+    """Sample a design space evenly; without a study, list the shipped ones."""
     if measures:
         _list_measures(as_json=as_json)
         return
@@ -66,7 +66,7 @@ def optimise(
     ] = "",
     as_json: JsonOption = False,
 ) -> None:
-    """Search a design space for the best; without a study, list the shipped ones."""
+    """Optimise a design over its variables; without a study, list the shipped ones."""
     if not study:
         _list_studies()
         return
@@ -98,7 +98,7 @@ def _run(
     )
     study = study.model_copy(update={"budget": budget})
     if workers and scheduler:
-        raise DesignError("--workers and --scheduler exclude each other; leave one out")
+        raise DesignError("--workers and --scheduler exclude each other; omit one")
     space = make_space(study, folder)
     where = out or Path("studies") / study.name
     with _pool(workers, scheduler) as pool:
@@ -128,7 +128,7 @@ def _run(
 
 
 def _pool(workers: int, scheduler: str) -> "AbstractContextManager[Any]":
-    """Where candidates climb."""
+    """Where candidates are evaluated."""
     if not workers and not scheduler:
         return nullcontext()
     from phytac_design.study.search.dask_pool import DaskPool

@@ -1,8 +1,9 @@
-"""A build that the studio starts: `phytac build` in a process of its own, told of line by line."""
+"""A build started by the studio: `phytac build` in its own process, followed line by line."""
 
 import asyncio
 import os
 import re
+import shutil
 import signal
 import sys
 import tempfile
@@ -16,30 +17,22 @@ from phytac_design.design.design_file import to_toml
 from phytac_design.design.spec import Design
 from phytac_shapes.errors import InputError, OutputError
 
-LINES_MAX = 2000
-LINE_BYTES = 64_000
-STEPS_S = (5.0, 5.0)
-"""A build that is stopped has so long to end by itself, and then after SIGTERM."""
-TURN = re.compile(r"\[(\d+)/(\d+)\] ([a-z-]+)( \d)?")
-"""A stage's number, of how many, its name, and a figure behind it if it has ended."""
+STOP_TIMEOUTS_S = (5.0, 5.0)
+"""Time to end after SIGINT, and then after SIGTERM."""
+STAGE_LINE = re.compile(r"\[(\d+)/(\d+)\] ([a-z-]+)( \d)?")
+"""A stage's number, their count, its name, and a figure behind it if it has ended."""
 
 Json = dict[str, Any]
 
 
-class Builds:
-    """At most one build at a time, into ``exports/NAME`` of the workplace.
-
-    Parameters
-    ----------
-    root : Path
-        The workplace.
-    """
+class BuildRunner:
+    """At most one build at a time, into ``exports/NAME`` of the project folder ``root``."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
         self._process: asyncio.subprocess.Process | None = None
         self._watch: asyncio.Task[None] | None = None
-        self._news = asyncio.Condition()
+        self._changed = asyncio.Condition()
         self._lines: list[str] = []
         self._state: Json = {"state": "none"}
         self._number = 0
@@ -48,18 +41,18 @@ class Builds:
 
     @property
     def running(self) -> bool:
-        """Whether a build is under way."""
+        """Whether a build is running."""
         return self._watch is not None and not self._watch.done()
 
     def state(self) -> Json:
-        """Where the build stands: its state, share done, stage, seconds, and its report."""
+        """State of the build: share done, stage, seconds, and its report."""
         state = dict(self._state)
         if self.running:
             state["seconds"] = round(time.monotonic() - self._start_s, 1)
         return state
 
     async def start(self, design: Design, accuracy: str, *, force: bool) -> Json:
-        """Build a design; files that it named are part of it already.
+        """Build a design.
 
         Raises
         ------
@@ -85,12 +78,12 @@ class Builds:
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=asyncio.subprocess.STDOUT,
-                limit=LINE_BYTES,
-                # Of its own group, so that it ends with all that it starts, and only when told.
+                limit=64_000,
+                # Its own group: signals reach all its processes, and Ctrl-C does not.
                 start_new_session=True,
             )
         except OSError as error:
-            raise OutputError(f"cannot start a build: {error.strerror}; make room") from None
+            raise OutputError(f"cannot start a build: {error.strerror}; free disk space") from None
         self._number += 1
         self._lines, self._stopped, self._start_s = [], False, time.monotonic()
         self._state = {
@@ -106,22 +99,21 @@ class Builds:
         return self.state()
 
     async def _follow(self, process: asyncio.subprocess.Process, path: Path, out: Path) -> None:
-        """Take down the build's lines until it ends, then say how."""
+        """Read the build's lines until it ends, then set the final state."""
         try:
             assert process.stdout is not None  # noqa: S101 - it is a pipe
             while True:
                 try:
                     line = await process.stdout.readline()
                 except ValueError:
-                    continue  # a line beyond the limit is dropped
+                    continue  # a line above the limit is dropped
                 if not line:
                     break
-                await self._tell(line.decode("utf-8", "replace").rstrip())
+                await self._add_line(line.decode("utf-8", "replace").rstrip())
             code = await process.wait()
         finally:
-            _remove(path)
+            shutil.rmtree(path.parent, ignore_errors=True)
         page = out / "report" / "report.html"
-        seconds = round(time.monotonic() - self._start_s, 1)
         if code == 0:
             self._state |= {"state": "done", "done": 1.0, "stage": ""}
             if (self.root / page).is_file():
@@ -132,57 +124,50 @@ class Builds:
             errors = [line for line in self._lines if line.startswith("error: ")]
             why = errors[-1] if errors else "".join(self._lines[-1:])
             self._state |= {"state": "failed", "stage": "", "error": why or f"exit code {code}"}
-        self._state["seconds"] = seconds
-        await self._tell("")
+        self._state["seconds"] = round(time.monotonic() - self._start_s, 1)
+        await self._add_line("")
 
-    async def _tell(self, line: str) -> None:
-        if line and len(self._lines) < LINES_MAX:
+    async def _add_line(self, line: str) -> None:
+        if line and len(self._lines) < 2000:
             self._lines.append(line)
-        turn = TURN.match(line)
-        if turn:
-            ended = turn[4] is not None
-            self._state["done"] = round((int(turn[1]) - (not ended)) / max(int(turn[2]), 1), 3)
-            self._state["stage"] = turn[3]
-        async with self._news:
-            self._news.notify_all()
+        stage = STAGE_LINE.match(line)
+        if stage:
+            ended = stage[4] is not None
+            self._state["done"] = round((int(stage[1]) - (not ended)) / max(int(stage[2]), 1), 3)
+            self._state["stage"] = stage[3]
+        async with self._changed:
+            self._changed.notify_all()
 
     async def events(self) -> AsyncIterator[Json]:
-        """The build's state and new lines, again and again until it has ended."""
-        told = 0
+        """State and new lines, repeatedly until the build has ended."""
+        sent = 0
         while True:
             running = self.running and self._state["state"] == "running"
-            fresh = self._lines[told:]
-            told = len(self._lines)
+            fresh = self._lines[sent:]
+            sent = len(self._lines)
             yield self.state() | {"lines": fresh}
             if not running:
                 return
-            async with self._news:
+            async with self._changed:
                 with suppress(TimeoutError):
-                    await asyncio.wait_for(self._news.wait(), 1.0)
+                    await asyncio.wait_for(self._changed.wait(), 1.0)
 
     async def stop(self) -> Json:
-        """End the build and all that it started; what it finished stays in the cache."""
+        """Stop the build and its processes; finished stages stay in the cache."""
         process, watch = self._process, self._watch
         if process is None or watch is None or watch.done():
             return self.state()
         self._stopped = True
-        # A build takes an interrupt as the user's wish and leaves its files whole.
-        for number, patience in zip((signal.SIGINT, signal.SIGTERM), STEPS_S, strict=True):
+        # On SIGINT a build leaves complete files.
+        for number, timeout in zip((signal.SIGINT, signal.SIGTERM), STOP_TIMEOUTS_S, strict=True):
             _signal(process.pid, number)
             with suppress(TimeoutError):
-                await asyncio.wait_for(asyncio.shield(watch), patience)
+                await asyncio.wait_for(asyncio.shield(watch), timeout)
                 break
         _signal(process.pid, signal.SIGKILL)
         with suppress(TimeoutError):
             await asyncio.wait_for(asyncio.shield(watch), 5.0)
         return self.state()
-
-
-def _remove(path: Path) -> None:
-    """Remove the design file that a build was given, and its folder."""
-    with suppress(OSError):
-        path.unlink(missing_ok=True)
-        path.parent.rmdir()
 
 
 def _signal(group: int, number: signal.Signals) -> None:

@@ -1,13 +1,11 @@
-"""A design as the studio draws it while controls move: the cheap rungs of a study's ladder.
+"""A design as the studio draws it while controls move: the cheap fidelity levels of a study.
 
 Layout and rules are those of every build; visibility is sampled with some 64 rays a marker on the
-camera's own pixels; the picture is a small one of the same view. ``exact`` is `phytac check`.
+camera's own pixels; the image is a small one of the same view. ``exact`` is `phytac check`.
 """
 
 from base64 import b64encode
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -16,7 +14,6 @@ from numpy.typing import NDArray
 
 from phytac_decoder.camera.camera import Camera
 from phytac_design.core.json_values import finite
-from phytac_design.design.design_file import parse_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import stand_off_mm, tolerance_mm
@@ -28,9 +25,8 @@ from phytac_design.optics.scene import Scene, build_scene, paint_owner
 from phytac_design.optics.visibility import FRACTION_MIN, heights_face
 from phytac_design.report.viewer.data import Colouring, base_colourings, viewer_data
 from phytac_design.rules.design_review import checkup
-from phytac_design.studio.latest_only import StaleError
-from phytac_design.study.search.candidate import COARSE, Candidate
-from phytac_design.study.search.fidelity_levels import outlined_gap_px, rules
+from phytac_design.studio.latest_only import Check, SupersededError
+from phytac_design.study.search.fidelity_levels import Candidate, outlined_gap_px, rules
 from phytac_design.study.search.measures import MEASURES
 from phytac_design.study.search.study_file import Study, Variable
 from phytac_design.study.search.surrogate import predict
@@ -38,14 +34,9 @@ from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import DesignError, PhytacError
 
 MARKERS_MAX = 5000
-"""Markers beyond which a draft is not one any more."""
-SIDE_PX = 864
-"""Longer side of a draft's picture, at most."""
-SIDE_LEAST_PX = 160
-SAMPLES = 2
-"""Samples per pixel of a draft's picture."""
-ROUND_SHARE = 0.005
-"""Polygons need not be closer to a receptor's circles than this share of its radius."""
+"""Markers up to which a design is drawn while controls move."""
+SIDE_px, SIDE_MIN_px = 864, 160
+"""Longer side of a draft's image."""
 SHOWN = (
     "marker_count",
     "density_mean_per_cm2",
@@ -61,65 +52,48 @@ SHOWN = (
 )
 """Measures of a study that the studio shows."""
 
-Check = Callable[[], None]
 Json = dict[str, Any]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Asked:
-    """A design to look at: its tables, and the folder that its files are relative to."""
-
-    data: Json
-    folder: Path
-    side_px: int = SIDE_PX
-
-    def design(self) -> Design:
-        """Typed design of the tables.
-
-        Raises
-        ------
-        DesignError
-            If they are none, or too large to be drawn while controls move.
-        """
-        design = parse_design(self.data, "the design", folder=self.folder)
-        if design.layout.wanted > MARKERS_MAX:
-            raise DesignError(
-                f"layout.rows, layout.columns or layout.count ask for {design.layout.wanted} "
-                f"markers; the studio draws up to {MARKERS_MAX}, `phytac check` takes more"
-            )
-        return design
-
-
-def draft(asked: Asked, check: Check) -> Json:
+def draft(design: Design, check: Check, side_px: int = SIDE_px) -> Json:
     """Layout, camera views, visibility and density of a design, drawn even if a rule is broken.
 
     Parameters
     ----------
-    asked : Asked
+    design : Design
         The design.
     check : callable
         Called between steps; may raise to stop.
+    side_px : int
+        Longer side of the images at most.
 
     Returns
     -------
     dict
         Plain JSON: ``refused`` (text of the broken rule, or empty), ``warnings``, ``measures``,
-        ``view`` (see ``report.viewer.data``), ``cameras`` (pictures as base64), ``resolved``.
+        ``view`` (see ``report.viewer.data``), ``cameras`` (images as base64), ``resolved``.
 
     Raises
     ------
     DesignError
-        If nothing can be drawn.
+        If nothing can be drawn, or there are too many markers.
     """
-    design = asked.design()
-    candidate = Candidate(design=design, study=_study())
-    refused = _check_rules(candidate)
+    if design.layout.wanted > MARKERS_MAX:
+        raise DesignError(
+            f"layout.rows, layout.columns or layout.count give {design.layout.wanted} markers; "
+            f"the studio draws up to {MARKERS_MAX}, `phytac check` takes more"
+        )
+    # Prices and a seed are all that the levels used here need of a study.
+    variable = Variable(field="wall.thickness_mm", low=0.5, high=1.0)
+    study = Study(name="studio", design="cylinder60", variable=(variable,))
+    candidate = Candidate(design=design, study=study)
+    refused = _broken_rule(candidate)
     try:
-        return _drawn(candidate, refused, asked.side_px, check)
-    except StaleError:
+        return _drawn(candidate, refused, side_px, check)
+    except SupersededError:
         raise
     except Exception:
-        # Nothing promises that a design which breaks a rule can be drawn.
+        # A design that breaks a rule need not be drawable.
         if refused:
             raise DesignError(refused) from None
         raise
@@ -136,7 +110,7 @@ def _drawn(candidate: Candidate, refused: str, side_px: int, check: Check) -> Js
         check()
     fractions = np.stack(
         [
-            sampled_fraction(_scene(candidate, camera, COARSE), camera).fraction
+            sampled_fraction(_scene(candidate, camera, 2.5), camera).fraction
             for camera in candidate.cameras
         ]
     )
@@ -144,18 +118,28 @@ def _drawn(candidate: Candidate, refused: str, side_px: int, check: Check) -> Js
     fraction, best = fractions.max(axis=0), fractions.argmax(axis=0)
     density = density_map(surface, markers)
     check()
+    seen = fraction >= FRACTION_MIN
+    predicted = predict(design, surface, markers, candidate.cameras, seen)
     found = rules(candidate) | {
         "density_least_per_cm2": float(density.per_cm2.min()),
         "sampled_visible_least": float(fraction.min()),
-        "sampled_hidden": int((fraction < FRACTION_MIN).sum()),
+        "sampled_hidden": int((~seen).sum()),
         "sampled_gap_px": outlined_gap_px(candidate, best),
-        **_resolution(candidate, fraction),
+        "surrogate_force_sd_N": float(np.median(predicted.bound.force_N)),
     }
     drawn: Json = finite(
         {
             "refused": refused,
             "warnings": _warnings(candidate, found),
-            "measures": [_measure(name, found[name]) for name in SHOWN if name in found],
+            "measures": [
+                {
+                    "name": name,
+                    "value": found[name],
+                    "unit": MEASURES[name].unit,
+                    "doc": MEASURES[name].doc,
+                }
+                for name in SHOWN
+            ],
             "surface_class": surface_class(markers),
             "view": _view(candidate, fraction, density.per_cm2),
             "cameras": pictures,
@@ -165,15 +149,15 @@ def _drawn(candidate: Candidate, refused: str, side_px: int, check: Check) -> Js
     return drawn
 
 
-def exact(asked: Asked) -> Json:
+def exact(design: Design) -> Json:
     """`phytac check` of a design, with its texts.
 
     Raises
     ------
     DesignError
-        If the design cannot be printed or seen at all.
+        If the design breaks a rule.
     """
-    report = checkup(asked.design())
+    report = checkup(design)
     return {
         "clear": report["clear"],
         "advice": report["advice"],
@@ -185,14 +169,8 @@ def exact(asked: Asked) -> Json:
     }
 
 
-def _study() -> Study:
-    """Prices and a seed; the rungs that are used here ask nothing else of a study."""
-    some = Variable(field="wall.thickness_mm", low=0.5, high=1.0)
-    return Study(name="studio", design="cylinder60", variable=(some,))
-
-
-def _check_rules(candidate: Candidate) -> str:
-    """Text of the rule that a design breaks, or ""; what can be drawn of it is drawn all the same.
+def _broken_rule(candidate: Candidate) -> str:
+    """Text of the rule that a design breaks, or ""; its markers are placed in any case.
 
     Raises
     ------
@@ -200,7 +178,7 @@ def _check_rules(candidate: Candidate) -> str:
         If no marker can be placed.
     """
     try:
-        candidate.checked  # noqa: B018 - made here, so that its refusal is caught here
+        candidate.checked  # noqa: B018 - computed here, so that its error is caught here
     except DesignError as error:
         surface = candidate.design.surface()
         try:
@@ -211,16 +189,8 @@ def _check_rules(candidate: Candidate) -> str:
     return ""
 
 
-def _resolution(candidate: Candidate, fraction: FloatArray) -> Json:
-    """Closed-form bound of a force, where the shape has one."""
-    surface, markers = candidate.checked
-    seen = fraction >= FRACTION_MIN
-    predicted = predict(candidate.design, surface, markers, candidate.cameras, seen)
-    return {"surrogate_force_sd_N": float(np.median(predicted.bound.force_N))}
-
-
 def _warnings(candidate: Candidate, found: Json) -> list[str]:
-    """What a draft can already say; the check says it by the exact pictures."""
+    """Warnings of a draft; the check takes them from exact images."""
     out = []
     face = heights_face(candidate.design)
     if face:
@@ -233,13 +203,8 @@ def _warnings(candidate: Candidate, found: Json) -> list[str]:
     return out
 
 
-def _measure(name: str, value: float) -> Json:
-    known = MEASURES[name]
-    return {"name": name, "value": value, "unit": known.unit, "doc": known.doc}
-
-
 def _view(candidate: Candidate, fraction: FloatArray, per_cm2: FloatArray) -> Json:
-    """Shell and map, coloured by what a draft knows."""
+    """Shell and map, coloured by visibility and density."""
     surface, markers = candidate.checked
     own = [
         Colouring(
@@ -257,13 +222,13 @@ def _view(candidate: Candidate, fraction: FloatArray, per_cm2: FloatArray) -> Js
         [*own, *base_colourings(markers)],
         cameras=candidate.cameras,
     )
-    # A scale of its own would show differences where all are seen whole.
+    # A scale fitted to the values would show differences where all are wholly visible.
     view["colourings"][0] |= {"low": 0.0, "high": 1.0}
     return view
 
 
 def small_camera(camera: Camera, side_px: int) -> Camera:
-    """The same view on fewer pixels: the longer side at most ``side_px``."""
+    """The same view with fewer pixels: the longer side at most ``side_px``."""
     share = min(1.0, side_px / max(camera.width_px, camera.height_px))
     width, height = (max(round(share * n), 1) for n in (camera.width_px, camera.height_px))
     lens, own = camera.lens, (width / camera.width_px, height / camera.height_px)
@@ -283,22 +248,22 @@ def small_camera(camera: Camera, side_px: int) -> Camera:
 
 
 def _scene(candidate: Candidate, camera: Camera, coarse: float) -> Scene:
-    """What a camera looks at, ``coarse`` times coarser than for a check.
+    """Scene of a camera, ``coarse`` times coarser than for a check.
 
-    A receptor that reaches the camera would ask for circles of any fineness: there is an end.
+    Polygons are never finer than 0.5 % of a receptor's radius, however near the camera.
     """
     surface, markers = candidate.checked
-    least = ROUND_SHARE * candidate.design.receptor.diameter_outer_mm / 2.0
+    least = 0.005 * candidate.design.receptor.diameter_outer_mm / 2.0
     tolerance = np.maximum(coarse * tolerance_mm(camera, markers), least)
     return build_scene(candidate.design, surface, markers, tolerance_mm=tolerance)
 
 
 def _picture(candidate: Candidate, camera: Camera, side_px: int) -> Json:
-    """Picture and marker numbers of one camera, and where each marker's end shows, px."""
+    """Image and marker numbers of one camera, and the image position of each marker's end, px."""
     surface, markers = candidate.checked
     small = small_camera(camera, side_px)
     scene = _scene(candidate, small, 2.0)
-    frame = render_frame(scene, small, samples=SAMPLES)
+    frame = render_frame(scene, small, samples=2)
     owner = paint_owner(rasterise(scene, small).part)
     return {
         "end": "far" if camera.rotation[2, 2] < 0.0 else "near",
@@ -309,7 +274,7 @@ def _picture(candidate: Candidate, camera: Camera, side_px: int) -> Json:
         "of_height": camera.height_px,
         "jpeg": _base64(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 88])[1]),
         "ids": _base64(cv2.imencode(".png", id_image(owner), [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]),
-        "tip_px": _rounded(small.project(markers.tip_mm)),
+        "tip_px": np.round(small.project(markers.tip_mm), 3).tolist(),
     }
 
 
@@ -321,7 +286,3 @@ def id_image(owner: NDArray[np.int32]) -> ImageArray:
 
 def _base64(data: Any) -> str:
     return b64encode(bytes(data)).decode()
-
-
-def _rounded(values: FloatArray) -> Any:
-    return np.round(values, 3).tolist()

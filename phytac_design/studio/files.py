@@ -1,4 +1,4 @@
-"""Design files in the folder that the studio was started in: opened with, saved with comments."""
+"""Design files of the folder that the studio was started in; comments survive saving."""
 
 import os
 import tempfile
@@ -17,39 +17,28 @@ from phytac_design.design.spec import Design
 from phytac_shapes.bounded_reader import read_text, toml_table
 from phytac_shapes.errors import InputError, OutputError, PhytacError
 
-FILES_MAX = 500
-DEPTH_MAX = 4
 BYTES_MAX = 4_000_000
 """Largest design file that is read."""
-NAME_BYTES = 200
-"""Longest name of a file or folder, with room for what is added while it is written."""
-SKIPPED = {"node_modules", "__pycache__"}
 
 Json = dict[str, Any]
 
 
-class AskError(OutputError):
-    """A file is there already: whoever asks must say that it may go."""
+class ConfirmationError(OutputError):
+    """A file exists already: the user must confirm that it is overwritten."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Opened:
-    """A design file as it stands: its tables, its text, and the folder its files are beside."""
+class OpenedDesign:
+    """A design file: name, text, and tables."""
 
     name: str
     text: str
     data: Json
-    folder: Path
 
     @property
     def digest(self) -> str:
-        """Hash of the text, to see that it has not changed since."""
-        return digest_of(self.text)
-
-
-def digest_of(text: str) -> str:
-    """Hash of a file's text."""
-    return sha256(text.encode()).hexdigest()
+        """Hash of the text, to detect later changes."""
+        return sha256(self.text.encode()).hexdigest()
 
 
 class ProjectFolder:
@@ -60,7 +49,7 @@ class ProjectFolder:
     root : Path
         The folder.
     given : Path, optional
-        A design file elsewhere that was named on the command line; it may be read too.
+        A design file elsewhere, from the command line; it may be read too.
     """
 
     def __init__(self, root: Path, given: Path | None = None) -> None:
@@ -80,7 +69,8 @@ class ProjectFolder:
             inside = path.is_relative_to(self.root)
         except (ValueError, OSError, RuntimeError):
             inside = False
-        long = any(len(part.encode()) > NAME_BYTES for part in Path(name).parts)
+        # Longer names leave no space for the suffix of a partial file.
+        long = any(len(part.encode()) > 200 for part in Path(name).parts)
         if not inside or long or not name.isprintable():
             raise InputError(
                 f"{name[:200]!r} is not in the folder that the studio was started in "
@@ -89,7 +79,7 @@ class ProjectFolder:
         return path
 
     def designs(self) -> list[str]:
-        """Paths of the folder's design files, relative to it; those of builds are left out."""
+        """Paths of the folder's design files, relative to it, without those of builds."""
         found = []
         for path in walk(self.root, ".toml"):
             if (path.parent / "manifest.json").is_file():
@@ -99,50 +89,53 @@ class ProjectFolder:
                     found.append(path.relative_to(self.root).as_posix())
         return sorted(found)
 
-    def open(self, name: str) -> Opened:
+    def open(self, name: str) -> OpenedDesign:
         """Read a shipped design by name, or a file of the folder.
 
         Raises
         ------
         InputError
-            If there is none, or it is no TOML.
+            If there is none, or it is not TOML.
         """
         if name in shipped_designs():
-            text = (
-                resources.files("phytac_design") / "data" / "designs" / f"{name}.toml"
-            ).read_text("utf-8")
-            return Opened(name=name, text=text, data=toml_table(text), folder=Path())
-        path = Path(name).resolve() if self._is_given(name) else self.within(name)
+            path = resources.files("phytac_design") / "data" / "designs" / f"{name}.toml"
+            text = path.read_text("utf-8")
+            return OpenedDesign(name=name, text=text, data=toml_table(text))
+        file = Path(name).resolve() if self._is_given(name) else self.within(name)
         try:
-            text = read_text(path, bytes_max=BYTES_MAX)
+            text = read_text(file, bytes_max=BYTES_MAX)
             data = toml_table(text)
         except OSError as error:
             raise InputError(f"no design {name!r} ({error.strerror}); open another one") from None
         except ValueError as error:
             raise InputError(f"{name} is not TOML: {error}; open another file") from None
-        return Opened(name=name, text=text, data=data, folder=path.parent)
+        return OpenedDesign(name=name, text=text, data=data)
 
     def _is_given(self, name: str) -> bool:
         return self.given is not None and str(self.given) == name
 
-    def folder_of(self, source: str) -> Path:
-        """Folder that files of a design are relative to; the workplace itself for shipped ones.
+    def design_of(self, data: Json, source: str) -> Design:
+        """Design of some tables; files that it names are relative to its source.
 
         Raises
         ------
+        DesignError
+            If the tables are not a design.
         InputError
-            If the source leads out of the workplace.
+            If the source leads out of the folder.
         """
         if self._is_given(source):
-            return Path(source).parent
-        if not source or source in shipped_designs():
-            return self.root
-        return self.within(source).parent
+            folder = Path(source).parent
+        elif not source or source in shipped_designs():
+            folder = self.root
+        else:
+            folder = self.within(source).parent
+        return parse_design(data, "the design", folder=folder)
 
     def save(
         self, name: str, data: Json, *, source: str, replace: str = "", force: bool = False
-    ) -> Opened:
-        """Write a design; comments of the file that it came from stay where its fields stay.
+    ) -> OpenedDesign:
+        """Write a design; comments of its source stay where the fields stay.
 
         Parameters
         ----------
@@ -151,18 +144,18 @@ class ProjectFolder:
         data : dict
             Tables of the design.
         source : str
-            What it was opened as.
+            The file that it was opened from.
         replace : str
-            Digest of the text that may be written over without asking.
+            Digest of the text that may be overwritten without confirmation.
         force : bool
-            Write over whatever is there: the user was asked.
+            Overwrite any file: the user has confirmed.
 
         Raises
         ------
         DesignError
-            If the tables are no design, or another one at the new place.
-        AskError
-            If a file is there that the user has not been asked about.
+            If the tables are not a design, or another one at the new path.
+        ConfirmationError
+            If a file exists that the user has not confirmed to overwrite.
         OutputError
             If it cannot be written.
         InputError
@@ -173,23 +166,26 @@ class ProjectFolder:
         path = self.within(name)
         if path.is_dir() or path.name.startswith("."):
             raise InputError(f"{name!r} cannot be a design file; choose another name")
-        before = parse_design(data, "the design", folder=self.folder_of(source))
+        before = self.design_of(data, source)
         after = parse_design(data, name, folder=path.parent)
         if design_hash(before) != design_hash(after):
             raise OutputError(
-                f"{name} would be another design, since the files that it names lie elsewhere "
-                "there; save it beside the file that it came from"
+                f"{name} would be another design, since the files that it names are relative "
+                "to its folder; save it beside the file that it came from"
             )
         if path.exists() and not force:
-            there = _text(path)
-            if not replace or there is None or digest_of(there) != replace:
-                raise AskError(f"{name} exists already; write over it?")
+            try:
+                digest = sha256(read_text(path, bytes_max=BYTES_MAX).encode()).hexdigest()
+            except (OSError, UnicodeDecodeError):
+                digest = ""
+            if not replace or digest != replace:
+                raise ConfirmationError(f"{name} exists already; overwrite it?")
         text = self.text_of(data, after, source)
-        write_whole(path, text)
-        return Opened(name=name, text=text, data=toml_table(text), folder=path.parent)
+        write_atomically(path, text)
+        return OpenedDesign(name=name, text=text, data=toml_table(text))
 
     def text_of(self, data: Json, design: Design, source: str) -> str:
-        """TOML of a design's tables, in the text that it came from where that still holds."""
+        """TOML of a design, as an edit of its source's text where that is possible."""
         base = ""
         with suppress(InputError):
             base = self.open(source).text if source else ""
@@ -197,15 +193,15 @@ class ProjectFolder:
             return to_toml(design)
         try:
             text = edited(base, data)
-            same = parse_design(toml_table(text), "", folder=self.folder_of(source)) == design
+            same = self.design_of(toml_table(text), source) == design
         except (ValueError, LookupError, TypeError, AttributeError, PhytacError):
-            # What the text was, or its new values, the editor of texts cannot hold.
+            # tomlkit cannot hold some texts and values.
             same = False
         return text if same else to_toml(design)
 
 
 def edited(text: str, data: Json) -> str:
-    """TOML text with its values made those of ``data``; comments and order of the rest stay."""
+    """TOML text with the values of ``data``; comments and order stay."""
     document = tomlkit.parse(text)
     _edit(document, toml_table(text), data)
     return tomlkit.dumps(document)
@@ -221,19 +217,11 @@ def _edit(table: Any, old: Json, new: Json) -> None:
         ):  # fmt: skip
             _edit(table[key], known, value)
         elif key not in old or known != value or type(known) is not type(value):
-            # The comment behind a value stays.
-            table[key] = value
+            table[key] = value  # keeps the comment behind the value
 
 
-def _text(path: Path) -> str | None:
-    try:
-        return read_text(path, bytes_max=BYTES_MAX)
-    except (OSError, UnicodeDecodeError):
-        return None
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file whole or not at all.
+def write_atomically(path: Path, text: str) -> None:
+    """Write a file completely or not at all.
 
     Raises
     ------
@@ -248,34 +236,28 @@ def write_whole(path: Path, text: str) -> None:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
-        mode = path.stat().st_mode if path.exists() else 0o666 & ~_umask()
+        os.umask(mask := os.umask(0))
+        mode = path.stat().st_mode if path.exists() else 0o666 & ~mask
         Path(partial).chmod(mode & 0o777)
         Path(partial).replace(path)
     except OSError as error:
         if partial:
             Path(partial).unlink(missing_ok=True)
         raise OutputError(
-            f"cannot write {path.name}: {error.strerror}; make room, or choose another name"
+            f"cannot write {path.name}: {error.strerror}; free disk space, or choose another name"
         ) from None
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
 def walk(root: Path, suffix: str) -> Iterator[Path]:
-    """Files below a folder by their ending, not too deep and not too many; no hidden ones."""
-    left = FILES_MAX
+    """Up to 500 files below a folder by their ending, four folders deep; no hidden ones."""
+    remaining, skipped = 500, {"node_modules", "__pycache__"}
     for folder, names, files in os.walk(root):
         deep = len(Path(folder).relative_to(root).parts)
-        names[:] = sorted(
-            name for name in names if name not in SKIPPED and not name.startswith((".", "_"))
-        ) if deep < DEPTH_MAX else []  # fmt: skip
+        own = [name for name in names if name not in skipped and name[0] not in "._"]
+        names[:] = sorted(own) if deep < 4 else []
         for name in sorted(files):
             if name.endswith(suffix) and not name.startswith("."):
                 yield Path(folder) / name
-                left -= 1
-                if left == 0:
+                remaining -= 1
+                if remaining == 0:
                     return

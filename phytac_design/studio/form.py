@@ -1,5 +1,6 @@
-"""The studio's controls, made from the typed design model: no field is named twice."""
+"""The studio's controls, made from the typed design model, and the controls that an error names."""
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -8,18 +9,9 @@ from phytac_design.design.print_rules_table import PROCESSES
 from phytac_design.design.spec import CAMERA_PRESETS, SHAPE_MODELS, Design
 
 Json = dict[str, Any]
-FIRST = ("shape", "layout", "receptor", "camera", "light", "wall")
-"""Tables that show in the picture, first; the others follow in the model's order."""
-UNITS = {
-    "mm": "mm",
-    "deg": "°",
-    "px": "px",
-    "N": "N",
-    "MPa": "MPa",
-    "Hz": "Hz",
-    "um": "µm",
-}
-"""What a field's last word says of its unit."""
+_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*(?:\.[A-Za-z][A-Za-z0-9_]*)*")
+UNITS = {"mm": "mm", "deg": "°", "px": "px", "N": "N", "MPa": "MPa", "Hz": "Hz", "um": "µm"}
+"""Unit by the last word of a field's name."""
 WHEN: dict[str, tuple[str, tuple[str, ...]]] = {
     "layout.rows": ("layout.kind", ("spiral", "straight")),
     "layout.columns": ("layout.kind", ("spiral", "straight")),
@@ -40,16 +32,16 @@ WHEN: dict[str, tuple[str, tuple[str, ...]]] = {
     "receptor.tilt_deg": ("receptor.direction", ("tilted",)),
     "camera.fill": ("camera.stand_off_mm", ("fit",)),
 }
-"""Fields that say something only where another one has one of some values."""
+"""Fields that apply only if another one has one of some values."""
 SETS = {
     "camera.preset": sorted(set().union(*CAMERA_PRESETS.values())),
     "print_rules.process": sorted(set().union(*PROCESSES.values())),
 }
-"""Fields that a choice sets: other values of them go when it is made."""
+"""Presets: a choice replaces the values of these fields."""
 
 
 def form() -> Json:
-    """Tables and their fields, as the page draws them.
+    """Tables and their fields, as the page shows them.
 
     Returns
     -------
@@ -60,15 +52,20 @@ def form() -> Json:
     """
     schema = Design.model_json_schema()
     parts, top = schema["$defs"], schema["properties"]
-    names = [name for name in top if name not in {*FIRST, "name", "description"}]
+    # Tables that change the image come first; the others follow in the model's order.
+    first = ("shape", "layout", "receptor", "camera", "light", "wall")
+    names = [name for name in top if name not in {*first, "name", "description"}]
+    examples: Json = {}
+    for design in map(load_design, shipped_designs()):
+        examples.setdefault(design.shape.kind, design.shape.model_dump(mode="json"))
     return {
         "head": [_field(name, "", top[name], parts) for name in ("name", "description")],
-        "tables": [_table(name, top[name], parts) for name in [*FIRST, *names]],
+        "tables": [_table(name, top[name], parts) for name in [*first, *names]],
         "shapes": {
             kind: list(_fields("shape", model.model_json_schema()))
             for kind, model in SHAPE_MODELS.items()
         },
-        "examples": _examples(),
+        "examples": examples,
         "when": {name: {"field": field, "is": list(of)} for name, (field, of) in WHEN.items()},
         "sets": SETS,
     }
@@ -80,14 +77,6 @@ def field_paths() -> list[str]:
     found = [field["path"] for table in made["tables"] for field in table["fields"]]
     found += [field["path"] for fields in made["shapes"].values() for field in fields]
     return list(dict.fromkeys([*found, "name", "description"]))
-
-
-def _examples() -> Json:
-    out: Json = {}
-    for name in shipped_designs():
-        design = load_design(name)
-        out.setdefault(design.shape.kind, design.shape.model_dump(mode="json"))
-    return out
 
 
 def _table(name: str, item: Json, parts: Json) -> Json:
@@ -117,7 +106,7 @@ def _resolved(item: Json, parts: Json) -> Json:
 
 
 def _field(path: str, table: str, item: Json, parts: Json) -> Json:
-    """One control: its kind, range, words that stand for a number, and its explanation."""
+    """One control: kind, range (``open`` ends are excluded), allowed words, and explanation."""
     key = path.removeprefix(f"{table}.") if table else path
     words, options = [], [item, *(_resolved(one, parts) for one in item.get("anyOf", ()))]
     for one in options:
@@ -125,41 +114,67 @@ def _field(path: str, table: str, item: Json, parts: Json) -> Json:
         words += one.get("enum", [])
     number = next((one for one in options if one.get("type") in {"number", "integer"}), None)
     plain = any(one.get("type") == "string" and "enum" not in one for one in options)
-    kind = "json"
     if any(one.get("type") == "array" for one in options):
-        pass
+        kind = "json"
     elif number is not None:
         kind = "whole" if number["type"] == "integer" else "number"
     elif words and not item.get("anyOf"):
         kind = "choice"
-    elif plain:
-        kind = "text"
-    label, unit = _label(key)
+    else:
+        kind = "text" if plain else "json"
+    parts_of_key = key.split("_")
+    unit = UNITS.get(parts_of_key[-1], "") if len(parts_of_key) > 1 else ""
+    limits = number or {}
     return {
         "path": path,
-        "label": label,
+        "label": " ".join(parts_of_key[:-1] if unit else parts_of_key),
         "unit": unit,
         "doc": " ".join(item.get("description", "").split()),
         "kind": kind,
         "words": words,
         "assumed": bool(item.get("assumption")),
         "default": item.get("default"),
-        **_limits(number or {}),
+        "low": limits.get("minimum", limits.get("exclusiveMinimum")),
+        "high": limits.get("maximum", limits.get("exclusiveMaximum")),
+        "low_open": "exclusiveMinimum" in limits,
+        "high_open": "exclusiveMaximum" in limits,
     }
 
 
-def _limits(number: Json) -> Json:
-    """Least and greatest value; ``open`` ends are not reached themselves."""
-    return {
-        "low": number.get("minimum", number.get("exclusiveMinimum")),
-        "high": number.get("maximum", number.get("exclusiveMaximum")),
-        "low_open": "exclusiveMinimum" in number,
-        "high_open": "exclusiveMaximum" in number,
+def error_body(text: str, paths: list[str]) -> dict[str, Any]:
+    """An error as JSON: its text, and for each control that it names the sentence that does.
+
+    Fields are named in full (``layout.rows``) or by their last word where only one table has it.
+    """
+    known = set(paths)
+    last = [path.rsplit(".", 1)[-1] for path in paths]
+    short = {
+        word: path
+        for word, path in zip(last, paths, strict=True)
+        if "_" in word and last.count(word) == 1
     }
+    fields: dict[str, str] = {}
+    for sentence in _sentences(text, known):
+        for word in _WORD.findall(sentence):
+            parts = word.split(".")
+            found = next(
+                (".".join(parts[:n]) for n in (2, 1) if ".".join(parts[:n]) in known),
+                short.get(word, ""),
+            )
+            if found and (found not in {"name", "description"} or sentence.startswith(found)):
+                fields.setdefault(found, sentence)
+    return {"error": text, "fields": fields}
 
 
-def _label(key: str) -> tuple[str, str]:
-    """Words of a field's name, and its unit."""
-    words = key.split("_")
-    unit = UNITS.get(words[-1], "") if len(words) > 1 else ""
-    return " ".join(words[:-1] if unit else words), unit
+def _sentences(text: str, known: set[str]) -> list[str]:
+    """Problems in a text that lists several, each beginning with its field."""
+    text = text.removeprefix("the design: ")
+    out: list[str] = []
+    for part in text.split("; "):
+        head = part.split(":")[0].split(" ")[0]
+        begins = ".".join(head.split(".")[:2]) in known or part.startswith("unknown key")
+        if out and not begins:
+            out[-1] += f"; {part}"
+        else:
+            out.append(part)
+    return out

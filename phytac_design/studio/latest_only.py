@@ -1,4 +1,4 @@
-"""Work of which only the newest counts: each tab's earlier requests stop when a later one comes."""
+"""Latest-only executor: a later request of a browser tab supersedes the earlier ones."""
 
 import asyncio
 from collections import OrderedDict
@@ -8,74 +8,60 @@ from threading import Event
 from typing import TypeVar
 
 Result = TypeVar("Result")
-TABS_MAX = 64
-"""Tabs whose newest request is remembered."""
+Check = Callable[[], None]
+"""Raises ``SupersededError`` if a later request of the same tab has come."""
 
 
-class StaleError(Exception):
-    """A later request of the same tab has taken this one's place."""
+class SupersededError(Exception):
+    """A later request of the same tab has replaced this one."""
 
 
-class Turn:
-    """One request's place; work asks between its steps whether it still counts."""
+class LatestOnlyExecutor:
+    """A thread that runs requests one by one and skips superseded ones.
 
-    def __init__(self) -> None:
-        self._stale = Event()
+    It remembers the latest request of up to ``tabs_max`` tabs.
+    """
 
-    def cancel(self) -> None:
-        """Let the work stop at its next step."""
-        self._stale.set()
-
-    def check(self) -> None:
-        """Go on only if no later request has come.
-
-        Raises
-        ------
-        StaleError
-            If one has.
-        """
-        if self._stale.is_set():
-            raise StaleError
-
-
-class Turns:
-    """A thread that takes requests one by one and skips those that a later one has replaced."""
-
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, tabs_max: int = 64) -> None:
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix=name)
-        self._newest: OrderedDict[str, Turn] = OrderedDict()
+        self._latest: OrderedDict[str, Event] = OrderedDict()
+        self._tabs_max = tabs_max
 
-    async def run(self, tab: str, work: Callable[[Turn], Result]) -> Result:
-        """Result of ``work`` for a tab.
+    async def run(self, tab: str, work: Callable[[Check], Result]) -> Result:
+        """Result of ``work`` for a tab; ``work`` calls its argument between steps.
 
         Raises
         ------
-        StaleError
+        SupersededError
             If a later request of the tab came first.
         """
         self.cancel(tab)
-        turn = self._newest[tab] = Turn()
-        while len(self._newest) > TABS_MAX:
-            self._newest.popitem(last=False)[1].cancel()
+        superseded = self._latest[tab] = Event()
+        while len(self._latest) > self._tabs_max:
+            self._latest.popitem(last=False)[1].set()
+
+        def check() -> None:
+            if superseded.is_set():
+                raise SupersededError
 
         def started() -> Result:
-            turn.check()
-            return work(turn)
+            check()
+            return work(check)
 
         try:
             return await asyncio.get_running_loop().run_in_executor(self._pool, started)
         finally:
-            if self._newest.get(tab) is turn:
-                del self._newest[tab]
+            if self._latest.get(tab) is superseded:
+                del self._latest[tab]
 
     def cancel(self, tab: str) -> None:
-        """Let a tab's request stop, if there is one."""
-        old = self._newest.pop(tab, None)
-        if old is not None:
-            old.cancel()
+        """Stop a tab's request at its next step, if there is one."""
+        superseded = self._latest.pop(tab, None)
+        if superseded is not None:
+            superseded.set()
 
     def close(self) -> None:
-        """Let all work stop at its next step; nothing new is taken."""
-        for turn in self._newest.values():
-            turn.cancel()
+        """Stop all requests at their next step, and accept no more."""
+        for superseded in self._latest.values():
+            superseded.set()
         self._pool.shutdown(wait=False, cancel_futures=True)

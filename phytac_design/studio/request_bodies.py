@@ -1,52 +1,50 @@
-"""What the studio's page may ask for, as typed requests; anything else is refused with its name."""
+"""Typed request bodies of the studio's page; anything else is rejected with the field's name."""
 
 import json
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from phytac_design.studio.draft import SIDE_LEAST_PX, SIDE_PX
+from phytac_design.studio.draft import SIDE_MIN_px, SIDE_px
 from phytac_shapes.errors import InputError
 
 Name = Annotated[str, Field(max_length=1000)]
 Tab = Annotated[str, Field(pattern=r"^[A-Za-z0-9-]{1,64}$")]
-SHOWN = 80
 
 
-class Request(BaseModel):
-    """A request's body."""
+class RequestBody(BaseModel):
+    """A request's body; this one is empty."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-class OpenRequest(Request):
+class OpenRequest(RequestBody):
     """Open a design."""
 
     name: Name
 
 
-class DesignRequest(Request):
-    """Something about a design: its tables, and what it was opened as."""
+class DesignRequest(RequestBody):
+    """A request about a design: its tables, and the file that it was opened from."""
 
     data: dict[str, Any]
     source: Name = ""
 
 
-class DraftRequest(DesignRequest):
-    """Draw a design; a later request of the same tab takes this one's place."""
+class CheckRequest(DesignRequest):
+    """Check a design; a later request of the same tab supersedes this one."""
 
     tab: Tab
-    side_px: Annotated[int, Field(ge=SIDE_LEAST_PX, le=SIDE_PX)] = SIDE_PX
 
 
-class ExactRequest(DesignRequest):
-    """Check a design."""
+class DraftRequest(CheckRequest):
+    """Draw a design; a later request of the same tab supersedes this one."""
 
-    tab: Tab
+    side_px: Annotated[int, Field(ge=SIDE_MIN_px, le=SIDE_px)] = SIDE_px
 
 
 class SaveRequest(DesignRequest):
-    """Save a design; ``replace`` is the text's digest that may be written over unasked."""
+    """Save a design; ``replace`` is the digest of the text that may be overwritten unasked."""
 
     name: Name
     replace: Name = ""
@@ -60,7 +58,7 @@ class BuildRequest(DesignRequest):
     force: bool = False
 
 
-class StudyRequest(Request):
+class StudyRequest(RequestBody):
     """Show a study."""
 
     folder: Name
@@ -72,24 +70,20 @@ class TrialRequest(StudyRequest):
     trial: Annotated[int, Field(ge=0, le=10**12)]
 
 
-class NoRequest(Request):
-    """Nothing to say."""
-
-
-Kind = TypeVar("Kind", bound=Request)
+Body = TypeVar("Body", bound=RequestBody)
 
 
 def _no_constant(name: str) -> Any:
     raise ValueError(f"{name} is no number")
 
 
-def parse(kind: type[Kind], body: bytes) -> Kind:
+def parse(kind: type[Body], body: bytes) -> Body:
     """Typed request of a body.
 
     Raises
     ------
     InputError
-        If it is not JSON, or not what is asked for; all that is wrong is in the text.
+        If it is not JSON, or not of that kind; the text lists all problems.
     """
     try:
         data = json.loads(body, parse_constant=_no_constant)
@@ -100,13 +94,13 @@ def parse(kind: type[Kind], body: bytes) -> Kind:
     try:
         return kind.model_validate(data)
     except ValidationError as error:
-        raise InputError("; ".join(_said(item) for item in error.errors()[:10])) from None
+        raise InputError("; ".join(_explain(item) for item in error.errors()[:10])) from None
 
 
-def _said(item: Any) -> str:
-    where = ".".join(map(str, item["loc"]))[:SHOWN] or "the request"
+def _explain(item: Any) -> str:
+    where = ".".join(map(str, item["loc"]))[:80] or "the request"
     if item["type"] == "extra_forbidden":
         return f"unknown field {where!r}"
     message = item["msg"][0].lower() + item["msg"][1:]
-    got = "" if item["type"] == "missing" else f" (got {repr(item['input'])[:SHOWN]})"
+    got = "" if item["type"] == "missing" else f" (got {repr(item['input'])[:80]})"
     return f"{where}: {message}{got}"

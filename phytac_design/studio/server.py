@@ -1,4 +1,4 @@
-"""The studio's server: on this machine alone, until Ctrl-C or SIGTERM. uvicorn only here."""
+"""The studio's server, on this machine only, until Ctrl-C or SIGTERM. uvicorn only here."""
 
 import asyncio
 import secrets
@@ -12,92 +12,79 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from phytac_design.design.design_file import load_design, shipped_designs
-from phytac_design.studio.access_control import PATIENCE_S, App, Guard
+from phytac_design.studio.access_control import TIMEOUT_S, Guard
 from phytac_design.studio.app import Studio
 from phytac_design.studio.files import ProjectFolder
 from phytac_shapes.errors import OutputError
 
 LOOPBACK = "127.0.0.1"
-CLIENTS_MAX = 200
-"""Connections at a time; a browser has a handful."""
-HEAD_MAX = 32_768
-GRACE_S = 3
-"""Requests that are under way when the studio ends have so long."""
 
 
-class Patient(H11Protocol):
-    """A connection that ends if for a while no whole request comes, or no answer is taken."""
+class TimeoutProtocol(H11Protocol):
+    """A connection that ends if no complete request comes, or no response is received, in time."""
 
-    patience_s = PATIENCE_S
-    since_s: float | None = None
-    moved_s = 0.0
+    timeout_s = TIMEOUT_S
+    waiting_since_s: float | None = None
+    progress_at_s = 0.0
     waiting_bytes = 0
 
     def connection_made(self, transport: Any) -> None:
-        """Begin to wait."""
+        """Start the timeout."""
         super().connection_made(transport)
-        self.since_s = self.moved_s = self.loop.time()
-        self._look()
+        self.waiting_since_s = self.progress_at_s = self.loop.time()
+        self._watch()
 
     def data_received(self, data: bytes) -> None:
-        """Note when a request began to come, until it has."""
-        if self.since_s is None and self._between:
-            self.since_s = self.loop.time()
+        """Note when a request began, until it is complete."""
+        if self.waiting_since_s is None and self._idle:
+            self.waiting_since_s = self.loop.time()
         super().data_received(data)
-        if not self._between:
-            self.since_s = None
+        if not self._idle:
+            self.waiting_since_s = None
 
     def resume_writing(self) -> None:
-        """Note that the client has taken something."""
-        self.moved_s = self.loop.time()
+        """Note that the client has received something."""
+        self.progress_at_s = self.loop.time()
         super().resume_writing()
 
     @property
-    def _between(self) -> bool:
-        """Whether no request is being answered."""
+    def _idle(self) -> bool:
+        """Whether no response is under way."""
         return self.cycle is None or self.cycle.response_complete
 
-    def _look(self) -> None:
+    def _watch(self) -> None:
         waiting, before = self.transport.get_write_buffer_size(), self.waiting_bytes
         self.waiting_bytes = waiting
         if not waiting or waiting < before:
-            self.moved_s = self.loop.time()
-        elif self.loop.time() - self.moved_s >= self.patience_s:
-            # Closing would wait for ever until the rest is taken.
+            self.progress_at_s = self.loop.time()
+        elif self.loop.time() - self.progress_at_s >= self.timeout_s:
+            # Closing would wait for the rest to be received.
             self.transport.abort()
             return
         if self.transport.is_closing() and not waiting:
             return
-        if self.since_s is not None and self.loop.time() - self.since_s >= self.patience_s:
-            self.since_s = None
+        if (
+            self.waiting_since_s is not None
+            and self.loop.time() - self.waiting_since_s >= self.timeout_s
+        ):
+            self.waiting_since_s = None
             self.transport.close()
-        self.loop.call_later(self.patience_s / 4.0, self._look)
-
-
-class Told(uvicorn.Server):
-    """A server that says when it answers."""
-
-    ready: Callable[[], None] = staticmethod(lambda: None)
-
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begin to answer."""
-        await super().startup(sockets)
-        self.ready()
+        self.loop.call_later(self.timeout_s / 4.0, self._watch)
 
 
 class StudioServer:
-    """A studio that is ready to run.
+    """A studio with its socket.
 
     Parameters
     ----------
     root : Path
-        Folder that it reads and writes.
+        The project folder.
     design : str
         A shipped design, or the path of a design file.
     port : int
-        0 takes a free one.
-    patience_s : float
-        A client that is slower than this is let go.
+        0 for a free one.
+    timeout_s : float
+        A client that is slower than this is disconnected.
 
     Raises
     ------
@@ -108,23 +95,21 @@ class StudioServer:
     """
 
     def __init__(
-        self, root: Path, design: str, *, port: int = 0, patience_s: float = PATIENCE_S
+        self, root: Path, design: str, *, port: int = 0, timeout_s: float = TIMEOUT_S
     ) -> None:
         load_design(design)
         given = None if design in shipped_designs() else Path(design).resolve()
-        place = ProjectFolder(root, given)
+        project = ProjectFolder(root, given)
         name = design
         if given is not None:
-            inside = given.is_relative_to(place.root)
-            name = given.relative_to(place.root).as_posix() if inside else str(given)
-        self._socket = _listen(port)
-        self.port = int(self._socket.getsockname()[1])
+            inside = given.is_relative_to(project.root)
+            name = given.relative_to(project.root).as_posix() if inside else str(given)
+        self.listener = _listen(port)
+        self.port = int(self.listener.getsockname()[1])
         self.token = secrets.token_urlsafe(16)
-        self.studio = Studio(place, name)
-        app: Any = self.studio.app()
-        inner: App = app
-        guard = Guard(inner, token=self.token, port=self.port, patience_s=patience_s)
-        protocol = type("Own", (Patient,), {"patience_s": patience_s})
+        self.studio = Studio(project, name)
+        guard = Guard(self.studio.app(), token=self.token, port=self.port, timeout_s=timeout_s)
+        protocol = type("Own", (TimeoutProtocol,), {"timeout_s": timeout_s})
         config = uvicorn.Config(
             guard,
             http=protocol,
@@ -135,25 +120,25 @@ class StudioServer:
             access_log=False,
             server_header=False,
             proxy_headers=False,
-            limit_concurrency=CLIENTS_MAX,
-            h11_max_incomplete_event_size=HEAD_MAX,
-            timeout_keep_alive=max(1, int(patience_s)),
-            timeout_graceful_shutdown=GRACE_S,
+            limit_concurrency=200,
+            h11_max_incomplete_event_size=32_768,
+            timeout_keep_alive=max(1, int(timeout_s)),
+            timeout_graceful_shutdown=3,
         )
-        self.server = Told(config)
+        self.server = uvicorn.Server(config)
 
     @property
     def url(self) -> str:
-        """Where to look; it holds this run's token."""
+        """Address, with this run's token."""
         return f"http://{LOOPBACK}:{self.port}/{self.token}/"
 
     def run(self, *, ready: Callable[[str], None] = lambda _: None) -> None:
-        """Serve until Ctrl-C or SIGTERM; ``ready`` is told the address once it answers."""
-        self.server.ready = lambda: ready(self.url)
-        asyncio.run(self.server.serve(sockets=[self._socket]))
+        """Serve until Ctrl-C or SIGTERM; ``ready`` receives the address, which listens already."""
+        ready(self.url)
+        asyncio.run(self.server.serve(sockets=[self.listener]))
 
     def stop(self) -> None:
-        """End it from another thread."""
+        """Stop it from another thread."""
         self.server.should_exit = True
 
 
@@ -173,7 +158,7 @@ def _listen(port: int) -> socket.socket:
 
 
 def open_browser(url: str) -> bool:
-    """Open a browser; whether there is one."""
+    """Open a browser; False if there is none."""
     try:
         return webbrowser.open(url)
     except webbrowser.Error:

@@ -1,6 +1,8 @@
-"""Studies of the workplace: their candidates and front, and any of them back in the controls."""
+"""Studies of the project folder: their candidates and fronts, and the design of a candidate."""
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,23 +12,20 @@ from phytac_design.core.json_values import finite
 from phytac_design.report.figure_names import NAMES
 from phytac_design.studio.files import walk
 from phytac_design.study.search.measures import MEASURES
-from phytac_design.study.search.rebuild import rebuild
-from phytac_design.study.search.report import Results, read_results
-from phytac_design.study.search.study_folder import RESULTS, STUDY, read_study
+from phytac_design.study.search.report import read_results
+from phytac_design.study.search.study_folder import RESULTS, STUDY, read_study, rebuild
 from phytac_shapes.errors import InputError, PhytacError
-
-ROWS_MAX = 2000
-"""Candidates that the page gets: the front, then those that met everything, then the others."""
 
 Json = dict[str, Any]
 
 
 def studies(root: Path) -> list[Json]:
-    """Folders below a workplace that hold a study with results."""
+    """Folders below the project folder that hold a study with results."""
     out = []
     for path in walk(root, STUDY):
         folder = path.parent
-        if path.name != STUDY or not _has_results(folder):
+        parts = (folder / "parts").glob("*.parquet")
+        if path.name != STUDY or not ((folder / RESULTS).is_file() or any(parts)):
             continue
         try:
             study, base, kind = read_study(folder)
@@ -45,21 +44,18 @@ def studies(root: Path) -> list[Json]:
     return out
 
 
-def _has_results(folder: Path) -> bool:
-    return (folder / RESULTS).is_file() or any((folder / "parts").glob("*.parquet"))
-
-
 def study_table(folder: Path) -> Json:
-    """Rows of a study as the page shows them: variables, objectives, status, front.
+    """Up to 2000 rows of a study: the front, then the feasible ones, then the others.
 
     Raises
     ------
     InputError
         If the folder holds no study or no results, or they cannot be read.
     """
-    results = _results(folder)
+    with _readable(folder):
+        results = read_results(folder)
     front = results.front()
-    order = np.lexsort((np.arange(len(front)), ~results.ok, ~front))[:ROWS_MAX]
+    order = np.lexsort((np.arange(len(front)), ~results.ok, ~front))[:2000]
     goals = {one.measure: one.goal for one in results.study.objective}
     shown = list(dict.fromkeys([*results.variables, *goals]))
     table: Json = finite(
@@ -67,7 +63,10 @@ def study_table(folder: Path) -> Json:
             "name": results.study.name,
             "variables": list(results.variables),
             "goals": goals,
-            "docs": {name: _doc(name) for name in shown},
+            "docs": {
+                name: MEASURES[name].doc if name in MEASURES else NAMES.get(name, name)
+                for name in shown
+            },
             "units": {name: MEASURES[name].unit for name in shown if name in MEASURES},
             "candidates": len(front),
             "rows": [
@@ -85,19 +84,6 @@ def study_table(folder: Path) -> Json:
     return table
 
 
-def _results(folder: Path) -> Results:
-    try:
-        return read_results(folder)
-    except PhytacError:
-        raise
-    except (OSError, ValueError, KeyError, TypeError, NotImplementedError) as error:
-        # What a Parquet reader says of a damaged file is a ValueError or an OSError.
-        text = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
-        raise InputError(
-            f"{folder.name} has results that cannot be read ({text}); run the study again"
-        ) from None
-
-
 def trial_design(folder: Path, trial: int) -> Json:
     """Tables of one candidate's design.
 
@@ -106,17 +92,22 @@ def trial_design(folder: Path, trial: int) -> Json:
     InputError
         If there is no such candidate.
     DesignError
-        If it cannot be made any more.
+        If this version of the program makes another design of it.
     """
-    try:
+    with _readable(folder):
         return rebuild(folder, trial).model_dump(mode="json")
+
+
+@contextmanager
+def _readable(folder: Path) -> Iterator[None]:
+    """Turn what a Parquet reader raises for a damaged file into :class:`InputError`."""
+    try:
+        yield
     except (OSError, ValueError, KeyError, TypeError, NotImplementedError) as error:
-        text = str(error).splitlines()[0][:200]
-        raise InputError(f"{folder.name} cannot be read ({text}); run the study again") from None
-
-
-def _doc(name: str) -> str:
-    return MEASURES[name].doc if name in MEASURES else NAMES.get(name, name)
+        text = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
+        raise InputError(
+            f"{folder.name} has results that cannot be read ({text}); run the study again"
+        ) from None
 
 
 def _plain(value: Any) -> Any:

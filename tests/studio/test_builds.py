@@ -30,7 +30,7 @@ def program(place: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The stand-in in the place of Python; its mode is a file's text."""
     path = stand_in(place, "short")
     monkeypatch.setattr("phytac_design.studio.builds.sys.executable", str(path))
-    monkeypatch.setattr("phytac_design.studio.builds.STEPS_S", (0.6, 0.6))
+    monkeypatch.setattr("phytac_design.studio.builds.STOP_TIMEOUTS_S", (0.6, 0.6))
     for name in ("pid", "child", "ready"):
         (place / name).unlink(missing_ok=True)
     return place
@@ -69,14 +69,14 @@ def test_a_build_is_followed_to_its_report(client: Client, program: Path, data: 
     data["layout"]["rows"] = 7
     status, state = client.post("api/build", {"data": data, "source": "", "accuracy": "draft"})
     assert (status, state["state"], state["out"]) == (202, "running", "exports/short")
-    told = events(client)
-    assert told[-1]["state"] == "done"
-    assert told[-1]["done"] == 1.0
-    lines = [line for state in told for line in state["lines"]]
+    states = events(client)
+    assert states[-1]["state"] == "done"
+    assert states[-1]["done"] == 1.0
+    lines = [line for state in states for line in state["lines"]]
     assert lines == ["[1/2] views …", "[1/2] views 0.1 s", "[2/2] report …"]
     given = (program / "given.toml").read_text()
     assert "rows = 7" in given
-    status, heads, page = client.ask("GET", f"files/{told[-1]['report']}")
+    status, heads, page = client.ask("GET", f"files/{states[-1]['report']}")
     assert (status, page) == (200, b"<h1>Report of it</h1>")
     assert "sandbox" in {k.lower(): v for k, v in heads.items()}["content-security-policy"]
 
@@ -141,7 +141,7 @@ def test_the_studio_ends_with_its_build(tmp_path: Path) -> None:
         "import sys, typer; real = sys.executable\n"
         "from phytac_design.cli.studio_command import studio\n"
         "import phytac_design.studio.builds as builds\n"
-        f"sys.executable = {str(path)!r}; builds.STEPS_S = (1.0, 1.0)\n"
+        f"sys.executable = {str(path)!r}; builds.STOP_TIMEOUTS_S = (1.0, 1.0)\n"
         "typer.run(studio)"
     )
     words = [sys.executable, "-c", code, "short.toml", "--no-browser"]
@@ -167,7 +167,7 @@ def test_the_studio_ends_with_its_build(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def studied(place: Path) -> Path:
-    """A small study of the short sensor, on the cheapest rung."""
+    """A small study of the short sensor, on the cheapest level."""
     study = Study.model_validate(
         {
             "name": "heights",
@@ -236,7 +236,7 @@ def test_what_is_no_study_is_said_so(client: Client, studied: Path, body: Json, 
     assert said in answer["error"]
 
 
-def test_damaged_studies_are_told(tmp_path: Path, studied: Path) -> None:
+def test_damaged_studies_are_states(tmp_path: Path, studied: Path) -> None:
     folder = tmp_path / "broken"
     folder.mkdir()
     (folder / "study.json").write_text((studied / "study.json").read_text())

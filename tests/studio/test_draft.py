@@ -4,7 +4,6 @@ import asyncio
 import threading
 import time
 from base64 import b64decode
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -14,17 +13,16 @@ import pytest
 from phytac_design.design.design_file import parse_design
 from phytac_design.layout.cameras import camera_of
 from phytac_design.rules.design_review import checkup
-from phytac_design.studio.draft import Asked, draft, id_image, small_camera
-from phytac_design.studio.errors import error_body
-from phytac_design.studio.form import WHEN, field_paths, form
-from phytac_design.studio.latest_only import StaleError, Turn, Turns
+from phytac_design.studio.draft import draft, id_image, small_camera
+from phytac_design.studio.form import WHEN, error_body, field_paths, form
+from phytac_design.studio.latest_only import Check, LatestOnlyExecutor, SupersededError
 from phytac_shapes.errors import DesignError
 from tests.studio.place import Client
 
 Json = dict[str, Any]
 
 
-def go_on() -> None:
+def never() -> None:
     pass
 
 
@@ -53,7 +51,7 @@ def test_a_draft_has_what_the_check_finds(client: Client, data: Json) -> None:
 
 
 def test_the_picture_shows_each_marker_at_its_place(data: Json) -> None:
-    drawn = draft(Asked(data=data, folder=Path(), side_px=400), go_on)
+    drawn = draft(parse_design(data, ""), never, 400)
     camera = drawn["cameras"][0]
     assert (camera["width"], camera["height"]) == (400, 300)
     picture = cv2.imdecode(np.frombuffer(b64decode(camera["jpeg"]), np.uint8), 1)
@@ -87,14 +85,14 @@ def test_a_small_view_is_the_same_view(data: Json) -> None:
 
 
 def test_alpha_turns_the_rows(data: Json) -> None:
-    before = draft(Asked(data=data, folder=Path()), go_on)
+    before = draft(parse_design(data, ""), never)
     data["layout"]["spiral_angle_deg"] = 20.0
-    after = draft(Asked(data=data, folder=Path()), go_on)
+    after = draft(parse_design(data, ""), never)
     assert before["view"]["map"]["points"] != after["view"]["map"]["points"]
     assert before["cameras"][0]["jpeg"] != after["cameras"][0]["jpeg"]
 
 
-def test_a_broken_rule_is_told_and_drawn_all_the_same(client: Client, data: Json) -> None:
+def test_a_broken_rule_is_reported_and_drawn(client: Client, data: Json) -> None:
     data["layout"]["columns"] = 60
     status, drawn = client.post("api/draft", {"data": data, "source": "", "tab": "b"})
     with pytest.raises(DesignError) as refused:
@@ -120,7 +118,7 @@ def test_a_broken_rule_is_told_and_drawn_all_the_same(client: Client, data: Json
         ("layout", "columns", 2000, "the studio draws up to 5000"),
     ],
 )
-def test_what_is_wrong_is_told_beside_its_control(
+def test_an_error_is_reported_beside_its_control(
     client: Client, data: Json, table: str, key: str, value: Any, said: str
 ) -> None:
     data[table][key] = value
@@ -134,7 +132,7 @@ def test_what_is_wrong_is_told_beside_its_control(
 @pytest.mark.parametrize(
     "data", [{}, {"name": 1}, {"shape": []}, {"name": "a", "shape": {"kind": "ball"}}]
 )
-def test_tables_that_are_no_design_are_refused(client: Client, data: Json) -> None:
+def test_tables_that_are_no_design_are_rejected(client: Client, data: Json) -> None:
     status, body = client.post("api/draft", {"data": data, "source": "", "tab": "d"})
     assert status == 422
     assert "name" in body["error"] or "shape" in body["error"]
@@ -186,10 +184,10 @@ def test_only_the_newest_counts() -> None:
     done: list[int] = []
     entered, leave = threading.Event(), threading.Event()
 
-    def slow(turn: Turn) -> int:
+    def slow(check: Check) -> int:
         entered.set()
         assert leave.wait(5.0)
-        turn.check()
+        check()
         done.append(1)
         return 1
 
@@ -197,25 +195,25 @@ def test_only_the_newest_counts() -> None:
         return lambda _: done.append(number) or number
 
     async def work() -> list[Any]:
-        turns = Turns("test")
-        first = asyncio.create_task(turns.run("tab", slow))
+        executor = LatestOnlyExecutor("test")
+        first = asyncio.create_task(executor.run("tab", slow))
         assert await asyncio.to_thread(entered.wait, 5.0)
-        second = asyncio.create_task(turns.run("tab", quick(2)))
+        second = asyncio.create_task(executor.run("tab", quick(2)))
         await asyncio.sleep(0)
-        third = asyncio.create_task(turns.run("tab", quick(3)))
-        other = asyncio.create_task(turns.run("other", quick(4)))
+        third = asyncio.create_task(executor.run("tab", quick(3)))
+        other = asyncio.create_task(executor.run("other", quick(4)))
         await asyncio.sleep(0.05)
         leave.set()
         out = await asyncio.gather(first, second, third, other, return_exceptions=True)
-        turns.close()
+        executor.close()
         return out
 
     out = asyncio.run(work())
-    assert [isinstance(item, StaleError) for item in out] == [True, True, False, False]
+    assert [isinstance(item, SupersededError) for item in out] == [True, True, False, False]
     assert done == [3, 4]
 
 
-def test_a_stale_request_is_answered_as_such(client: Client, data: Json) -> None:
+def test_a_superseded_request_is_answered_as_such(client: Client, data: Json) -> None:
     answers: list[tuple[int, bool]] = []
 
     def ask() -> None:

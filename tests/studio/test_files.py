@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.page_fuzz import little_time
 from phytac_design.design.design_file import load_design, parse_design, shipped_designs
-from phytac_design.studio.files import AskError, ProjectFolder, edited
+from phytac_design.studio.files import ConfirmationError, ProjectFolder, edited
 from phytac_shapes.errors import DesignError, InputError, OutputError
 from tests.studio.place import DESIGN, Client
 
@@ -18,19 +18,19 @@ Json = dict[str, Any]
 
 
 @pytest.fixture
-def workplace(tmp_path: Path) -> ProjectFolder:
+def project(tmp_path: Path) -> ProjectFolder:
     (tmp_path / "short.toml").write_text(DESIGN)
     return ProjectFolder(tmp_path)
 
 
-def test_comments_stay_where_fields_stay(workplace: ProjectFolder, data: Json) -> None:
+def test_comments_stay_where_fields_stay(project: ProjectFolder, data: Json) -> None:
     data["layout"]["spiral_angle_deg"] = 44.5
     data["layout"]["rows"] = 9
     data["shape"]["diameter_outer_mm"] = 58.0
     data["wall"] = {"thickness_mm": 1.0}
     del data["camera"]["focal_px"]
-    workplace.save("short.toml", data, source="short.toml", force=True)
-    text = (workplace.root / "short.toml").read_text()
+    project.save("short.toml", data, source="short.toml", force=True)
+    text = (project.root / "short.toml").read_text()
     for line in (
         "# A short sensor.",
         'name = "short"        # in exports',
@@ -45,29 +45,29 @@ def test_comments_stay_where_fields_stay(workplace: ProjectFolder, data: Json) -
 
 
 @pytest.mark.parametrize("name", shipped_designs())
-def test_every_shipped_design_can_be_changed_and_saved(workplace: ProjectFolder, name: str) -> None:
-    opened = workplace.open(name)
+def test_every_shipped_design_can_be_changed_and_saved(project: ProjectFolder, name: str) -> None:
+    opened = project.open(name)
     data = {**opened.data, "name": "mine", "wall": {"thickness_mm": 0.9}}
-    saved = workplace.save("mine.toml", data, source=name)
+    saved = project.save("mine.toml", data, source=name)
     assert parse_design(saved.data, "") == parse_design(data, "")
-    assert load_design(str(workplace.root / "mine.toml")).wall.thickness_mm == 0.9
+    assert load_design(str(project.root / "mine.toml")).wall.thickness_mm == 0.9
     assert saved.text.count("#") >= opened.text.count("#")
 
 
-def test_another_family_takes_the_whole_table(workplace: ProjectFolder, data: Json) -> None:
+def test_another_family_takes_the_whole_table(project: ProjectFolder, data: Json) -> None:
     data["shape"] = load_design("plane").shape.model_dump(mode="json")
     text = edited(DESIGN, data)
     assert tomllib.loads(text) == data
     assert "length_mm" not in text
 
 
-def test_text_that_cannot_be_kept_is_written_anew(workplace: ProjectFolder, data: Json) -> None:
-    (workplace.root / "dotted.toml").write_text(
+def test_text_that_cannot_be_kept_is_replaced(project: ProjectFolder, data: Json) -> None:
+    (project.root / "dotted.toml").write_text(
         'name = "a"\nshape.kind = "cylinder"\nshape.diameter_outer_mm = 60\nshape.length_mm = 60\n'
     )
-    opened = workplace.open("dotted.toml")
+    opened = project.open("dotted.toml")
     changed = {**opened.data, "regions": [{"name": "tip", "rows": [0, 3]}]}
-    saved = workplace.save("new.toml", changed, source="dotted.toml")
+    saved = project.save("new.toml", changed, source="dotted.toml")
     assert parse_design(saved.data, "") == parse_design(changed, "")
 
 
@@ -78,46 +78,46 @@ def test_text_that_cannot_be_kept_is_written_anew(workplace: ProjectFolder, data
         f"[layout.x]\n[z]\n[layout.y]\n{DESIGN.replace('[layout]', '[layout.z]')}",
     ],
 )
-def test_text_that_cannot_be_edited_is_written_anew(
-    workplace: ProjectFolder, data: Json, text: str
+def test_text_that_cannot_be_edited_is_replaced(
+    project: ProjectFolder, data: Json, text: str
 ) -> None:
     """Read as TOML, but more than its editor holds."""
-    (workplace.root / "odd.toml").write_text(text)
-    assert workplace.open("odd.toml").data != data
-    saved = workplace.save("new.toml", data, source="odd.toml")
+    (project.root / "odd.toml").write_text(text)
+    assert project.open("odd.toml").data != data
+    saved = project.save("new.toml", data, source="odd.toml")
     assert parse_design(saved.data, "") == parse_design(data, "")
 
 
-def test_a_pipe_among_the_designs_stops_nobody(workplace: ProjectFolder, data: Json) -> None:
-    os.mkfifo(workplace.root / "pipe.toml")
+def test_a_pipe_among_the_designs_stops_nobody(project: ProjectFolder, data: Json) -> None:
+    os.mkfifo(project.root / "pipe.toml")
     with little_time(5.0):
-        assert workplace.designs() == ["short.toml"]
-        with pytest.raises(AskError):
-            workplace.save("pipe.toml", data, source="short.toml", replace="0" * 64)
+        assert project.designs() == ["short.toml"]
+        with pytest.raises(ConfirmationError):
+            project.save("pipe.toml", data, source="short.toml", replace="0" * 64)
 
 
 def test_a_design_from_nowhere_gets_the_comments_of_the_model(
-    workplace: ProjectFolder, data: Json
+    project: ProjectFolder, data: Json
 ) -> None:
-    saved = workplace.save("new.toml", data, source="")
+    saved = project.save("new.toml", data, source="")
     assert parse_design(saved.data, "") == parse_design(data, "")
     assert "# Angle α of a spiral" in saved.text
 
 
-def test_what_is_there_is_not_written_over_unasked(workplace: ProjectFolder, data: Json) -> None:
-    path = workplace.root / "short.toml"
-    with pytest.raises(AskError, match="exists already"):
-        workplace.save("short.toml", data, source="short.toml")
-    with pytest.raises(AskError):
-        workplace.save("short.toml", data, source="short.toml", replace="0" * 64)
+def test_what_is_there_is_not_written_over_unasked(project: ProjectFolder, data: Json) -> None:
+    path = project.root / "short.toml"
+    with pytest.raises(ConfirmationError, match="exists already"):
+        project.save("short.toml", data, source="short.toml")
+    with pytest.raises(ConfirmationError):
+        project.save("short.toml", data, source="short.toml", replace="0" * 64)
     assert path.read_text() == DESIGN
-    digest = workplace.open("short.toml").digest
+    digest = project.open("short.toml").digest
     data["layout"]["rows"] = 9
-    workplace.save("short.toml", data, source="short.toml", replace=digest)
+    project.save("short.toml", data, source="short.toml", replace=digest)
     assert "rows = 9" in path.read_text()
-    with pytest.raises(AskError):  # it is another text by now
-        workplace.save("short.toml", data, source="short.toml", replace=digest)
-    workplace.save("short.toml", data, source="short.toml", force=True)
+    with pytest.raises(ConfirmationError):  # it is another text by now
+        project.save("short.toml", data, source="short.toml", replace=digest)
+    project.save("short.toml", data, source="short.toml", force=True)
 
 
 @pytest.mark.parametrize(
@@ -125,81 +125,81 @@ def test_what_is_there_is_not_written_over_unasked(workplace: ProjectFolder, dat
     ["../out.toml", "/etc/out.toml", "link/out.toml", "a/../../out.toml", "a\x00.toml", "x.txt",
      "", ".toml", "folder.toml", "a\n.toml", "x" * 5000 + ".toml"],
 )  # fmt: skip
-def test_nothing_is_written_elsewhere(workplace: ProjectFolder, data: Json, name: str) -> None:
-    (workplace.root / "folder.toml").mkdir()
-    outside = workplace.root.parent / "outside"
+def test_nothing_is_written_elsewhere(project: ProjectFolder, data: Json, name: str) -> None:
+    (project.root / "folder.toml").mkdir()
+    outside = project.root.parent / "outside"
     outside.mkdir(exist_ok=True)
-    (workplace.root / "link").symlink_to(outside)
+    (project.root / "link").symlink_to(outside)
     with pytest.raises((InputError, OutputError)):
-        workplace.save(name, data, source="short.toml", force=True)
+        project.save(name, data, source="short.toml", force=True)
     assert not list(outside.iterdir())
-    assert not (workplace.root.parent / "out.toml").exists()
+    assert not (project.root.parent / "out.toml").exists()
 
 
-def test_a_link_that_leads_out_is_not_followed(workplace: ProjectFolder, data: Json) -> None:
-    target = workplace.root.parent / "target.toml"
+def test_a_link_that_leads_out_is_not_followed(project: ProjectFolder, data: Json) -> None:
+    target = project.root.parent / "target.toml"
     target.write_text(DESIGN)
-    (workplace.root / "way.toml").symlink_to(target)
+    (project.root / "way.toml").symlink_to(target)
     with pytest.raises(InputError):
-        workplace.save("way.toml", data, source="short.toml", force=True)
+        project.save("way.toml", data, source="short.toml", force=True)
     with pytest.raises(InputError):
-        workplace.open("way.toml")
+        project.open("way.toml")
     assert target.read_text() == DESIGN
 
 
-def test_a_design_that_is_none_is_not_saved(workplace: ProjectFolder, data: Json) -> None:
+def test_a_design_that_is_none_is_not_saved(project: ProjectFolder, data: Json) -> None:
     data["layout"]["rows"] = -1
     with pytest.raises(DesignError, match=r"layout\.rows"):
-        workplace.save("short.toml", data, source="short.toml", force=True)
-    assert (workplace.root / "short.toml").read_text() == DESIGN
+        project.save("short.toml", data, source="short.toml", force=True)
+    assert (project.root / "short.toml").read_text() == DESIGN
 
 
 def test_files_that_it_names_must_be_found_at_the_new_place(
-    workplace: ProjectFolder, data: Json
+    project: ProjectFolder, data: Json
 ) -> None:
-    (workplace.root / "points.csv").write_text(
+    (project.root / "points.csv").write_text(
         "u,v\n" + "\n".join(f"{k}.0,0.5" for k in range(5, 50))
     )
     data["layout"] = {"kind": "explicit", "positions_csv": "points.csv", "height_far_mm": 0.6}
-    workplace.save("beside.toml", data, source="short.toml")
-    assert 'positions_csv = "points.csv"' in (workplace.root / "beside.toml").read_text()
+    project.save("beside.toml", data, source="short.toml")
+    assert 'positions_csv = "points.csv"' in (project.root / "beside.toml").read_text()
     with pytest.raises(DesignError, match=r"points\.csv"):
-        workplace.save("below/it.toml", data, source="beside.toml")
-    assert not (workplace.root / "below").exists()
+        project.save("below/it.toml", data, source="beside.toml")
+    assert not (project.root / "below").exists()
 
 
-def test_a_folder_that_cannot_be_written_is_told(
-    workplace: ProjectFolder, data: Json, monkeypatch: pytest.MonkeyPatch
+def test_a_folder_that_cannot_be_written_is_reported(
+    project: ProjectFolder, data: Json, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
     with pytest.raises(OutputError, match="No space left on device"):
-        workplace.save("short.toml", data, source="short.toml", force=True)
-    assert (workplace.root / "short.toml").read_text() == DESIGN
-    assert [path.name for path in workplace.root.iterdir()] == ["short.toml"]
+        project.save("short.toml", data, source="short.toml", force=True)
+    assert (project.root / "short.toml").read_text() == DESIGN
+    assert [path.name for path in project.root.iterdir()] == ["short.toml"]
 
 
-def test_a_file_keeps_its_rights(workplace: ProjectFolder, data: Json) -> None:
-    path = workplace.root / "short.toml"
+def test_a_file_keeps_its_rights(project: ProjectFolder, data: Json) -> None:
+    path = project.root / "short.toml"
     path.chmod(0o640)
-    workplace.save("short.toml", data, source="short.toml", force=True)
+    project.save("short.toml", data, source="short.toml", force=True)
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
-    workplace.save("other.toml", data, source="short.toml")
+    project.save("other.toml", data, source="short.toml")
     mask = os.umask(0)
     os.umask(mask)
-    assert stat.S_IMODE((workplace.root / "other.toml").stat().st_mode) == 0o666 & ~mask
+    assert stat.S_IMODE((project.root / "other.toml").stat().st_mode) == 0o666 & ~mask
 
 
-def test_designs_of_the_folder_are_found(workplace: ProjectFolder, data: Json) -> None:
-    root = workplace.root
+def test_designs_of_the_folder_are_found(project: ProjectFolder, data: Json) -> None:
+    root = project.root
     for name in ("b/c.toml", ".hidden/d.toml", "exports/x/design.toml", "1/2/3/4/5/deep.toml"):
         (root / name).parent.mkdir(parents=True)
         (root / name).write_text(DESIGN)
     (root / "exports" / "x" / "manifest.json").write_text("{}")
     (root / "other.toml").write_text("[study]\n")
-    assert workplace.designs() == ["b/c.toml", "short.toml"]
+    assert project.designs() == ["b/c.toml", "short.toml"]
 
 
 def test_saving_over_the_wire(client: Client, place: Path, data: Json) -> None:
@@ -208,7 +208,7 @@ def test_saving_over_the_wire(client: Client, place: Path, data: Json) -> None:
     assert status == 200
     assert load_design(str(place / "wire.toml")).name == "short"
     status, answer = client.post("api/save", body)
-    assert (status, answer) == (409, {"ask": "wire.toml exists already; write over it?"})
+    assert (status, answer) == (409, {"ask": "wire.toml exists already; overwrite it?"})
     assert client.post("api/save", {**body, "replace": opened["digest"]})[0] == 200
     assert client.post("api/save", {**body, "force": True})[0] == 200
     assert client.post("api/save", {**body, "force": 1})[0] == 400

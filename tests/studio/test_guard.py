@@ -19,11 +19,11 @@ def alive(client: Client) -> bool:
 
 
 def test_it_listens_on_this_machine_alone(running: StudioServer) -> None:
-    assert running.server.servers[0].sockets[0].getsockname()[0] == "127.0.0.1"
+    assert running.listener.getsockname()[0] == "127.0.0.1"
 
 
 @pytest.mark.parametrize("token", ["", "wrong", "x" * 500, "..", "%00"])
-def test_without_the_token_nothing_is_told(client: Client, token: str) -> None:
+def test_without_the_token_nothing_is_answered(client: Client, token: str) -> None:
     for path in ("", "api/start", "static/main.js"):
         status, _, body = client.ask("GET", path, token=token)
         assert status == 403
@@ -128,8 +128,8 @@ def test_a_giant_body_is_refused_before_and_while_it_comes(client: Client) -> No
     assert alive(client)
 
 
-def test_who_is_slow_is_let_go(tmp_path: Path) -> None:
-    with studio(tmp_path, patience_s=1.0) as running:
+def test_slow_clients_are_disconnected(tmp_path: Path) -> None:
+    with studio(tmp_path, timeout_s=1.0) as running:
         client = Client(running)
         head = f"POST /{client.token}/api/open HTTP/1.1\r\nHost: 127.0.0.1:{client.port}\r\n"
         whole = head + "Content-Type: application/json\r\nContent-Length: 50\r\n\r\n{"
@@ -148,11 +148,11 @@ def test_who_is_slow_is_let_go(tmp_path: Path) -> None:
             line.close()
 
 
-def test_who_asks_and_takes_nothing_is_let_go(
+def test_clients_that_receive_nothing_are_disconnected(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Though closing such a line would wait for its last byte to be taken."""
-    with studio(tmp_path, patience_s=0.5) as running:
+    with studio(tmp_path, timeout_s=0.5) as running:
         ask = (
             f"GET /{running.token}/viewer/three.bundle.min.js HTTP/1.1\r\n"
             f"Host: 127.0.0.1:{running.port}\r\n\r\n"
@@ -178,8 +178,8 @@ def test_who_asks_and_takes_nothing_is_let_go(
     assert "Traceback" not in caplog.text
 
 
-def test_who_is_slow_but_takes_it_gets_all(tmp_path: Path) -> None:
-    with studio(tmp_path, patience_s=0.5) as running, socket.socket() as line:
+def test_a_slow_receiver_gets_all(tmp_path: Path) -> None:
+    with studio(tmp_path, timeout_s=0.5) as running, socket.socket() as line:
         path = f"/{running.token}/viewer/three.bundle.min.js"
         size = len(Client(running).ask("GET", "viewer/three.bundle.min.js")[2])
         line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
@@ -198,7 +198,7 @@ def test_who_is_slow_but_takes_it_gets_all(tmp_path: Path) -> None:
         assert taken >= count * size > 10_000_000
 
 
-def test_many_who_say_nothing_keep_nobody_out(client: Client) -> None:
+def test_many_silent_clients_block_nobody(client: Client) -> None:
     lines = [socket.create_connection(("127.0.0.1", client.port)) for _ in range(60)]
     try:
         assert alive(client)

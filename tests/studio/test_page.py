@@ -67,7 +67,7 @@ class Seen:
         self.page.locator(selector).wait_for()
 
     def reached(self, state: str) -> None:
-        """Wait until all that was asked for is there."""
+        """Wait until all requested is there."""
         self.page.locator(f"body[data-state='{state}']").wait_for()
 
     def picture(self) -> str:
@@ -83,13 +83,13 @@ def browser() -> "Iterator[playwright.Browser]":
 
 
 @pytest.fixture(scope="module")
-def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("room")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("folder")
 
 
 @pytest.fixture(scope="module")
-def seen(browser: "playwright.Browser", room: Path) -> Iterator[Seen]:
-    with studio(room) as running:
+def seen(browser: "playwright.Browser", folder: Path) -> Iterator[Seen]:
+    with studio(folder) as running:
         page = browser.new_page(viewport={"width": 1280, "height": 900})
         seen = Seen(page, running.url)
         page.goto(running.url)
@@ -193,7 +193,7 @@ def test_markers_are_chosen_in_all_views(seen: Seen) -> None:
     assert page.evaluate(COLOURED)[1] > 0.9 * painted
 
 
-def test_saving_asks_before_it_writes_over(seen: Seen, room: Path) -> None:
+def test_saving_asks_before_it_writes_over(seen: Seen, folder: Path) -> None:
     page = seen.page
     page.get_by_label("rows", exact=True).fill("7")
     page.get_by_label("name", exact=True).fill("mine")
@@ -203,23 +203,23 @@ def test_saving_asks_before_it_writes_over(seen: Seen, room: Path) -> None:
     dialog.locator("#save-name").fill("mine.toml")
     dialog.get_by_role("button", name="Save", exact=True).click()
     dialog.wait_for(state="hidden")
-    assert load_design(str(room / "mine.toml")).layout.rows == 7
-    assert "# Far ones are taller." in (room / "mine.toml").read_text()
+    assert load_design(str(folder / "mine.toml")).layout.rows == 7
+    assert "# Far ones are taller." in (folder / "mine.toml").read_text()
     assert "not saved" not in page.locator("#where").inner_text()
     page.keyboard.press("Control+s")
     dialog.locator("#save-name").fill("short.toml")
     dialog.get_by_role("button", name="Save", exact=True).click()
     page.locator("#save-ask-text", has_text="exists already").wait_for()
-    assert (room / "short.toml").read_text() == DESIGN
+    assert (folder / "short.toml").read_text() == DESIGN
     page.keyboard.press("Escape")
     dialog.wait_for(state="hidden")
-    assert (room / "short.toml").read_text() == DESIGN
+    assert (folder / "short.toml").read_text() == DESIGN
 
 
 def test_a_build_shows_its_report_shut_off(
-    seen: Seen, room: Path, monkeypatch: pytest.MonkeyPatch
+    seen: Seen, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    program = stand_in(room, "short")
+    program = stand_in(folder, "short")
     script = "try { parent.studio.model } catch (e) { document.title = e.name }"
     page_text = f"<h1>Report of it</h1><script>{script}</script>"
     program.write_text(program.read_text().replace("<h1>Report of it</h1>", page_text))
@@ -231,7 +231,7 @@ def test_a_build_shows_its_report_shut_off(
     assert frame.locator("h1").inner_text() == "Report of it"
     assert frame.locator("html").evaluate("document.title") == "SecurityError"
     assert "[1/2] views" in page.locator("#build-log pre").text_content()
-    (room / "mode").write_text("bad")
+    (folder / "mode").write_text("bad")
     page.get_by_role("button", name="Build", exact=True).click()
     page.locator("#build-state", has_text="thicken it").wait_for()
     assert page.locator("#report iframe").count() == 0
@@ -278,8 +278,8 @@ def test_nothing_went_wrong_and_nothing_left(seen: Seen) -> None:
     assert seen.foreign == []
 
 
-def test_the_shell_turns_where_there_is_opengl(browser: "playwright.Browser", room: Path) -> None:
-    with studio(room) as running:
+def test_the_shell_turns_where_there_is_opengl(browser: "playwright.Browser", folder: Path) -> None:
+    with studio(folder) as running:
         drawing = browser.browser_type.launch(executable_path=CHROMIUM, args=FLAGS)
         page = drawing.new_page(viewport={"width": 700, "height": 500})
         seen = Seen(page, running.url)

@@ -1,21 +1,19 @@
-"""Advice for readers and for machines."""
+"""Advice and refined designs as text, JSON and files."""
 
-from collections.abc import Mapping
+import json
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from phytac_design.core.json_values import finite
+from phytac_design.design.design_file import to_toml
 from phytac_design.study.advice.advise import Advice
-from phytac_design.study.advice.changes import FAULTS, RULES, Trial
+from phytac_design.study.advice.changes import FAULTS, GOALS, RULES, Change
 from phytac_design.study.advice.design_evaluation import FIGURES, FORCES
 from phytac_design.study.advice.refinement import RefinedDesign
 from phytac_design.study.advice.sensitivity import Sensitivity
 from phytac_design.study.search.surrogate import FORCE_N
-
-SHOWN = ("force_middle_N", "force_worst_N", "gap_px", "load_gap_px")
-"""Figures whose slopes the text shows."""
-ROWS = 3
-"""Rows that the text names."""
+from phytac_shapes.errors import OutputError
 
 
 def as_dict(advice: Advice) -> dict[str, Any]:
@@ -26,67 +24,74 @@ def as_dict(advice: Advice) -> dict[str, Any]:
             "force_N": FORCE_N,
             "refused": advice.refused,
             "figures": advice.figures,
-            "slopes": [_slope(slope) for slope in advice.slopes],
+            "slopes": [_slope_dict(slope) for slope in advice.slopes],
             "rows": [{"row": one.row, "share_per_step": one.share} for one in advice.rows],
-            "advice": [_trial(trial) for trial in advice.pieces],
-            "tried": [_trial(trial) for trial in advice.tried],
+            "advice": [_change_dict(one) for one in advice.pieces],
+            "tried": [_change_dict(one) for one in advice.tried],
         }
     )
     return out
 
 
-def _slope(slope: Sensitivity) -> dict[str, Any]:
-    knob = slope.knob
+def _slope_dict(slope: Sensitivity) -> dict[str, Any]:
+    variable = slope.variable
     return {
-        "knob": knob.name,
-        "unit": knob.unit,
-        "value": knob.value,
-        "step": knob.step,
-        "step_is": knob.why,
+        "knob": variable.name,
+        "unit": variable.unit,
+        "value": variable.value,
+        "step": variable.step,
+        "step_is": variable.why,
         "per_unit": slope.rate,
         "per_step": {name: slope.per_step(name) for name in slope.rate},
         "stuck": slope.stuck,
     }
 
 
-def _trial(trial: Trial) -> dict[str, Any]:
-    move = trial.move
+def _change_dict(change: Change) -> dict[str, Any]:
+    variable = change.variable
     return {
-        "knob": move.knob.name,
-        "kind": move.knob.kind,
-        "unit": move.knob.unit,
-        "from": move.knob.value,
-        "by": move.amount,
-        "goal": move.goal,
-        "gain_predicted": move.gain,
-        "gain": trial.gain,
-        "predicted": move.predicted,
-        "achieved": trial.achieved,
-        "costs": list(trial.costs),
-        "reason": trial.reason,
+        "knob": variable.name,
+        "kind": variable.kind,
+        "unit": variable.unit,
+        "from": variable.value,
+        "by": change.amount,
+        "goal": change.goal,
+        "gain_predicted": change.predicted_gain,
+        "gain": change.gain,
+        "predicted": change.predicted,
+        "achieved": change.achieved,
+        "costs": list(change.costs),
+        "reason": change.reason,
     }
 
 
+def refined_dict(done: RefinedDesign) -> dict[str, Any]:
+    """Plain values, for JSON."""
+    out: dict[str, Any] = finite(asdict(done) | {"design": done.design.name})
+    return out
+
+
 def text(advice: Advice) -> str:
-    """Whole report of a terminal."""
+    """Report for a terminal."""
     lines = [f"{advice.design.name}: {_state(advice)}"]
     if advice.slopes:
-        lines += ["", "What a step does:", *_slopes(advice)]
+        lines += ["", "Effect of a step:", *_slope_lines(advice.slopes)]
     if advice.rows:
-        lines += ["", _rows(advice)]
-    lines += ["", "Advice, each piece applied and judged again:"]
-    lines += [_piece(number, trial) for number, trial in enumerate(advice.pieces, start=1)]
+        best = ", ".join(f"row {one.row} {100.0 * one.share:+.2f} %" for one in advice.rows[:3])
+        lines += ["", f"Rows whose height changes the force most, per 0.5 mm: {best}"]
+    lines += ["", "Advice, each change applied and evaluated:"]
+    lines += [f"  {number}. {_piece(one)}" for number, one in enumerate(advice.pieces, start=1)]
     if not advice.pieces:
-        lines.append("  none: nothing that was tried helps without breaking something")
+        lines.append("  none: no change that was tried helps without breaking something")
     if advice.tried:
         lines += ["", "Tried, and no advice:"]
-        lines += [f"  {_what(trial)}: {trial.reason}" for trial in advice.tried]
+        lines += [f"  {one.words}: {one.reason}" for one in advice.tried]
     return "\n".join(lines)
 
 
 def _state(advice: Advice) -> str:
     if advice.refused:
-        return f"a rule refuses it: {advice.refused}"
+        return f"a rule rejects it: {advice.refused}"
     figures = advice.figures
     wrong = [
         f"{figures[name]:.0f} {FIGURES[name].doc}"
@@ -97,7 +102,7 @@ def _state(advice: Advice) -> str:
         f"{figures['marker_count']:.0f} markers; bound of force at {FORCE_N:g} N: "
         f"{figures['force_middle_N']:.3g} N over the middle heights (mean; worst "
         f"{figures['force_middle_worst_N']:.3g}), {figures['force_mean_N']:.3g} N over the full "
-        f"height (nine in ten below {figures['force_p90_N']:.3g}, worst "
+        f"height (90th percentile {figures['force_p90_N']:.3g}, worst "
         f"{figures['force_worst_N']:.3g}); least gap {figures['gap_px']:.3g} px, pressed "
         f"{figures['load_gap_px']:.3g} px; least visible {figures['visible_least']:.2f}, pressed "
         f"{figures['load_visible_least']:.2f}; crosstalk {figures['crosstalk_px']:.2g} px"
@@ -105,94 +110,107 @@ def _state(advice: Advice) -> str:
     )
 
 
-def _slopes(advice: Advice) -> list[str]:
+def _slope_lines(slopes: list[Sensitivity]) -> list[str]:
     heads = ("force, middle", "force, worst", "gap", "gap, pressed")
     lines = ["  " + f"{'':32s}{'now':>10s}{'step':>9s}" + "".join(f"{head:>15s}" for head in heads)]
-    for slope in advice.slopes:
-        knob = slope.knob
-        start = f"  {knob.name:32s}{knob.value:10.5g}{knob.step:9.4g}"
+    for slope in slopes:
+        variable = slope.variable
+        line = f"  {variable.name:32s}{variable.value:10.5g}{variable.step:9.4g}"
         if slope.stuck:
-            lines.append(f"{start}  cannot move: {slope.stuck[:80]}")
+            lines.append(f"{line}  cannot change: {slope.stuck[:80]}")
             continue
-        cells = [
-            f"{_neat(100.0 * slope.per_step(name)):+13.2f} %"
-            if name in FORCES
-            else f"{_neat(slope.per_step(name)):+12.2f} px"
-            for name in SHOWN
-        ]
-        lines.append(start + "".join(cells))
+        for name in GOALS:  # + 0.0: no minus before a zero
+            if name in FORCES:
+                line += f"{round(100.0 * slope.per_step(name), 2) + 0.0:+13.2f} %"
+            else:
+                line += f"{round(slope.per_step(name), 2) + 0.0:+12.2f} px"
+        lines.append(line)
     return lines
 
 
-def _neat(value: float) -> float:
-    """Two decimals, and no minus before a zero."""
-    return round(value, 2) + 0.0
-
-
-def _rows(advice: Advice) -> str:
-    best = ", ".join(f"row {one.row} {100.0 * one.share:+.2f} %" for one in advice.rows[:ROWS])
-    return f"Raising one row by 0.5 mm changes the force over the middle heights most at: {best}"
-
-
-def _what(trial: Trial) -> str:
-    return trial.move.knob.words(trial.move.amount)
-
-
-def _piece(number: int, trial: Trial) -> str:
-    move = trial.move
-    gains = {
-        FAULTS: f"mends {trial.gain:.0%} of what hides, fuses or disturbs (foretold "
-        f"{move.gain:.0%})",
-        RULES: "every rule passes, and every marker is seen",
-    }
-    if move.goal in FORCES:
-        gain = (
-            f"{FIGURES[move.goal].doc} {100.0 * trial.gain:.1f} % finer (foretold "
-            f"{100.0 * move.gain:.1f} %)"
-        )
+def _piece(change: Change) -> str:
+    goal, gain, predicted = change.goal, change.gain, change.predicted_gain
+    if goal == FAULTS:
+        words = f"repairs {gain:.0%} of the faults (predicted {predicted:.0%})"
+    elif goal == RULES:
+        words = "every rule passes, and every marker is visible"
+    elif goal in FORCES:
+        finer, expected = 100.0 * gain, 100.0 * predicted
+        words = f"{FIGURES[goal].doc} {finer:.1f} % finer (predicted {expected:.1f} %)"
     else:
-        gain = gains.get(move.goal) or (
-            f"{FIGURES[move.goal].doc} {trial.gain:+.2f} px (foretold {move.gain:+.2f})"
+        words = f"{FIGURES[goal].doc} {gain:+.2f} px (predicted {predicted:+.2f})"
+    if goal in {FAULTS, RULES}:
+        after = change.achieved
+        words += (
+            f"; then force {after['force_middle_N']:.3g} N, least gap {after['gap_px']:.3g} px, "
+            f"least visible {after['visible_least']:.2f}"
         )
-    also = _also(move.goal, trial.achieved) if move.goal in {FAULTS, RULES} else ""
-    costs = f"; costs: {', '.join(trial.costs)}" if trial.costs else ""
-    return f"  {number}. {_what(trial)}: {gain}{also}{costs}"
+    costs = f"; costs: {', '.join(change.costs)}" if change.costs else ""
+    return f"{change.words}: {words}{costs}"
 
 
-def _also(_: str, achieved: Mapping[str, float]) -> str:
-    return (
-        f"; then force {achieved['force_middle_N']:.3g} N, least gap {achieved['gap_px']:.3g} px, "
-        f"least visible {achieved['visible_least']:.2f}"
-    )
-
-
-def polished_dict(done: RefinedDesign) -> dict[str, Any]:
-    """Plain values, for JSON."""
-    out: dict[str, Any] = finite(
-        {
-            "design": done.design.name,
-            "before": done.before,
-            "figures": done.figures,
-            "steps": [asdict(step) for step in done.steps],
-            "why": done.why,
-        }
-    )
-    return out
-
-
-def polish_text(done: RefinedDesign) -> str:
-    """Report of a polish for a terminal."""
+def refined_text(done: RefinedDesign) -> str:
+    """Report of a refinement for a terminal."""
     lines = []
     for step in done.steps:
         moved = ", ".join(f"{name} {by:+.4g}" for name, by in step.moved.items())
-        end = f"not taken: {step.reason}" if step.reason else "taken"
+        end = f"rejected: {step.reason}" if step.reason else "accepted"
         lines.append(
-            f"{moved}: force {100.0 * step.gain:.1f} % finer (foretold "
+            f"{moved}: force {100.0 * step.gain:.1f} % finer (predicted "
             f"{100.0 * step.predicted:.1f} %); {end}"
         )
     before, after = done.before, done.figures
     changes = ", ".join(
         f"{FIGURES[name].doc} {before[name]:.3g} → {after[name]:.3g} {FIGURES[name].unit}".rstrip()
-        for name in (*SHOWN, "visible_least", "crosstalk_px", "strain")
+        for name in (*GOALS, "visible_least", "crosstalk_px", "strain")
     )
     return "\n".join([*lines, f"{done.why}; {changes}"])
+
+
+def write_advice(advice: Advice, folder: Path) -> Path:
+    """Write ``advice.json`` and ``advice_N.toml``, the design with change N; the folder.
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be written.
+    """
+    texts = {"advice.json": _json(as_dict(advice))}
+    for number, one in enumerate(advice.pieces, start=1):
+        if one.design is not None:
+            texts[f"advice_{number}.toml"] = to_toml(one.design)
+    return _write(texts, folder)
+
+
+def write_refined(done: RefinedDesign, folder: Path) -> Path:
+    """Write ``polish.json`` and ``NAME.toml``, the refined design; the design's path.
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be written.
+    """
+    name = f"{done.design.name}.toml"
+    return (
+        _write({"polish.json": _json(refined_dict(done)), name: to_toml(done.design)}, folder)
+        / name
+    )
+
+
+def _json(facts: dict[str, Any]) -> str:
+    return json.dumps(facts, indent=1, ensure_ascii=False) + "\n"
+
+
+def _write(texts: dict[str, str], folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for old in folder.glob("advice_*.toml"):  # of an earlier run
+            if old.name not in texts:
+                old.unlink()
+        for name, content in texts.items():
+            (folder / name).write_text(content, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(
+            f"cannot write {folder}: {error.strerror}; choose another --out"
+        ) from None
+    return folder

@@ -1,35 +1,32 @@
-"""Advice for one design: what slopes say to change, each piece applied and judged again."""
+"""Advice for one design: changes that sensitivities suggest, each applied and evaluated."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.spec import Design
-from phytac_design.layout import make_markers
+from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import cameras_of, stand_off_mm
 from phytac_design.rules.check import check_design
 from phytac_design.study.advice.changes import (
-    FAULTS,
-    NOTHING,
+    FAULTLESS,
     RULES,
     Change,
-    Trial,
     broken_margin,
+    change_by,
+    changes_of,
     costs_of,
     gain_of,
     gain_words,
-    least_of,
-    move_by,
-    moves_of,
+    least_gain,
     rank_of,
-    stand_off_of,
 )
-from phytac_design.study.advice.design_evaluation import EvaluatedDesign, evaluate_design
+from phytac_design.study.advice.design_evaluation import evaluate_design
 from phytac_design.study.advice.design_variables import ROW, choose, variables_of
 from phytac_design.study.advice.local_model import LocalModel
-from phytac_design.study.advice.repair import mends_of, passes_of
+from phytac_design.study.advice.repair import repairs, rule_repairs
 from phytac_design.study.advice.rows import (
-    RowSlope,
+    RowSensitivity,
     as_explicit,
     named_rows,
     row_sensitivities,
@@ -40,8 +37,7 @@ from phytac_design.study.advice.rows import (
 from phytac_design.study.advice.sensitivity import Sensitivity, sensitivities
 from phytac_shapes.errors import DesignError, PhytacError
 
-CHECKS = 5
-"""Moves that are applied and judged."""
+Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,19 +46,21 @@ class Advice:
 
     Attributes
     ----------
+    figures : dict
+        Of the design as it is; empty if a rule rejects it.
     refused : str
-        The rule that refuses the design as it is; then there are no figures.
-    pieces, tried : list of Trial
+        The rule that rejects the design; "" if none does.
+    pieces, tried : list of Change
         What helps, the most first; and what does not.
     """
 
     design: Design
-    figures: dict[str, float]
-    refused: str
-    slopes: list[Sensitivity]
-    rows: list[RowSlope]
-    pieces: list[Trial]
-    tried: list[Trial]
+    figures: dict[str, float] = field(default_factory=dict)
+    refused: str = ""
+    slopes: list[Sensitivity] = field(default_factory=list)
+    rows: list[RowSensitivity] = field(default_factory=list)
+    pieces: list[Change]
+    tried: list[Change]
 
 
 def advise(
@@ -70,125 +68,119 @@ def advise(
     accuracy: Accuracy,
     *,
     only: Sequence[str] = (),
-    checks: int = CHECKS,
+    checks: int = 5,
     seed: int = 0,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Progress = lambda _: None,
 ) -> Advice:
-    """Say what to change about a design.
+    """Find what to change about a design.
 
     Parameters
     ----------
     only : sequence of str
-        Names of knobs or of tables; ``rows`` for single rows that are at fault or stand out,
-        ``rows.3`` for one of them; if empty all but rows that nothing is wrong with.
+        Names of variables or of tables; ``rows`` for rows that are faulty or outliers, ``rows.3``
+        for one row; if empty all but rows without a fault.
     checks : int
-        Moves that are judged at most, the most promising first.
+        Changes that are evaluated at most, the most promising first.
 
     Raises
     ------
     DesignError
-        If a name is of no knob, or a design that a rule refuses cannot even place its markers.
+        If a name is of no variable, or the markers of a rejected design cannot even be placed.
     """
     try:
         check_design(design)
     except DesignError as error:
-        return _mend_refused(design, str(error), accuracy, only, checks, seed, progress)
-    progress("judging the design as it is")
+        tester = ChangeTester(design, FAULTLESS, accuracy, seed, progress)
+        return _repair_rejected(design, str(error), only, tester, checks)
+    progress("evaluating the design as it is")
     base = evaluate_design(design, accuracy, seed=seed)
-    knobs = choose(variables_of(design, base.markers, stand_off_of(base)), list(only))
+    variables = choose(variables_of(design, base.markers, base.stand_off_mm), list(only))
     row = rows_of(base.markers, float(base.surface.domain[0, 1] - base.surface.domain[0, 0]))
     wanted = named_rows(only, row)
     if not only or "rows" in only:
         wanted |= set(suspects(base, row))
     single = row_variables(base, row, sorted(wanted))
-    probe = LocalModel(base, accuracy)
-    slopes = sensitivities(probe, base, knobs, progress)
-    judged = ChangeTester(base=base, accuracy=accuracy, seed=seed, progress=progress)
+    model = LocalModel(base, accuracy)
+    slopes = sensitivities(model, base, variables, progress)
+    tester = ChangeTester(base.design, base.figures, accuracy, seed, progress, base.markers)
     if base.faults:
-        moves = [
-            Change(knob=knob, amount=amount, goal=FAULTS, predicted=found, gain=gain)
-            for knob, amount, found, gain in mends_of(probe, [*single, *knobs], progress)
-        ]
-        trials = judged.all(moves, checks)
+        tested = tester.test_all(repairs(model, [*single, *variables], progress), checks)
     else:
-        slopes += sensitivities(probe, base, single, progress)
-        moves, refused = moves_of(base, slopes)
-        trials = [*judged.all(moves, checks), *refused]
-    pieces = [trial for trial in trials if not trial.reason]
+        slopes += sensitivities(model, base, single, progress)
+        changes, rejected = changes_of(base, slopes)
+        tested = [*tester.test_all(changes, checks), *rejected]
+    pieces = [one for one in tested if not one.reason]
     return Advice(
         design=design,
         figures=base.figures,
-        refused="",
         slopes=slopes,
-        rows=row_sensitivities(probe, base, row),
-        pieces=sorted(pieces, key=lambda trial: -rank_of(trial.move.goal, trial.gain)),
-        tried=[trial for trial in trials if trial.reason],
+        rows=row_sensitivities(model, base, row),
+        pieces=sorted(pieces, key=lambda one: -rank_of(one.goal, one.gain)),
+        tried=[one for one in tested if one.reason],
     )
 
 
-@dataclass(kw_only=True)
+@dataclass
 class ChangeTester:
-    """Applies moves to a design and judges what comes of them."""
+    """Applies changes to a design and evaluates the results against its figures ``before``."""
 
-    base: EvaluatedDesign
+    design: Design
+    before: dict[str, float]
     accuracy: Accuracy
     seed: int = 0
-    progress: Callable[[str], None] = lambda _: None
+    progress: Progress = lambda _: None
+    markers: Markers | None = None
     listed: dict[str, float] = field(default_factory=dict)
 
-    def all(self, moves: Sequence[Change], checks: int) -> list[Trial]:
-        """Trials of the first moves; one that broke something is tried once more, by less."""
-        out: list[Trial] = []
-        for move in moves:
+    def test_all(self, changes: Sequence[Change], checks: int) -> list[Change]:
+        """Evaluate the first changes; one that broke something is tried again, smaller."""
+        out: list[Change] = []
+        for change in changes:
             if len(out) >= checks:
                 break
-            out.append(self.one(move))
-            less = [a for a in move.knob.amounts(move.amount) if abs(a) < abs(move.amount)]
+            out.append(self.test(change))
+            less = [
+                a for a in change.variable.amounts(change.amount) if abs(a) < abs(change.amount)
+            ]
             again = out[-1].reason.startswith("breaks") and len(out) < checks
-            if again and less and move.slope is not None:
-                nearer = move_by(self.base.figures, move.slope, move.goal, less[0])
-                if nearer.gain >= least_of(move.goal):
-                    out.append(self.one(nearer))
+            if again and less and change.slope is not None:
+                smaller = change_by(self.before, change.slope, change.goal, less[0])
+                if smaller.predicted_gain >= least_gain(change.goal):
+                    out.append(self.test(smaller))
         return out
 
-    def one(self, move: Change) -> Trial:
-        """One move, applied and judged."""
-        self.progress(f"trying {move.knob.words(move.amount)}")
+    def test(self, change: Change) -> Change:
+        """The change with what it achieves."""
+        self.progress(f"trying {change.words}")
         try:
-            design = move.knob.moved(self.base.design, move.amount)
+            design = change.variable.moved(self.design, change.amount)
             after = evaluate_design(design, self.accuracy, seed=self.seed).figures
         except PhytacError as error:
-            return Trial(move=move, reason=f"breaks a rule: {error}")
-        before = self._before(move)
-        gain = gain_of(move.goal, before, after)
+            return replace(change, reason=f"breaks a rule: {error}")
+        before = self.before
+        if change.variable.kind == ROW and self.markers is not None:
+            # Compare with the same layout as an explicit list.
+            if not self.listed:
+                same = as_explicit(self.design, self.markers)
+                self.listed = evaluate_design(same, self.accuracy, seed=self.seed).figures
+            before = self.listed
         reason = broken_margin(before, after)
-        if not reason and gain < least_of(move.goal) / 2.0:
-            reason = f"does not help ({gain_words(move.goal, gain)})"
-        return Trial(
-            move=move, gain=gain, achieved=after, costs=costs_of(before, after), reason=reason,
-            design=design,
-        )  # fmt: skip
-
-    def _before(self, move: Change) -> dict[str, float]:
-        """Figures to compare with: of the same layout, listed, for moves of a row."""
-        if move.knob.kind != ROW:
-            return self.base.figures
-        if not self.listed:
-            same = as_explicit(self.base.design, self.base.markers)
-            self.listed = evaluate_design(same, self.accuracy, seed=self.seed).figures
-        return self.listed
+        gain, costs = float(not reason), tuple[str, ...]()
+        if change.goal != RULES:
+            gain, costs = gain_of(change.goal, before, after), costs_of(before, after)
+        if not reason and gain < least_gain(change.goal) / 2.0:
+            reason = f"does not help ({gain_words(change.goal, gain)})"
+        return replace(change, gain=gain, achieved=after, costs=costs, reason=reason, design=design)
 
 
-def _mend_refused(
+def _repair_rejected(
     design: Design,
     rule: str,
-    accuracy: Accuracy,
     only: Sequence[str],
+    tester: ChangeTester,
     checks: int,
-    seed: int,
-    progress: Callable[[str], None],
 ) -> Advice:
-    """Advice for a design that a rule refuses: the least moves that it lets pass, judged."""
+    """Advice for a design that a rule rejects: the smallest changes that satisfy it, evaluated."""
     surface = design.surface()
     try:
         markers = make_markers(design, surface)
@@ -200,23 +192,11 @@ def _mend_refused(
     except DesignError:
         given = design.camera.stand_off_mm
         stand_off = None if given == "fit" else float(given)
-    knobs = choose(variables_of(design, markers, stand_off), list(only))
-    pieces: list[Trial] = []
-    tried: list[Trial] = []
-    for knob, amount in passes_of(design, knobs)[:checks]:
-        progress(f"trying {knob.words(amount)}")
-        move = Change(knob=knob, amount=amount, goal=RULES, predicted={}, gain=1.0)
-        moved = knob.moved(design, amount)
-        try:
-            after = evaluate_design(moved, accuracy, seed=seed).figures
-        except PhytacError as error:
-            tried.append(Trial(move=move, reason=f"breaks a rule: {error}"))
-            continue
-        reason = broken_margin(NOTHING, after)
-        trial = Trial(
-            move=move, gain=0.0 if reason else 1.0, achieved=after, reason=reason, design=moved
-        )
-        (tried if reason else pieces).append(trial)
+    variables = choose(variables_of(design, markers, stand_off), list(only))
+    tested = tester.test_all(rule_repairs(design, variables), checks)
     return Advice(
-        design=design, figures={}, refused=rule, slopes=[], rows=[], pieces=pieces, tried=tried
+        design=design,
+        refused=rule,
+        pieces=[one for one in tested if not one.reason],
+        tried=[one for one in tested if one.reason],
     )

@@ -1,17 +1,14 @@
-"""Moves that slopes promise something of, what they gain, cost and may not break."""
+"""Changes of a design that sensitivities predict a gain of; gains, costs and margins of changes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from phytac_design.design.spec import Design
-from phytac_design.layout.cameras import cameras_of, stand_off_mm
 from phytac_design.rules.check import check_design
 from phytac_design.study.advice.design_evaluation import (
-    CROSSTALK_PX,
     FIGURES,
     FORCES,
-    GAP_PX,
-    STRAIN,
+    LIMITS,
     EvaluatedDesign,
     faults_of,
     strain_of,
@@ -21,62 +18,28 @@ from phytac_design.study.advice.sensitivity import Sensitivity
 from phytac_shapes.errors import PhytacError
 
 GOALS = ("force_middle_N", "force_worst_N", "gap_px", "load_gap_px")
-"""What advice is for, where nothing is wrong; gaps only while they are below ``GAP_WANTED_PX``."""
+"""Goals of a design without faults; gaps only while they are below ``WANTED_GAP_px``."""
 FAULTS = "faults"
-"""What it is for where markers hide, fuse or disturb each other."""
+"""Goal where markers are hidden, fused or disturbed."""
 RULES = "rules"
-"""What it is for where a rule refuses the design."""
-GAP_WANTED_PX = 8.0
-LEAST = {"force": 0.01, "gap": 0.5}
-"""Least gain that is worth a word: a share of force, px of gaps."""
-NOTHING: dict[str, float] = {
-    "gap_px": float("inf"),
-    "load_gap_px": float("inf"),
-    "crosstalk_px": 0.0,
-    "strain": 0.0,
-    "occluded": 0,
-    "fused": 0,
-    "load_hidden": 0,
-    "load_fused": 0,
-}
-"""What a design is compared with that a rule refused: margins count as they are."""
-COSTS = {
-    "force_middle_N": 0.01,
-    "force_worst_N": 0.01,
-    "visible_least": 0.02,
-    "gap_px": 0.1,
-    "load_visible_least": 0.02,
-    "load_gap_px": 0.1,
-    "crosstalk_px": 0.02,
-    "strain": 0.05,
-    "switch_unreadable": 0.0,
-    "marker_count": 0.0,
-}
-"""Changes for the worse that are said: shares of force, gaps, strain; else absolute."""
+"""Goal where a rule rejects the design."""
+WANTED_GAP_px = 8.0
+FAULTLESS = {name: 0.0 if FIGURES[name].less else float("inf") for name in LIMITS}
+"""Figures to compare with if a rule rejects the design: all margins count."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Change:
-    """A knob to move, by how much, what for, and what its slope (if any) foretells."""
-
-    knob: DesignVariable
-    amount: float
-    goal: str
-    predicted: dict[str, float]
-    gain: float
-    slope: Sensitivity | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Trial:
-    """A move that was looked into.
+    """A change of one variable for a goal, as predicted and as evaluated.
 
     Attributes
     ----------
-    gain : float
-        Achieved: share of force or of faults, px of gaps; NaN where it was not judged.
+    predicted : dict
+        Predicted figures.
+    predicted_gain, gain : float
+        Share of force or of faults, px of gaps; NaN where it was not evaluated.
     achieved : dict
-        Figures of the changed design; empty where a rule refused it.
+        Figures of the changed design; empty where a rule rejects it.
     costs : tuple of str
         What gets worse, in words.
     reason : str
@@ -85,7 +48,12 @@ class Trial:
         The changed design.
     """
 
-    move: Change
+    variable: DesignVariable
+    amount: float
+    goal: str
+    predicted: dict[str, float]
+    predicted_gain: float
+    slope: Sensitivity | None = None
     gain: float = float("nan")
     achieved: dict[str, float] = field(default_factory=dict)
     costs: tuple[str, ...] = ()
@@ -93,26 +61,21 @@ class Trial:
     design: Design | None = None
 
     @property
-    def hit(self) -> float:
-        """Achieved over predicted gain."""
-        return self.gain / self.move.gain if self.move.gain else float("nan")
-
-
-def stand_off_of(base: EvaluatedDesign) -> float:
-    """Stand-off of a design's first camera, mm."""
-    return stand_off_mm(base.design, base.surface, cameras_of(base.design, base.surface)[0])
+    def words(self) -> str:
+        """The change, for a reader."""
+        return self.variable.words(self.amount)
 
 
 def rank_of(goal: str, gain: float) -> float:
-    """Gains of all kinds on one scale: a fault mended comes before all, then shares."""
+    """Gains of all goals on one scale: repaired faults come first, then shares."""
     if goal in {FAULTS, RULES}:
         return 10.0 + gain
-    return gain if goal in FORCES else gain / GAP_WANTED_PX
+    return gain if goal in FORCES else gain / WANTED_GAP_px
 
 
-def least_of(goal: str) -> float:
-    """Least gain of a goal that is worth a word."""
-    return LEAST["force" if goal in {*FORCES, FAULTS, RULES} else "gap"]
+def least_gain(goal: str) -> float:
+    """Least gain of a goal that is reported: a share, or px of gaps."""
+    return 0.01 if goal in {*FORCES, FAULTS, RULES} else 0.5
 
 
 def gain_of(goal: str, before: Mapping[str, float], after: Mapping[str, float]) -> float:
@@ -124,111 +87,91 @@ def gain_of(goal: str, before: Mapping[str, float], after: Mapping[str, float]) 
     return after[goal] - before[goal]
 
 
-def moves_of(
+def changes_of(
     base: EvaluatedDesign, slopes: Sequence[Sensitivity]
-) -> tuple[list[Change], list[Trial]]:
-    """Moves that slopes promise something of, the most first; and those that a rule refuses."""
-    found: dict[tuple[str, float], Change] = {}
-    lost: list[Trial] = []
+) -> tuple[list[Change], list[Change]]:
+    """Changes with a predicted gain, in the order to test them; and those that a rule rejects."""
+    best: dict[tuple[str, float], Change] = {}
+    rejected: dict[str, Change] = {}
     for slope in slopes:
         if slope.stuck:
             continue
+        name = slope.variable.name
         for goal in GOALS:
-            if goal not in FORCES and base.figures[goal] >= GAP_WANTED_PX:
+            if goal not in FORCES and base.figures[goal] >= WANTED_GAP_px:
                 continue
             better = -1.0 if FIGURES[goal].less else 1.0
             sign = better if slope.rate[goal] > 0.0 else -better
-            move, why = _largest(base, slope, goal, sign)
-            key = (slope.knob.name, sign)
-            if why:
-                if not any(trial.move.knob.name == slope.knob.name for trial in lost):
-                    lost.append(Trial(move=move, reason=why))
-            elif move.gain >= least_of(goal):
-                known = found.get(key)
-                if known is None or rank_of(goal, move.gain) > rank_of(known.goal, known.gain):
-                    found[key] = move
-    kept = [trial for trial in lost if not any(name == trial.move.knob.name for name, _ in found)]
-    order = sorted(found.values(), key=lambda move: -rank_of(move.goal, move.gain))
-    return _mixed(order), kept
+            change = _largest(base, slope, goal, sign)
+            if change.reason:
+                rejected.setdefault(name, change)
+            elif change.predicted_gain >= least_gain(goal):
+                known = best.get((name, sign))
+                if known is None or _predicted_rank(change) > _predicted_rank(known):
+                    best[name, sign] = change
+    found = {name for name, _ in best}
+    order = sorted(best.values(), key=_predicted_rank, reverse=True)
+    return _mixed(order), [one for name, one in rejected.items() if name not in found]
+
+
+def _predicted_rank(change: Change) -> float:
+    return rank_of(change.goal, change.predicted_gain)
 
 
 def _mixed(order: Sequence[Change]) -> list[Change]:
-    """Moves such that those of one goal, or of like fields, do not come all at once.
-
-    What the hand holds is moved last.
-    """
-
-    def family(move: Change) -> str:
-        return move.knob.name[: len("layout.height")]
+    """Changes mixed by goal and by like fields; those of the body's size come last."""
 
     def place(number: int) -> tuple[bool, int]:
-        move, before = order[number], order[:number]
-        same_goal = sum(other.goal == move.goal for other in before)
-        like = sum(family(other) == family(move) for other in before)
-        return move.knob.kind == SIZE, same_goal + 2 * like
+        change, prefix = order[number], len("layout.height")
+        same_goal = sum(other.goal == change.goal for other in order[:number])
+        like = sum(
+            other.variable.name[:prefix] == change.variable.name[:prefix]
+            for other in order[:number]
+        )
+        return change.variable.kind == SIZE, same_goal + 2 * like
 
     return [order[number] for number in sorted(range(len(order)), key=place)]
 
 
-def move_by(base: Mapping[str, float], slope: Sensitivity, goal: str, amount: float) -> Change:
-    """Move of a slope's knob, with what that foretells."""
+def change_by(base: Mapping[str, float], slope: Sensitivity, goal: str, amount: float) -> Change:
+    """Change of a variable, with what its sensitivity predicts."""
     predicted = slope.predict(base, amount)
-    return Change(
-        knob=slope.knob,
-        amount=amount,
-        goal=goal,
-        predicted=predicted,
-        gain=gain_of(goal, base, predicted),
-        slope=slope,
-    )
+    gain = gain_of(goal, base, predicted)
+    return Change(slope.variable, amount, goal, predicted, gain, slope)
 
 
-def _largest(
-    base: EvaluatedDesign, slope: Sensitivity, goal: str, sign: float
-) -> tuple[Change, str]:
-    """Largest move of a knob that keeps to the rules and, as foretold, the margins; or why none."""
+def _largest(base: EvaluatedDesign, slope: Sensitivity, goal: str, sign: float) -> Change:
+    """Largest change within the rules and the predicted margins, or the reason against it."""
     why = ""
-    for amount in slope.knob.amounts(sign):
-        move = move_by(base.figures, slope, goal, amount)
-        if move.gain < least_of(goal):
-            return move, why
-        why = broken_margin(base.figures, move.predicted) or _refusal(base, move)
+    for amount in slope.variable.amounts(sign):
+        change = change_by(base.figures, slope, goal, amount)
+        if change.predicted_gain < least_gain(goal):
+            break
+        why = broken_margin(base.figures, change.predicted)
         if not why:
-            return move, ""
-    return move, why
-
-
-def _refusal(base: EvaluatedDesign, move: Change) -> str:
-    """The rule that a moved design breaks, found without judging it; "" if none."""
-    try:
-        design = move.knob.moved(base.design, move.amount)
-        surface, markers = check_design(design)
-    except PhytacError as error:
-        return str(error)
-    return broken_margin(base.figures, {"strain": strain_of(design, surface, markers)})
+            try:
+                design = slope.variable.moved(base.design, amount)
+                strain = strain_of(design, *check_design(design))
+                why = broken_margin(base.figures, {"strain": strain})
+            except PhytacError as error:
+                why = str(error)
+        if not why:
+            break
+    return replace(change, reason=why)
 
 
 def broken_margin(before: Mapping[str, float], after: Mapping[str, float]) -> str:
-    """What gets worse than it may be, in words; what was bad already may stay as it is."""
-    for name, limit, sign in (
-        ("gap_px", GAP_PX, -1.0),
-        ("load_gap_px", GAP_PX, -1.0),
-        ("crosstalk_px", CROSSTALK_PX, 1.0),
-        ("strain", STRAIN, 1.0),
-        ("occluded", 0.0, 1.0),
-        ("fused", 0.0, 1.0),
-        ("load_hidden", 0.0, 1.0),
-        ("load_fused", 0.0, 1.0),
-    ):
+    """A margin that a change breaks, in words; what was outside before may stay as it was."""
+    for name, limit in LIMITS.items():
         if name not in after:
             continue
+        sign = 1.0 if FIGURES[name].less else -1.0
         bound = max(sign * limit, sign * before[name])
         if sign * after[name] > bound + 1e-9:
-            figure = FIGURES[name]
-            unit = f" {figure.unit}" if figure.unit else ""
+            unit = f" {FIGURES[name].unit}".rstrip()
             word = "at most" if sign > 0 else "at least"
             return (
-                f"breaks a margin: {figure.doc} {after[name]:.3g}{unit} ({word} "
+                f"breaks a margin: {FIGURES[name].doc} {after[name]:.3g}{unit} ({word} "
                 f"{sign * bound:.3g}{unit})"
             )
     return ""
@@ -237,13 +180,14 @@ def broken_margin(before: Mapping[str, float], after: Mapping[str, float]) -> st
 def costs_of(before: Mapping[str, float], after: Mapping[str, float]) -> tuple[str, ...]:
     """What a change makes worse, in words."""
     out = []
-    for name, least in COSTS.items():
-        figure, old, new = FIGURES[name], before[name], after[name]
+    for name, figure in FIGURES.items():
+        if figure.reported is None:
+            continue
+        least, old, new = figure.reported, before[name], after[name]
         worse = (new - old) if figure.less else (old - new)
         share = name in FORCES or name == "strain" or name.endswith("gap_px")
         if worse > (least * abs(old) if share else least):
-            unit = f" {figure.unit}" if figure.unit else ""
-            out.append(f"{figure.doc} {old:.3g} → {new:.3g}{unit}")
+            out.append(f"{figure.doc} {old:.3g} → {new:.3g} {figure.unit}".rstrip())
     return tuple(out)
 
 
@@ -251,4 +195,4 @@ def gain_words(goal: str, gain: float) -> str:
     """A gain, for a reader."""
     if goal in FORCES:
         return f"force {100.0 * gain:.1f} % finer"
-    return f"{gain:+.0%} of the faults mended" if goal == FAULTS else f"gap {gain:+.2f} px"
+    return f"{gain:+.0%} of the faults repaired" if goal == FAULTS else f"gap {gain:+.2f} px"

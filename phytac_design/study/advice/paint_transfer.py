@@ -1,8 +1,8 @@
-"""Paint of a judged design, carried along by the receptors of designs like it.
+"""Paint of an evaluated design transferred to the receptors of designs like it.
 
-The point of a receptor that is watched, and what turning shows besides moving it, are taken in the
-receptor's own frame and carried along as they are, whatever its sizes: stretching them with band
-and tube was looked at, and is no nearer to whole runs.
+The visible point of a receptor, and the change of what is visible when it turns, are expressed in
+the receptor's own frame and transferred unscaled; scaling them with band and tube is no closer to
+exact evaluations.
 """
 
 import numpy as np
@@ -16,43 +16,52 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 
 
-class CarriedPaint:
-    """What designs like a judged one show.
+class PaintTransfer:
+    """Image motion of the paint of designs like an evaluated one.
 
-    Parameters
-    ----------
-    base : Judged
-        The design.
+    For each camera it keeps, in the receptors' frames, the offset (n, 3) mm from the tip to the
+    visible paint, and how this point would have to move (n, 3, 6), per mm and radian of the wall,
+    to show what the paint does besides moving rigidly: another part of it becomes visible.
     """
 
     def __init__(self, base: EvaluatedDesign) -> None:
         self.base = base
-        self.local, self.more = local_paint(base)
+        self.offsets: list[FloatArray] = []
+        self.turns: list[FloatArray] = []
+        markers, views = base.markers, base.views
+        for number, camera in enumerate(cameras_of(base.design, base.surface)):
+            watched, frame = views["paint_points_mm"][number], _frames(markers, camera)
+            self.offsets.append(np.einsum("nkj,nj->nk", frame, watched - markers.tip_mm))
+            image = camera.jacobian(watched)
+            rest = views["paint_slopes"][number] - rigid_slope(image, watched - markers.mid_mm)
+            seen = views["seen_by"][number][:, None, None]
+            motion = np.linalg.pinv(np.where(seen, image, 0.0)) @ np.where(seen, rest, 0.0)
+            self.turns.append(_rotated(motion, np.swapaxes(frame, 1, 2)))
 
     def slopes(
         self, surface: Surface, markers: Markers, cameras: tuple[Camera, ...]
     ) -> tuple[list[FloatArray], IntArray]:
-        """How paint moves on each camera's image (n, 2, 6), 0 if unseen; which camera reads it."""
+        """Image motion per wall motion for each camera (n, 2, 6), 0 if unseen; camera of each."""
         base = self.base
         like = np.arange(markers.count)
         if markers.count != base.markers.count:
-            # Markers of other layouts show what those as far along show.
-            before, after = (one.unwrap(m.uv)[:, 1] for one, m in
-                             ((base.surface, base.markers), (surface, markers)))  # fmt: skip
-            like = np.abs(after[:, None] - before[None]).argmin(axis=1)
+            # Markers of other layouts show what the nearest along the sensor show.
+            before = base.surface.unwrap(base.markers.uv)[:, 1]
+            after = surface.unwrap(markers.uv)[:, 1]
+            like = np.abs(after[:, None] - before).argmin(axis=1)
         slopes = []
         for number, camera in enumerate(cameras):
-            frame = frames_of(markers, camera)
-            watched = markers.tip_mm + np.einsum("nk,nkj->nj", self.local[number][like], frame)
+            frame = _frames(markers, camera)
+            watched = markers.tip_mm + np.einsum("nk,nkj->nj", self.offsets[number][like], frame)
             image = camera.jacobian(watched)
-            more = _turned(self.more[number][like], frame)
-            slope = rigid_slope(image, watched - markers.mid_mm) + image @ more
+            turns = _rotated(self.turns[number][like], frame)
+            slope = rigid_slope(image, watched - markers.mid_mm) + image @ turns
             seen = base.views["seen_by"][number][like]
             slopes.append(np.where(seen[:, None, None], slope, 0.0))
         return slopes, base.views["camera"][like]
 
 
-def frames_of(markers: Markers, camera: Camera) -> FloatArray:
+def _frames(markers: Markers, camera: Camera) -> FloatArray:
     """Unit vectors (n, 3, 3) of each receptor: along it, towards the camera, across."""
     axis = markers.direction
     sight = camera.position_mm - markers.tip_mm
@@ -61,32 +70,7 @@ def frames_of(markers: Markers, camera: Camera) -> FloatArray:
     return np.stack([axis, side, np.cross(axis, side)], axis=1)
 
 
-def local_paint(base: EvaluatedDesign) -> tuple[list[FloatArray], list[FloatArray]]:
-    """From each tip to the paint that each camera sees, in the frames of the receptors.
-
-    Returns
-    -------
-    offsets : list of (n, 3) float
-        mm.
-    more : list of (n, 3, 6) float
-        How this point would have to move, per mm and radian of the wall, to show what the paint
-        does besides moving with it: another part of it comes into sight.
-    """
-    offsets, more = [], []
-    markers, views = base.markers, base.views
-    for number, camera in enumerate(cameras_of(base.design, base.surface)):
-        watched, frame = views["paint_points_mm"][number], frames_of(markers, camera)
-        offsets.append(np.einsum("nkj,nj->nk", frame, watched - markers.tip_mm))
-        image = camera.jacobian(watched)
-        besides = views["paint_slopes"][number] - rigid_slope(image, watched - markers.mid_mm)
-        seen = views["seen_by"][number][:, None, None]
-        apart = np.linalg.pinv(np.where(seen, image, 0.0)) @ np.where(seen, besides, 0.0)
-        more.append(_turned(apart, np.swapaxes(frame, 1, 2)))
-    return offsets, more
-
-
-def _turned(more: FloatArray, frame: FloatArray) -> FloatArray:
-    """Maps (n, 3, 6) of translation and rotation, given in ``frame`` (n, 3, 3), as seen outside."""
+def _rotated(maps: FloatArray, frame: FloatArray) -> FloatArray:
+    """Maps (n, 3, 6) of translation and rotation from ``frame`` (n, 3, 3) to the outer frame."""
     out = np.swapaxes(frame, 1, 2)
-    parts = [out @ part @ frame for part in (more[:, :, :3], more[:, :, 3:])]
-    return np.concatenate(parts, axis=2)
+    return np.concatenate([out @ part @ frame for part in (maps[:, :, :3], maps[:, :, 3:])], axis=2)

@@ -1,4 +1,4 @@
-"""How figures change with each knob: slopes, and what they foretell of a move."""
+"""Sensitivities: how figures change with each design variable, and what they predict."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,40 +8,38 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.study.advice.design_evaluation import FORCES, EvaluatedDesign, strain_of
-from phytac_design.study.advice.design_variables import DesignVariable
+from phytac_design.study.advice.design_variables import ROW, DesignVariable
 from phytac_design.study.advice.local_model import LocalModel
 from phytac_shapes.errors import PhytacError
 
-SENSITIVE = (*FORCES, "gap_px", "load_gap_px", "strain")
-"""Figures with slopes: gaps absolute, the others relative."""
 GAPS = ("gap_px", "load_gap_px")
-BENT = ("wall", "material", "shape")
-"""Tables that the strain depends on."""
+SENSITIVE = (*FORCES, *GAPS, "strain")
+"""Figures with sensitivities: gaps absolute, the others relative."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Sensitivity:
-    """What one knob does.
+    """Effect of one variable.
 
     Attributes
     ----------
     rate : dict
-        By figure: d ln(figure) per unit of the knob for forces and strain, d(figure) for gaps.
+        By figure: d ln(figure) per unit of the variable for forces and strain, d(figure) for gaps.
     stuck : str
-        Why it cannot be moved either way; "" if it can.
+        Why it cannot change either way; "" if it can.
     """
 
-    knob: DesignVariable
+    variable: DesignVariable
     rate: dict[str, float]
     stuck: str = ""
 
     def per_step(self, name: str) -> float:
         """Change by one step: a share for forces and strain, px for gaps."""
-        return self.rate[name] * self.knob.step
+        return self.rate[name] * self.variable.step
 
     def predict(self, figures: Mapping[str, float], amount: float) -> dict[str, float]:
-        """Figures (those with slopes) after a move; forces follow a power of the knob's value."""
-        value, out = self.knob.value, {}
+        """Figures after a change; forces and strain follow a power law of the variable's value."""
+        value, out = self.variable.value, {}
         for name in SENSITIVE:
             if name in GAPS:
                 out[name] = figures[name] + self.rate[name] * amount
@@ -54,50 +52,37 @@ class Sensitivity:
 
 
 def sensitivities(
-    probe: LocalModel,
+    model: LocalModel,
     base: EvaluatedDesign,
-    knobs: Sequence[DesignVariable],
+    variables: Sequence[DesignVariable],
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Sensitivity]:
-    """Slope of every knob, by a step to either side; by one side where the other cannot be."""
-    here = _figures(probe, base, base.design, "")
+    """Sensitivity to every variable by central differences; one-sided where a rule forbids one."""
+
+    def sizes(design: Design, variable: DesignVariable | None = None) -> dict[str, float]:
+        strain = base.figures["strain"]
+        if variable and variable.name.partition(".")[0] in ("wall", "material", "shape"):
+            surface = design.surface()
+            strain = strain_of(design, surface, make_markers(design, surface))
+        held = variable is not None and variable.kind == ROW
+        found = model.figures(design, held=held) | {"strain": strain}
+        logs = {name: float(np.log(found[name])) for name in SENSITIVE if name not in GAPS}
+        return logs | {gap: found[gap] if np.isfinite(found[gap]) else 0.0 for gap in GAPS}
+
+    here = sizes(base.design)
     out = []
-    for number, knob in enumerate(knobs, start=1):
-        progress(f"slopes: {number} of {len(knobs)}, {knob.name}")
+    for number, variable in enumerate(variables, start=1):
+        progress(f"sensitivities: {number} of {len(variables)}, {variable.name}")
         sides, why = [(0.0, here)], ""
-        for sign in (1.0, -1.0):
-            amount = sign * knob.step
+        for amount in (variable.step, -variable.step):
             try:
-                moved = knob.moved(base.design, amount)
-                sides.append((amount, _figures(probe, base, moved, knob.name)))
+                sides.append((amount, sizes(variable.moved(base.design, amount), variable)))
             except PhytacError as error:
                 why = str(error)
-        # Both steps where there are both: the middle is for what has one only.
-        (low, before), (high, after) = sides[-2:] if len(sides) > 1 else (sides[0], sides[0])
-        if high == low:
-            out.append(Sensitivity(knob=knob, rate={}, stuck=why))
+        if len(sides) == 1:
+            out.append(Sensitivity(variable, {}, why))
             continue
-        rate = {
-            name: (_size(name, after[name]) - _size(name, before[name])) / (high - low)
-            for name in SENSITIVE
-        }
-        out.append(Sensitivity(knob=knob, rate=rate))
+        (low, before), (high, after) = sides[-2:]
+        rate = {name: (after[name] - before[name]) / (high - low) for name in SENSITIVE}
+        out.append(Sensitivity(variable, rate))
     return out
-
-
-def _size(name: str, value: float) -> float:
-    """What slopes are taken of: logarithms of forces, gaps as they are (none is none)."""
-    if name not in GAPS:
-        return float(np.log(value))
-    return value if np.isfinite(value) else 0.0
-
-
-def _figures(
-    probe: LocalModel, base: EvaluatedDesign, design: Design, knob: str
-) -> dict[str, float]:
-    """Figures with slopes of a design that a knob made; a row moves on the shell as it is."""
-    strain = base.figures["strain"]
-    if knob.partition(".")[0] in BENT:
-        surface = design.surface()
-        strain = strain_of(design, surface, make_markers(design, surface))
-    return probe.figures(design, held=knob.startswith("rows.")) | {"strain": strain}

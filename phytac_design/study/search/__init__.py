@@ -1,1 +1,1 @@
-"""Search of the design space: studies, their ladder of checks, their driver and their results."""
+"""Search of the design space: studies, fidelity levels, driver and their results."""

@@ -1,43 +1,50 @@
-"""Candidates climbed by Dask: processes on this machine, or a cluster's workers; the same code.
+"""Candidates evaluated by Dask: processes on this machine, or the workers of a cluster.
 
-Results are content-addressed and only the driver writes, so that a task may run twice: a worker
-that dies has its tasks run again by Dask; when the scheduler is lost, the driver waits for it to
-come back and gives out again what it has no result of.
-
-Candidates that take less time than Dask needs for a task of its own are given out several at once.
+Only the driver writes files, so that a task may run twice: Dask runs the tasks of a dead worker
+again; if the scheduler is lost, the driver waits for it and submits again what it has no result of.
+Candidates that take less time than Dask needs for a task of its own are submitted in chunks.
 """
 
 import time
-from collections import defaultdict, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 from phytac_design.core.threads import THREADS
 from phytac_design.engine.cache import code_hash
-from phytac_design.study.search.pool import keep_memory
-from phytac_design.study.search.successive_halving import FAILED, Outcome, Task
+from phytac_design.study.search.successive_halving import (
+    FAILED,
+    Outcome,
+    SerialPool,
+    Task,
+    keep_memory,
+)
 from phytac_shapes.errors import InputError, MissingPartError
 
-AHEAD = 2
-"""Pieces per worker that are given out ahead, so that none waits for the driver."""
-PIECE_S = 1.0
-"""Processor time that a piece should hold: some hundred times what Dask needs for it."""
-CONNECT_S = 10.0
-RETURN_S = 120.0
-"""How long a lost scheduler may take to come back."""
-WORKERS_S = 120.0
-"""How long to wait for a cluster's first worker."""
-COUNT_S = 5.0
-"""How often workers are counted."""
-DEATHS = 10
-"""Workers that may die over one task before it is given up."""
-QUIET = {"distributed.admin.tick.interval": "500ms", "distributed.worker.profile.enabled": False}
-"""Looks at itself less often: Dask's own settings take some 3 % of each process's time."""
+
+@dataclass(frozen=True)
+class DaskSettings:
+    """Times in seconds."""
+
+    chunk_s: float = 1.0
+    """Processor time of a chunk: some hundred times what Dask needs for a task."""
+    connect_s: float = 10.0
+    reconnect_s: float = 120.0
+    """How long a lost scheduler may take to come back."""
+    workers_s: float = 120.0
+    """How long to wait for a cluster's first worker."""
+    allowed_failures: int = 10
+    """Workers that may die over one task before it is given up."""
+
+
+SETTINGS = DaskSettings()
+_QUIET = {"distributed.admin.tick.interval": "500ms", "distributed.worker.profile.enabled": False}
+"""Dask's own monitoring takes some 3 % of each process's time by default."""
 WORKER_ENVIRONMENT = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", THREADS), "1"
-) | {f"DASK_{name.upper().replace('.', '__')}": str(value) for name, value in QUIET.items()}
-"""Environment of workers."""
+) | {f"DASK_{name.upper().replace('.', '__')}": str(value) for name, value in _QUIET.items()}
 
 
 def _libraries() -> tuple[Any, Any]:
@@ -52,55 +59,13 @@ def _libraries() -> tuple[Any, Any]:
     return dask, distributed
 
 
-def climb_some(tasks: tuple[Task, ...]) -> list[dict[str, Any]]:
-    """Results of a piece, on a worker."""
+def run_chunk(tasks: tuple[Task, ...]) -> list[dict[str, Any]]:
+    """Results of a chunk, on a worker."""
     keep_memory()
     return [task.run() for task in tasks]
 
 
-class Pieces:
-    """Tasks in pieces of about ``PIECE_S``, by what such tasks took so far; small ones at the end.
-
-    Parameters
-    ----------
-    tasks : iterable of Task
-        All of them.
-    spent : dict
-        Seconds and number of tasks so far, by their rungs; added to by :meth:`took`.
-    """
-
-    def __init__(
-        self, tasks: Iterable[Task], spent: defaultdict[tuple[str, ...], list[float]]
-    ) -> None:
-        self.left, self.alone, self.spent = deque(tasks), deque[Task](), spent
-
-    def take(self, workers: int) -> tuple[Task, ...]:
-        """Next piece, of tasks with the same rungs; () if nothing is left."""
-        if self.alone:
-            return (self.alone.popleft(),)
-        if not self.left:
-            return ()
-        rungs = self.left[0].rungs
-        seconds, number = self.spent[rungs]
-        fit = PIECE_S * number / seconds if seconds > 0.0 else 1.0
-        share = -(-len(self.left) // (2 * workers))
-        piece = [self.left.popleft()]
-        while len(piece) < min(int(fit), share) and self.left[0].rungs == rungs:
-            piece.append(self.left.popleft())
-        return tuple(piece)
-
-    def took(self, task: Task, outcome: Outcome) -> None:
-        """Learn from a result."""
-        spent = self.spent[task.rungs]
-        spent[0] += sum(outcome.seconds.values())
-        spent[1] += 1.0
-
-    def back(self, piece: tuple[Task, ...]) -> None:
-        """Tasks of a piece that failed as a whole: each is to run alone."""
-        self.alone.extend(piece)
-
-
-class DaskPool:
+class DaskPool(SerialPool):
     """A client of a scheduler: its own (``workers``) or a running one (``address``).
 
     Parameters
@@ -110,13 +75,13 @@ class DaskPool:
     address : str
         Of a running scheduler, as ``tcp://host:8786``.
     say : callable
-        Told of what is waited for.
+        Receives messages about waiting.
 
     Raises
     ------
     InputError
         If workers cannot be started, or the scheduler cannot be reached, has no worker, or one
-        with another program.
+        with another version of the program.
     """
 
     def __init__(
@@ -125,13 +90,12 @@ class DaskPool:
         (self.dask, self.library), self.say = _libraries(), say
         self.cluster: Any = None
         self.address = address
-        self._counted = (0.0, 1)
-        self._spent: defaultdict[tuple[str, ...], list[float]] = defaultdict(lambda: [0.0, 0.0])
-        self._running: dict[str, tuple[tuple[Task, ...], Any]] = {}
+        self._seconds: defaultdict[tuple[str, ...], list[float]] = defaultdict(lambda: [0.0, 0.0])
+        self._submitted: dict[str, tuple[tuple[Task, ...], Any]] = {}
         self._early: dict[str, Outcome] = {}
         if not address:
             try:
-                with self.dask.config.set(QUIET):
+                with self.dask.config.set(_QUIET):
                     self.cluster = self.library.LocalCluster(
                         n_workers=workers,
                         threads_per_worker=1,
@@ -139,130 +103,133 @@ class DaskPool:
                         dashboard_address=None,
                         silence_logs="ERROR",
                         env=WORKER_ENVIRONMENT,
-                        # Any free port: another study may have the usual one.
+                        # Any free port: another study may use the default one.
                         scheduler_kwargs={
-                            "allowed_failures": DEATHS,
+                            "allowed_failures": SETTINGS.allowed_failures,
                             "dashboard_address": "127.0.0.1:0",
                         },
                     )
             except (RuntimeError, OSError, TimeoutError) as error:
                 raise InputError(
-                    f"{workers} workers could not be started ({error}); take fewer, or none"
+                    f"{workers} workers could not be started ({error}); use fewer, or none"
                 ) from None
             self.address = self.cluster.scheduler_address
         try:
-            self.client = self._connect(CONNECT_S)
-            self._check_workers()
+            self.client = self._connect()
         except BaseException:
             if self.cluster is not None:
                 self.cluster.close()
             raise
 
-    def _connect(self, seconds: float) -> Any:
+    def _connect(self) -> Any:
+        """Client of the scheduler, once it has a worker that runs this version of the program."""
         try:
-            with self.dask.config.set(QUIET):
-                client = self.library.Client(self.address, timeout=seconds, set_as_default=False)
+            with self.dask.config.set(_QUIET):
+                client = self.library.Client(
+                    self.address, timeout=SETTINGS.connect_s, set_as_default=False
+                )
         except (OSError, TimeoutError, ValueError) as error:
-            said = str(error).splitlines()[0] if str(error) else type(error).__name__
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError(
-                f"no scheduler at {self.address} ({said}); start one with `dask scheduler`, or "
-                "use --workers. What was done is kept"
+                f"no scheduler at {self.address} ({reason}); start one with `dask scheduler`, or "
+                "use --workers. Completed candidates are kept"
             ) from None
-        self._ends = self.library.as_completed(loop=client.loop)
-        self._running = {}
-        return client
-
-    def _check_workers(self) -> None:
-        """Wait for a first worker, and refuse those that run another program."""
-        if not self.client.scheduler_info(n_workers=-1)["workers"]:
+        self._completed = self.library.as_completed(loop=client.loop)
+        self._submitted = {}
+        if not client.scheduler_info(n_workers=-1)["workers"]:
             self.say(f"waiting for workers of {self.address} …")
         try:
-            self.client.wait_for_workers(1, timeout=WORKERS_S)
+            client.wait_for_workers(1, timeout=SETTINGS.workers_s)
         except (TimeoutError, OSError):
             raise InputError(
                 f"the scheduler at {self.address} has no worker; start some with `dask worker "
                 f"{self.address} --nthreads 1`"
             ) from None
         mine = code_hash()
-        for worker, theirs in self.client.run(code_hash, on_error="return").items():
+        for worker, theirs in client.run(code_hash, on_error="return").items():
             if theirs != mine:
-                said = theirs if isinstance(theirs, Exception) else "another version"
+                why = theirs if isinstance(theirs, Exception) else "another version"
                 raise InputError(
-                    f"the worker {worker} does not run this program ({said}); install the same "
+                    f"the worker {worker} does not run this program ({why}); install the same "
                     "version there"
                 )
+        return client
 
     @property
     def workers(self) -> int:
-        """Threads that run tasks, as of late."""
-        when, count = self._counted
-        if time.monotonic() - when > COUNT_S:
-            with suppress(OSError):
-                info = self.client.scheduler_info(n_workers=-1)["workers"]
-                count = max(1, sum(worker["nthreads"] for worker in info.values()))
-            self._counted = time.monotonic(), count
-        return count
+        """Threads that run tasks now."""
+        return max(1, int(sum(self.client.nthreads().values())))
 
     def run(
         self, tasks: Iterable[Task], following: Iterable[Task] = ()
     ) -> Iterator[tuple[Task, Outcome]]:
         """Results as they come; every task once, however often a worker dies.
 
-        Workers that would wait for the last of the ``tasks`` begin with those ``following``; what
-        becomes of these is given when they are asked for.
+        Idle workers begin with the tasks ``following``; their results are given when they are
+        tasks of a later call.
         """
         wanted, later = {task.key: task for task in tasks}, list(following)
         while wanted:
-            for key in [key for key in wanted if key in self._early]:
+            for key in wanted.keys() & self._early.keys():
                 yield wanted.pop(key), self._early.pop(key)
-            for key, outcome in self._results(wanted, later):
-                yield wanted.pop(key), outcome
-            if wanted:
-                self._come_back()
-
-    def _results(
-        self, wanted: Mapping[str, Task], later: Sequence[Task]
-    ) -> Iterator[tuple[str, Outcome]]:
-        """Results of those wanted, until all are there or the scheduler is lost."""
-        pieces = Pieces(self._not_begun([*wanted.values(), *later]), self._spent)
-
-        def more() -> None:
-            workers = self.workers
-            while len(self._running) <= AHEAD * workers and (piece := pieces.take(workers)):
-                key = f"phytac-{piece[0].key}-{len(piece)}"
-                future = self.client.submit(climb_some, piece, key=key, pure=False)
-                self._running[future.key] = piece, future
-                self._ends.add(future)
-
-        try:
-            more()
-            while wanted and self._running:
-                future = next(self._ends)
-                piece, _ = self._running.pop(future.key)
-                if future.status in {"cancelled", "lost"}:
-                    return
-                if future.status != "finished" and len(piece) > 1:
-                    pieces.back(piece)
-                else:
-                    for task, outcome in zip(piece, _outcomes(future), strict=True):
-                        pieces.took(task, outcome)
+            with suppress(OSError, self.library.comm.core.CommClosedError, StopIteration):
+                self._submit(wanted.values())
+                self._submit(later)
+                while wanted:
+                    for task, outcome in self._next():
                         if task.key in wanted:
-                            yield task.key, outcome
+                            yield wanted.pop(task.key), outcome
                         else:
                             self._early[task.key] = outcome
-                more()
-        except (OSError, self.library.comm.core.CommClosedError, StopIteration):
-            return
+            if wanted:
+                self._reconnect()
 
-    def _not_begun(self, tasks: Iterable[Task]) -> list[Task]:
-        """Those that are neither under way nor done, each once."""
-        known = {task.key for piece, _ in self._running.values() for task in piece}
+    def _submit(self, tasks: Iterable[Task]) -> None:
+        """Submit tasks that are neither running nor done, in chunks of like tasks."""
+        known = {task.key for chunk, _ in self._submitted.values() for task in chunk}
         known |= self._early.keys()
-        return [
-            task for task in {task.key: task for task in tasks}.values() if task.key not in known
-        ]
+        groups: defaultdict[tuple[str, ...], dict[str, Task]] = defaultdict(dict)
+        for task in tasks:
+            if task.key not in known:
+                groups[task.levels][task.key] = task
+        for levels, group in groups.items():
+            size, todo = self._chunk_size(levels, len(group)), list(group.values())
+            for first in range(0, len(todo), size):
+                self._submit_chunk(tuple(todo[first : first + size]))
 
-    def _come_back(self) -> None:
+    def _chunk_size(self, levels: tuple[str, ...], count: int) -> int:
+        """Tasks of some levels in a chunk, by what such tasks took so far."""
+        seconds, number = self._seconds[levels]
+        fit = int(SETTINGS.chunk_s * number / seconds) if seconds > 0.0 else 1
+        return max(1, min(fit, count // (4 * self.workers)))
+
+    def _submit_chunk(self, chunk: tuple[Task, ...]) -> None:
+        key = f"phytac-{chunk[0].key}-{len(chunk)}"
+        future = self.client.submit(run_chunk, chunk, key=key, pure=False)
+        self._submitted[key] = chunk, future
+        self._completed.add(future)
+
+    def _next(self) -> list[tuple[Task, Outcome]]:
+        """Results of the next chunk; raises StopIteration if the scheduler is lost."""
+        future = next(self._completed)
+        chunk, _ = self._submitted.pop(future.key)
+        if future.status in {"cancelled", "lost"}:
+            raise StopIteration
+        if future.status == "finished":
+            outcomes = [Outcome(**found) for found in future.result()]
+            total = self._seconds[chunk[0].levels]
+            total[0] += sum(sum(outcome.seconds.values()) for outcome in outcomes)
+            total[1] += len(chunk)
+            return list(zip(chunk, outcomes, strict=True))
+        if len(chunk) > 1:  # one task may have killed its worker: each runs alone
+            for task in chunk:
+                self._submit_chunk((task,))
+            return []
+        error = future.exception()
+        reason = f"{type(error).__name__}: {error}"[:500]
+        return [(chunk[0], Outcome(status=FAILED, reason=reason, violation=1e3))]
+
+    def _reconnect(self) -> None:
         """Wait for a lost scheduler.
 
         Raises
@@ -271,13 +238,12 @@ class DaskPool:
             If it stays away.
         """
         self.say(f"the scheduler at {self.address} is lost; waiting for it …")
-        with suppress(Exception):  # a client whose scheduler is gone may not even close
+        with suppress(Exception):  # a client without a scheduler may not even close
             self.client.close(timeout=1)
-        end = time.monotonic() + RETURN_S
+        end = time.monotonic() + SETTINGS.reconnect_s
         while True:
             try:
-                self.client = self._connect(CONNECT_S)
-                self._check_workers()
+                self.client = self._connect()
             except InputError:
                 if time.monotonic() > end:
                     raise
@@ -286,17 +252,8 @@ class DaskPool:
                 return
 
     def close(self) -> None:
-        """Leave the scheduler; stop it if it is this one's own."""
-        with suppress(Exception):  # a scheduler that is gone cannot be left
+        """Leave the scheduler; stop it if this pool started it."""
+        with suppress(Exception):  # a lost scheduler cannot be left
             self.client.close()
         if self.cluster is not None:
             self.cluster.close()
-
-
-def _outcomes(future: Any) -> list[Outcome]:
-    """What a piece came to; one task that its worker did not survive is a failed candidate."""
-    if future.status == "finished":
-        return [Outcome(**found) for found in future.result()]
-    error = future.exception()
-    said = f"{type(error).__name__}: {error}"[:500]
-    return [Outcome(status=FAILED, reason=said, violation=1e3)]

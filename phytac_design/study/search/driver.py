@@ -1,4 +1,4 @@
-"""The one driver: asks for candidates, has them climb, keeps what comes of them, and tells."""
+"""The driver of a study: draws candidates, evaluates them, stores their rows."""
 
 import time
 from collections import Counter
@@ -7,35 +7,37 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from phytac_design.study.search.pool import OwnProcess, Pool
 from phytac_design.study.search.sampler import Search, Sweep
 from phytac_design.study.search.space import Params, Space
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.study_folder import RESULTS, Store
-from phytac_design.study.search.successive_halving import DROPPED, OK, Outcome, promoted, task_of
+from phytac_design.study.search.successive_halving import (
+    DROPPED,
+    OK,
+    Outcome,
+    SerialPool,
+    promoted,
+    task_of,
+)
 
 Progress = Callable[[str], None]
 Kind = Literal["sweep", "optimise"]
-SAY_EVERY_S = 2.0
-JOURNAL = "study.journal"
 
 
 @dataclass
 class StudyRun:
-    """What a run of the driver did.
+    """What one run of the driver did.
 
     Attributes
     ----------
     folder : Path
         The study's folder.
-    rows : int
-        Candidates in its results.
-    new : int
-        Those of this run.
+    rows, new : int
+        Candidates in its results, and those of this run.
     seconds : float
         Wall time of this run.
     statuses : dict
-        How many of this run's candidates have each status.
+        Number of this run's candidates by status.
     """
 
     folder: Path
@@ -50,38 +52,31 @@ class StudyRun:
         return self.folder / RESULTS
 
 
-class _Clock:
-    """Says how far a study is, at a steady rate."""
+class _ProgressReporter:
+    """Logs rate and remaining time, at most every two seconds."""
 
-    def __init__(self, progress: Progress, done: StudyRun, total: int) -> None:
-        self.progress, self.total = progress, total
+    def __init__(self, progress: Progress, before: int, total: int) -> None:
+        self.progress, self.before, self.total = progress, before, total
         self.start = self.last = time.monotonic()
-        self.before = done.rows
         self.statuses: Counter[str] = Counter()
 
-    def tick(self, status: str, count: int) -> None:
-        """Count candidates that will not climb on."""
+    def add(self, status: str, count: int) -> None:
+        """Count candidates whose evaluation has ended."""
         self.statuses[status] += count
         now = time.monotonic()
-        if now - self.last < SAY_EVERY_S:
+        if now - self.last < 2.0:
             return
         self.last = now
         new = self.statuses.total()
         rate = new / (now - self.start)
-        left = max(self.total - self.before - new, 0) / rate
+        seconds = max(self.total - self.before - new, 0) / rate
+        units = {"d": 86400.0, "h": 3600.0, "min": 60.0, "s": 1.0}
+        unit = next((name for name, size in units.items() if seconds >= 2.0 * size), "s")
         counts = ", ".join(f"{n} {status}" for status, n in self.statuses.most_common())
         self.progress(
             f"{self.before + new} of {self.total} candidates, {rate:.3g}/s, about "
-            f"{_span(left)} left ({counts})"
+            f"{seconds / units[unit]:.0f} {unit} remaining ({counts})"
         )
-
-
-def _span(seconds: float) -> str:
-    """Time in words."""
-    for size, unit in ((86400.0, "d"), (3600.0, "h"), (60.0, "min")):
-        if seconds >= 2.0 * size:
-            return f"{seconds / size:.0f} {unit}"
-    return f"{seconds:.0f} s"
 
 
 def run_study(
@@ -90,11 +85,11 @@ def run_study(
     folder: Path,
     *,
     kind: Kind,
-    pool: Pool | None = None,
+    pool: SerialPool | None = None,
     storage: str = "",
     progress: Progress = lambda _: None,
 ) -> StudyRun:
-    """Run a study, or go on with one that was stopped; the same study gives the same rows.
+    """Run or resume a study; the same study gives the same rows.
 
     Parameters
     ----------
@@ -102,102 +97,88 @@ def run_study(
         The study's own folder.
     kind : str
         ``sweep`` or ``optimise``.
-    pool : Pool, optional
-        Where candidates climb; this process by default. The caller closes it.
+    pool : SerialPool, optional
+        Where candidates are evaluated; this process by default. The caller closes it.
     storage : str
         Database URL of Optuna's trials; a file in the folder by default.
 
     Raises
     ------
     DesignError
-        If the study cannot be carried out.
+        If the study is not valid.
     OutputError
-        If the folder is another study's or cannot be written; what was done is kept.
+        If the folder is another study's or cannot be written; completed candidates are kept.
     """
     start = time.monotonic()
-    done = StudyRun(folder)
+    run = StudyRun(folder)
     store = Store(folder, study, space, kind)
     try:
         source: Sweep | Search
         if kind == "optimise":
-            source = Search(study, space, storage or str(folder / JOURNAL))
-            _catch_up(store, source, space)
+            source = Search(study, space, storage or str(folder / "study.journal"))
+            if source.known < store.rows:  # the driver was killed before Optuna had the last batch
+                missed = store.read(source.known)
+                fields = [axis.field for axis in space.axes]
+                source.replay([{name: row[name] for name in fields} for row in missed], missed)
         else:
             source = Sweep(study, space)
-        done.rows = store.rows
-        clock = _Clock(progress, done, source.total)
-        size = study.sampling.batch
+        run.rows = store.rows
+        reporter = _ProgressReporter(progress, store.rows, source.total)
+        size, limit_s = study.sampling.batch, study.budget.seconds or float("inf")
         batch = source.ask(store.rows, size)
-        while batch and not _over(study, start):
+        while batch and time.monotonic() - start <= limit_s:
             first = store.rows
-            # What depends on this batch cannot be begun before it is done.
-            following = source.ask(first + len(batch), size) if source.steady else []
-            outcomes = _climb_batch(study, store, batch, following, pool or OwnProcess(), clock)
-            rows = [
-                store.row(first + order, params, outcomes[order])
-                for order, params in enumerate(batch)
-            ]
+            # A batch that depends on the results of this one cannot be drawn yet.
+            following = source.ask(first + len(batch), size) if source.independent else []
+            outcomes = _evaluate_batch(
+                study, store, batch, following, pool or SerialPool(), reporter
+            )
+            rows = [store.row(first + k, own, outcomes[k]) for k, own in enumerate(batch)]
             store.close_batch(rows)
             source.tell(batch, rows)
-            batch = following if source.steady else source.ask(store.rows, size)
-            done.rows, done.new = store.rows, done.new + len(rows)
-            done.statuses.update(row["status"] for row in rows)
-        store.join()
+            batch = following if source.independent else source.ask(store.rows, size)
+            run.rows, run.new = store.rows, run.new + len(rows)
+            run.statuses.update(row["status"] for row in rows)
+        store.merge()
     finally:
         store.close()
-    done.seconds = time.monotonic() - start
-    return done
+    run.seconds = time.monotonic() - start
+    return run
 
 
-def _over(study: Study, start: float) -> bool:
-    """Whether the study has had its time."""
-    return bool(study.budget.seconds) and time.monotonic() - start > study.budget.seconds
-
-
-def _catch_up(store: Store, source: Search, space: Space) -> None:
-    """Tell Optuna of rows that it missed: the driver was killed in between."""
-    missed = list(store.read(source.told)) if source.told < store.rows else []
-    if missed:
-        fields = [axis.field for axis in space.axes]
-        source.replay([{name: row[name] for name in fields} for row in missed], missed)
-
-
-def _climb_batch(
+def _evaluate_batch(
     study: Study,
     store: Store,
     batch: list[Params],
     following: list[Params],
-    pool: Pool,
-    clock: _Clock,
+    pool: SerialPool,
+    reporter: _ProgressReporter,
 ) -> dict[int, Outcome]:
-    """Have a batch climb, group of rungs by group; those with equal values climb once."""
+    """Outcomes of a batch, one group of levels after the other; equal values are evaluated once."""
     outcomes: dict[int, Outcome] = {}
-    climbing = list(range(len(batch)))
-    groups = study.groups()
+    remaining = set(range(len(batch)))
+    groups = study.level_groups()
     later = [task_of(k, store.spec, params, groups[0]) for k, params in enumerate(following)]
-    for number, rungs in enumerate(groups):
-        last = number == len(groups) - 1
-        tasks = {order: task_of(order, store.spec, batch[order], rungs) for order in climbing}
-        firsts = {task.key: task for task in reversed(tasks.values())}
-        wanted = [task for task in firsts.values() if task.key not in store.open_results]
-        alike = Counter(task.key for task in tasks.values())
+    for levels in groups:
+        last, level = levels == groups[-1], levels[-1]
+        tasks = {k: task_of(k, store.spec, batch[k], levels) for k in sorted(remaining)}
+        unique = {task.key: task for task in reversed(tasks.values())}
+        wanted = [task for task in unique.values() if task.key not in store.open_results]
+        copies = Counter(task.key for task in tasks.values())
         for task, outcome in pool.run(wanted, later):
             store.keep(task, outcome)
             if last or outcome.status != OK:
-                clock.tick(outcome.status, alike[task.key])
-        for order, task in tasks.items():
-            found = store.open_results[task.key]
-            outcomes[order] = outcomes[order].and_then(found) if order in outcomes else found
-        able = {order: outcomes[order] for order in climbing}
-        climbing = sorted(promoted(study, rungs[-1], able))
-        for order in set(able) - set(climbing):
-            if able[order].status == OK and not last:
-                outcomes[order] = _dropped(study, rungs[-1], able[order])
+                reporter.add(outcome.status, copies[task.key])
+        for k, task in tasks.items():
+            outcomes[k] = outcomes.get(k, Outcome()).merged(store.open_results[task.key])
+        remaining = promoted(study, level, {k: outcomes[k] for k in tasks})
+        for k in tasks.keys() - remaining:
+            if outcomes[k].status == OK and not last:
+                above = len(study.levels) - 1 - study.levels.index(level)
+                reason = (
+                    f"not among the best {study.ladder.share[level]:.0%} of its batch after {level}"
+                )
+                outcomes[k] = outcomes[k].merged(
+                    Outcome(status=DROPPED, rung=level, reason=reason, violation=above - 0.5)
+                )
     return outcomes
-
-
-def _dropped(study: Study, rung: str, outcome: Outcome) -> Outcome:
-    """A candidate that others of its batch were better than."""
-    left = len(study.rungs) - 1 - study.rungs.index(rung)
-    reason = f"not among the best {study.ladder.share[rung]:.0%} of its batch after {rung}"
-    return outcome.and_then(Outcome(status=DROPPED, rung=rung, reason=reason, violation=left - 0.5))

@@ -1,39 +1,101 @@
-"""The rungs of the ladder: each a pure function from a candidate to its measures.
+"""The fidelity levels: each a pure function from a candidate to its measures.
 
 ``rules`` places markers and applies every check that a build makes before it computes anything;
-``sampled`` looks with some 64 rays a marker and bends the wall in closed form; ``exact`` renders;
+``sampled`` traces some 64 rays a marker and bends the wall in closed form; ``exact`` renders;
 ``switch`` solves the threshold bowls; ``mechanics`` takes the Cramér-Rao bound by finite elements;
-``load`` presses the sensor all over and looks again; ``twin`` builds and judges its decoder.
+``load`` presses the sensor all over and renders; ``twin`` builds and tests its decoder.
 """
 
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.accuracy import settings_of
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, write_arrays
 from phytac_design.fabrication.documents.materials import mass_g
 from phytac_design.geometry.envelope import edge_mm
+from phytac_design.layout import Markers
+from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.density import density_of
 from phytac_design.optics.gaps import outline_gaps
 from phytac_design.optics.sampled_visibility import sampled_fraction
-from phytac_design.optics.visibility import FRACTION_MIN
-from phytac_design.study.search.candidate import Candidate
+from phytac_design.optics.scene import build_scene
+from phytac_design.optics.visibility import FRACTION_MIN, Visibility, best_of, check_visibility
+from phytac_design.rules.check import check_design
+from phytac_design.simulation.imaging.nominal_view import paint_slopes
+from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.surrogate import FORCE_N, predict
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 
 Measures = dict[str, float]
-OUTLINE = 16
-"""Points of each of the two circles that bound a marker's paint."""
-SOLVED: dict[str, float] = {}
-"""Snap forces of bowls by what they were asked for, in this process; few differ in a study."""
+_SNAP_FORCES_N: dict[str, float] = {}
+"""Solved snap forces by their inputs; few differ in a study."""
+
+
+@dataclass
+class Candidate:
+    """A design with what several levels need of it, each computed once."""
+
+    design: Design
+    study: Study
+
+    @cached_property
+    def checked(self) -> tuple[Surface, Markers]:
+        """Surface and markers; raises ``DesignError`` if the design breaks a rule."""
+        return check_design(self.design)
+
+    @property
+    def surface(self) -> Surface:
+        """The sensing surface."""
+        return self.checked[0]
+
+    @property
+    def markers(self) -> Markers:
+        """The markers on it."""
+        return self.checked[1]
+
+    @cached_property
+    def cameras(self) -> tuple[Camera, ...]:
+        """Its cameras."""
+        return cameras_of(self.design, self.surface)
+
+    @cached_property
+    def visibility(self) -> tuple[list[Visibility], dict[str, Any]]:
+        """Exact visibility at rest by camera, and the arrays that mechanics and load read."""
+        return views_at_rest(self.design, self.surface, self.markers, self.cameras, self.study.seed)
+
+
+def views_at_rest(
+    design: Design,
+    surface: Surface,
+    markers: Markers,
+    cameras: tuple[Camera, ...],
+    seed: int,
+) -> tuple[list[Visibility], dict[str, Any]]:
+    """Exact visibility at rest by camera, and arrays of the stage ``views`` that others read."""
+    rng = np.random.default_rng(seed)
+    each = [
+        check_visibility(design, surface, markers, rng=rng, camera=camera) for camera in cameras
+    ]
+    best, camera_of = best_of(each)
+    return each, {
+        "camera": camera_of,
+        "paint_slopes": paint_slopes(design, surface, markers, each),
+        "seen_by": np.stack([~one.occluded for one in each]),
+        "gap_same_colour_px": best.gap_same_colour_px,
+        "gap_other_colour_px": best.gap_other_colour_px,
+    }
 
 
 def rules(candidate: Candidate) -> Measures:
@@ -44,7 +106,7 @@ def rules(candidate: Candidate) -> Measures:
     if markers.count > 1:
         pitch = float(cKDTree(outer).query(outer, k=2)[0][:, 1].min())
     z = surface.bounds_mm()[:, 2]
-    eyes = [float(camera.position_mm[2]) for camera in candidate.cameras]
+    lenses = [float(camera.position_mm[2]) for camera in candidate.cameras]
     outside = ~np.any([camera.sees(markers.tip_mm) for camera in candidate.cameras], axis=0)
     mass = mass_g("resin", resin_mm3(design, surface, markers.height_mm)) or 0.0
     prices = candidate.study.prices
@@ -52,7 +114,7 @@ def rules(candidate: Candidate) -> Measures:
         "marker_count": markers.count,
         "density_mean_per_cm2": 100.0 * markers.count / surface.area_mm2(),
         "pitch_least_mm": pitch,
-        "stack_mm": float(max([z[1], *eyes]) - min([z[0], *eyes])),
+        "stack_mm": float(max([z[1], *lenses]) - min([z[0], *lenses])),
         "wall_mm": design.wall.thickness_mm,
         "height_most_mm": float(markers.height_mm.max()),
         "outside_markers": int(outside.sum()),
@@ -81,10 +143,16 @@ def resin_mm3(design: Design, surface: Surface, height_mm: FloatArray) -> float:
 def sampled(candidate: Candidate) -> Measures:
     """Sampled visibility at rest, density, and resolution by the closed form."""
     design, surface, markers = candidate.design, candidate.surface, candidate.markers
+    coarse = 2.5  # polygons 0.25 px off their circles are near enough for few rays
     fractions = np.stack(
         [
-            sampled_fraction(scene, camera).fraction
-            for scene, camera in zip(candidate.scenes, candidate.cameras, strict=True)
+            sampled_fraction(
+                build_scene(
+                    design, surface, markers, tolerance_mm=coarse * tolerance_mm(camera, markers)
+                ),
+                camera,
+            ).fraction
+            for camera in candidate.cameras
         ]
     )
     fraction = fractions.max(axis=0)
@@ -103,34 +171,39 @@ def sampled(candidate: Candidate) -> Measures:
     }
 
 
-def outlined_gap_px(candidate: Candidate, camera_of: IntArray) -> float:
-    """Least distance of painted outlines of one colour, px; nothing is hidden in them."""
-    markers, receptor = candidate.markers, candidate.design.receptor
-    axis = markers.direction
+def band_rings(design: Design, markers: Markers, count: int = 16) -> FloatArray:
+    """Points (n, 2 count, 3) mm of the two circles that bound each marker's paint."""
+    receptor, axis = design.receptor, markers.direction
     first = np.cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(axis, first)
-    turn = 2.0 * np.pi * np.arange(OUTLINE) / OUTLINE
+    turn = 2.0 * np.pi * np.arange(count) / count
     ring = np.cos(turn)[:, None] * first[:, None] + np.sin(turn)[:, None] * second[:, None]
     ring *= receptor.diameter_outer_mm / 2.0
     band = np.minimum(receptor.band_marker_mm, markers.height_mm)
     back = markers.tip_mm - band[:, None] * axis
-    points = np.concatenate([markers.tip_mm[:, None] + ring, back[:, None] + ring], axis=1)
+    return np.concatenate([markers.tip_mm[:, None] + ring, back[:, None] + ring], axis=1)
+
+
+def outlined_gap_px(candidate: Candidate, camera_of: IntArray) -> float:
+    """Least distance of painted outlines of one colour, px; occlusion is ignored."""
+    markers = candidate.markers
+    points = band_rings(candidate.design, markers)
     least = np.inf
     for number, camera in enumerate(candidate.cameras):
         own = np.flatnonzero(camera_of == number)
         pixels = camera.project(points[own].reshape(-1, 3)).reshape(len(own), -1, 2)
         own = own[known := np.isfinite(pixels).all(axis=(1, 2))]
-        whole = np.rint(pixels[known].reshape(-1, 2)).astype(np.int64)
+        rounded = np.rint(pixels[known].reshape(-1, 2)).astype(np.int64)
         starts = np.arange(len(own) + 1) * points.shape[1]
-        gaps = outline_gaps(whole, starts, markers.colour[own])[0]
+        gaps = outline_gaps(rounded, starts, markers.colour[own])[0]
         least = min(least, float(gaps.min(initial=np.inf)))
     return least
 
 
 def exact(candidate: Candidate) -> Measures:
-    """Visibility, gaps and fusion from rendered pictures."""
-    summary = candidate.seen[0].summary()
+    """Visibility, gaps and fusion from rendered images."""
+    summary = best_of(candidate.visibility[0])[0].summary()
     return {
         "visible_least": summary["min_visible_fraction"],
         "occluded": summary["occluded"],
@@ -141,7 +214,7 @@ def exact(candidate: Candidate) -> Measures:
 
 
 def switch(candidate: Candidate) -> Measures:
-    """Bowls for the design's thresholds, solved; those that were solved before are remembered."""
+    """Bowls for the design's thresholds, solved; equal ones once in a process."""
     from phytac_design.mechanics.switch.design import design_switch
     from phytac_design.mechanics.switch.space import Tolerance
     from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
@@ -154,15 +227,15 @@ def switch(candidate: Candidate) -> Measures:
     worst = 0.0
     for force in np.unique(thresholds_N(design, candidate.markers)).tolist():
         key = repr((force, rubber, space, tolerance))
-        if key not in SOLVED:
-            SOLVED[key] = design_switch(force, rubber, space, tolerance).snap.limit_N
-        worst = max(worst, abs(SOLVED[key] / force - 1.0))
+        if key not in _SNAP_FORCES_N:
+            _SNAP_FORCES_N[key] = design_switch(force, rubber, space, tolerance).snap.limit_N
+        worst = max(worst, abs(_SNAP_FORCES_N[key] / force - 1.0))
     return {"switch_force_error": worst}
 
 
 def _context(candidate: Candidate, folder: Path) -> Context:
-    """Context of a stage that reads what is seen, from a folder of its own."""
-    write_arrays(folder, candidate.views)
+    """Context of a stage that reads the views from a folder."""
+    write_arrays(folder, candidate.visibility[1])
     return Context(
         design=candidate.design,
         accuracy=settings_of(candidate.study.ladder.accuracy),
@@ -193,12 +266,12 @@ def mechanics(candidate: Candidate) -> Measures:
 
 
 def load(candidate: Candidate) -> Measures:
-    """Presses at the greatest force, looked at, as in the stage ``underload`` of a build."""
+    """Presses at the greatest force, rendered, as in the stage ``underload`` of a build."""
     from phytac_design.stages.loaded_views import see_pressed
 
     with tempfile.TemporaryDirectory() as name:
         context = _context(candidate, Path(name))
-        views = candidate.views
+        views = candidate.visibility[1]
         gap = np.minimum(views["gap_same_colour_px"], views["gap_other_colour_px"])
         _, found, facts = see_pressed(context, gap, views["camera"])
     return {
@@ -222,20 +295,15 @@ def twin(candidate: Candidate) -> Measures:
         seed=candidate.study.seed,
         progress=lambda _: None,
     )
-    judged = context.facts("decoder")["anywhere"]["auto"]
+    tested = context.facts("decoder")["anywhere"]["auto"]
     return {
-        "force_error": float(judged["relative_error"]),
-        "force_mae_N": float(judged["mae_N"]),
+        "force_error": float(tested["relative_error"]),
+        "force_mae_N": float(tested["mae_N"]),
         "build_seconds": time.process_time() - start,
     }
 
 
 LEVEL_FUNCTIONS: dict[str, Callable[[Candidate], Measures]] = {
-    "rules": rules,
-    "sampled": sampled,
-    "exact": exact,
-    "switch": switch,
-    "mechanics": mechanics,
-    "load": load,
-    "twin": twin,
+    function.__name__: function
+    for function in (rules, sampled, exact, switch, mechanics, load, twin)
 }

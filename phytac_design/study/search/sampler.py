@@ -1,14 +1,14 @@
-"""Where candidates come from: even covers for sweeps; Optuna, asked and told by one driver.
+"""Sources of candidates: space-filling designs for sweeps, Optuna (ask and tell) for optimisation.
 
-The same study gives the same candidates, whatever the workers and however often the driver was
-killed: every draw has a seed of its own, and only whole batches are told. Optuna searches on trials
-in memory; what is done goes into its storage (a journal file, or a database) trial by trial.
+The same study gives the same candidates, for any number of workers and however often the driver was
+killed: every draw has a seed of its own, and Optuna gets complete batches only. Optuna searches on
+trials in memory; completed trials are copied to its storage (a journal file, or a database).
 """
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.stats import qmc
@@ -24,50 +24,35 @@ Row = Mapping[str, Any]
 """A candidate's row of the results."""
 
 
-class Source(Protocol):
-    """Gives candidates and hears what became of them."""
-
-    steady: bool
-    """Whether what it gives does not depend on what it hears."""
-
-    def ask(self, first: int, count: int) -> list[Params]:
-        """Values of the candidates from number ``first`` on, ``count`` at most."""
-        ...
-
-    def tell(self, params: Sequence[Params], rows: Sequence[Row]) -> None:
-        """Hear of all candidates that the last :meth:`ask` gave."""
-        ...
-
-
 def sobol(dimensions: int, seed: int, first: int, count: int) -> FloatArray:
     """Points (count, d) of a scrambled Sobol sequence, from number ``first`` on."""
     sequence = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed))
     if first:
         sequence.fast_forward(first)
-    # A first draw of a power of two is what keeps the sequence even.
+    # Draws of a power of two keep the sequence balanced.
     return np.asarray(sequence.random(1 << max(count - 1, 0).bit_length())[:count])
 
 
 class Sweep:
     """Candidates of a sweep: a grid, a Sobol sequence or a Latin hypercube."""
 
-    steady = True
+    independent = True
+    """Whether candidates do not depend on earlier results."""
 
     def __init__(self, study: Study, space: Space) -> None:
         self.study, self.space = study, space
         self.total = study.budget.candidates
         if study.sampling.sweep == "grid":
-            sides = [axis.grid() for axis in space.axes]
-            size = int(np.prod([len(side) for side in sides], dtype=object))
+            size = int(np.prod([len(axis.grid()) for axis in space.axes], dtype=object))
             if size > self.total:
                 raise DesignError(
                     f"{study.name}: the grid has {size} points, the budget is {self.total} "
-                    "candidates; raise budget.candidates, lower points, or take sobol"
+                    "candidates; raise budget.candidates, lower points, or use sobol"
                 )
             self.total = size
 
     def ask(self, first: int, count: int) -> list[Params]:
-        """Values of candidates from a number on."""
+        """Values of the candidates from number ``first`` on, ``count`` at most."""
         count = max(0, min(count, self.total - first))
         if count == 0:
             return []
@@ -85,11 +70,11 @@ class Sweep:
         return [self.space.params(share) for share in shares]
 
     def tell(self, params: Sequence[Params], rows: Sequence[Row]) -> None:
-        """A sweep goes its way whatever comes of it."""
+        """Does nothing: a sweep does not depend on results."""
 
 
 def optuna_library() -> Any:
-    """Optuna, quiet.
+    """Optuna without log messages.
 
     Raises
     ------
@@ -107,25 +92,24 @@ def optuna_library() -> Any:
 
 
 class Search:
-    """Candidates of `phytac optimise`: Optuna's, after a start that is spread evenly."""
+    """Candidates of `phytac optimise`: a Sobol start, then those of an Optuna sampler."""
 
-    steady = False
+    independent = False
 
     def __init__(self, study: Study, space: Space, storage: str) -> None:
         if not study.objective:
             raise DesignError(
-                f"{study.name}: nothing to strive for; add [[objective]], or use `phytac sweep`"
+                f"{study.name}: no objective to optimise; add [[objective]], or use `phytac sweep`"
             )
         self.optuna = optuna_library()
         self.study, self.space = study, space
         self.total = study.budget.candidates
-        goals = {"min": "minimize", "max": "maximize"}
-        directions = [goals[objective.goal] for objective in study.objective]
-        self.kept = self._open(storage, directions)
+        directions = [f"{one.goal}imize" for one in study.objective]
+        self.stored = self._open(storage, directions)
         self.search = self.optuna.create_study(directions=directions)
-        self.search.add_trials(self.kept.trials)
-        self.asked: list[Any] = []
-        self.spread = {axis.field: self._distribution(axis) for axis in space.axes}
+        self.search.add_trials(self.stored.trials)
+        self.trials: list[Any] = []
+        self.distributions = {axis.field: self._distribution(axis) for axis in space.axes}
 
     def _open(self, storage: str, directions: list[str]) -> Any:
         """Optuna's study in a journal file or a database."""
@@ -145,24 +129,23 @@ class Search:
                 load_if_exists=True,
             )
         except Exception as error:  # noqa: BLE001 - whatever a database's own driver raises
-            said = str(error).splitlines()[0] if str(error) else type(error).__name__
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise OutputError(
-                f"Optuna's storage {storage} cannot be opened ({said}); give --storage another "
+                f"Optuna's storage {storage} cannot be opened ({reason}); give --storage another "
                 "database URL, or leave it out for a file in the study's folder"
             ) from None
 
     def _distribution(self, axis: Axis) -> Any:
-        """Optuna's view of a variable."""
+        """Optuna's distribution of a variable."""
         kinds, own = self.optuna.distributions, axis.variable
         if own.choices:
             return kinds.CategoricalDistribution(list(own.choices))
-        if axis.whole:
-            step = int(own.step or 1)
-            low, high = int(own.low or 0), int(own.high or 0)
-            if own.scale == "log":
-                return kinds.IntDistribution(low, high, log=True)
-            return kinds.IntDistribution(low, low + (high - low) // step * step, step=step)
-        return kinds.FloatDistribution(own.low, own.high, log=own.scale == "log", step=own.step)
+        if not axis.integer:
+            return kinds.FloatDistribution(own.low, own.high, log=own.scale == "log", step=own.step)
+        step, low, high = int(own.step or 1), int(own.low or 0), int(own.high or 0)
+        if own.scale == "log":
+            return kinds.IntDistribution(low, high, log=True)
+        return kinds.IntDistribution(low, low + (high - low) // step * step, step=step)
 
     def _sampler(self, number: int) -> Any:
         """Sampler for one candidate, with a seed of its own."""
@@ -175,87 +158,85 @@ class Search:
         )
 
     def ask(self, first: int, count: int) -> list[Params]:
-        """Values of candidates from a number on."""
-        self.asked = []
+        """Values of the candidates from number ``first`` on, ``count`` at most."""
+        self.trials = []
         count = max(0, min(count, self.total - first))
         start = self.study.sampling.start
         # A batch is all start or all search, so that its size does not change what is drawn.
         if first < start:
             count = min(count, start - first)
-            shares = sobol(len(self.spread), self.study.seed, first, count)
+            shares = sobol(len(self.distributions), self.study.seed, first, count)
             return [self.space.params(share) for share in shares]
-        out: list[Params] = []
         for number in range(first, first + count):
             self.search.sampler = self._sampler(number)
-            trial = self.search.ask(self.spread)
-            self.asked.append(trial)
-            out.append(dict(trial.params))
-        return out
+            self.trials.append(self.search.ask(self.distributions))
+        return [dict(trial.params) for trial in self.trials]
 
     def tell(self, params: Sequence[Params], rows: Sequence[Row]) -> None:
-        """Tell Optuna, and keep the trials in its storage.
+        """Give Optuna the results of the last :meth:`ask`, and copy the trials to its storage.
 
         Raises
         ------
         OutputError
             If the storage cannot be written.
         """
-        worst = self._worst(rows)
+        values = self._objectives(rows)
         for number, (own, row) in enumerate(zip(params, rows, strict=True)):
             violation = float(row["violation"])
-            values = [
-                worst[objective.measure] if value is None else value
-                for objective, value in zip(self.study.objective, self._values(row), strict=True)
-            ]
-            if self.asked:
-                trial = self.asked[number]
+            if self.trials:
+                trial = self.trials[number]
                 trial.set_constraint("study", violation)
                 trial.set_user_attr("status", row["status"])
-                self.search.tell(trial, values)
+                self.search.tell(trial, values[number])
                 done = self.search.trials[trial.number]
             else:
                 done = self.optuna.trial.create_trial(
                     params=own,
-                    distributions=self.spread,
-                    values=values,
+                    distributions=self.distributions,
+                    values=values[number],
                     constraints={"study": violation},
                     user_attrs={"status": row["status"]},
                     system_attrs={"NSGAIISampler:generation": 0},
                 )
                 self.search.add_trial(done)
             try:
-                self.kept.add_trial(done)
+                self.stored.add_trial(done)
             except Exception as error:  # noqa: BLE001 - as above
                 raise OutputError(
-                    f"Optuna's storage cannot be written ({error}); make room, and run the same "
-                    "command again: nothing is lost"
+                    f"Optuna's storage cannot be written ({error}); free disk space, and run the "
+                    "same command again: all results are kept"
                 ) from None
-        self.asked = []
+        self.trials = []
 
     def replay(self, params: Sequence[Params], rows: Sequence[Row]) -> None:
-        """Hear of candidates that are in the results but not in Optuna's storage."""
-        first = len(self.kept.trials)
+        """Tell candidates that are in the results but not in Optuna's storage."""
+        first = self.known
         if first >= self.study.sampling.start:
             self.ask(first, len(rows))
         self.tell(params, rows)
 
     @property
-    def told(self) -> int:
-        """Candidates that Optuna knows of."""
-        return len(self.kept.get_trials(deepcopy=False))
+    def known(self) -> int:
+        """Number of candidates in Optuna's storage."""
+        return len(self.stored.get_trials(deepcopy=False))
 
-    def _values(self, row: Row) -> Iterator[float | None]:
-        """Objectives of a row, or what best predicts them; None where nothing does."""
-        known = frozenset(name for name, value in row.items() if value is not None)
+    def _objectives(self, rows: Sequence[Row]) -> list[list[float]]:
+        """Objectives of each row, or their best predictors.
+
+        Infeasible candidates without a value get the worst one of the batch.
+        """
+        columns = []
         for objective in self.study.objective:
-            name = best_proxy(objective.measure, known)
-            yield float(row[name]) if name else None
-
-    def _worst(self, rows: Sequence[Row]) -> dict[str, float]:
-        """For candidates without a value: the worst of the batch; they are not feasible anyway."""
-        out: dict[str, float] = {}
-        for number, objective in enumerate(self.study.objective):
-            column = [list(self._values(row))[number] for row in rows if row["status"] == OK]
-            known = [value for value in column if value is not None] or [0.0]
-            out[objective.measure] = max(known) if objective.goal == "min" else min(known)
-        return out
+            column: list[float | None] = []
+            for row in rows:
+                known = frozenset(name for name, value in row.items() if value is not None)
+                name = best_proxy(objective.measure, known)
+                column.append(float(row[name]) if name else None)
+            feasible = [
+                value
+                for value, row in zip(column, rows, strict=True)
+                if row["status"] == OK and value is not None
+            ] or [0.0]
+            worst = max(feasible) if objective.goal == "min" else min(feasible)
+            columns.append([worst if value is None else value for value in column])
+        return [list(values) for values in zip(*columns, strict=True)]

@@ -1,4 +1,4 @@
-"""From the values of variables to a design, and the check that they can be one."""
+"""The search space of a study: from values of its variables to a design."""
 
 import math
 from collections.abc import Mapping
@@ -23,18 +23,10 @@ Params = dict[str, Value]
 
 @dataclass(frozen=True)
 class Axis:
-    """A variable whose field is known.
-
-    Attributes
-    ----------
-    variable : Variable
-        As in the study file.
-    whole : bool
-        Whether its field holds whole numbers.
-    """
+    """A variable of the study file, and whether its field is an integer."""
 
     variable: Variable
-    whole: bool
+    integer: bool
 
     @property
     def field(self) -> str:
@@ -47,7 +39,7 @@ class Axis:
         own = self.variable
         if own.choices:
             return own.choices
-        step = own.step or (1.0 if self.whole and own.scale != "log" else None)
+        step = own.step or (1.0 if self.integer and own.scale != "log" else None)
         if step is None or own.low is None or own.high is None:
             return ()
         count = math.floor((own.high - own.low) / step + 1e-9) + 1
@@ -59,7 +51,7 @@ class Axis:
         return self.values or tuple(dict.fromkeys(self.at(float(share)) for share in shares))
 
     def at(self, share: float) -> Value:
-        """Value at a share in [0, 1] of the range; all values are equally wide."""
+        """Value at a fraction in [0, 1] of the range; discrete values are equally probable."""
         if self.values:
             return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
         low, high = float(self.variable.low or 0.0), float(self.variable.high or 0.0)
@@ -68,23 +60,13 @@ class Axis:
         return self.typed(low + (high - low) * share)
 
     def typed(self, value: float) -> Value:
-        """Value of the field's own kind."""
-        return round(value) if self.whole else float(value)
+        """Value as the field's type."""
+        return round(value) if self.integer else float(value)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Space:
-    """The designs of a study.
-
-    Attributes
-    ----------
-    base : dict
-        The design that varies, with what the study fixes, as plain values.
-    axes : tuple of Axis
-        Its variables.
-    name : str
-        Of the study.
-    """
+    """The designs of a study: base design with fixed fields, variables, name."""
 
     base: dict[str, Any]
     axes: tuple[Axis, ...]
@@ -100,7 +82,7 @@ class Space:
         Raises
         ------
         DesignError
-            If they do not go together.
+            If they make no valid design.
         """
         data = _copied(self.base)
         for field, value in params.items():
@@ -119,20 +101,16 @@ def make_space(study: Study, folder: Path, base: Design | None = None) -> Space:
         If the design does not exist, or has no field of a variable's name that takes its values.
     """
     beside = folder / study.design
-    found = base or load_design(str(beside) if beside.is_file() else study.design)
-    data = found.model_dump(mode="json")
+    design = base or load_design(str(beside) if beside.is_file() else study.design)
+    data = design.model_dump(mode="json")
     for field, value in study.fixed.items():
-        _model_of(found, field, f"{study.name}: fixed")
+        _parent(design, field, f"{study.name}: fixed")
         _put(data, field, value)
     if study.fixed:
-        found = parse_design(data, f"{study.name}: design {study.design} with what is fixed")
-        data = found.model_dump(mode="json")
-    axes = []
-    for variable in study.variable:
-        axis = Axis(variable, _whole(found, variable.field, f"{study.name}: variable"))
-        _check_ends(found, axis, study.name)
-        axes.append(axis)
-    return Space(base=data, axes=tuple(axes), name=study.name)
+        design = parse_design(data, f"{study.name}: design {study.design} with [fixed]")
+        data = design.model_dump(mode="json")
+    axes = tuple(_axis(design, variable, study.name) for variable in study.variable)
+    return Space(base=data, axes=axes, name=study.name)
 
 
 def _parts(field: str) -> list[str | int]:
@@ -153,11 +131,12 @@ def _put(data: Any, field: str, value: Any) -> None:
     data[last] = value
 
 
-def _model_of(design: Design, field: str, what: str) -> tuple[Any, str | int]:
-    """Table (or list) that a field is in, and its name there."""
+def _parent(design: Design, field: str, what: str) -> tuple[Any, str | int]:
+    """Table (or list) that holds a field, and the field's name in it."""
     at: Any = design
+    *path, last = _parts(field)
     walked: list[str] = []
-    for part in (parts := _parts(field)):
+    for part in (*path, last):
         if isinstance(at, BaseModel):
             known = list(type(at).model_fields)
         elif isinstance(at, tuple | list):
@@ -166,49 +145,42 @@ def _model_of(design: Design, field: str, what: str) -> tuple[Any, str | int]:
             raise DesignError(f"{what} {field!r}: {'.'.join(walked)} has no parts; stop there")
         if str(part) not in known:
             near = get_close_matches(str(part), known, n=1)
-            said = ".".join([*walked, near[0]]) if near else ""
-            hint = f"; did you mean {said!r}?" if near else f" (known: {', '.join(known)})"
+            nearest = ".".join([*walked, *near])
+            hint = f"; did you mean {nearest!r}?" if near else f" (known: {', '.join(known)})"
             raise DesignError(
                 f"{what}: the design has no field {'.'.join([*walked, str(part)])!r}{hint}"
             )
-        if len(walked) == len(parts) - 1:
-            break
-        at = at[part] if isinstance(part, int) else getattr(at, part)
-        walked.append(str(part))
-    return at, parts[-1]
+        if len(walked) < len(path):
+            at = at[part] if isinstance(part, int) else getattr(at, part)
+            walked.append(str(part))
+    return at, last
 
 
-def _whole(design: Design, field: str, what: str) -> bool:
-    """Whether a field holds whole numbers."""
-    table, name = _model_of(design, field, what)
-    if isinstance(table, BaseModel):
-        return type(table).model_fields[str(name)].annotation is int
-    return isinstance(table[int(name)], int)
-
-
-def _check_ends(design: Design, axis: Axis, study: str) -> None:
-    """Refuse values that the field itself does not take, whatever the others are."""
-    table, name = _model_of(design, axis.field, study)
-    own = axis.variable
-    ends: tuple[Value, ...] = own.choices or (float(own.low or 0.0), float(own.high or 0.0))
-    if axis.whole and not own.choices:
-        numbers = (float(own.low or 0.0), float(own.high or 0.0), own.step or 1.0)
-        broken = [number for number in numbers if not number.is_integer()]
-        if broken:
-            raise DesignError(
-                f"{study}: variable {axis.field} is a whole number (got {broken[0]:g}); let low, "
-                "high and step be whole"
-            )
+def _axis(design: Design, variable: Variable, study: str) -> Axis:
+    """Axis of a variable; raises if its field does not take the ends of the range or a choice."""
+    table, name = _parent(design, variable.field, f"{study}: variable")
     if not isinstance(table, BaseModel):
-        return
-    for end in ends:
-        value = end if own.choices else axis.typed(float(end))
+        axis = Axis(variable, isinstance(table[int(name)], int))
+    else:
+        axis = Axis(variable, type(table).model_fields[str(name)].annotation is int)
+    ends: tuple[Value, ...] = variable.choices
+    if not ends:
+        ends = float(variable.low or 0.0), float(variable.high or 0.0)
+        fractions = [n for n in (*ends, variable.step or 1.0) if not float(n).is_integer()]
+        if axis.integer and fractions:
+            raise DesignError(
+                f"{study}: variable {axis.field} is a whole number (got {fractions[0]:g}); use "
+                "whole numbers for low, high and step"
+            )
+        ends = tuple(axis.typed(end) for end in ends)
+    for value in ends if isinstance(table, BaseModel) else ():
         try:
             type(table).model_validate({**table.model_dump(mode="json"), name: value})
         except ValidationError as error:
-            mine = [item for item in error.errors() if item["loc"][:1] == (name,)]
-            if mine:
+            own = [item["msg"] for item in error.errors() if item["loc"][:1] == (name,)]
+            if own:
                 raise DesignError(
                     f"{study}: variable {axis.field} cannot be {value!r}: "
-                    f"{mine[0]['msg'][0].lower()}{mine[0]['msg'][1:]}"
+                    f"{own[0][0].lower()}{own[0][1:]}"
                 ) from None
+    return axis

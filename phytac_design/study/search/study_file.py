@@ -1,7 +1,6 @@
-"""Study files: what may vary, what must hold, what is striven for, and how much that may cost."""
+"""Study files: variables, constraints, objectives and budget of a search."""
 
 import json
-from collections.abc import Iterator
 from difflib import get_close_matches
 from hashlib import sha256
 from importlib import resources
@@ -41,7 +40,7 @@ class Variable(Section):
     def _one_kind(self) -> Self:
         if self.choices:
             if (self.low, self.high, self.step, self.scale) != (None, None, None, "linear"):
-                raise ValueError("choices exclude low, high, step and scale; keep one of them")
+                raise ValueError("choices exclude low, high, step and scale; use one or the other")
             if len(set(self.choices)) < len(self.choices):
                 raise ValueError(f"choices repeat themselves (got {list(self.choices)})")
             return self
@@ -74,7 +73,7 @@ class Constraint(Section):
 
 
 class Objective(Section):
-    """A measure that is to be small or large."""
+    """A measure to minimise or maximise."""
 
     measure: Text
     """Which."""
@@ -86,9 +85,9 @@ class Budget(Section):
     """When to stop."""
 
     candidates: int = Field(256, ge=1, le=10_000_000)
-    """Designs to look at."""
+    """Designs to evaluate."""
     seconds: float = Field(0.0, ge=0.0, le=1e8)
-    """Time after which no further batch begins; 0 for no limit."""
+    """Time after which no further batch starts; 0 for no limit."""
 
 
 class Sampling(Section):
@@ -97,20 +96,20 @@ class Sampling(Section):
     sweep: Literal["grid", "sobol", "latin-hypercube"] = "sobol"
     """How `phytac sweep` covers the space."""
     optimise: Literal["tpe", "nsga2"] = "tpe"
-    """How `phytac optimise` goes on from what it has seen."""
+    """Optuna's sampler of `phytac optimise`."""
     batch: int = Field(32, ge=1, le=4096)
     """Candidates that are drawn together; results do not depend on the number of workers."""
     start: int = Field(32, ge=1, le=100_000)
     """Candidates that `phytac optimise` first spreads by Sobol."""
 
 
-class LadderSection(Section):
-    """Which rungs candidates climb, and who goes on."""
+class FidelitySection(Section):
+    """Fidelity levels of the study, and the share of candidates promoted after each."""
 
     rungs: tuple[str, ...] = ()
-    """Rungs in order; empty for all that are needed to measure what is asked."""
+    """Levels in order; empty for those that the constraints and objectives need."""
     share: dict[str, float] = Field({})
-    """Share of a batch that goes on after a rung, the best by what is known; 1 where absent."""
+    """Share of a batch that is promoted after a level, the best predicted; 1 where absent."""
     accuracy: Literal["draft", "standard", "fine"] = "draft"
     """Fineness of mechanics, load and twin."""
 
@@ -144,35 +143,38 @@ class Study(Section):
     objective: tuple[Objective, ...] = ()
     budget: Budget = Budget()
     sampling: Sampling = Sampling()
-    ladder: LadderSection = LadderSection()
+    ladder: FidelitySection = FidelitySection()
     prices: Prices = Prices()
 
     @property
-    def rungs(self) -> tuple[str, ...]:
-        """Rungs that candidates climb, cheap ones first."""
+    def levels(self) -> tuple[str, ...]:
+        """Fidelity levels that candidates go through, cheap ones first."""
         if self.ladder.rungs:
             return self.ladder.rungs
-        asked = [item.measure for item in self.constraint]
-        asked += [item.measure for item in self.objective]
-        needed = {MEASURES[name].rung for name in asked} | {"rules"}
-        # Seeing comes before pressing: what hides at rest need not be pressed.
+        needed = {MEASURES[name].rung for name in self.measures()} | {"rules"}
+        # Visibility comes before loads: what is hidden at rest need not be pressed.
         if needed & {"exact", "mechanics", "load", "twin"}:
             needed |= {"sampled", "exact"}
-        return tuple(rung for rung in LEVELS if rung in needed)
+        return tuple(level for level in LEVELS if level in needed)
 
-    def groups(self) -> list[tuple[str, ...]]:
-        """Rungs that a candidate climbs without waiting for others."""
+    def measures(self) -> list[str]:
+        """Measures of all constraints and objectives."""
+        asked = [item.measure for item in self.constraint]
+        return asked + [item.measure for item in self.objective]
+
+    def level_groups(self) -> list[tuple[str, ...]]:
+        """Levels that a candidate goes through without waiting for the rest of its batch."""
         out: list[tuple[str, ...]] = [()]
-        for rung in self.rungs:
-            out[-1] += (rung,)
-            if self.ladder.share.get(rung, 1.0) < 1.0 and rung != self.rungs[-1]:
+        for level in self.levels:
+            out[-1] += (level,)
+            if self.ladder.share.get(level, 1.0) < 1.0 and level != self.levels[-1]:
                 out.append(())
         return out
 
     def identity(self) -> str:
-        """Hash of what makes candidates and their results; a larger budget is the same study."""
+        """Hash of everything that results depend on; a larger budget is the same study."""
         data = self.model_dump(mode="json", exclude={"budget", "description", "name"})
-        # Samplings that draw all at once, or lay a grid, are others with another number.
+        # Grids and Latin hypercubes depend on the number of candidates.
         if self.sampling.sweep != "sobol":
             data["candidates"] = self.budget.candidates
         return sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
@@ -191,7 +193,7 @@ def load_study(name_or_path: str) -> tuple[Study, Path]:
     Raises
     ------
     DesignError
-        If there is no such study, it is not TOML, or it cannot be carried out.
+        If there is no such study, or its file is not valid.
     """
     path = Path(name_or_path)
     if name_or_path in shipped_studies() and not path.is_file():
@@ -222,12 +224,12 @@ def parse_study(text: str, where: str) -> Study:
         lines = joined(_explain(item, data) for item in error.errors())
         raise DesignError(f"{where}: {lines}") from None
     _check_measures(study, where)
-    _check_ladder(study, where)
+    _check_levels(study, where)
     return study
 
 
 def _check_measures(study: Study, where: str) -> None:
-    """Refuse constraints that no value meets, and measures that no rung finds."""
+    """Reject constraints that no value meets, and unknown measures."""
     fields = [variable.field for variable in study.variable]
     for field in fields:
         if fields.count(field) > 1:
@@ -253,59 +255,54 @@ def _check_measures(study: Study, where: str) -> None:
             raise DesignError(f"{where}: the objective {name} is there twice; keep one")
 
 
-def _check_ladder(study: Study, where: str) -> None:
-    """Refuse unknown rungs, shares of none, and measures above the last rung."""
-    for rung in (*study.ladder.rungs, *study.ladder.share):
-        if rung not in LEVELS:
-            near = get_close_matches(rung, LEVELS, n=1)
+def _check_levels(study: Study, where: str) -> None:
+    """Reject unknown levels, impossible shares, and measures above the last level."""
+    for level in (*study.ladder.rungs, *study.ladder.share):
+        if level not in LEVELS:
+            near = get_close_matches(level, LEVELS, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise DesignError(f"{where}: no rung {rung!r}{hint} (rungs: {', '.join(LEVELS)})")
-    order = [LEVELS.index(rung) for rung in study.rungs]
-    if order != sorted(set(order)) or study.rungs[0] != "rules":
-        raise DesignError(
-            f"{where}: ladder.rungs must begin with 'rules' and go up (got "
-            f"{', '.join(study.rungs)}; the order is {', '.join(LEVELS)})"
-        )
-    if "exact" not in study.rungs and {"mechanics", "load"} & set(study.rungs):
-        raise DesignError(f"{where}: mechanics and load need what 'exact' sees; add that rung")
-    for rung, share in study.ladder.share.items():
-        if not 0.0 < share <= 1.0:
-            raise DesignError(f"{where}: ladder.share.{rung} must lie in (0, 1] (got {share:g})")
-        if rung not in study.rungs:
-            raise DesignError(f"{where}: ladder.share.{rung}: the study does not climb that rung")
-    reached = set(measures_up_to(study.rungs))
-    asked = [item.measure for item in study.constraint]
-    for name in asked + [item.measure for item in study.objective]:
-        if name not in reached:
             raise DesignError(
-                f"{where}: no rung of the ladder measures {name} ({', '.join(study.rungs)}); add "
-                f"{MEASURES[name].rung!r} to ladder.rungs, or leave ladder.rungs out"
+                f"{where}: no fidelity level {level!r}{hint} (levels: {', '.join(LEVELS)})"
+            )
+    order = [LEVELS.index(level) for level in study.levels]
+    if order != sorted(set(order)) or study.levels[0] != "rules":
+        raise DesignError(
+            f"{where}: ladder.rungs must begin with 'rules' and ascend (got "
+            f"{', '.join(study.levels)}; the order is {', '.join(LEVELS)})"
+        )
+    if "exact" not in study.levels and {"mechanics", "load"} & set(study.levels):
+        raise DesignError(f"{where}: mechanics and load need the results of 'exact'; add it")
+    for level, share in study.ladder.share.items():
+        if not 0.0 < share <= 1.0:
+            raise DesignError(f"{where}: ladder.share.{level} must lie in (0, 1] (got {share:g})")
+        if level not in study.levels:
+            raise DesignError(f"{where}: ladder.share.{level}: the study does not use that level")
+    for name in study.measures():
+        if name not in measures_up_to(study.levels):
+            raise DesignError(
+                f"{where}: no level of ladder.rungs measures {name} ({', '.join(study.levels)}); "
+                f"add {MEASURES[name].rung!r}, or leave ladder.rungs out"
             )
 
 
 def _explain(item: Any, data: dict[str, Any]) -> str:
-    """One problem as a sentence."""
+    """One problem of a study file as a sentence."""
     place = ".".join(str(part) for part in item["loc"])
     if item["type"] == "extra_forbidden":
-        near = get_close_matches(str(item["loc"][-1]), list(_known(item["loc"][:-1])), n=1)
+        tables = {"variable": Variable, "constraint": Constraint, "objective": Objective}
+        model: Any = Study
+        if len(item["loc"]) > 1:
+            name = str(item["loc"][0])
+            model = tables.get(name) or type(Study.model_fields[name].default)
+        near = get_close_matches(str(item["loc"][-1]), list(model.model_fields), n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         return f"unknown key {place!r}{hint}"
     if item["type"] == "missing":
-        return f"{place} is missing; docs/study.md shows a whole study"
+        return f"{place} is missing; docs/study.md shows a complete study"
     message = item["msg"][0].lower() + item["msg"][1:]
     got = item["input"]
     shown = "" if isinstance(got, dict | list) else f" (got {got!r})"
-    number = item["loc"][1] if len(item["loc"]) > 1 and isinstance(item["loc"][1], int) else None
-    if item["loc"][:1] == ("variable",) and number is not None:
-        named = data["variable"][number]
-        if isinstance(named, dict):
-            place += f" ({named.get('field', '?')})"
+    if item["loc"][:1] == ("variable",) and len(item["loc"]) > 1:
+        named = data["variable"][int(item["loc"][1])]
+        place += f" ({named.get('field', '?')})" if isinstance(named, dict) else ""
     return f"{place or 'study'}: {message.removeprefix('value error, ')}{shown}"
-
-
-def _known(place: tuple[Any, ...]) -> Iterator[str]:
-    models: dict[str, type[Section]] = {
-        "variable": Variable, "constraint": Constraint, "objective": Objective, "budget": Budget,
-        "sampling": Sampling, "ladder": LadderSection, "prices": Prices,
-    }  # fmt: skip
-    yield from (models[str(place[0])] if place else Study).model_fields

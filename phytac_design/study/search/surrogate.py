@@ -1,4 +1,4 @@
-r"""What a press does to a thin wall, in closed form: a stand-in for finite elements in a search.
+r"""Deflection of a thin wall under a contact in closed form: a surrogate of finite elements.
 
 The shallow-shell equations of Donnell, Mushtari and Vlasov for a wall of thickness t and modulus E
 with curvatures k_u, k_v (V. Z. Vlasov, General theory of shells, 1949), D = E t³/12(1 - ν²)::
@@ -10,9 +10,10 @@ closes around (Timoshenko, Woinowsky-Krieger, Theory of plates and shells, 1959,
 
     w(x, y) = Σ p_mn sin(a x) cos(b (y - y0)) / (D q² + E t (k_v a² + k_u b²)² / q²)    q = a² + b²
 
-The load is a disc of even pressure. On a sphere without edges this is Reissner's solution, at its
-centre w = √12(1 - ν²) P R / 8 E t². Curvatures are those at the load, rims are clamped in truth,
-receptors and holes are left out: good to some tens of per cent, and for putting designs in order.
+The load is a disc of uniform pressure. On a sphere without edges this is Reissner's solution, at
+its centre w = √12(1 - ν²) P R / 8 E t². Curvatures are those at the load, rims (in fact clamped)
+are simply supported, receptors and holes are neglected: accurate to some tens of per cent, and
+good for ranking designs.
 """
 
 from dataclasses import dataclass
@@ -28,30 +29,18 @@ from phytac_design.simulation.cramer_rao import CramerRaoBound, cell_prior, cont
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 
+FORCE_N = 10.0
+"""Force at which bounds are stated."""
 WAVES = 36
 """Waves along and around."""
-SOURCES = 5
-"""Receptors at which the bound is taken, from the near end to the far one."""
-FORCE_N = 10.0
-"""Force at which it is stated."""
-STEP = 1e-4
-"""Step of the curvatures, as a share of the chart."""
-GIRTH_MIN = 0.3
-"""Least girth at a load near a pole, as a share of the largest."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Flat:
-    """The outer face laid flat around a load, mm.
+    """The outer face unrolled around a load.
 
-    Attributes
-    ----------
-    length, girth : float
-        Size along and around.
-    closed : bool
-        Whether it closes around.
-    k_u, k_v : float
-        Curvatures along and around at the load, 1/mm, positive where the face is convex.
+    ``length`` and ``girth`` mm along and around, whether it closes around, and the curvatures along
+    and around at the load, 1/mm, positive where the face is convex.
     """
 
     length: float
@@ -62,7 +51,7 @@ class Flat:
 
 
 class Unrolled:
-    """Lengths along and around a surface, from its metric."""
+    """Lengths along and around a surface from its metric."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
@@ -84,7 +73,7 @@ class Unrolled:
         return np.asarray(np.interp(u, self.middle, self.width))
 
     def y_mm(self, uv: FloatArray, source: FloatArray) -> FloatArray:
-        """Length (n,) around from a source (2,), the short way, at the height halfway."""
+        """Length (n,) around from a source (2,), the short way, at the mean height."""
         v0, v1 = self.surface.domain[1]
         away = uv[:, 1] - source[1]
         if self.surface.periodic[1]:
@@ -92,8 +81,8 @@ class Unrolled:
         return np.asarray(away / (v1 - v0) * self.girth_mm((uv[:, 0] + source[0]) / 2.0))
 
     def at(self, sources: FloatArray) -> list[Flat]:
-        """The face laid flat around each of some sources (s, 2)."""
-        girth = np.maximum(self.girth_mm(sources[:, 0]), GIRTH_MIN * float(self.width.max()))
+        """The face unrolled around each of some sources (s, 2); not too narrow near a pole."""
+        girth = np.maximum(self.girth_mm(sources[:, 0]), 0.3 * float(self.width.max()))
         bent = curvatures(self.surface, sources)
         return [
             Flat(
@@ -112,7 +101,7 @@ def curvatures(surface: Surface, uv: FloatArray) -> FloatArray:
     out = []
     for axis, (low, high) in enumerate(surface.domain):
         step = np.zeros(2)
-        step[axis] = STEP * (high - low)
+        step[axis] = 1e-4 * (high - low)
         inner = np.clip(uv, surface.domain[:, 0] + step, surface.domain[:, 1] - step)
         tangent = surface.tangents(inner)[:, axis]
         turn = (surface.normal(inner + step) - surface.normal(inner - step)) / (2.0 * step[axis])
@@ -123,7 +112,7 @@ def curvatures(surface: Surface, uv: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class Wall:
-    """What the equations need of a design: thickness mm, modulus MPa, Poisson's ratio."""
+    """Thickness mm, modulus MPa and Poisson's ratio of a wall."""
 
     thickness: float
     modulus: float
@@ -136,8 +125,8 @@ class Wall:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Dent:
-    """Waves of a dent per newton: amplitudes (m, k), wave numbers (m,), (k,) 1/mm."""
+class Deflection:
+    """Deflection per newton as waves: amplitudes (m, k), wave numbers (m,), (k,) 1/mm."""
 
     amplitude: FloatArray
     a: FloatArray
@@ -149,7 +138,7 @@ class Dent:
         ``along`` is :func:`waves_along` of the points, ``y`` (n,) their lengths around.
         """
         sine, cosine = along
-        # Powers of one turn: far cheaper than a cosine for each wave.
+        # Powers of one phase factor: far cheaper than a cosine for each wave.
         turn = np.repeat(np.exp(1j * self.b[1] * y)[:, None], len(self.b), axis=1)
         turn[:, 0] = 1.0
         around = np.cumprod(turn, axis=1)
@@ -179,10 +168,10 @@ def waves_along(length: float, x: FloatArray, waves: int = WAVES) -> tuple[Float
 
 def deflection_under_disc(
     wall: Wall, flat: Flat, x: float, radius_mm: float, waves: int = WAVES
-) -> Dent:
-    """Waves of the dent under a disc of a radius at length x, 1 N inward."""
+) -> Deflection:
+    """Deflection under a disc of a radius at length x, 1 N inward."""
     a: FloatArray = np.pi * np.arange(1.0, waves + 1.0) / flat.length
-    # A face that ends around is taken as one of twice its width that closes: no edge is near.
+    # A face that does not close is taken as one of twice its width that does: no edge is near.
     period = flat.girth if flat.closed else 2.0 * flat.girth
     b: FloatArray = 2.0 * np.pi * np.arange(0.0, float(waves)) / period
     q = a[:, None] ** 2 + b[None] ** 2
@@ -193,12 +182,12 @@ def deflection_under_disc(
     load = np.where(reach > 1e-6, 2.0 * j1(reach) / np.maximum(reach, 1e-12), 1.0)
     twice = np.where(np.arange(waves) == 0, 1.0, 2.0)
     share = 2.0 / (flat.length * period) * np.sin(a * x)[:, None] * twice
-    return Dent(amplitude=share * load / resistance, a=a, b=b)
+    return Deflection(amplitude=share * load / resistance, a=a, b=b)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Predicted:
-    """Bounds over the sources, and what a press at the greatest force does there, (s,)."""
+    """Bounds at the sources (s,), and deflection mm and strain there under the greatest force."""
 
     bound: CramerRaoBound
     dent_mm: FloatArray
@@ -212,14 +201,16 @@ def predict(
     cameras: tuple[Camera, ...],
     seen: BoolArray,
     *,
-    sources: int = SOURCES,
+    sources: int = 5,
 ) -> Predicted:
-    """Cramér-Rao bound and dents of a design with the closed form in place of finite elements.
+    """Cramér-Rao bound and deflections of a design by the closed form.
 
     Parameters
     ----------
     seen : (n,) bool
-        Markers that the camera sees; others tell nothing.
+        Markers that the camera sees; the others carry no information.
+    sources : int
+        Receptors at which the bound is taken, from the near end to the far one.
     """
     training, camera = design.training, design.camera
     wall = Wall(
@@ -235,7 +226,7 @@ def predict(
     chosen = np.unique(order[(share * markers.count).astype(int)])
     tangents = surface.tangents(markers.uv)
     unit = tangents / np.maximum(np.linalg.norm(tangents, axis=2, keepdims=True), 1e-12)
-    # The tip of a tube that leans with the wall moves along the wall by its height times the slope.
+    # The tip of a tube tilts with the wall: it moves along it by its height times the slope.
     arm = markers.height_mm + design.wall.thickness_mm / 2.0
     slopes = np.where(seen[:, None, None], stack_views(cameras, markers.tip_mm), 0.0)
     slopes = np.nan_to_num(slopes)

@@ -44,5 +44,5 @@ def with_long_row(row: int, by_mm: float) -> Design:
 
 @cache
 def judged_tube() -> EvaluatedDesign:
-    """The sensor without defect, judged."""
+    """The sensor without defect, evaluated."""
     return evaluate_design(tube(), DRAFT)

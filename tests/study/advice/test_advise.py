@@ -1,4 +1,4 @@
-"""Known defects get the advice that mends them, and it does; what breaks a rule is no advice."""
+"""Known defects get advice that repairs them; a change that breaks a rule is no advice."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
 from phytac_design.rules.check import check_design
 from phytac_design.study.advice import design_evaluation as judging
-from phytac_design.study.advice.advice_report import as_dict, text
+from phytac_design.study.advice.advice_report import as_dict, text, write_advice
 from phytac_design.study.advice.advise import Advice, ChangeTester, advise
 from phytac_design.study.advice.changes import (
     FAULTS,
@@ -21,7 +21,6 @@ from phytac_design.study.advice.changes import (
 )
 from phytac_design.study.advice.design_evaluation import evaluate_design, faults_of
 from phytac_design.study.advice.design_variables import COUNT, variables_of, with_fields
-from phytac_design.study.advice.files import write_advice
 from phytac_design.study.advice.rows import as_explicit, named_rows, row_variables
 from phytac_shapes.errors import DesignError, OutputError
 from tests.study.advice.cases import DRAFT, ROWS, judged_tube, tube, with_long_row
@@ -34,10 +33,10 @@ def of_thick_wall() -> Advice:
 
 def test_a_wall_too_thick_is_to_be_thinned(of_thick_wall: Advice) -> None:
     first = of_thick_wall.pieces[0]
-    assert first.move.knob.name == "wall.thickness_mm"
-    assert first.move.amount < 0.0
+    assert first.variable.name == "wall.thickness_mm"
+    assert first.amount < 0.0
     assert first.gain > 0.1
-    assert first.hit == pytest.approx(1.0, abs=0.25)
+    assert first.gain / first.predicted_gain == pytest.approx(1.0, abs=0.25)
     assert first.design is not None
     before = evaluate_design(of_thick_wall.design, DRAFT).figures["force_middle_N"]
     after = evaluate_design(first.design, DRAFT).figures["force_middle_N"]
@@ -46,18 +45,18 @@ def test_a_wall_too_thick_is_to_be_thinned(of_thick_wall: Advice) -> None:
     assert after < 0.9 * before
 
 
-def test_a_hidden_row_is_mended_at_the_row() -> None:
+def test_a_hidden_row_is_repaired_at_the_row() -> None:
     design = with_long_row(2, 3.5)
     assert evaluate_design(design, DRAFT).figures["occluded"] == 8
     found = advise(design, DRAFT, only=["rows"], checks=3)
-    names = [trial.move.knob.name for trial in found.pieces]
+    names = [trial.variable.name for trial in found.pieces]
     lower = [
         trial
         for trial in found.pieces
-        if trial.move.knob.name == "rows.row 2 height" and trial.move.amount < 0.0
+        if trial.variable.name == "rows.row 2 height" and trial.amount < 0.0
     ]
     assert lower, names
-    assert lower[0].move.goal == FAULTS
+    assert lower[0].goal == FAULTS
     assert lower[0].design is not None
     after = evaluate_design(lower[0].design, DRAFT).figures
     assert after["occluded"] == 0
@@ -71,10 +70,10 @@ def test_a_camera_too_close_is_to_be_moved_back() -> None:
         check_design(near)
     found = advise(near, DRAFT, only=["camera"], checks=2)
     assert "cannot see the near rim" in found.refused
-    back = [trial for trial in found.pieces if trial.move.knob.name == "camera.stand_off_mm"]
+    back = [trial for trial in found.pieces if trial.variable.name == "camera.stand_off_mm"]
     assert back
-    assert back[0].move.amount > 0.0
-    assert back[0].move.goal == RULES
+    assert back[0].amount > 0.0
+    assert back[0].goal == RULES
     assert back[0].design is not None
     assert evaluate_design(back[0].design, DRAFT).faults == 0
 
@@ -89,15 +88,19 @@ def test_advice_breaks_nothing(of_thick_wall: Advice) -> None:
     for trial in of_thick_wall.tried:
         assert trial.reason
     # A spacer shorter than the image allows is tried and said to break that.
-    lost = [t for t in of_thick_wall.tried if t.move.knob.name == "camera.stand_off_mm"]
+    lost = [t for t in of_thick_wall.tried if t.variable.name == "camera.stand_off_mm"]
     assert any("rim" in trial.reason for trial in lost)
 
 
 def test_a_move_that_hides_markers_is_no_advice() -> None:
     base = judged_tube()
-    (knob,) = [k for k in row_variables(base, base.markers.row, [2]) if k.name.endswith("height")]
-    move = Change(knob=knob, amount=3.5, goal="force_middle_N", predicted={}, gain=0.05)
-    trial = ChangeTester(base=base, accuracy=DRAFT).one(move)
+    (variable,) = [
+        k for k in row_variables(base, base.markers.row, [2]) if k.name.endswith("height")
+    ]
+    move = Change(
+        variable=variable, amount=3.5, goal="force_middle_N", predicted={}, predicted_gain=0.05
+    )
+    trial = ChangeTester(base.design, base.figures, DRAFT, markers=base.markers).test(move)
     assert trial.achieved["occluded"] == 8
     assert "hidden markers at rest 8 (at most 0)" in trial.reason
 
@@ -114,7 +117,7 @@ def test_broken_compares_with_what_was() -> None:
         assert broken_margin(good | {name: 2}, good | {name: 1}) == ""
 
 
-def test_conflicts_are_said() -> None:
+def test_conflicts_are_reported() -> None:
     good = dict(judged_tube().figures)
     finer = good | {"force_middle_N": 0.5 * good["force_middle_N"], "gap_px": good["gap_px"] - 9.0}
     (said,) = costs_of(good, finer)
@@ -131,20 +134,20 @@ def test_faults_count_markers_and_crosstalk() -> None:
     assert faults_of(good | {"occluded": 2, "load_fused": 3, "crosstalk_px": 0.2}) == 6
 
 
-def test_what_was_judged_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_evaluations_are_cached(monkeypatch: pytest.MonkeyPatch) -> None:
     base = judged_tube()
 
     def again(*_: object, **__: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(judging, "check_visibility", again)
+    monkeypatch.setattr(judging, "views_at_rest", again)
     monkeypatch.setattr(judging, "see_pressed", again)
     assert evaluate_design(base.design, DRAFT).figures == base.figures
-    # Another resin is seen as before, and pressed anew.
+    # Another resin is seen as before, and pressed again.
     with pytest.raises(AssertionError):
         evaluate_design(with_fields(base.design, {"material.modulus_MPa": 2000.0}), DRAFT)
     monkeypatch.undo()
-    monkeypatch.setattr(judging, "check_visibility", again)
+    monkeypatch.setattr(judging, "views_at_rest", again)
     evaluate_design(with_fields(base.design, {"material.modulus_MPa": 2000.0}), DRAFT)
 
 
@@ -161,23 +164,23 @@ def test_listed_markers_are_the_same() -> None:
 
 
 @pytest.mark.parametrize("name", ["cylinder60", "hemisphere", "grip", "plane", "cuboid", "cone"])
-def test_knobs_move_what_they_say(name: str) -> None:
+def test_variables_change_what_they_name(name: str) -> None:
     design = load_design(name)
     markers = make_markers(design, design.surface())
-    knobs = variables_of(design, markers, 30.0)
-    assert len({knob.name for knob in knobs}) == len(knobs) > 6
-    for knob in knobs:
-        for amount in (*knob.amounts(1.0), *knob.amounts(-1.0)):
-            assert abs(amount) <= max(knob.reach, knob.step) + 1e-9
-            assert amount / knob.step == pytest.approx(round(amount / knob.step))
-        moved = knob.moved(design, knob.step)
+    variables = variables_of(design, markers, 30.0)
+    assert len({variable.name for variable in variables}) == len(variables) > 6
+    for variable in variables:
+        for amount in (*variable.amounts(1.0), *variable.amounts(-1.0)):
+            assert abs(amount) <= max(variable.reach, variable.step) + 1e-9
+            assert amount / variable.step == pytest.approx(round(amount / variable.step))
+        moved = variable.moved(design, variable.step)
         assert moved != design
-        if knob.kind != COUNT:
+        if variable.kind != COUNT:
             assert len(make_markers(moved, moved.surface()).uv) == markers.count
 
 
 def test_unknown_names_and_bad_folders_are_refused(of_thick_wall: Advice, tmp_path: Path) -> None:
-    with pytest.raises(DesignError, match=r"--only 'wal': no such knob .*wall.thickness_mm"):
+    with pytest.raises(DesignError, match=r"--only 'wal': no such variable .*wall.thickness_mm"):
         advise(tube(), DRAFT, only=["wal"])
     with pytest.raises(DesignError, match=r"rows\.9: this design has rows 0 to 4"):
         advise(tube(), DRAFT, only=["rows.9"])

@@ -1,4 +1,4 @@
-"""Polishing gains, keeps margins, stops, and goes on from what was judged; the command."""
+"""Refinement gains, keeps margins, stops, and resumes; the command."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,7 @@ from phytac_design.cli.advise_command import advise as command
 from phytac_design.design.design_file import load_design, to_toml
 from phytac_design.study.advice import design_evaluation as judging
 from phytac_design.study.advice.changes import broken_margin
-from phytac_design.study.advice.design_evaluation import GAP_PX, evaluate_design
+from phytac_design.study.advice.design_evaluation import LIMITS, evaluate_design
 from phytac_design.study.advice.design_variables import DesignVariable
 from phytac_design.study.advice.refinement import (
     LEAST_GAIN,
@@ -34,12 +34,12 @@ def done() -> RefinedDesign:
 
 
 def slope_of(name: str, *, force: float, gap: float, strain: float = 0.0) -> Sensitivity:
-    knob = DesignVariable(
+    variable = DesignVariable(
         name=name, unit="mm", value=1.0, step=0.1, reach=1.0, why="", kind="free",
         fields=lambda _: {},
     )  # fmt: skip
     rate = dict.fromkeys(SENSITIVE, force) | {"gap_px": gap, "load_gap_px": gap, "strain": strain}
-    return Sensitivity(knob=knob, rate=rate)
+    return Sensitivity(variable=variable, rate=rate)
 
 
 def test_a_step_keeps_the_gap_and_the_strain() -> None:
@@ -50,7 +50,7 @@ def test_a_step_keeps_the_gap_and_the_strain() -> None:
     wider = slope_of("b", force=0.001, gap=10.0)
     both = step_of(figures, [finer, wider], 1.0)
     assert both[0] == pytest.approx(1.0)
-    assert 5.5 - 4.0 * both[0] + 10.0 * both[1] >= GAP_PX + GAP_RESERVE_px - 10.0 * 0.1
+    assert 5.5 - 4.0 * both[0] + 10.0 * both[1] >= LIMITS["gap_px"] + GAP_RESERVE_px - 10.0 * 0.1
     bent = slope_of("c", force=-0.1, gap=0.0, strain=2.0)
     assert step_of(figures, [bent], 1.0) == pytest.approx([np.trunc(np.log(2.0) / 2.0 * 10) / 10])
     assert step_of(figures, [finer], 0.25) == pytest.approx([0.2])
@@ -66,17 +66,17 @@ def test_polish_gains_within_margins(done: RefinedDesign) -> None:
     assert done.design.name == f"{tube().name}-polished"
 
 
-def test_polish_goes_on_where_it_was(done: RefinedDesign, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_polish_resumes(done: RefinedDesign, monkeypatch: pytest.MonkeyPatch) -> None:
     def again(*_: object, **__: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(judging, "check_visibility", again)
+    monkeypatch.setattr(judging, "views_at_rest", again)
     monkeypatch.setattr(judging, "see_pressed", again)
     assert refine(tube(), DRAFT, only=ONLY, rounds=2) == done
 
 
-def test_polish_asks_to_mend_first() -> None:
-    with pytest.raises(DesignError, match="nothing to polish before that is mended"):
+def test_polish_requires_a_design_without_faults() -> None:
+    with pytest.raises(DesignError, match="repair them before --polish"):
         refine(with_long_row(2, 3.5), DRAFT)
 
 
@@ -90,7 +90,7 @@ def test_command(tmp_path: Path, done: RefinedDesign) -> None:
     args = [str(path), "--only", "camera", "--checks", "1", "--out", str(out)]
     plain = runner.invoke(app, args)
     assert plain.exit_code == 0, plain.output
-    assert "Advice, each piece applied and judged again" in plain.output
+    assert "Advice, each change applied and evaluated" in plain.output
     machine = runner.invoke(app, [*args, "--json"])
     assert json.loads(machine.stdout) == json.loads((out / "advice.json").read_text())
     asked = [str(path), "--polish", "--only", ",".join(ONLY), "--rounds", "2", "--out", str(out)]

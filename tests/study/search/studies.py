@@ -1,4 +1,4 @@
-"""Small studies for tests: a design whose rungs take a few hundredths of a second."""
+"""Small studies for tests: a design whose levels take a few hundredths of a second."""
 
 from pathlib import Path
 from typing import Any

@@ -58,7 +58,7 @@ def test_a_sweep_writes_rows_page_and_summary(study: Path, tmp_path: Path) -> No
     assert "trial" in again.stdout
 
 
-def test_optimise_goes_on_where_it_was(study: Path, tmp_path: Path) -> None:
+def test_optimise_resumes(study: Path, tmp_path: Path) -> None:
     out = str(tmp_path / "out")
     for candidates in ("2", "4"):
         done = CliRunner().invoke(
@@ -83,7 +83,7 @@ def test_a_scheduler_that_is_not_there_is_refused_before_anything_is_written(
     from phytac_design.study.search import dask_pool
 
     out = tmp_path / "out"
-    monkeypatch.setattr(dask_pool, "CONNECT_S", 0.5)
+    monkeypatch.setattr(dask_pool, "SETTINGS", dask_pool.DaskSettings(connect_s=0.5))
     words = ["sweep", str(study), "--out", str(out), "--scheduler", "tcp://127.0.0.1:9"]
     done = CliRunner().invoke(APP, words)
     assert isinstance(done.exception, InputError)

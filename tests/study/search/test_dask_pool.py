@@ -1,4 +1,4 @@
-"""Candidates climbed by Dask: the same rows, also when workers and the scheduler are killed."""
+"""Candidates evaluated by Dask: the same rows, also when workers and the scheduler are killed."""
 
 import os
 import signal
@@ -7,9 +7,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +23,8 @@ from tests.study.search.studies import space_of, tiny
 distributed = pytest.importorskip("distributed")
 
 from phytac_design.study.search.dask_pool import (  # noqa: E402 - after the skip
-    PIECE_S,
+    SETTINGS,
     DaskPool,
-    Pieces,
 )
 
 # Dask's own threads and sockets end a little after what started them.
@@ -71,14 +69,14 @@ class Bad(Task):
 
 
 def made(kind: type[Task], order: int) -> Task:
-    return kind(order=order, key=str(order), spec="", params={}, rungs=("rules",))
+    return kind(order=order, key=str(order), spec="", params={}, levels=("rules",))
 
 
 class Fine(Task):
     """A task that comes to nothing, at once."""
 
     def run(self) -> dict[str, Any]:
-        return asdict(Outcome(seconds={"rules": PIECE_S / 8.0}))
+        return asdict(Outcome(seconds={"rules": SETTINGS.chunk_s / 8.0}))
 
 
 class Noted(Task):
@@ -87,13 +85,13 @@ class Noted(Task):
     def run(self) -> dict[str, Any]:
         with Path(self.spec).open("a") as file:
             file.write(f"{self.key}\n")
-        return asdict(Outcome(seconds={"rules": PIECE_S / 4.0}))
+        return asdict(Outcome(seconds={"rules": SETTINGS.chunk_s / 4.0}))
 
 
 def test_what_follows_is_begun_early_and_run_once(pool: DaskPool, tmp_path: Path) -> None:
     log = tmp_path / "ran"
     tasks = [
-        Noted(order=k, key=f"noted-{k}", spec=str(log), params={}, rungs=(f"rung {k // 8}",))
+        Noted(order=k, key=f"noted-{k}", spec=str(log), params={}, levels=(f"level {k // 8}",))
         for k in range(24)
     ]
     for first in range(0, 24, 8):
@@ -108,24 +106,15 @@ def test_what_follows_is_begun_early_and_run_once(pool: DaskPool, tmp_path: Path
     assert sorted(log.read_text().split()) == sorted(task.key for task in tasks)
 
 
-def test_pieces_hold_as_much_as_they_should_and_shrink_towards_the_end() -> None:
-    spent: defaultdict[tuple[str, ...], list[float]] = defaultdict(lambda: [0.0, 0.0])
-    tasks = [made(Fine, k) for k in range(40)]
-    pieces = Pieces(tasks, spent)
-    first = pieces.take(2)
-    assert len(first) == 1
-    pieces.took(first[0], Outcome(seconds={"rules": PIECE_S / 8.0}))
-    found = [first]
-    while piece := pieces.take(2):
-        found.append(piece)
-    assert [len(piece) for piece in found] == [1, 8, 8, 6, 5, 3, 3, 2, 1, 1, 1, 1]
-    assert [task for piece in found for task in piece] == tasks
-    pieces.back(found[1])
-    assert [pieces.take(2) for _ in range(9)] == [(task,) for task in found[1]] + [()]
-    mixed = Pieces([made(Fine, 1), replace(made(Fine, 2), rungs=("exact",))], pieces.spent)
-    assert [len(mixed.take(1)) for _ in range(3)] == [1, 1, 0]
-    slow = Pieces(tasks, defaultdict(lambda: [100.0, 10.0]))
-    assert len(slow.take(1)) == 1
+def test_chunks_hold_as_much_as_they_should(pool: DaskPool) -> None:
+    levels = ("test chunks",)
+    assert pool._chunk_size(levels, 400) == 1
+    pool._seconds[levels] = [10.0 * SETTINGS.chunk_s / 8.0, 10.0]
+    assert pool._chunk_size(levels, 400) == 8
+    assert pool._chunk_size(levels, 40) == 5
+    assert pool._chunk_size(levels, 3) == 1
+    pool._seconds[levels] = [100.0 * SETTINGS.chunk_s, 10.0]
+    assert pool._chunk_size(levels, 400) == 1
 
 
 def test_a_worker_that_is_killed_loses_nothing(
@@ -137,7 +126,7 @@ def test_a_worker_that_is_killed_loses_nothing(
     killer.start()
     done = run_study(study(), space_of(study()), tmp_path, kind="sweep", pool=pool)
     killer.join()
-    # One that is broken takes none of its piece with it.
+    # One that is broken takes none of its chunk with it.
     tasks = [made(Bad if k == 11 else Fine, k) for k in range(30)]
     found = {task.order: outcome for task, outcome in pool.run(tasks)}
     assert done.new == 40

@@ -9,14 +9,19 @@ import pytest
 
 from phytac_design.study.search import fidelity_levels
 from phytac_design.study.search import study_folder as stores
-from phytac_design.study.search.candidate import Candidate
 from phytac_design.study.search.driver import Kind, StudyRun, run_study
-from phytac_design.study.search.pool import OwnProcess, Pool
-from phytac_design.study.search.rebuild import rebuild
+from phytac_design.study.search.fidelity_levels import Candidate
 from phytac_design.study.search.sampler import Search
 from phytac_design.study.search.study_file import Study
-from phytac_design.study.search.study_folder import RESULTS, Store
-from phytac_design.study.search.successive_halving import DROPPED, FAILED, OK, Outcome, Task
+from phytac_design.study.search.study_folder import RESULTS, Store, rebuild
+from phytac_design.study.search.successive_halving import (
+    DROPPED,
+    FAILED,
+    OK,
+    Outcome,
+    SerialPool,
+    Task,
+)
 from phytac_shapes.errors import DesignError, InputError, OutputError
 from tests.study.search.studies import space_of, tiny
 
@@ -25,7 +30,7 @@ KINDS: list[Kind] = ["sweep", "optimise"]
 
 @pytest.fixture(autouse=True)
 def quick_rules(monkeypatch: pytest.MonkeyPatch) -> None:
-    """These tests are about the driver: its one rung counts and weighs, and looks at nothing."""
+    """These tests are about the driver: its one level counts and weighs, without optics."""
 
     def rules(candidate: Candidate) -> dict[str, float]:
         layout, wall = candidate.design.layout, candidate.design.wall.thickness_mm
@@ -45,7 +50,7 @@ class KilledError(Exception):
     """Stands for a process that ends without notice."""
 
 
-class Killed(OwnProcess):
+class Killed(SerialPool):
     """A pool whose driver ends after so many results."""
 
     def __init__(self, after: int) -> None:
@@ -61,7 +66,7 @@ class Killed(OwnProcess):
             yield result
 
 
-class Backwards(OwnProcess):
+class Backwards(SerialPool):
     """A pool whose results come in another order."""
 
     def run(
@@ -70,7 +75,9 @@ class Backwards(OwnProcess):
         yield from super().run(reversed(list(tasks)), following)
 
 
-def run(study: Study, folder: Path, kind: Kind = "sweep", pool: Pool | None = None) -> StudyRun:
+def run(
+    study: Study, folder: Path, kind: Kind = "sweep", pool: SerialPool | None = None
+) -> StudyRun:
     return run_study(study, space_of(study), folder, kind=kind, pool=pool)
 
 
@@ -84,7 +91,7 @@ def rows(folder: Path) -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_killed_driver_goes_on_to_the_same_rows(kind: Kind, tmp_path: Path) -> None:
+def test_a_killed_driver_resumes_to_the_same_rows(kind: Kind, tmp_path: Path) -> None:
     study = tiny(objective=tiny_goals())
     whole = run(study, tmp_path / "whole", kind)
     assert whole.new == whole.rows == 24
@@ -101,7 +108,7 @@ def tiny_goals() -> list[dict[str, str]]:
     return [{"measure": "marker_count", "goal": "max"}, {"measure": "mass_g", "goal": "min"}]
 
 
-def test_results_of_the_open_batch_are_not_climbed_again(tmp_path: Path) -> None:
+def test_results_of_the_open_batch_are_not_evaluated_again(tmp_path: Path) -> None:
     study = tiny()
     with pytest.raises(KilledError):
         run(study, tmp_path, pool=Killed(5))
@@ -109,31 +116,31 @@ def test_results_of_the_open_batch_are_not_climbed_again(tmp_path: Path) -> None
         file.write('{"key": "cut o')
     counted = Counted()
     run(study, tmp_path, pool=counted)
-    assert counted.climbed == 24 - 5
+    assert counted.evaluated == 24 - 5
 
 
-class Counted(OwnProcess):
+class Counted(SerialPool):
     """A pool that counts."""
 
-    climbed = 0
+    evaluated = 0
 
     def run(
         self, tasks: Iterable[Task], following: Iterable[Task] = ()
     ) -> Iterator[tuple[Task, Outcome]]:
         for result in super().run(tasks, following):
-            self.climbed += 1
+            self.evaluated += 1
             yield result
 
 
-def test_equal_values_climb_once(tmp_path: Path) -> None:
+def test_equal_values_are_evaluated_once(tmp_path: Path) -> None:
     axis = {"field": "layout.rows", "low": 4, "high": 5}
     study = tiny(variable=[axis], sampling={"batch": 8, "start": 8}, budget={"candidates": 8})
     counted = Counted()
     assert run(study, tmp_path, pool=counted).rows == 8
-    assert counted.climbed == 2
+    assert counted.evaluated == 2
 
 
-def test_a_kill_between_the_rows_and_optuna_is_made_good(
+def test_a_kill_between_the_rows_and_optuna_is_repaired(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     study = tiny()
@@ -173,7 +180,7 @@ def test_a_kill_while_parts_join_leaves_each_row_once(
     assert [row["trial"] for row in rows(tmp_path)] == list(range(24))
 
 
-def test_a_larger_budget_goes_on(tmp_path: Path) -> None:
+def test_a_larger_budget_resumes(tmp_path: Path) -> None:
     run(tiny(budget={"candidates": 8}), tmp_path / "grown")
     assert run(tiny(), tmp_path / "grown").new == 16
     run(tiny(), tmp_path / "whole")
@@ -213,7 +220,7 @@ def test_a_full_disk_says_so_and_loses_nothing(
             run(study, tmp_path)
     counted = Counted()
     assert run(study, tmp_path, pool=counted).rows == 24
-    assert counted.climbed == 16
+    assert counted.evaluated == 16
 
 
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
@@ -222,7 +229,7 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
         run(tiny(), tmp_path / "file" / "study")
 
 
-def test_the_share_of_each_batch_goes_on(tmp_path: Path) -> None:
+def test_the_share_of_each_batch_is_promoted(tmp_path: Path) -> None:
     study = tiny(
         constraint=[],
         objective=[{"measure": "surrogate_force_sd_N", "goal": "min"}, *tiny_goals()],
@@ -285,8 +292,8 @@ def test_a_design_that_would_differ_is_not_rebuilt(tmp_path: Path) -> None:
         rebuild(tmp_path, 0)
 
 
-def test_nothing_to_strive_for_cannot_be_optimised(tmp_path: Path) -> None:
-    with pytest.raises(DesignError, match="nothing to strive for"):
+def test_no_objective_cannot_be_optimised(tmp_path: Path) -> None:
+    with pytest.raises(DesignError, match="no objective"):
         run(tiny(objective=[]), tmp_path, "optimise")
 
 

@@ -55,20 +55,23 @@ REFUSED: dict[str, tuple[str, str]] = {
         "contradict each other",
     ),
     "no bound": (HEAD + ROWS + '[[constraint]]\nmeasure = "mass_g"\n', "give min, max or both"),
-    "unknown rung": (HEAD + ROWS + '[ladder]\nrungs = ["rules", "exat"]\n', "did you mean 'exact'"),
+    "unknown level": (
+        HEAD + ROWS + '[ladder]\nrungs = ["rules", "exat"]\n',
+        "did you mean 'exact'",
+    ),
     "wrong order": (
         HEAD + ROWS + '[ladder]\nrungs = ["rules", "exact", "sampled"]\n',
-        "must begin with 'rules' and go up",
+        "must begin with 'rules' and ascend",
     ),
     "not measured": (
         HEAD
         + ROWS
         + '[[objective]]\nmeasure = "gap_px"\ngoal = "max"\n[ladder]\nrungs = ["rules"]\n',
-        "no rung of the ladder measures gap_px",
+        "no level of ladder.rungs measures gap_px",
     ),
     "blind press": (
         HEAD + ROWS + '[ladder]\nrungs = ["rules", "load"]\n',
-        "need what 'exact' sees",
+        "need the results of 'exact'",
     ),
     "share of nothing": (HEAD + ROWS + "[ladder.share]\nrules = 0.0\n", "must lie in (0, 1]"),
 }
@@ -102,15 +105,15 @@ def test_a_field_that_does_not_take_its_values_is_refused(field: str) -> None:
     assert words in str(caught.value)
 
 
-def test_rungs_are_those_that_are_needed() -> None:
-    assert tiny().rungs == ("rules",)
+def test_levels_are_those_that_are_needed() -> None:
+    assert tiny().levels == ("rules",)
     asked = tiny(constraint=[{"measure": "force_sd_N", "max": 1.0}])
-    assert asked.rungs == ("rules", "sampled", "exact", "mechanics")
+    assert asked.levels == ("rules", "sampled", "exact", "mechanics")
     gap = tiny(ladder={"share": {"sampled": 0.5}}, objective=[{"measure": "gap_px", "goal": "max"}])
-    assert gap.groups() == [("rules", "sampled"), ("exact",)]
+    assert gap.level_groups() == [("rules", "sampled"), ("exact",)]
 
 
-def test_measures_name_rungs_and_cheaper_proxies() -> None:
+def test_measures_name_levels_and_cheaper_proxies() -> None:
     for name, measure in MEASURES.items():
         if measure.proxy:
             earlier = MEASURES[measure.proxy].rung

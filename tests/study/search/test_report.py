@@ -12,9 +12,9 @@ from phytac_design.study.search.report import (
     Results,
     agreement,
     importance,
-    ladder_of,
+    level_statistics,
     read_results,
-    saved,
+    speedup,
     write_page,
 )
 from phytac_shapes.errors import InputError
@@ -93,7 +93,7 @@ def test_agreement_is_of_candidates_that_reached_both() -> None:
     ]
 
 
-def test_what_the_ladder_saved() -> None:
+def test_speedup_of_successive_halving() -> None:
     results = made(
         status=["refused", "ok", "unfit", "ok"],
         rung=["rules", "exact", "sampled", "exact"],
@@ -103,10 +103,10 @@ def test_what_the_ladder_saved() -> None:
             "seconds.exact": np.array([np.nan, 2.0, np.nan, 2.0]),
         },
     )
-    ladder = ladder_of(results)
-    assert [rung["tried"] for rung in ladder] == [4, 3, 2]
-    assert [rung["went_on"] for rung in ladder] == [3, 2, 2]
-    assert saved(ladder) == pytest.approx(4 * 2.3 / 5.0)
+    levels = level_statistics(results)
+    assert [level["tried"] for level in levels] == [4, 3, 2]
+    assert [level["went_on"] for level in levels] == [3, 2, 2]
+    assert speedup(levels) == pytest.approx(4 * 2.3 / 5.0)
 
 
 def test_a_folder_without_results_says_so(tmp_path: Path) -> None:

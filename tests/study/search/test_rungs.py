@@ -1,4 +1,4 @@
-"""What the rungs measure, and that candidates stop where a constraint says."""
+"""What the fidelity levels measure, and that candidates stop where a constraint says."""
 
 import json
 
@@ -8,7 +8,7 @@ import pytest
 from phytac_design.design.design_file import design_hash
 from phytac_design.optics.visibility import check_visibility
 from phytac_design.study.search import fidelity_levels
-from phytac_design.study.search.candidate import Candidate
+from phytac_design.study.search.fidelity_levels import Candidate
 from phytac_design.study.search.measures import measures_up_to
 from phytac_design.study.search.successive_halving import (
     OK,
@@ -92,7 +92,7 @@ def test_load_presses_and_looks() -> None:
     assert found["load_gap_px"] <= fidelity_levels.exact(candidate)["gap_px"] + 1.0
 
 
-def test_a_climb_gives_plain_figures_and_the_hash_of_its_design() -> None:
+def test_an_evaluation_gives_plain_figures_and_the_hash_of_its_design() -> None:
     study = tiny(objective=SEEN)
     space = space_of(study)
     task = task_of(0, spec_of(study, space), PARAMS, ("rules", "sampled", "exact"))
@@ -104,20 +104,20 @@ def test_a_climb_gives_plain_figures_and_the_hash_of_its_design() -> None:
     assert min(outcome.seconds.values()) > 0.0
 
 
-def test_a_climb_stops_where_a_constraint_is_missed() -> None:
+def test_an_evaluation_stops_where_a_constraint_is_missed() -> None:
     study = tiny(objective=SEEN, constraint=[{"measure": "marker_count", "max": 100}])
-    outcome = evaluate_candidate(spec_of(study, space_of(study)), PARAMS, study.rungs)
+    outcome = evaluate_candidate(spec_of(study, space_of(study)), PARAMS, study.levels)
     assert (outcome.status, outcome.rung) == (UNFIT, "rules")
-    assert outcome.reason == "marker_count is 112, asked is at most 100"
+    assert outcome.reason == "marker_count is 112, must be at most 100"
     assert set(outcome.measures) == set(measures_up_to(("rules",)))
-    # Two rungs are left, and the count is off by 12 of 100.
+    # Two levels are not reached, and the count is off by 12 of 100.
     assert outcome.violation == pytest.approx(2.0 + 0.12 / 1.12)
 
 
-def test_what_cannot_be_made_is_refused_with_its_reason() -> None:
+def test_a_design_that_cannot_be_made_is_rejected_with_its_reason() -> None:
     study = tiny(objective=SEEN)
     thin = PARAMS | {"wall.thickness_mm": 0.1}
-    outcome = evaluate_candidate(spec_of(study, space_of(study)), thin, study.rungs)
+    outcome = evaluate_candidate(spec_of(study, space_of(study)), thin, study.levels)
     assert (outcome.status, outcome.rung) == (REFUSED, "rules")
     assert "too thin to print" in outcome.reason
     assert outcome.violation == 3.0
@@ -130,15 +130,15 @@ def test_nearer_to_the_goal_is_a_smaller_violation() -> None:
     )
     spec = spec_of(study, space_of(study))
     many, few = (
-        evaluate_candidate(spec, PARAMS | {"layout.columns": columns}, study.rungs)
+        evaluate_candidate(spec, PARAMS | {"layout.columns": columns}, study.levels)
         for columns in (18, 14)
     )
-    seen = evaluate_candidate(spec, PARAMS | {"layout.columns": 8}, study.rungs)
+    seen = evaluate_candidate(spec, PARAMS | {"layout.columns": 8}, study.levels)
     assert (many.rung, few.rung, seen.rung) == ("rules", "rules", "exact")
     assert many.violation > few.violation > seen.violation > 0.0
 
 
-def test_the_better_share_goes_on_by_what_predicts_the_goal() -> None:
+def test_the_better_share_is_promoted_by_what_predicts_the_goal() -> None:
     study = tiny(objective=SEEN, ladder={"share": {"sampled": 0.5}})
     gaps = [3.0, 9.0, 5.0, 7.0, 1.0]
     found = {
@@ -149,7 +149,7 @@ def test_the_better_share_goes_on_by_what_predicts_the_goal() -> None:
     assert promoted(study, "sampled", found) == {2, 3}
 
 
-def test_keys_tell_values_rungs_and_studies_apart() -> None:
+def test_keys_differ_by_values_levels_and_studies() -> None:
     study = tiny()
     spec = spec_of(study, space_of(study))
     other = spec_of(tiny(seed=9), space_of(tiny(seed=9)))

@@ -6,8 +6,7 @@ import pytest
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
-from phytac_design.study.search.candidate import Candidate
-from phytac_design.study.search.fidelity_levels import mechanics, rules, sampled
+from phytac_design.study.search.fidelity_levels import Candidate, mechanics, rules, sampled
 from phytac_design.study.search.surrogate import (
     Flat,
     Unrolled,
@@ -73,7 +72,7 @@ def test_curvatures_and_lengths_of_a_cone_and_a_dome() -> None:
     assert (found.k_u, found.k_v) == pytest.approx((0.05, 0.05), rel=1e-4)
 
 
-def test_a_dent_of_the_cylinder_is_near_finite_elements() -> None:
+def test_a_deflection_under_disc_the_cylinder_is_near_finite_elements() -> None:
     design = small()
     candidate = Candidate(design, tiny())
     surface, markers = candidate.checked
