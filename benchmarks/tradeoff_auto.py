@@ -9,7 +9,7 @@ from phytac_design.simulation.pressed_series import ImageResponse
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.stages.places import locator_of
 from phytac_design.stages.response import image_response_of
-from phytac_design.study.tradeoff.force import REFERENCE, ForceError, extrapolation, rms
+from phytac_design.study.tradeoff.force import REFERENCE_REFINES, ForceError, extrapolated, rms
 from phytac_shapes.arrays import FloatArray
 
 
@@ -44,8 +44,9 @@ def auto_errors(name: str, setting: Accuracy) -> tuple[float, float, int]:
 
 def watched_px(error: ForceError, see: ImageResponse) -> FloatArray:
     """Shifts (c, 2n) of the paint that the cameras really see, by the reference."""
-    coarse, fine = (
-        np.stack([see.shift(one).ravel() for one in error.truth(refine).motion])
-        for refine in REFERENCE
+    return extrapolated(
+        *(
+            np.stack([see.shift(one).ravel() for one in error.truth(refine).motion])
+            for refine in REFERENCE_REFINES
+        )
     )
-    return np.asarray(fine + extrapolation(*REFERENCE) * (fine - coarse))

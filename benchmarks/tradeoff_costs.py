@@ -1,9 +1,13 @@
-"""Coefficients of the cost model: whole builds of random designs at random settings, timed."""
+"""Unit costs of whole builds: random designs at random settings, timed."""
 
 import os
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from pprint import pformat
 from typing import Any
 
 import numpy as np
@@ -16,13 +20,13 @@ from phytac_design.design.accuracy import PRESETS, Accuracy
 from phytac_design.design.spec import Design
 from phytac_design.stages import STAGES
 from phytac_design.stages.build import run_stages
-from phytac_design.study.tradeoff import coefficients
-from phytac_design.study.tradeoff.cost import Work, fit, probe_s, terms
+from phytac_design.study.planning import unit_costs
+from phytac_design.study.planning.cost import Amounts, Workload, features, fit, predict, probe_s
 from phytac_shapes.errors import PhytacError
 
 DESIGNS, SEED = 16, 11
 HELD_OUT = 4
-"""Every so many builds one is not fitted to, but judged on."""
+"""One in so many builds is not fitted to, but predicted."""
 
 
 def random_setting(number: int) -> Accuracy:
@@ -50,20 +54,20 @@ def random_setting(number: int) -> Accuracy:
 def timed(design: Design, setting: Accuracy) -> dict[str, Any]:
     """Seconds of every stage of a build, and of the machine's probe beside it."""
     with empty_cache():
-        before = probe_s()
+        before = probe_s.__wrapped__(time.perf_counter)
         try:
             _, _, seconds = run_stages(
                 design, STAGES, accuracy=setting, seed=0, force=True, progress=lambda _: None
             )
         except PhytacError as failed:
             return {"failed": str(failed)}
-        return {"seconds": seconds, "probe_s": min(before, probe_s())}
+        return {"seconds": seconds, "probe_s": min(before, probe_s.__wrapped__(time.perf_counter))}
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
-    """Time builds, fit the model, write it, and say how well it foretells builds not fitted to."""
-    fitted: dict[str, list[tuple[list[float], float]]] = {s.name: [] for s in STAGES}
-    judged: list[tuple[Work, Accuracy, dict[str, float]]] = []
+    """Time builds, fit the model, write it, and add its error on the other builds."""
+    fitted: dict[str, list[tuple[Amounts, float]]] = {s.name: [] for s in STAGES}
+    held_out: list[tuple[dict[str, Amounts], dict[str, float]]] = []
     probes = []
     for number, design in enumerate(random_designs(2 if quick else DESIGNS, SEED)):
         setting = random_setting(number)
@@ -74,20 +78,19 @@ def add_rows(table: Table, *, quick: bool) -> None:
         if "failed" in found:
             continue
         probes.append(found["probe_s"])
-        work = Work(design)
+        amounts = features(Workload(design).counts(setting), setting, design)
         if number % HELD_OUT == HELD_OUT - 1:
-            judged.append((work, setting, found["seconds"]))
+            held_out.append((amounts, found["seconds"]))
             continue
-        for name, counts in terms(work, setting).items():
-            fitted[name].append((counts, found["seconds"][name]))
+        for name, own in amounts.items():
+            fitted[name].append((own, found["seconds"][name]))
     model = fit(fitted)
     if not quick:
-        write(model, float(np.median(probes)))
-    off = []
-    for work, setting, seconds in judged:
-        own = terms(work, setting)
-        foretold = sum(float(np.dot(model[name], own[name])) for name in model)
-        off.append(foretold / sum(seconds.values()) - 1.0)
+        write_units(WALL_s=model, PROBE_s=float(np.median(probes)))
+    off = [
+        sum(predict(model, amounts).values()) / sum(seconds.values()) - 1.0
+        for amounts, seconds in held_out
+    ]
     if off:
         table.add(
             "cost model: whole builds not fitted to, mean distance from their seconds",
@@ -100,18 +103,25 @@ def add_rows(table: Table, *, quick: bool) -> None:
         )
 
 
-def write(model: dict[str, list[float]], probe: float) -> None:
-    """Write ``coefficients.py``."""
-    command = "python -m benchmarks.tradeoff --parts costs"
-    lines = [
-        f'"""Coefficients of the cost model; made by ``{command}``."""',
-        "",
-        f"PROBE_S = {probe:.4g}",
-        '"""Seconds of the probe on the machine that they are of."""',
-        "COEFFICIENTS: dict[str, list[float]] = {",
-        *(f'    "{name}": {values},' for name, values in model.items()),
-        "}",
-        '"""Seconds of each term of a stage; see :func:`cost.terms`."""',
-    ]
-    path = Path(os.fspath(coefficients.__file__))
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+def write_units(**new: Any) -> None:
+    """Write ``units.py`` with some of its tables replaced.
+
+    The other tables are scaled by the new probe's time, if there is one.
+    """
+    path = Path(os.fspath(unit_costs.__file__))
+    text = path.read_text(encoding="utf-8")
+    head, docs = text[: text.index("PROBE_s")], text.split('"""')[3::2]
+    scale = new.get("PROBE_s", unit_costs.PROBE_s) / unit_costs.PROBE_s
+    tables: dict[str, Any] = {"PROBE_s": new.get("PROBE_s", unit_costs.PROBE_s)}
+    for name, factor in (("WALL_s", scale), ("CPU_s", scale), ("MEMORY_MB", 1.0)):
+        old: dict[str, dict[str, float]] = getattr(unit_costs, name)
+        tables[name] = new.get(name) or {
+            stage: {term: float(f"{factor * value:.4g}") for term, value in own.items()}
+            for stage, own in old.items()
+        }
+    kind = "dict[str, dict[str, float]]"
+    for (name, value), doc in zip(tables.items(), docs, strict=True):
+        shown = f"{value:.4g}" if name == "PROBE_s" else pformat(value, width=96)
+        head += f'{name}{"" if name == "PROBE_s" else ": " + kind} = {shown}\n"""{doc}"""\n'
+    path.write_text(head, encoding="utf-8")
+    subprocess.run([sys.executable, "-m", "ruff", "format", "-q", str(path)], check=False)

@@ -1,8 +1,8 @@
 """Scenes: their cost against the whole sensor's, the error that costs, predicted against actual.
 
 Part of ``python -m benchmarks.tradeoff``. Results of stages lie below ``$PHYTAC_DATA``: a run that
-was killed goes on where it was. ``python -m benchmarks.tradeoff_scenes --units`` measures the unit
-costs that plans are made with and writes them into ``phytac_design/study/planning/unit_costs.py``.
+was killed resumes. ``python -m benchmarks.tradeoff_scenes --units`` measures the unit costs of
+plans and writes them into ``phytac_design/study/planning/unit_costs.py``.
 """
 
 import json
@@ -12,26 +12,24 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from pprint import pformat
 from typing import Any
 
 import numpy as np
 
 from benchmarks.decoder_data import data_folder
 from benchmarks.harness import Table, argument_parser
+from benchmarks.tradeoff_costs import write_units
 from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_decoder.pipeline.decode import Measured
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design
 from phytac_design.design.scene import load_scene
 from phytac_design.engine.stage import EXPORT, Context
-from phytac_design.layout import make_markers
 from phytac_design.simulation.dataset import Dataset
-from phytac_design.study.planning.audit import force_errors, reference_presses
-from phytac_design.study.planning.cost import WITHIN, features, fit_units, probe_s
-from phytac_design.study.planning.counts import count, counts_of
-from phytac_design.study.planning.plan import context_of, plan_scene
+from phytac_design.study.planning.cost import PREDICTED_WITHIN, Amounts, Workload, features, fit
+from phytac_design.study.planning.plan import plan_scene
 from phytac_design.study.planning.resolve import Resolved, resolve
+from phytac_design.study.planning.run import force_errors, reference_presses
 
 SHAPES = ("cylinder60", "grip")
 SCENES = ("fingertip", "grip5", "occlusion", "fabrication")
@@ -47,7 +45,6 @@ FITTED = (
     ("hemisphere", "standard", "fingertip"),
 )
 """Builds that unit costs are fitted to."""
-UNITS = Path(__file__).parents[1] / "phytac_design" / "study" / "plan" / "units.py"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +62,7 @@ def measured(design: str, accuracy: str, scene: str = "") -> Cost:
     """Build in a process of its own, from what the benchmark's cache lacks."""
     words = [design, accuracy, *([scene] if scene else [])]
     done = subprocess.run(
-        [sys.executable, "-m", "phytac_design.study.planning.measure", *words],
+        [sys.executable, "-m", "benchmarks.tradeoff_measure", *words],
         env={**os.environ, "PHYTAC_CACHE": str(data_folder() / "scenes")},
         stdout=subprocess.PIPE,
         text=True,
@@ -93,7 +90,7 @@ def add_rows(table: Table, *, quick: bool) -> None:
             label = f"scene {name} on {shape}, {accuracy}"
             _add_costs(table, label, cost, whole, one=name == "fingertip")
             _add_prediction(table, label, shape, accuracy, name, cost)
-            context = context_of(resolved)
+            context = resolved.context()
             context.folders.update(cost.folders)
             if "decoder" in cost.folders:
                 _add_forces(table, label, context, whole, presses=4 if quick else PRESSES)
@@ -161,7 +158,7 @@ def _add_prediction(
             "ratio",
             reference=round(predicted, 1),
             source=f"predicted; actual {actual:.1f}",
-            target=f"<= {WITHIN}",
+            target=f"<= {PREDICTED_WITHIN}",
         )
 
 
@@ -288,45 +285,21 @@ def _add_fabrication(table: Table, label: str, context: Context, whole: Cost) ->
 
 def measure_units() -> None:
     """Fit unit costs to measured builds and write them."""
-    times: dict[str, list[tuple[dict[str, float], float]]] = {}
-    peaks: dict[str, list[tuple[dict[str, float], float]]] = {}
+    times: dict[str, list[tuple[Amounts, float]]] = {}
+    peaks: dict[str, list[tuple[Amounts, float]]] = {}
     for shape, accuracy, name in FITTED:
         design, settings = load_design(shape), PRESETS[accuracy]
+        amounts = features(Workload(design).counts(settings), settings, design)
         if name:
-            resolved = resolve(design, load_scene(name), settings)
-            grown = features(
-                counts_of(resolved), resolved.accuracy, resolved.design, resolved.scene
+            own = resolve(design, load_scene(name), settings)
+            counts = Workload(own.design).counts(
+                own.accuracy, scene=own.scene, scope=own.scope, in_play=int(own.in_play.sum())
             )
-        else:
-            surface = design.surface()
-            counts = count(design, settings, surface, make_markers(design, surface))
-            grown = features(counts, settings, design)
+            amounts = features(counts, own.accuracy, own.design, own.scene)
         for stage, cost in measured(shape, accuracy, name).stages.items():
-            times.setdefault(stage, []).append((grown[stage], cost["cpu_s"]))
-            peaks.setdefault(stage, []).append((grown[stage], cost["peak_MB"]))
-    write_units(times, peaks, probe_s())
-
-
-def write_units(
-    times: dict[str, list[tuple[dict[str, float], float]]],
-    peaks: dict[str, list[tuple[dict[str, float], float]]],
-    probed_s: float,
-) -> None:
-    """Write the module of unit costs."""
-    kind = "dict[str, dict[str, float]]"
-    text = f'''"""Unit costs of stages; by ``python -m benchmarks.tradeoff_scenes --units``."""
-
-PROBE_s = {probed_s:.4g}
-"""What :func:`cost.probe_s` took on the machine that they were measured on."""
-'''
-    for name, rows, what in (
-        ("SECONDS", times, "Processor time, s, of each feature of :func:`cost.features`."),
-        ("MEMORY_MB", peaks, "Peak memory, MB, likewise; the program itself included."),
-    ):
-        units = {stage: fit_units(pairs) for stage, pairs in rows.items()}
-        text += f'{name}: {kind} = {pformat(units, width=96)}\n"""{what}"""\n'
-    UNITS.write_text(text, encoding="utf-8")
-    subprocess.run([sys.executable, "-m", "ruff", "format", "-q", str(UNITS)], check=False)
+            times.setdefault(stage, []).append((amounts[stage], cost["cpu_s"]))
+            peaks.setdefault(stage, []).append((amounts[stage], cost["peak_MB"]))
+    write_units(CPU_s=fit(times), MEMORY_MB=fit(peaks))
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ def test_presets_by_name(name: str) -> None:
     assert preset_name(PRESETS[name]) == name
 
 
-def test_settings_of_ones_own() -> None:
+def test_custom_settings() -> None:
     own = with_settings(PRESETS["draft"], ["refine=5", "place_share = 0.6", "receptors=no"])
     assert own == replace(PRESETS["draft"], refine=5, place_share=0.6, receptors=False)
     assert settings_of(own) is own
@@ -25,7 +25,7 @@ def test_settings_of_ones_own() -> None:
     ("text", "words"),
     [
         ("refin=5", "did you mean 'refine'"),
-        ("refine", "KNOB=VALUE"),
+        ("refine", "NAME=VALUE"),
         ("refine=2.5", "refine cannot be '2.5'; it is int"),
         ("refine=0", "refine cannot be 0; it lies from 1 to 24"),
         ("place_share=nan", "place_share cannot be nan"),
@@ -33,7 +33,7 @@ def test_settings_of_ones_own() -> None:
         ("receptors=maybe", "receptors cannot be 'maybe'; it is bool"),
     ],
 )
-def test_settings_that_cannot_be(text: str, words: str) -> None:
+def test_invalid_settings_are_rejected(text: str, words: str) -> None:
     with pytest.raises(DesignError, match=words):
         with_settings(PRESETS["draft"], [text])
 

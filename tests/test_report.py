@@ -145,9 +145,9 @@ def test_figures_that_do_not_exist_are_dashes_with_their_reason() -> None:
         assert page.number(value) == "–"
     html = page.facts({"first_force_N": None, "odd": None, "presses": 3}, "under_load")
     assert "– (nothing hides or fuses)" in html
-    assert ">least force at which a marker hides or fuses (N)<" in html
+    assert ">smallest force at which a marker hides or fuses (N)<" in html
     assert ">under_load.odd</th><td>–</td>" in html
-    assert html.index("places pressed") < html.index("least force")
+    assert html.index("places pressed") < html.index("smallest force")
     assert "None" not in html
     assert page.number([[0.0, 1.0], [2.0, 3.5]]) == "0, 1; 2, 3.5"
     assert page.number(list(range(40))).endswith("11 … (40)")
@@ -308,7 +308,7 @@ def test_shapes_that_face_the_camera_are_drawn_in_its_picture_too(
     context.folders["views"] = tmp_path
     values = np.arange(context.markers.count, dtype=float)
     place = context.markers.uv[0]
-    html = Drawing(context).both(values, "Gap", "px", marked=values < 2.0, cross=place)
+    html = Drawing(context).both(values, "Gap", "px", name="gap", marked=values < 2.0, cross=place)
     assert html.count("data:image/png") == maps_drawn
     assert ("Gap; in the camera&#x27;s picture" in html) == (maps_drawn == 2)
     picture = maps.picture_map(camera.project(context.markers.tip_mm), (864, 648))

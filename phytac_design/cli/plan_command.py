@@ -1,4 +1,4 @@
-"""The command that plans what a scene requires, and builds it."""
+"""``phytac plan``: the stages that a scene requires, their cost, and their build."""
 
 import json
 from pathlib import Path
@@ -22,18 +22,20 @@ def plan(
     accuracy: Annotated[
         Preset, typer.Option(help="Settings that the scene starts from.")
     ] = Preset.standard,
-    build: Annotated[bool, typer.Option("--build", help="Build it, and audit the plan.")] = False,
+    build: Annotated[
+        bool, typer.Option("--build", help="Build it, and compare the plan with the result.")
+    ] = False,
     out: Annotated[
         Path | None, typer.Option(help="The build's own folder; exports/NAME-SCENE if not given.")
     ] = None,
     audit: Annotated[
-        bool, typer.Option(help="After the build, press the sensor for the error of a force.")
+        bool, typer.Option(help="After the build, measure the force error with simulated presses.")
     ] = True,
     seed: SeedOption = 0,
     force: Annotated[bool, typer.Option(help="Overwrite another design's folder.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what a scene models of a design, how finely, why and at what cost, before it runs."""
+    """Show what a scene models of a design, at which resolution, why and at what cost."""
     from phytac_design.core.json_values import finite
     from phytac_design.design.accuracy import PRESETS
     from phytac_design.design.design_file import load_design
@@ -52,10 +54,10 @@ def plan(
     report: dict[str, Any] = made.as_dict()
     if build:
         target = out or Path("exports") / f"{loaded.name}-{wanted.name}"
-        done = run_plan(made, target, seed=seed, force=force, errors=audit, progress=say)
-        report |= {"out": str(done.out), "ran": list(done.ran), "audit": done.audit}
+        built, found = run_plan(made, target, seed=seed, force=force, errors=audit, progress=say)
+        report |= {"out": str(built.out), "ran": list(built.ran), "audit": found}
         if not as_json:
-            print_audit(done.audit, target)
+            print_audit(found, target)
     if as_json:
         typer.echo(json.dumps(finite(report), indent=1, ensure_ascii=False))
 
@@ -77,12 +79,12 @@ def build_scene(
     from phytac_design.study.planning.run import run_plan
 
     made = plan_scene(design, load_scene(scene), accuracy=accuracy, seed=seed)
-    done = run_plan(made, out, seed=seed, force=force, progress=say)
+    built, audit = run_plan(made, out, seed=seed, force=force, progress=say)
     if as_json:
-        report = made.as_dict() | {"out": str(out), "ran": list(done.ran), "audit": done.audit}
+        report = made.as_dict() | {"out": str(out), "ran": list(built.ran), "audit": audit}
         typer.echo(json.dumps(finite(report), indent=1, ensure_ascii=False))
         return
-    print_audit(done.audit, out)
+    print_audit(audit, out)
 
 
 def print_plan(made: "Plan") -> None:
@@ -111,14 +113,14 @@ def print_plan(made: "Plan") -> None:
         )
         typer.echo(
             f"predicted error of a force: {100.0 * made.error['force']:.2g} % ({parts}), without "
-            f"noise and scatter of prints; allowed {100.0 * scene.error_allowed:g} %"
+            f"noise and print scatter; allowed {100.0 * scene.error_allowed:g} %"
         )
         if made.error["force"] > scene.error_allowed:
             say("warning: more than the scene allows; take a finer --accuracy, or allow more")
 
 
 def print_audit(done: dict[str, Any], out: Path) -> None:
-    """Print what a plan predicted beside what came of it."""
+    """Print predicted and actual cost and error."""
     typer.echo(f"{out}: plan audited")
     for name, item in done["stages"].items():
         typer.echo(

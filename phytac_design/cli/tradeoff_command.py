@@ -1,4 +1,4 @@
-"""The command that measures what speed costs in accuracy."""
+"""``phytac tradeoff``, and the options ``--tolerance`` and ``--budget`` of ``phytac build``."""
 
 import json
 from pathlib import Path
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def tradeoff(
     design: DesignArgument,
     only: Annotated[
-        str, typer.Option(help="Knobs, comma separated, or `joint` for the whole build; all.")
+        str, typer.Option(help="Settings, comma separated, or `joint` for the whole build; all.")
     ] = "",
     out: Annotated[
         Path | None,
@@ -24,9 +24,9 @@ def tradeoff(
     quick: Annotated[bool, typer.Option(help="Few joint settings.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure time, memory and error of every knob, and the fronts of the whole build.
+    """Measure time, memory and error of every setting, and the fronts of the whole build.
 
-    A run that was stopped or killed goes on where it was when the same command is given again.
+    The same command resumes an interrupted run.
     """
     from phytac_design.design.design_file import load_design
     from phytac_design.study.tradeoff.run import tradeoff as run
@@ -37,7 +37,7 @@ def tradeoff(
     try:
         done = run(loaded, target, only=names, quick=quick, progress=say)
     except KeyboardInterrupt:
-        say("stopped; run the same command again to go on where it was")
+        say("stopped; run the same command again to resume")
         raise typer.Exit(130) from None
     if as_json:
         typer.echo(json.dumps(done.as_dict(), indent=1, ensure_ascii=False))
@@ -57,22 +57,10 @@ def build_within(
     force: bool,
     as_json: bool = False,
 ) -> None:
-    """Build to a tolerance or in a time, and say what was predicted and what came.
+    """Build to a tolerance (``2%``) or within a time (``60s``); print prediction and result.
 
-    Parameters
-    ----------
-    design : Design
-        What to build.
-    out : Path
-        Folder of the build.
-    tolerance, budget : str or None
-        As typed: ``2%`` or ``60s``; one of the two.
-    tolerance_of : str
-        ``force``, ``visibility`` or ``volume``.
-    seed, force
-        As of ``phytac build``.
-    as_json : bool
-        Print what stands in ``report/trade.json`` instead.
+    ``tolerance_of`` is ``force``, ``visibility`` or ``volume``; ``as_json`` prints
+    ``report/trade.json``; the other arguments are those of ``phytac build``.
     """
     from typing import get_args
 

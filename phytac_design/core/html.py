@@ -5,58 +5,10 @@ import re
 from base64 import b64encode
 from collections.abc import Sequence
 from html import escape
+from importlib import resources
 from typing import Any
 
-STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; margin: 0 auto; max-width: 68rem; padding: 1rem;
-       color: #1a1a1a; background: #fff; overflow-wrap: break-word; }
-h1 { margin-bottom: 0; line-height: 1.2; }
-h2 { margin-top: 2rem; border-bottom: 1px solid #ccc; }
-table { border-collapse: collapse; margin: 0.5rem 0; display: block; overflow-x: auto; }
-th, td { border: 1px solid #ccc; padding: 0.2rem 0.6rem; text-align: right; vertical-align: top; }
-th { font-weight: 600; } tbody th { font-weight: 400; }
-th:first-child, td:first-child, td.text, .facts td, .facts th { text-align: left; }
-tr.weak th, tr.weak td { color: #595959; background: #f5f5f5; }
-img, svg { max-width: 100%; height: auto; }
-figure { margin: 0.5rem 0; min-width: 0; } figcaption { color: #555; font-size: 0.9em; }
-.pair { display: grid; gap: 1rem; align-items: start;
-        grid-template-columns: repeat(auto-fit, minmax(min(20rem, 100%), 1fr)); }
-.verdict { font-size: 1.1rem; padding: 0.6rem 1rem; border-left: 6px solid #18863a;
-           background: #eef8f0; }
-.verdict p { margin: 0; } .verdict ul { margin: 0.4rem 0 0; padding: 0; list-style: none;
-           font-size: 1rem; }
-.verdict h2 { margin: 0; border: 0; font-size: 1.15rem; }
-.verdict li { padding-left: 1.6rem; text-indent: -1.6rem; }
-.verdict li::before { display: inline-block; width: 1.6rem; text-indent: 0; font-weight: 700; }
-li.good::before { content: "✓"; color: #18863a; } li.odd::before { content: "!"; color: #9a6b00; }
-li.bad::before { content: "✗"; color: #b3261e; }
-.verdict.odd { border-color: #c08a00; background: #fff8e1; }
-.verdict.bad { border-color: #b3261e; background: #fbeeed; }
-.answers { display: grid; gap: 0.8rem; margin: 0.8rem 0;
-           grid-template-columns: repeat(auto-fit, minmax(min(24rem, 100%), 1fr)); }
-.answers .verdict { font-size: 1rem; }
-.contents { font-size: 0.95em; } .contents a { margin-right: 0.9em; white-space: nowrap;
-           display: inline-block; padding: 0.15rem 0; }
-.foot { color: #555; font-size: 0.9em; margin-top: 0; }
-.note { background: #f3f3f3; padding: 0.4rem 1rem; border-left: 6px solid #999; }
-.bar { display: inline-block; height: 0.7em; background: #1b6ca8; }
-pre { overflow: auto; max-height: 30rem; background: #f7f7f7; padding: 0.6rem; font-size: 0.85em; }
-details { margin: 0.5rem 0; } summary { cursor: pointer; padding: 0.3rem 0; }
-.press input { vertical-align: middle; width: min(20rem, 60%); }
-.press img { display: none; } .press img.ends { display: block; }
-.press.live img { display: none; } .press.live img.on { display: block; }
-@media (max-width: 30rem) { body { padding: 0.6rem; } table { font-size: 0.85rem; }
-  th, td { padding: 0.2rem 0.35rem; } }
-@media print { body { max-width: none; font-size: 11px; padding: 0; }
-  h2 { break-after: avoid; } figure, tr, .verdict { break-inside: avoid; }
-  table { display: table; font-size: 9px; } .verdict, .answers .verdict, li { font-size: 11px; }
-  .pair, .answers { grid-template-columns: 1fr 1fr; }
-  .contents, .press .controls { display: none; }
-  details::details-content { content-visibility: visible; display: block; }
-  .press.live img.on { display: none; } .press.live img.ends { display: block; }
-  pre { max-height: none; white-space: pre-wrap; font-size: 8px; }
-  * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
-"""
+STYLE = (resources.files("phytac_design.core") / "page.css").read_text(encoding="utf-8")
 POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src {}"
 """Content security: a page fetches nothing."""
 DASH = "–"
@@ -64,6 +16,12 @@ SHOWN = 12
 """Items of a list that are shown."""
 SMALL = 1e-3
 LARGE = 1e4
+
+
+class Html(str):
+    """Text that is HTML already."""
+
+    __slots__ = ()
 
 
 def missing(value: Any) -> bool:
@@ -92,6 +50,8 @@ def number(value: Any) -> str:
 
 def cell(value: Any) -> str:
     """One cell of a table; words to the left, figures to the right."""
+    if isinstance(value, Html):
+        return f"<td>{value}</td>"
     words = isinstance(value, str) and not missing(value)
     return f'<td class="text">{number(value)}</td>' if words else f"<td>{number(value)}</td>"
 

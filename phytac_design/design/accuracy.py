@@ -1,4 +1,9 @@
-"""The accuracy presets: every knob that trades time for truth, in one place."""
+"""The accuracy presets: every setting that trades time for accuracy, in one place.
+
+``draft`` and ``standard`` are the cheapest measured settings within fixed errors on three sensors,
+``fine`` the most accurate one that is built in ten minutes; ``python -m benchmarks.tradeoff --parts
+fronts,presets`` measures and checks that.
+"""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -23,22 +28,22 @@ class Accuracy:
     receptors : bool
         Whether the decoder's shell has the stiffness of receptor tubes and their holes.
     truth_refine : int
-        The same of the simulated sensor's own, finer mesh, which is not nested in the decoder's.
+        The same for the simulated sensor's finer mesh, which is not nested in the decoder's.
     sample_share : float
         Fraction of the design's training and test samples that is simulated.
     frames : int
         Rendered frames that are decoded for the report.
     place_share : float
-        Spacing of the places of the estimator ``auto``, over the patches' mean radius.
+        Spacing of the tabulated places of the estimator ``auto``, over the patches' mean radius.
     place_orders : int
         Powers of the force in its tables: 1 is linear theory, 2 and 3 Koiter's expansion, 4 and 5
         large displacements where that does not hold (:data:`twin.pressed.SOLVED_AT`).
     press_places : int
-        Places at which the sensor is pressed to see what hides or fuses under load.
+        Places at which the sensor is pressed to find markers that hide or fuse under load.
     press_tolerance : float
-        Error of linear theory that is accepted there; 1 takes it always.
+        Error of linear theory that is accepted there; 1 always accepts it.
     print_tools : bool
-        Whether molds, fixtures and kit are held against the print rules too; the shell always is.
+        Whether molds, fixtures and kit are checked against the print rules; the shell always is.
     """
 
     cad_tolerance_mm: float
@@ -112,11 +117,11 @@ RANGES: dict[str, tuple[float, float]] = {
     "press_places": (0, 10_000),
     "press_tolerance": (1e-4, 1.0),
 }
-"""Least and greatest value of each number."""
+"""Minimum and maximum of each number that the stages can work with."""
 
 
 def settings_of(accuracy: str | Accuracy) -> Accuracy:
-    """Settings of a preset by its name; settings are returned as they are.
+    """Settings of a preset by its name; settings are returned unchanged.
 
     Raises
     ------
@@ -132,7 +137,7 @@ def settings_of(accuracy: str | Accuracy) -> Accuracy:
 
 
 def preset_name(accuracy: Accuracy) -> str:
-    """Name of the preset that these settings are, or ``custom``."""
+    """Name of the preset with these settings, or ``custom``."""
     return next((name for name, preset in PRESETS.items() if preset == accuracy), "custom")
 
 
@@ -142,7 +147,7 @@ def with_settings(accuracy: Accuracy, assignments: Sequence[str]) -> Accuracy:
     Raises
     ------
     DesignError
-        If an assignment is not ``KNOB=VALUE``, of an unknown knob, or not a number that it takes.
+        If an assignment is not ``NAME=VALUE``, or its name or value is not valid.
     """
     for text in assignments:
         name, equals, value = (part.strip() for part in text.partition("="))
@@ -151,14 +156,14 @@ def with_settings(accuracy: Accuracy, assignments: Sequence[str]) -> Accuracy:
             near = get_close_matches(name, kinds, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
             known = ", ".join(kinds)
-            raise DesignError(f"no setting {text!r}{hint}; write KNOB=VALUE with one of {known}")
+            raise DesignError(f"no setting {text!r}{hint}; write NAME=VALUE with one of {known}")
         change: dict[str, Any] = {name: _value(name, value, kinds[name])}
         accuracy = replace(accuracy, **change)
     return accuracy
 
 
 def _value(name: str, text: str, kind: type) -> float:
-    """Read a knob's value; the ranges are those that the stages can work with."""
+    """Parse a value and check its range."""
     truth = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
     try:
         value = truth[text.lower()] if kind is bool else kind(text)

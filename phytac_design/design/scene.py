@@ -1,7 +1,5 @@
-"""Scene files: what matters of a sensor, in TOML; a build then models that and no more."""
+"""Scene files: the outputs, contacts and regions that a build is limited to, in TOML."""
 
-from contextlib import contextmanager
-from contextvars import ContextVar
 from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
@@ -14,7 +12,7 @@ from phytac_shapes.bounded_reader import joined, read_text, toml_table
 from phytac_shapes.errors import DesignError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
 Output = Literal[
     "views",
@@ -31,11 +29,11 @@ Output = Literal[
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 REGIONS_MAX = 64
 ALL_AT_ONCE = 5
-"""Contacts at once that a build without a scene draws at most."""
+"""Maximum number of simultaneous contacts of a build without a scene."""
 
 
 class RegionSection(Section):
-    """A part of the surface that contacts are centred in, as shares of the chart."""
+    """A part of the surface that contains contact centres, as shares of the chart."""
 
     name: str = Field("", max_length=40)
     """What it is, for reports."""
@@ -54,7 +52,7 @@ class RegionSection(Section):
 
 
 class ContactSection(Section):
-    """Contacts that matter; what is absent is the design's (its table `training`)."""
+    """Contacts of the scene; absent values are the design's (its table `training`)."""
 
     force_min_N: float | None = Field(None, gt=0.0, le=1e4)
     """Smallest force of a contact."""
@@ -65,7 +63,7 @@ class ContactSection(Section):
     radius_max_mm: float | None = Field(None, gt=0.0, le=1e3)
     """Largest radius of a patch."""
     at_once: int = Field(ALL_AT_ONCE, ge=1, le=50)
-    """Contacts at once, at most."""
+    """Maximum number of simultaneous contacts."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -84,28 +82,28 @@ class Scene(Section):
     description: str = Field("", max_length=2000)
     """What it is, for reports."""
     outputs: tuple[Output, ...] = Field(min_length=1)
-    """What is wanted: `views` (pictures), `visibility` (at rest), `underload` (pressed),
+    """Outputs of the build: `views` (pictures), `visibility` (at rest), `underload` (pressed),
     `resolution`, `fabrication`, `shell`, `mesh`, `decoder`, `frames`, `report` (everything)."""
     camera: Literal["near", "far"] | None = None
-    """The one camera that matters, of a sensor with two; absent: the design's."""
+    """The camera to use, of a sensor with two; absent: the design's."""
     estimator: Literal["any", "auto", "koi_inverse", "fem_nn"] = "any"
-    """Estimator that the decoder is for; `any`: `auto` where it keeps up with the frames."""
+    """Estimator of the decoder; `any`: `auto` if it keeps up with the frames."""
     frame_rate_Hz: float | None = Field(None, gt=0.0, le=1e6)
     """Frames that have to be decoded per second; absent: latency does not matter."""
     error_allowed: float = Field(0.02, gt=0.0, le=1.0)
-    """Error of a force that is accepted, as a share of it."""
+    """Accepted relative error of a force."""
     contacts: ContactSection = ContactSection()
     regions: tuple[RegionSection, ...] = Field((), max_length=REGIONS_MAX)
-    """Parts of the surface that are touched; none: all of it."""
+    """Parts of the surface that are touched; none: the whole surface."""
 
     @property
     def wants(self) -> frozenset[str]:
-        """Names of the outputs, all of them where a report is wanted."""
+        """Names of the outputs; all of them for a report."""
         return frozenset(get_args(Output) if "report" in self.outputs else self.outputs)
 
     @property
     def pictures(self) -> bool:
-        """Whether anyone looks at pictures of the sensor."""
+        """Whether pictures of the sensor are rendered."""
         return "views" in self.wants
 
     @property
@@ -115,27 +113,27 @@ class Scene(Section):
 
     @property
     def samples(self) -> bool:
-        """Whether the design's own number of simulated samples is needed, not a few to judge by."""
+        """Whether the design's number of samples is simulated, rather than a few for evaluation."""
         return self.networks
 
     @property
     def at_once(self) -> int:
-        """Contacts at once, at most."""
+        """Maximum number of simultaneous contacts."""
         return self.contacts.at_once
 
     @property
     def reach_mm(self) -> float | None:
-        """Largest radius of a patch; matters only where a part of the surface is touched."""
+        """Largest radius of a patch; None without regions."""
         return self.contacts.radius_max_mm if self.regions else None
 
     def inputs(self, parts: "Sequence[str]") -> dict[str, Any]:
-        """Plain values of some properties, those left out that a build without a scene has."""
+        """Plain values of some properties that differ from a build without a scene."""
         data = self.model_dump(mode="json")
         values = {name: data.get(name, getattr(self, name)) for name in parts}
-        return {name: value for name, value in values.items() if value != WITHOUT[name]}
+        return {name: value for name, value in values.items() if value != SCENE_DEFAULTS[name]}
 
 
-WITHOUT: dict[str, Any] = {
+SCENE_DEFAULTS: dict[str, Any] = {
     "name": None,
     "pictures": True,
     "networks": True,
@@ -144,19 +142,7 @@ WITHOUT: dict[str, Any] = {
     "regions": [],
     "reach_mm": None,
 }
-"""What stages may read of a scene, and what they take it to be without one."""
-
-CURRENT: ContextVar[Scene | None] = ContextVar("scene", default=None)
-
-
-@contextmanager
-def building(scene: Scene) -> "Iterator[None]":
-    """Builds within are of this scene."""
-    token = CURRENT.set(scene)
-    try:
-        yield
-    finally:
-        CURRENT.reset(token)
+"""Properties that stages read of a scene, and their values without one."""
 
 
 def shipped_scenes() -> list[str]:
@@ -187,12 +173,12 @@ def load_scene(name_or_path: str) -> Scene:
 
 
 def parse_scene(data: dict[str, Any], where: str) -> Scene:
-    """Validate a parsed scene file; every problem is in the one error.
+    """Validate a parsed scene file; the error lists every problem.
 
     Raises
     ------
     DesignError
-        With every key that is not known and every value that will not do.
+        With every unknown key and every invalid value.
     """
     try:
         return Scene.model_validate(data)
@@ -220,7 +206,7 @@ def _read(name_or_path: str) -> tuple[str, str]:
 
 
 def _explain(item: Any) -> str:
-    """One problem as a sentence: where, what, got, and what would do."""
+    """One problem as a sentence: where, what, got, and the valid values."""
     where = ".".join(str(part) for part in item["loc"])
     if item["type"] == "extra_forbidden":
         table = [part for part in item["loc"][:-1] if isinstance(part, str)]

@@ -13,7 +13,7 @@ import numpy as np
 
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.field_groups import values_of
-from phytac_design.design.scene import CURRENT, Scene
+from phytac_design.design.scene import Scene
 from phytac_design.design.spec import Design
 from phytac_design.engine.cache import record as cache_record
 from phytac_design.layout import Markers, make_markers
@@ -51,7 +51,7 @@ class Context:
     folders: dict[str, Path] = field(default_factory=dict)
     progress: Callable[[str], None] = print
     uses: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    scene: Scene | None = field(default_factory=CURRENT.get)
+    scene: Scene | None = None
 
     @cached_property
     def surface(self) -> Surface:

@@ -1,10 +1,12 @@
 """Where to press a sensor to find its worst case."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from phytac_design.layout.markers import Markers
 from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 SAME_mm = 1e-6
 """Places this near to each other are one."""
@@ -17,6 +19,7 @@ def press_places(
     count: int,
     *,
     repeats: bool = False,
+    inside: Callable[[FloatArray], BoolArray] | None = None,
 ) -> FloatArray:
     """Chart positions (count, 2) to press at: where it is tightest, and spread over the surface.
 
@@ -25,11 +28,13 @@ def press_places(
     are added one by one, each the farthest from all so far (in space). Fewer where there are fewer
     candidates. Where sensor and view repeat themselves around (``repeats``) places that a turn by
     whole columns brings onto another one count as that one: all places lie in one sector's worth.
+    ``inside`` maps chart positions (m, 2) to the candidates that are allowed, (m,).
     """
     uv = _candidates(surface, markers)
     at = surface.point(uv)
     turns = markers.lattice.columns if repeats and markers.lattice else 1
-    distance = np.full(len(uv), np.inf)
+    allowed = True if inside is None else inside(uv)
+    distance = np.where(np.broadcast_to(allowed, len(uv)), np.inf, 0.0)
     chosen: list[int] = []
 
     def add(k: int) -> None:

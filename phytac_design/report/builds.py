@@ -1,8 +1,8 @@
-"""Reading whole builds back: what a comparison asks of each, checked when it is read."""
+"""Builds read back from their folders, and the figures that a comparison shows of each."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,22 +12,20 @@ from phytac_shapes.errors import InputError
 
 PICTURES = (("camera.jpg", "The camera's view at rest"), ("pressed_close_5.jpg", "Pressed"))
 """Images of each build that are shown side by side."""
-STILLS = ("shell.png", "layout.png")
-"""Images that stand for what scripts draw, where they cannot, and in print."""
-LETTERS = 80
-"""Of a message that are shown."""
+SCRIPT_FALLBACKS = ("shell.png", "layout.png")
+"""Images for print and for browsers without scripts."""
 FILE_BYTES_MAX = 1 << 26
 """Largest file of a build that is read."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Build:
-    """What one build folder says.
+    """Contents of one build folder.
 
     Attributes
     ----------
     label : str
-        Name of its design; with the folder's where names repeat.
+        Name of its design, with the folder's if names repeat.
     report : dict
         ``report/report.json``.
     design : dict
@@ -35,7 +33,7 @@ class Build:
     viewer : dict
         ``report/viewer.json``.
     images : dict
-        Bytes of the pictures that there are, by file name.
+        Bytes of the available pictures, by file name.
     """
 
     label: str
@@ -46,130 +44,79 @@ class Build:
     images: Mapping[str, bytes]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Figure:
-    """One row of the comparison; ``better`` says which value is marked."""
+    """One row of the comparison; ``better`` says which value is marked.
+
+    ``path`` is that in ``report.json``; ``*`` stands for the report's main estimator, ``?`` marks a
+    key that may be missing.
+    """
 
     key: str
     label: str
-    of: Callable[[Mapping[str, Any]], Any]
+    path: str
     better: Literal["more", "less", ""] = ""
+    factor: float = 1.0
 
-
-def _decoded(name: str, key: str, factor: float = 1.0) -> Callable[[Mapping[str, Any]], Any]:
-    def value(report: Mapping[str, Any]) -> Any:
-        found = report[name][verdict.best_of(report)][key]
-        return None if page.missing(found) else factor * float(found)
-
-    return value
+    def of(self, report: Mapping[str, Any]) -> Any:
+        """Value in a report."""
+        value: Any = report
+        for part in self.path.split("/"):
+            if part.endswith("?"):
+                return value.get(part[:-1])
+            value = value[verdict.best_of(report) if part == "*" else part]
+        return value if self.factor == 1.0 or page.missing(value) else self.factor * float(value)
 
 
 FIGURES = (
-    Figure(key="markers", label="markers", of=lambda r: r["markers"]["count"], better="more"),
+    Figure("markers", "markers", "markers/count", "more"),
+    Figure("density_per_cm2", "density (per cm²)", "markers/density_per_cm2", "more"),
+    Figure("surface", "surface to the optical axis", "markers/surface_class"),
+    Figure("hidden", "hidden markers", "visibility/occluded", "less"),
+    Figure("fused", "fused markers", "visibility/fused", "less"),
     Figure(
-        key="density_per_cm2",
-        label="density (per cm²)",
-        of=lambda r: r["markers"]["density_per_cm2"],
-        better="more",
+        "visible_fraction", "smallest visible fraction", "visibility/min_visible_fraction", "more"
+    ),
+    Figure("gap_px", "smallest gap to the same colour (px)", "visibility/min_gap_px", "more"),
+    Figure(
+        "load_gap_px", "the same under load (px)", "under_load/least_gap_same_colour_px", "more"
     ),
     Figure(
-        key="surface",
-        label="surface to the optical axis",
-        of=lambda r: r["markers"]["surface_class"],
+        "first_force_N", "a marker hides or fuses from (N; none: never)", "under_load/first_force_N"
+    ),
+    Figure("crosstalk_px", "largest crosstalk (px)", "under_load/crosstalk_px", "less"),
+    Figure(
+        "bound_10N_median_N",
+        "resolution of 10 N, median in the middle (N)",
+        "resolution/bound/10 N/force_N_median_middle",
+        "less",
     ),
     Figure(
-        key="hidden",
-        label="hidden markers",
-        of=lambda r: r["visibility"]["occluded"],
-        better="less",
+        "bound_10N_worst_N", "the same, worst (N)", "resolution/bound/10 N/force_N_worst", "less"
     ),
     Figure(
-        key="fused", label="fused markers", of=lambda r: r["visibility"]["fused"], better="less"
+        "error_percent",
+        "force error, held-out contacts, simulated (%)",
+        "decoder/*/relative_error",
+        "less",
+        100.0,
     ),
+    Figure("error_N", "the same, mean absolute (N)", "decoder/*/mae_N", "less"),
     Figure(
-        key="visible_fraction",
-        label="least visible fraction",
-        of=lambda r: r["visibility"]["min_visible_fraction"],
-        better="more",
+        "error_frames_percent",
+        "force error through rendered frames (%)",
+        "decoder_frames/*/relative_error",
+        "less",
+        100.0,
     ),
+    Figure("dent_mm", "deepest dent (mm)", "under_load/dent_mm"),
+    Figure("resin_g", "resin, all printed parts (g)", "fabrication/mass_g/resin?", "less"),
+    Figure("rubber_g", "rubber (g)", "fabrication/mass_g/tpu?", "less"),
     Figure(
-        key="gap_px",
-        label="least gap to the same colour (px)",
-        of=lambda r: r["visibility"]["min_gap_px"],
-        better="more",
+        "print_violations", "places that break print rules", "fabrication/print_violations", "less"
     ),
-    Figure(
-        key="load_gap_px",
-        label="the same under load (px)",
-        of=lambda r: r["under_load"]["least_gap_same_colour_px"],
-        better="more",
-    ),
-    Figure(
-        key="first_force_N",
-        label="a marker hides or fuses from (N; none: never)",
-        of=lambda r: r["under_load"]["first_force_N"],
-    ),
-    Figure(
-        key="crosstalk_px",
-        label="greatest crosstalk (px)",
-        of=lambda r: r["under_load"]["crosstalk_px"],
-        better="less",
-    ),
-    Figure(
-        key="bound_10N_median_N",
-        label="resolution of 10 N, median in the middle (N)",
-        of=lambda r: r["resolution"]["bound"]["10 N"]["force_N_median_middle"],
-        better="less",
-    ),
-    Figure(
-        key="bound_10N_worst_N",
-        label="the same, worst (N)",
-        of=lambda r: r["resolution"]["bound"]["10 N"]["force_N_worst"],
-        better="less",
-    ),
-    Figure(
-        key="error_percent",
-        label="force error, held-out contacts, simulated (%)",
-        of=_decoded("decoder", "relative_error", 100.0),
-        better="less",
-    ),
-    Figure(
-        key="error_N",
-        label="the same, mean absolute (N)",
-        of=_decoded("decoder", "mae_N"),
-        better="less",
-    ),
-    Figure(
-        key="error_frames_percent",
-        label="force error through rendered frames (%)",
-        of=_decoded("decoder_frames", "relative_error", 100.0),
-        better="less",
-    ),
-    Figure(key="dent_mm", label="deepest dent (mm)", of=lambda r: r["under_load"]["dent_mm"]),
-    Figure(
-        key="resin_g",
-        label="resin, all printed parts (g)",
-        of=lambda r: r["fabrication"]["mass_g"].get("resin"),
-        better="less",
-    ),
-    Figure(
-        key="rubber_g",
-        label="rubber (g)",
-        of=lambda r: r["fabrication"]["mass_g"].get("tpu"),
-        better="less",
-    ),
-    Figure(
-        key="print_violations",
-        label="places that break print rules",
-        of=lambda r: r["fabrication"]["print_violations"],
-        better="less",
-    ),
-    Figure(
-        key="build_s",
-        label="time of all stages, when they ran (s)",
-        of=lambda r: r["timing_s"]["total"],
-    ),
-    Figure(key="press_places", label="places pressed", of=lambda r: r["under_load"]["presses"]),
+    Figure("build_s", "time of all stages, when they ran (s)", "timing_s/total"),
+    Figure("press_places", "places pressed", "under_load/presses"),
 )
 
 
@@ -182,26 +129,16 @@ def read_builds(folders: Sequence[Path]) -> list[Build]:
         If one is no whole build, or of another program version.
     """
     found = [_read(folder) for folder in folders]
-    names = [str(report["design"]) for report, *_ in found]
-    out = []
-    for folder, name, (report, design, viewer, images) in zip(folders, names, found, strict=True):
-        label = name if names.count(name) == 1 else f"{name} ({folder.resolve().name})"
-        out.append(
-            Build(
-                label=label,
-                folder=folder,
-                report=report,
-                design=design,
-                viewer=viewer,
-                images=images,
-            )
-        )
-    return out
+    names = [build.label for build in found]
+    return [
+        build
+        if names.count(build.label) == 1
+        else replace(build, label=f"{build.label} ({build.folder.resolve().name})")
+        for build in found
+    ]
 
 
-def _read(
-    folder: Path,
-) -> tuple[Mapping[str, Any], Mapping[str, Any], Mapping[str, Any], Mapping[str, bytes]]:
+def _read(folder: Path) -> Build:
     try:
         report = _json(folder / "report" / "report.json")
         viewer = _json(folder / "report" / "viewer.json")
@@ -209,7 +146,7 @@ def _read(
         _check(report, viewer)
         images = {
             name: _bytes(path)
-            for name in (*STILLS, *(name for name, _ in PICTURES))
+            for name in (*SCRIPT_FALLBACKS, *(name for name, _ in PICTURES))
             if (path := folder / "report" / "images" / name).is_file()
         }
     except OSError as error:
@@ -220,13 +157,20 @@ def _read(
     except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as error:
         raise InputError(
             f"{folder} cannot be compared: its report is damaged or of another version "
-            f"({type(error).__name__}: {str(error)[:LETTERS]}); build it again"
+            f"({type(error).__name__}: {str(error)[:80]}); build it again"
         ) from None
-    return report, page.flatten(design), viewer, images
+    return Build(
+        label=str(report["design"]),
+        folder=folder,
+        report=report,
+        design=page.flatten(design),
+        viewer=viewer,
+        images=images,
+    )
 
 
 def _bytes(path: Path) -> bytes:
-    """Bytes of a regular file; what is wrong with another names it."""
+    """Bytes of a regular file; errors name it."""
     try:
         return read_bytes(path, bytes_max=FILE_BYTES_MAX)
     except OSError as error:
@@ -243,7 +187,7 @@ def _json(path: Path) -> Any:
 
 
 def _check(report: Mapping[str, Any], viewer: Mapping[str, Any]) -> None:
-    """Read everything that the comparison reads of a build, so that what is wrong shows here."""
+    """Read everything that the comparison uses, so that invalid builds raise here."""
     for figure in FIGURES:
         value = figure.of(report)
         if not isinstance(value, int | float | str | None):

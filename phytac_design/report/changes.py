@@ -1,4 +1,4 @@
-"""What to change in a sensor: what its stages say would mend it, gathered for the verdict."""
+"""Changes that the stages recommend, collected for the verdict."""
 
 import re
 from collections import Counter
@@ -12,7 +12,7 @@ SHOWN = 6
 
 
 def changes_of(context: Context, reasons: Sequence[str]) -> list[str]:
-    """Sentences without a full stop, each what is wrong and what mends it; empty for nothing.
+    """Sentences without a full stop, each a problem and its remedy.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def changes_of(context: Context, reasons: Sequence[str]) -> list[str]:
 
 
 def _under_load(load: Mapping[str, Any], reasons: Sequence[str]) -> list[str]:
-    """What mends a marker that is lost under load, unless the design's demand says it already."""
+    """Remedy for a marker that is lost under load, unless the design's demand names it already."""
     first = load["first_force_N"]
     if first is None or any("under load" in reason for reason in reasons):
         return []
@@ -55,8 +55,8 @@ def _printing(facts: Mapping[str, Any]) -> list[str]:
         item = first[key]
         where = f"1 place of {file} breaks" if count == 1 else f"{count} places of {file} break"
         out.append(
-            f"{where} the print rule {rule} (such as {item['measured']:.3g} {item['unit']}, asked "
-            f"{item['asked']:.3g} {item['unit']}): {item['fix']}"
+            f"{where} the print rule {rule} (such as {item['measured']:.3g} {item['unit']}, "
+            f"required {item['asked']:.3g} {item['unit']}): {item['fix']}"
         )
     if len(found) > SHOWN:
         out.append(f"{len(found) - SHOWN} more kinds are in shell/print_report.json")
@@ -64,11 +64,11 @@ def _printing(facts: Mapping[str, Any]) -> list[str]:
 
 
 def _switches(facts: Mapping[str, Any]) -> list[str]:
-    """What to mind before casting, each once; assumptions are listed by the page apart."""
-    minded = dict.fromkeys(
+    """Warnings before casting, each once; the page lists assumptions separately."""
+    warnings = dict.fromkeys(
         text
         for item in facts.get("switches", ())
         for text in item.get("warnings", ())
         if not text.startswith("assumed")
     )
-    return list(minded)
+    return list(warnings)

@@ -10,9 +10,6 @@ from phytac_design.report.builds import FIGURES, PICTURES, Build, keyed
 from phytac_design.report.viewer.assets import PAGE_SCRIPTS, data_tag, script_tags, style
 from phytac_design.report.viewer.data import LOG_RANGE
 
-LETTERS = 80
-"""Of a design's value that are shown."""
-
 
 def differences(builds: Sequence[Build]) -> dict[str, list[Any]]:
     """Fields of the design files that are not the same in all builds, by dotted name."""
@@ -60,33 +57,26 @@ def best(values: Sequence[Any], better: str) -> list[bool]:
 
 def figures_table(builds: Sequence[Build]) -> str:
     """HTML table of the answers and the key figures, the best of each in bold."""
-    head = "".join(f'<th scope="col">{escape(build.label)}</th>' for build in builds)
-    told = [answers(build) for build in builds]
-    rows = [
-        f'<tr><th scope="row">{matter}?</th>'
-        + "".join(f'<td class="text">{each[matter]}</td>' for each in told)
-        + "</tr>"
-        for matter in get_args(verdict.Matter)
-    ]
+    each = [answers(build) for build in builds]
+    rows = [[f"{matter}?", *(own[matter] for own in each)] for matter in get_args(verdict.Matter)]
     for figure in FIGURES:
         values = [figure.of(build.report) for build in builds]
-        marks = best(values, figure.better)
-        cells = "".join(
-            page.cell(value).replace("<td", "<td><strong", 1).replace("</td>", "</strong></td>")
-            if mark
-            else page.cell(value)
-            for value, mark in zip(values, marks, strict=True)
+        marked = zip(values, best(values, figure.better), strict=True)
+        rows.append(
+            [
+                figure.label,
+                *(
+                    page.Html(f"<strong>{page.number(value)}</strong>") if mark else value
+                    for value, mark in marked
+                ),
+            ]
         )
-        rows.append(f'<tr><th scope="row">{escape(figure.label)}</th>{cells}</tr>')
-    return (
-        f'<table><thead><tr><th scope="col">figure</th>{head}</tr></thead>'
-        f"<tbody>{''.join(rows)}</tbody></table>"
-        '<p class="foot">Bold: the best, where more or less is better.</p>'
-    )
+    table = page.table(("figure", *(build.label for build in builds)), rows)
+    return table + '<p class="foot">Bold: the best, where more or less is better.</p>'
 
 
 def same_scales(viewers: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Data of several viewers, coloured alike: on one scale, by what all of them have."""
+    """Data of several viewers with their common colourings on common scales."""
     tables = [keyed(viewer) for viewer in viewers]
     shared = [key for key in tables[0] if all(key in table for table in tables)]
     scales = {}
@@ -112,12 +102,12 @@ def differences_section(builds: Sequence[Build]) -> str:
 def _short(value: Any) -> Any:
     if isinstance(value, list):
         text = json.dumps(value, ensure_ascii=False)
-        return text if len(text) <= LETTERS else f"{text[:LETTERS]} …"
+        return text if len(text) <= 80 else f"{text[:80]} …"
     return value
 
 
 def shells_section(builds: Sequence[Build]) -> str:
-    """HTML in which the scripts draw shells and maps, side by side; pictures show where not."""
+    """HTML in which the scripts draw shells and maps side by side, with fallback pictures."""
 
     def still(build: Build, name: str, text: str) -> str:
         data = build.images.get(name)
@@ -130,7 +120,7 @@ def shells_section(builds: Sequence[Build]) -> str:
         "</div></div>"
         for number, build in enumerate(builds)
     ]
-    return "<p>Coloured alike, on one scale; they turn together.</p>" + page.side_by_side(*parts)
+    return "<p>On common colour scales; they rotate together.</p>" + page.side_by_side(*parts)
 
 
 def pictures_section(builds: Sequence[Build]) -> str:

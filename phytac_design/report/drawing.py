@@ -11,7 +11,7 @@ from phytac_design.report import figures, maps, page
 from phytac_shapes.arrays import BoolArray, FloatArray
 
 MARKS = ("", "_far")
-"""What the stages add to the names of the pictures of the first and of the second camera."""
+"""Suffixes of the picture files of the first and the second camera."""
 
 
 @dataclass(frozen=True)
@@ -53,19 +53,26 @@ class Drawing:
         caption: str,
         label: str,
         *,
-        name: str = "",
-        marked: BoolArray | None = None,
+        name: str,
         cross: FloatArray | None = None,
+        marked: BoolArray | None = None,
     ) -> str:
-        """Figure of values (n,) on the surface's map; ``cross`` (u, v) is marked by a cross.
+        """Figure of values (n,) on the surface's map.
 
-        ``name`` is that of its file, without an ending; "" for none.
+        Parameters
+        ----------
+        name : str
+            Of its file, without an ending.
+        cross : (2,) float, optional
+            Chart position to mark with a cross.
+        marked : (n,) bool, optional
+            Markers to put a red ring around.
         """
         at = None if cross is None else maps.flat_map(self.context.surface, cross[None]).points[0]
         data = figures.value_map(
             self.flat, values, label=label, colours=self.colours, marked=marked, cross=at
         )
-        return page.figure(data, f"{caption}; {self.flat.note}", name=name and f"{name}.png")
+        return page.figure(data, f"{caption}; {self.flat.note}", name=f"{name}.png")
 
     def both(
         self,
@@ -73,19 +80,19 @@ class Drawing:
         caption: str,
         label: str,
         *,
-        name: str = "",
-        marked: BoolArray | None = None,
+        name: str,
         cross: FloatArray | None = None,
+        marked: BoolArray | None = None,
     ) -> str:
         """Figures on the surface's map and, for shapes that face the camera, in its picture."""
-        surface = self.on_surface(values, caption, label, name=name, marked=marked, cross=cross)
+        out = self.on_surface(values, caption, label, name=name, cross=cross, marked=marked)
         if self.picture is None:
-            return surface
+            return out
         data = figures.value_map(
             self.picture, values, label=label, colours=self.colours, marked=marked
         )
-        file = name and f"{name}_picture.png"
-        return surface + page.figure(data, f"{caption}; {self.picture.note}", name=file)
+        caption = f"{caption}; {self.picture.note}"
+        return out + page.figure(data, caption, name=f"{name}_picture.png")
 
 
 def photo(context: Context, stage: str, name: str, caption: str) -> str:
@@ -98,6 +105,6 @@ def photo(context: Context, stage: str, name: str, caption: str) -> str:
 
 
 def of_camera(report: Mapping[str, Any], number: int) -> str:
-    """Words that tell one of two cameras from the other; "" if there is one."""
+    """Text that names one of two cameras; "" if there is one."""
     cameras = report["cameras"]
     return f", {cameras[number]['end']} camera" if len(cameras) > 1 else ""

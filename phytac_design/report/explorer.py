@@ -1,4 +1,4 @@
-"""The turnable shell and the map of one build: what colours the markers, and the HTML."""
+"""The interactive shell and map of one build: colourings of the markers, and the HTML."""
 
 from typing import Any
 
@@ -21,83 +21,70 @@ DATA_ID = "phytac-data"
 
 
 def colourings_of(context: Context, estimator: str) -> list[Colouring]:
-    """Everything that a build knows of each marker, in the order in which it is offered.
+    """Results of a build for each marker, in the order of the page's list.
 
     Parameters
     ----------
     estimator : str
-        Whose errors on held-out contacts are shown.
+        Estimator whose errors on held-out contacts are shown.
     """
-    markers = context.markers
     views, load = context.arrays("views"), context.arrays("underload")
     bound = context.arrays("resolution")
-    alike = f"{GAP_PX:g} px and more alike"
-    number, paint, height = base_colourings(markers)
-    force = context.design.training.force_max_N
+    clipped = f"{GAP_PX:g} px and more alike"
+    number, paint, height = base_colourings(context.markers)
+    press = f"any press with {context.design.training.force_max_N:g} N"
+    gap, load_gap = (
+        np.minimum(values, GAP_PX)
+        for values in (views["gap_same_colour_px"], load["least_gap_same_px"])
+    )
+    density = density_map(context.surface, context.markers).per_cm2
     error, contacts = errors_N(context, estimator)
     return [
         paint,
         number,
+        Colouring("visible_fraction", "visible fraction", views["visible_fraction"]),
+        Colouring("gap_px", "gap to its own colour", gap, "px", clipped),
         Colouring(
-            key="visible_fraction", label="visible fraction", values=views["visible_fraction"]
+            "load_gap_px", "smallest gap under load", load_gap, "px", f"under {press}; {clipped}"
         ),
         Colouring(
-            key="gap_px",
-            label="gap to its own colour",
-            unit="px",
-            values=np.minimum(views["gap_same_colour_px"], GAP_PX),
-            note=alike,
+            "crosstalk_px",
+            "crosstalk under load",
+            load["crosstalk_px"],
+            "px",
+            f"largest under {press}",
         ),
-        Colouring(
-            key="load_gap_px",
-            label="least gap under load",
-            unit="px",
-            values=np.minimum(load["least_gap_same_px"], GAP_PX),
-            note=f"under any press with {force:g} N; {alike}",
-        ),
-        Colouring(
-            key="crosstalk_px",
-            label="crosstalk under load",
-            unit="px",
-            values=load["crosstalk_px"],
-            note=f"greatest under any press with {force:g} N",
-        ),
-        Colouring(
-            key="density",
-            label="density",
-            unit="per cm²",
-            values=density_map(context.surface, markers).per_cm2,
-        ),
+        Colouring("density", "density", density, "per cm²"),
         height,
         Colouring(
-            key="bound_N",
-            label=f"resolution of {FORCE_N:g} N",
-            unit="N",
-            values=bound[f"force_N_{FORCE_N:g}"],
-            note="least standard deviation (Cramér-Rao bound)",
+            "bound_N",
+            f"resolution of {FORCE_N:g} N",
+            bound[f"force_N_{FORCE_N:g}"],
+            "N",
+            "smallest standard deviation (Cramér-Rao bound)",
         ),
         Colouring(
-            key="bound_along_mm",
-            label="resolution of place, along",
-            unit="mm",
-            values=bound[f"along_mm_{FORCE_N:g}"],
-            note=f"the same of where a contact of {FORCE_N:g} N is",
+            "bound_along_mm",
+            "resolution of place, along",
+            bound[f"along_mm_{FORCE_N:g}"],
+            "mm",
+            f"the same for the place of a contact of {FORCE_N:g} N",
         ),
         Colouring(
-            key="softness",
-            label="softness",
-            unit="µm/N",
-            values=softness_um_N(context),
-            note="inward motion under a force of 1 N on the marker's own cell",
+            "softness",
+            "softness",
+            softness_um_N(context),
+            "µm/N",
+            "inward motion under a force of 1 N on the marker's own cell",
         ),
         Colouring(
-            key="error_N",
-            label="force error",
-            unit="N",
-            values=error,
-            note=f"mean over the held-out contacts nearest to it, by {estimator}, simulated",
+            "error_N",
+            "force error",
+            error,
+            "N",
+            f"mean over the held-out contacts nearest to it, by {estimator}, simulated",
         ),
-        Colouring(key="contacts", label="held-out contacts", values=contacts),
+        Colouring("contacts", "held-out contacts", contacts),
     ]
 
 
@@ -120,9 +107,9 @@ def errors_N(context: Context, estimator: str) -> tuple[FloatArray, FloatArray]:
     total, count = np.zeros(markers.count), np.zeros(markers.count)
     tree = cKDTree(surface.point(markers.uv))
     for name in ("test", "anywhere"):
-        judged = twin[f"{name}.tripped"]
-        error = np.abs(decoded[f"{name}.{estimator}"] - twin[f"{name}.force_N"])[judged]
-        nearest = tree.query(surface.point(twin[f"{name}.uv"])[judged])[1]
+        tripped = twin[f"{name}.tripped"]
+        error = np.abs(decoded[f"{name}.{estimator}"] - twin[f"{name}.force_N"])[tripped]
+        nearest = tree.query(surface.point(twin[f"{name}.uv"])[tripped])[1]
         np.add.at(total, nearest, error)
         np.add.at(count, nearest, 1.0)
     return np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan), count
@@ -141,12 +128,12 @@ def explorer_data(context: Context, estimator: str) -> dict[str, Any]:
 
 
 def explorer_section(context: Context, layout_map: bytes) -> str:
-    """HTML in which the scripts draw; pictures show where they cannot, and in print.
+    """HTML in which the scripts draw; without scripts and in print it shows pictures.
 
     Parameters
     ----------
     layout_map : bytes
-        PNG of the map, for want of scripts.
+        PNG of the map.
     """
     shell = still_picture(context.design, context.surface, context.markers)
     still = ' class="still"'

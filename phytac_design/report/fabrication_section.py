@@ -1,4 +1,4 @@
-"""Section of what the lab makes: parts, molds, fixtures, print rules, and where the papers are."""
+"""Section on fabrication: parts, molds, fixtures, print rules, and links to the documents."""
 
 from collections.abc import Mapping
 from html import escape
@@ -11,7 +11,7 @@ from phytac_design.report.verdict import sentence
 SHELL_FILE = "shell/shell.stl"
 LISTED = 40
 """Broken rules that the page lists."""
-PAPERS = (
+DOCUMENTS = (
     ("bench/assembly.html", "assembly sheet"),
     ("bench/paint_map.pdf", "paint map, 1:1"),
     ("bench/switch_placement.csv", "which switch goes where"),
@@ -20,30 +20,26 @@ PAPERS = (
     ("shell/print_report.svg", "print report"),
     ("kit/README.md", "calibration kit"),
 )
-"""Files of the build that the section points to, relative to its folder."""
+"""Files of the build that the section links to, relative to its folder."""
+MOLD_FACTS = (
+    "way",
+    "cavities",
+    "volume_error",
+    "hausdorff_mm",
+    "least_draft_deg",
+    "undercut_rays",
+    "shared_mm3",
+)
 
 
-def fabrication_facts(
-    facts: Mapping[str, Mapping[str, Any]],
-) -> dict[str, Any]:
-    """What ``report.json`` holds of the fabricating stages, given the facts of each."""
+def fabrication_facts(facts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Entry of ``report.json`` on fabrication, from the facts of its stages."""
     mold, hardware, printing = facts["mold"], facts["hardware"], facts["printing"]
     bench, kit = facts["bench"], facts["kit"]
     return {
         "mass_g": bench.get("mass_g", {}),
         "poured_mm3": mold.get("poured_mm3", {}),
-        "mold": {
-            key: mold.get(key)
-            for key in (
-                "way",
-                "cavities",
-                "volume_error",
-                "hausdorff_mm",
-                "least_draft_deg",
-                "undercut_rays",
-                "shared_mm3",
-            )
-        },
+        "mold": {key: mold.get(key) for key in MOLD_FACTS},
         "interference_mm3": (hardware.get("interference") or {}).get("shared_mm3"),
         "light_leaks": (hardware.get("light") or {}).get("leaks"),
         "screws": hardware.get("joints", []),
@@ -69,16 +65,9 @@ def print_rules(context: Context) -> str:
     shell = printed["files"][SHELL_FILE]
     drawn = context.folders["printing"] / EXPORT / "shell" / "print_report.svg"
     standing = shell["orientation"]
+    keys = ("rule", "measured", "asked", "unit", "point_mm", "fix")
     broken = [
-        (
-            file,
-            item["rule"],
-            item["measured"],
-            item["asked"],
-            item["unit"],
-            item["point_mm"],
-            item["fix"],
-        )
+        (file, *(item[key] for key in keys))
         for file, part in printed["files"].items()
         for item in part["violations"]
     ]
@@ -86,7 +75,7 @@ def print_rules(context: Context) -> str:
     listed = page.table(head, broken[:LISTED]) if broken else "<p>No print rule is broken.</p>"
     if len(broken) > LISTED:
         listed += f'<p class="foot">{LISTED} of {len(broken)}; shell/print_report.json has all.</p>'
-    said = (
+    text = (
         f"<p>Rules of {escape(str(printed['process']))}; this way up (a direction in the sensor's "
         f"frame): {page.number(standing['up'])}, {page.number(standing['height_mm'])} mm high, "
         f"{page.number(standing['support_volume_mm3'])} mm³ of supports.</p>"
@@ -94,18 +83,18 @@ def print_rules(context: Context) -> str:
     picture = drawn.read_text(encoding="utf-8") if drawn.is_file() else ""
     shown = page.svg_figure(picture, "The shell as printed, with broken rules") if picture else ""
     rules = page.facts(page.flatten(printed["rules"], "rules."))
-    return f"<h3>Print rules</h3>{said}{shown}{listed}" + page.details("All rules", rules)
+    return f"<h3>Print rules</h3>{text}{shown}{listed}" + page.details("All rules", rules)
 
 
 def fabrication_section(context: Context, report: Mapping[str, Any]) -> str:
     """HTML of the section."""
     facts = report["fabrication"]
-    papers = ", ".join(f'<a href="../{path}">{escape(name)}</a>' for path, name in PAPERS)
+    documents = ", ".join(f'<a href="../{path}">{escape(name)}</a>' for path, name in DOCUMENTS)
     joints = [
         (item["joint"], item["screw"], item["count"], item["head_part"], item["thread_part"])
         for item in facts["screws"]
     ]
-    out = f"<p>For the bench, beside this page: {papers}.</p>"
+    out = f"<p>Documents for the workshop: {documents}.</p>"
     for key in ("hardware_left_out", "mold_left_out"):
         if facts[key]:
             out += f'<p class="foot">{escape(sentence("left out: " + facts[key]))}</p>'

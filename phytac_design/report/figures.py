@@ -19,18 +19,9 @@ INK = {
     "cyan": "#0fa3b1",
 }
 DPI = 130
-MAP_IN = 3.9
-"""Longest side of a map, inches; two stand side by side on the page."""
 LEFT_IN, RIGHT_IN, BELOW_IN, ABOVE_IN = 0.85, 1.0, 0.65, 0.15
 BAR_IN, BAR_GAP_IN = 0.16, 0.1
-LEAST_IN = 0.5
-LABEL_PT = 10.0
-LETTERS_PER_IN = 13.0
-"""Letters of that size to the inch, about."""
-DOT_SHARE = 0.5
-"""Diameter of a dot as a share of the markers' spacing on the map."""
-LOG_RANGE = 30.0
-"""Bars whose heights differ by more than this are drawn on a logarithmic axis."""
+"""Margins of a map, and width and distance of its colour bar, inches."""
 
 
 def png(figure: Any) -> bytes:
@@ -61,10 +52,10 @@ def _figure(size: tuple[float, float]) -> Any:
 
 
 def map_size_in(flat: FlatMap) -> tuple[float, float]:
-    """Width and height of a map on paper, inches, true to its sides unless it is a mere strip."""
+    """Width and height of a map, inches: the longer one 3.9, so that two fit side by side."""
     wide, tall = (flat.limits[1] - flat.limits[0]).tolist()
-    scale = MAP_IN / max(wide, tall)
-    return max(wide * scale, LEAST_IN), max(tall * scale, LEAST_IN)
+    scale = 3.9 / max(wide, tall)
+    return max(wide * scale, 0.5), max(tall * scale, 0.5)
 
 
 def draw_map(axes: Any, flat: FlatMap) -> None:
@@ -117,32 +108,17 @@ def value_map(
     low, high = (
         (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 0.0)
     )
-    if high - low <= 1e-9 * max(abs(high), 1e-300):  # one value all over: a range that says so
+    if high - low <= 1e-9 * max(abs(high), 1e-300):  # a constant: a range from zero
         low, high = (0.0, high) if high > 0.0 else (0.0, 1.0)
     area = float(np.prod(np.ptp(flat.points[np.isfinite(flat.points[:, 0])], axis=0)))
     per_unit = 72.0 * wide / float(flat.limits[1, 0] - flat.limits[0, 0])
-    across = DOT_SHARE * np.sqrt(area / max(len(values), 1)) * per_unit
-    width_pt = float(np.clip(across, 2.5, 8.0))
+    # Dots are half as wide as the markers' spacing on the map.
+    width_pt = float(np.clip(0.5 * np.sqrt(area / max(len(values), 1)) * per_unit, 2.5, 8.0))
     edge = np.array([INK.get(name, "black") for name in colours])
-    dots = axes.scatter(
-        *flat.points[known].T,
-        c=values[known],
-        vmin=low,
-        vmax=high,
-        s=width_pt**2,
-        cmap="viridis",
-        edgecolors=edge[known],
-        linewidths=0.16 * width_pt,
-        zorder=3,
-    )
-    axes.scatter(
-        *flat.points[~known].T,
-        facecolors="none",
-        s=width_pt**2,
-        edgecolors=edge[~known],
-        linewidths=0.16 * width_pt,
-        zorder=3,
-    )
+    style = {"s": width_pt**2, "linewidths": 0.16 * width_pt, "zorder": 3}
+    colour = {"c": values[known], "vmin": low, "vmax": high, "cmap": "viridis"}
+    dots = axes.scatter(*flat.points[known].T, edgecolors=edge[known], **style, **colour)
+    axes.scatter(*flat.points[~known].T, facecolors="none", edgecolors=edge[~known], **style)
     if marked is not None and marked.any():
         ring = {"facecolors": "none", "edgecolors": "#d00000", "linewidths": 1.2, "zorder": 4}
         axes.scatter(*flat.points[marked].T, s=(1.7 * width_pt) ** 2, **ring)
@@ -155,14 +131,15 @@ def value_map(
 def _break_labels(axes: Any, wide: float, tall: float) -> None:
     """Break axis labels that are longer than their side."""
     for axis, side in ((axes.xaxis, wide), (axes.yaxis, tall)):
-        lines = wrap(axis.get_label_text(), max(int(side * LETTERS_PER_IN), 8))
-        axis.set_label_text("\n".join(lines), fontsize=LABEL_PT)
+        # About 13 letters of 10 pt to the inch.
+        lines = wrap(axis.get_label_text(), max(int(13.0 * side), 8))
+        axis.set_label_text("\n".join(lines), fontsize=10.0)
 
 
 def error_bars(table: Mapping[str, Mapping[str, Any]], marks: Mapping[str, str]) -> bytes:
     """Relative error of each estimator below and from 5 N, in per cent.
 
-    ``marks`` holds a footnote sign for estimators that the limits speak of.
+    ``marks`` holds the footnote signs of estimators.
     """
     figure = new_figure((6.4, 3.2))
     axes = figure.add_subplot()
@@ -172,10 +149,11 @@ def error_bars(table: Mapping[str, Mapping[str, Any]], marks: Mapping[str, str])
     for shift, (group, label) in enumerate(
         (("below_5N", "contacts below 5 N"), ("from_5N", "contacts from 5 N"))
     ):
-        values = np.array([100.0 * _number(table[name][group]) for name in names])
+        errors = [table[name][group]["relative_error"] for name in names]
+        values = 100.0 * np.array(errors, dtype=np.float64)
         shown += values[np.isfinite(values) & (values > 0.0)].tolist()
         axes.bar(place + 0.4 * shift - 0.2, np.nan_to_num(values), 0.38, label=label)
-    if shown and max(shown) > LOG_RANGE * min(shown):
+    if shown and max(shown) > 30.0 * min(shown):
         axes.set_yscale("log")
         axes.set_ylim(min(shown) / 2.0, 2.0 * max(shown))
     axes.set_xticks(place, [name.replace("_", " ") + marks.get(name, "") for name in names])
@@ -183,11 +161,6 @@ def error_bars(table: Mapping[str, Mapping[str, Any]], marks: Mapping[str, str])
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
     axes.grid(axis="y", alpha=0.3)
     return png(figure)
-
-
-def _number(group: Mapping[str, Any]) -> float:
-    value = group["relative_error"]
-    return float("nan") if value is None else float(value)
 
 
 def thumbnail(image: ImageArray, width_px: int) -> bytes:

@@ -1,4 +1,4 @@
-"""Flat maps of a surface, for drawings: where the markers lie, and what the axes say.
+"""Flat maps of a surface: positions of the markers, and labels of the axes.
 
 Three families. *Tubes* unroll: around to the right, along upwards, as seen from outside. *Sheets*
 and *domes* face the camera, and are drawn as it sees them from inside, so that map and picture have

@@ -9,6 +9,7 @@ from typing import Any
 from phytac_design.core.html import (
     DASH,
     STYLE,
+    Html,
     cell,
     figure,
     image,
@@ -22,6 +23,7 @@ from phytac_design.report.figure_names import absent_why, name_of, place_of
 
 __all__ = [
     "DASH",
+    "Html",
     "STYLE",
     "cell",
     "svg_figure",
@@ -43,14 +45,14 @@ __all__ = [
 def facts(values: Mapping[str, Any], section: str = "") -> str:
     """Two-column table of names and figures of one section of ``report.json``.
 
-    Figures that do not exist are a dash, with the reason where it is known. The path in
-    ``report.json`` shows when a name is pointed at. Lists of records follow as tables of their own.
+    Missing figures are a dash, with the reason if it is known. The path in ``report.json`` is the
+    name's tooltip. Lists of records follow as separate tables.
     """
     rows, records = [], []
     flat = flatten(values, f"{section}." if section else "")
     for path in sorted(flat, key=place_of):
         value = flat[path]
-        if _are_records(value):
+        if isinstance(value, list) and value and all(isinstance(v, Mapping) for v in value):
             records.append(_records(path, value))
             continue
         why = absent_why(path) if missing(value) else ""
@@ -62,10 +64,6 @@ def facts(values: Mapping[str, Any], section: str = "") -> str:
         f'<table class="facts"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>'
         + "".join(records)
     )
-
-
-def _are_records(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and all(isinstance(v, Mapping) for v in value)
 
 
 def _records(path: str, items: Sequence[Mapping[str, Any]]) -> str:
@@ -103,5 +101,5 @@ def side_by_side(*parts: str) -> str:
 
 
 def details(summary: str, html: str) -> str:
-    """HTML that shows when its summary is chosen, and in print."""
+    """HTML that is shown when its summary is clicked, and in print."""
     return f"<details><summary>{escape(summary)}</summary>{html}</details>"

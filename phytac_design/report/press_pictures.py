@@ -1,4 +1,4 @@
-"""Pictures of one press, from rest to the greatest force: what the camera sees, and close to it."""
+"""Pictures of one press from rest to the largest force: the camera's view, and a close view."""
 
 from dataclasses import dataclass, replace
 from html import escape
@@ -19,28 +19,22 @@ STEPS = 6
 """Pictures, the one at rest included."""
 WIDTH_PX = 640
 """Of the pictures."""
-CLOSE = 0.22
-"""Width of the close one, as a share of the camera's picture."""
-QUALITY = 78
-SAMPLES = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pressed:
+class PressPictures:
     """Pictures of one press.
 
     Attributes
     ----------
     force_N : (k,) float
-        From 0 to the design's greatest force.
+        From 0 to the design's largest force.
     on : (k,) int
         Switches that are on.
-    marker : int
-        Marker nearest to the press.
-    camera : int
-        Number of the camera.
+    marker, camera : int
+        Marker nearest to the press, and number of the camera.
     whole, close : list of bytes
-        JPEG of all that the camera sees, and of the surroundings of the press.
+        JPEG of the whole view, and of the surroundings of the press.
     """
 
     force_N: FloatArray
@@ -80,13 +74,13 @@ def window(camera: Camera, low_px: FloatArray, width_px: float, out_px: int) -> 
 def close_to(camera: Camera, point_mm: FloatArray) -> Camera:
     """Close view around the image of a point (3,), inside the camera's picture."""
     size = np.array([camera.width_px, camera.height_px])
-    part = CLOSE * size
+    part = 0.22 * size
     middle = np.nan_to_num(camera.project(point_mm[None])[0], nan=0.0) + 0.5
     low = np.clip(middle - part / 2.0, 0.0, size - part)
     return window(camera, low, float(part[0]), WIDTH_PX)
 
 
-def press_pictures(context: Context) -> Pressed | None:
+def press_pictures(context: Context) -> PressPictures | None:
     """Render the press that the stage ``underload`` kept; None if it could solve none.
 
     Between rest and the full force the wall's motion is interpolated linearly.
@@ -126,23 +120,25 @@ def press_pictures(context: Context) -> Pressed | None:
             )
             moved = share[step] * motion
             scene = scene.moved(moved[:, :3], moved[:, 3:], markers.mid_mm)
-            pictures[name].append(_jpeg(render_frame(scene, view, samples=SAMPLES)))
-    return Pressed(force_N=force, on=bits.sum(axis=1), marker=marker, camera=number, **pictures)
+            pictures[name].append(_jpeg(render_frame(scene, view, samples=4)))
+    return PressPictures(
+        force_N=force, on=bits.sum(axis=1), marker=marker, camera=number, **pictures
+    )
 
 
 def _jpeg(image: ImageArray) -> bytes:
-    return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1])
+    return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 78])[1])
 
 
-def press_slider(pressed: Pressed, name: str, whose: str) -> str:
-    """HTML of the pictures with a slider; without scripts and in print the first and the last show.
+def press_slider(pressed: PressPictures, name: str, whose: str) -> str:
+    """HTML of the pictures with a slider; without scripts and in print the first and last show.
 
     Parameters
     ----------
     name : str
-        Of the marker that is pressed.
+        Name of the pressed marker.
     whose : str
-        Words that tell the camera, "" if there is one.
+        Text that names the camera, "" if there is one.
     """
     forces = [f"{force:.3g}" for force in pressed.force_N]
     figures = []

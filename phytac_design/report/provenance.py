@@ -24,8 +24,6 @@ PACKAGES = (
     "matplotlib",
 )
 """Whose versions are listed, where they are installed."""
-WIDE_PX = 160.0
-"""Of the longest bar."""
 
 
 def provenance_of(context: Context) -> dict[str, Any]:
@@ -57,18 +55,17 @@ def files_of(context: Context) -> list[tuple[str, int, str]]:
 
 
 def time_section(context: Context, report: Mapping[str, Any]) -> str:
-    """Seconds of each stage with what it took of the whole, and the settings that they ran with."""
+    """Seconds of each stage and its share of the total, and the settings of the build."""
     times = {name: value for name, value in report["timing_s"].items() if name != "total"}
-    most, total = max(times.values()), report["timing_s"]["total"]
-    rows = "".join(
-        f'<tr><th scope="row">{escape(name)}</th><td>{page.number(value)}</td>'
-        f"<td>{page.number(100.0 * value / max(total, 1e-9))}</td>"
-        f'<td class="text"><span class="bar" style="width:{WIDE_PX * value / most:.0f}px"></span>'
-        "</td></tr>"
-        for name, value in times.items()
-    )
-    head = "".join(
-        f'<th scope="col">{name}</th>' for name in ("stage", "time (s)", "share (%)", "drawn")
+    longest, total = max(times.values()), report["timing_s"]["total"]
+    bar = '<span class="bar" style="width:{:.0f}px"></span>'
+    rows = [
+        (name, s, 100.0 * s / max(total, 1e-9), page.Html(bar.format(160.0 * s / longest)))
+        for name, s in times.items()
+    ]
+    table = page.table(
+        ("stage", "time (s)", "share (%)", "drawn"),
+        [*rows, ("all stages", total, 100, page.Html(""))],
     )
     scene = context.scene
     limited = (
@@ -80,14 +77,12 @@ def time_section(context: Context, report: Mapping[str, Any]) -> str:
         f"<p>The plan: {escape(limited)}. Times are of when each stage ran; a stage whose inputs "
         "have not changed is taken from the cache. <code>phytac plan</code> says beforehand what a "
         "build costs, <code>phytac tradeoff</code> what each setting's speed costs in newtons.</p>"
-        f"<table><thead><tr>{head}</tr></thead><tbody>{rows}<tr><th scope=row>all stages</th>"
-        f"<td>{page.number(total)}</td><td>100</td><td></td></tr></tbody></table>"
-        + page.facts(page.flatten({key: report[key] for key in ("accuracy", "seed")}))
+        f"{table}" + page.facts(page.flatten({key: report[key] for key in ("accuracy", "seed")}))
     )
 
 
 def provenance_section(context: Context, report: Mapping[str, Any]) -> str:
-    """Versions, hashes and the design file, with which this build can be made again."""
+    """Versions, hashes and the design file, with which this build can be reproduced."""
     made = report["provenance"]
     files = files_of(context)
     versions = page.table(

@@ -1,4 +1,4 @@
-"""Tables of estimators, with a mark where the limits of the sensor speak of one."""
+"""Tables of estimators, with footnotes from the limits of the sensor."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 from phytac_design.report import page
 
 STIFFNESS = ("fem", "fem_nn", "fem_nn_identity")
-"""Estimators that rest on K·u."""
+"""Estimators that use K·u."""
 WEAK_SHARE = 0.1
 """Rows are greyed where an estimator cannot be used at this share of the markers."""
 GROUPS = ("below_5N", "from_5N", "single", "multi", "middle", "near_rims")
@@ -65,17 +65,17 @@ def score_table(
         unread >= WEAK_SHARE * count or (name in STIFFNESS and faint >= WEAK_SHARE * count)
         for name in scores
     ]
-    feet = []
+    notes = []
     if faint:
-        feet.append(
-            f"† At {faint} of {count} markers K·u cannot tell a force from noise (median over all "
-            f"markers: {page.number(limits['fem_noise_N_median'])} N): use koi_inverse."
+        notes.append(
+            f"† At {faint} of {count} markers K·u cannot separate a force from noise (median over "
+            f"all markers: {page.number(limits['fem_noise_N_median'])} N): use koi_inverse."
         )
     if unread:
-        feet.append(f"‡ Forces on {unread} of {count} markers cannot be read by any estimator.")
+        notes.append(f"‡ Forces on {unread} of {count} markers cannot be read by any estimator.")
     if any(page.missing(value) for row in rows for value in row):
-        feet.append(f"{page.DASH}: no such contacts among these.")
-    return page.table(HEAD, rows, weak) + "".join(f'<p class="foot">{foot}</p>' for foot in feet)
+        notes.append(f"{page.DASH}: no such contacts among these.")
+    return page.table(HEAD, rows, weak) + "".join(f'<p class="foot">{note}</p>' for note in notes)
 
 
 def _percent(score: Mapping[str, Any]) -> float | None:

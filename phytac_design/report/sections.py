@@ -6,18 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.engine.stage import Context
+from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.optics.density import density_map
 from phytac_design.optics.separability import check_paints, separability_svg
 from phytac_design.optics.sharpness import DIRECTIONS
 from phytac_design.report import figure_names, figures, maps, page, scores
 from phytac_design.report.drawing import MARKS, Drawing, of_camera, photo
-from phytac_design.report.explorer import GAP_PX, explorer_section
+from phytac_design.report.explorer import GAP_PX, explorer_section, softness_um_N
 from phytac_design.report.fabrication_section import fabrication_section
-from phytac_design.report.mechanics import mechanics_section
 from phytac_design.report.press_pictures import press_pictures, press_slider
 from phytac_design.report.provenance import provenance_section, time_section
-from phytac_design.report.switches import switch_section
+from phytac_design.report.verdict import sentence
 
 PAPER = "paper, on a real sensor: FEM 18 % (49 % below 5 N), FEM-NN 2.3 % and 0.11 N"
 EACH_CAMERA = {
@@ -26,7 +25,7 @@ EACH_CAMERA = {
     "hidden_most": "most hidden",
     "fused_most": "most fused",
     "crosstalk_px": "crosstalk (px)",
-    "greatest_shift_px": "greatest shift (px)",
+    "greatest_shift_px": "largest shift (px)",
 }
 BOUND = {
     "force_N_median_middle": "force, median in the middle (N)",
@@ -36,6 +35,24 @@ BOUND = {
     "along_mm_median": "place {along}, median (mm)",
     "around_mm_median": "place {around}, median (mm)",
 }
+
+SWITCH_ROWS = {
+    "threshold_N": "nominal threshold (N)",
+    "limit_N": "threshold of the bowl (N)",
+    "spread.low_N": "smallest of a batch (N)",
+    "spread.high_N": "largest of a batch (N)",
+    "valley_N": "force once it has snapped (N)",
+    "travel_mm": "travel of the snap (mm)",
+    "visible_mm": "tip shows, when out (mm)",
+    "strain": "largest strain",
+    "bowl.diameter_mm": "bowl: diameter (mm)",
+    "bowl.depth_mm": "bowl: depth (mm)",
+    "bowl.thickness_mm": "bowl: wall (mm)",
+    "bowl.stem_diameter_mm": "bowl: stem diameter (mm)",
+    "rubber.name": "rubber",
+    "rubber.modulus_MPa": "its Young's modulus (MPa)",
+}
+"""Shown of each switch; report.json and the files of the folder ``switch`` hold the rest."""
 
 
 def visibility_table(report: Mapping[str, Any]) -> str:
@@ -66,29 +83,26 @@ def _or_why(path: str, value: Any) -> Any:
 
 def camera_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
     """Pictures and visibility at rest."""
-    arrays = context.arrays("views")
+    arrays, several = context.arrays("views"), len(report["cameras"]) > 1
     parts = []
     for number in range(len(report["cameras"])):
         mark, whose = MARKS[number], of_camera(report, number)
-        shown = photo(context, "views", f"camera{mark}.png", f"The camera's view at rest{whose}")
+        photos = [
+            ("views", f"camera{mark}.png", "The camera's view at rest"),
+            ("views", f"camera{mark}_all_on.png", "All switches on: red tips out"),
+            ("views", f"ids{mark}.png", "Exact ID map: one colour per marker"),
+        ]
         if number == 0 and report["straight"]:
-            caption = f"The same counts in straight rows{whose}"
-            shown += photo(context, "compare", "straight.png", caption)
-        shown += photo(
-            context, "views", f"camera{mark}_all_on.png", f"All switches on: red tips out{whose}"
-        )
-        shown += photo(
-            context, "views", f"ids{mark}.png", f"Exact ID map: one colour per marker{whose}"
-        )
-        parts.append(page.side_by_side(shown))
+            photos.insert(1, ("compare", "straight.png", "The same counts in straight rows"))
+        shown = [photo(context, stage, name, text + whose) for stage, name, text in photos]
+        parts.append(page.side_by_side(*shown))
     why = context.facts("compare").get("why")
     if not page.missing(why):
         parts.append(
             f"<p>Straight rows of the same counts are not compared: {escape(str(why))}.</p>"
         )
-    parts.append(visibility_table(report))
-    gap = np.minimum(arrays["gap_same_colour_px"], GAP_PX)
-    parts.append(
+    parts += [
+        visibility_table(report),
         page.side_by_side(
             draw.both(
                 arrays["visible_fraction"],
@@ -98,66 +112,64 @@ def camera_section(context: Context, report: Mapping[str, Any], draw: Drawing) -
                 marked=arrays["occluded"],
             ),
             draw.both(
-                gap,
+                np.minimum(arrays["gap_same_colour_px"], GAP_PX),
                 f"Gap to the nearest marker of the same colour ({GAP_PX:g} px and more alike; "
                 "fused ones ringed)",
                 "px",
                 name="gap",
                 marked=arrays["fused"],
             ),
-        )
-    )
-    if len(report["cameras"]) > 1:
-        head = ("camera", "stand-off (mm)", "reads markers", "hidden", "fused")
+        ),
+    ]
+    if several:
         rows = [
             (
                 item["end"],
                 item["stand_off_mm"],
                 item["best_for"],
-                item["visibility"]["occluded"],
-                item["visibility"]["fused"],
+                *(item["visibility"][key] for key in ("occluded", "fused")),
             )
             for item in report["cameras"]
         ]
+        head = ("camera", "stand-off (mm)", "reads markers", "hidden", "fused")
         parts.append(page.table(head, rows))
-    # With several cameras the table above has these, of each.
-    left_out = {"end", "stand_off_mm"} if len(report["cameras"]) > 1 else set()
-    rest = {key: value for key, value in report["camera"].items() if key not in left_out}
+    # With several cameras the table above has these for each of them.
+    omitted = {"end", "stand_off_mm"} if several else set()
+    rest = {key: value for key, value in report["camera"].items() if key not in omitted}
     return "".join(parts) + page.facts(rest, "camera")
 
 
 def lens_section(context: Context, report: Mapping[str, Any]) -> str:
     """Scale, noise and blur of each row, and the depth of field, for every camera."""
-    in_rows, said = context.markers.in_rows, maps.words(context.surface)
-    short = (said.along_short, said.around_short, "inward")
-    which = dict(zip(DIRECTIONS, short, strict=True))
-    head = [
-        "row" if in_rows else "group",
-        "markers",
-        *(f"mm per px, {which[name]}" for name in DIRECTIONS),
-        *(f"noise, {which[name]} (mm)" for name in DIRECTIONS),
-        "blur (px)",
-    ]
-    keys = [
-        "row",
-        "markers",
-        *(f"mm_per_px_{name}" for name in DIRECTIONS),
-        *(f"noise_{name}_mm" for name in DIRECTIONS),
-        "blur_px",
-    ]
+    in_rows, words = context.markers.in_rows, maps.words(context.surface)
+    short = (words.along_short, words.around_short, "inward")
+    columns = {
+        "row": "row" if in_rows else "group",
+        "markers": "markers",
+        **{
+            f"mm_per_px_{name}": f"mm per px, {which}"
+            for name, which in zip(DIRECTIONS, short, strict=True)
+        },
+        **{
+            f"noise_{name}_mm": f"noise, {which} (mm)"
+            for name, which in zip(DIRECTIONS, short, strict=True)
+        },
+        "blur_px": "blur (px)",
+    }
     parts = []
     for item in report["cameras"]:
         lens = item["lens"]
         far = lens["depth_far_mm"]
         reach = "on" if page.missing(far) else f"to {far:.1f} mm"
-        rows = [[row[key] for key in keys] for row in lens["rows"]]
+        rows = [[row[key] for key in columns] for row in lens["rows"]]
         if len(report["cameras"]) > 1:
             parts.append(f"<h3>{item['end'].capitalize()} camera</h3>")
         parts.append(
             f"<p>In focus at {lens['focus_mm']:.1f} mm from the camera; images of points are no "
             f"wider than a pixel from {lens['depth_near_mm']:.1f} mm {reach}, and at most "
             f"{lens['max_blur_px']:.2g} px at the markers (thin lens, camera.f_number and "
-            "camera.pixel_um).</p>" + page.details("Each row", page.table(head, rows))
+            "camera.pixel_um).</p>"
+            + page.details("Each row", page.table([*columns.values()], rows))
         )
         if any(page.missing(value) for row in rows for value in row):
             parts.append(
@@ -165,13 +177,19 @@ def lens_section(context: Context, report: Mapping[str, Any]) -> str:
                 "show.</p>"
             )
     groups = "row" if in_rows else "eighth of the markers, by their place along the sensor"
-    feet = f"Medians of each {groups}; the greatest blur. Directions: {said.along}, {said.around}, "
-    return "".join(parts) + f'<p class="foot">{feet}along the normal.</p>'
+    return "".join(parts) + (
+        f'<p class="foot">Medians of each {groups}; the largest blur. Directions: {words.along}, '
+        f"{words.around}, along the normal.</p>"
+    )
 
 
 def under_load_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
-    """What pressing does to the picture."""
+    """Visibility under load."""
     load, arrays = report["under_load"], context.arrays("underload")
+    pressed, slider = press_pictures(context), ""
+    if pressed is not None:
+        name = context.markers.name(pressed.marker)
+        slider = press_slider(pressed, name, of_camera(report, pressed.camera))
     first = load["first_place_uv"]
     cross = None if first is None else np.asarray(first, dtype=np.float64)
     where = "" if cross is None else "; the cross is where that happens first"
@@ -183,19 +201,19 @@ def under_load_section(context: Context, report: Mapping[str, Any], draw: Drawin
     )
     return (
         f"<p>{escape(load['sentence'])}</p>"
-        + slider_of(context, report)
+        + slider
         + page.side_by_side(
             draw.both(
                 arrays["crosstalk_px"],
-                "Crosstalk: greatest shift of a centroid that is not its marker's own motion",
+                "Crosstalk: largest shift of a centroid that is not its marker's own motion",
                 "px",
                 name="crosstalk",
                 cross=cross,
             ),
             draw.both(
                 np.minimum(arrays["least_gap_same_px"], GAP_PX),
-                f"Least gap to a marker of the same colour under any press ({GAP_PX:g} px and more "
-                f"alike{where})",
+                f"Smallest gap to a marker of the same colour under any press ({GAP_PX:g} px and "
+                f"more alike{where})",
                 "px",
                 name="gap_under_load",
                 cross=cross,
@@ -206,38 +224,29 @@ def under_load_section(context: Context, report: Mapping[str, Any], draw: Drawin
     )
 
 
-def slider_of(context: Context, report: Mapping[str, Any]) -> str:
-    """Pictures of the press that tells most, with a slider; "" if none could be solved."""
-    pressed = press_pictures(context)
-    if pressed is None:
-        return ""
-    name = context.markers.name(pressed.marker)
-    return press_slider(pressed, name, of_camera(report, pressed.camera))
-
-
 def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
     """Cramér-Rao bounds."""
     found, arrays = report["resolution"], context.arrays("resolution")
-    said = maps.words(context.surface)
+    words = maps.words(context.surface)
     keys = [key for key in BOUND if all(key in row for row in found["bound"].values())]
-    head = [BOUND[key].format(along=said.along_short, around=said.around_short) for key in keys]
+    head = [BOUND[key].format(along=words.along_short, around=words.around_short) for key in keys]
     order = sorted(found["bound"], key=lambda text: float(text.split()[0]))
     rows = [(force, *(found["bound"][force][key] for key in keys)) for force in order]
     return (
         "<p>Cramér-Rao bound of a single contact, its position and size unknown but for the "
-        "stated prior: no estimator without bias is better on average. Least standard "
+        "stated prior: no unbiased estimator is better on average. Smallest standard "
         "deviations:</p>"
         + page.table(("contact of", *head), rows)
         + page.side_by_side(
             draw.on_surface(
                 arrays["force_N_10"],
-                "Least standard deviation of a force of 10 N",
+                "Smallest standard deviation of a force of 10 N",
                 "N",
                 name="resolution_force",
             ),
             draw.on_surface(
                 arrays["along_mm_10"],
-                f"Least standard deviation of its position {said.along}",
+                f"Smallest standard deviation of its position {words.along}",
                 "mm",
                 name="resolution_along",
             ),
@@ -263,24 +272,92 @@ def markers_section(context: Context, report: Mapping[str, Any], draw: Drawing) 
     ) + page.facts(report["markers"], "markers")
 
 
+def mechanics_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
+    """Softness at each receptor, the wall's motion under the shown press, figures."""
+    load = report["under_load"]
+    kept = context.arrays("underload")
+    maps = [
+        draw.on_surface(
+            softness_um_N(context),
+            "Softness: inward motion of each marker under 1 N on its own cell",
+            "µm/N",
+            name="softness",
+        )
+    ]
+    if len(kept["shown_uv"]):
+        inward = -np.einsum("ni,ni->n", kept["shown_motion"][0][:, :3], context.markers.normal)
+        maps.append(
+            draw.on_surface(
+                inward,
+                f"Inward motion of the wall, pressed with {load['force_N']:g} N where the cross is",
+                "mm",
+                name="motion",
+                cross=kept["shown_uv"][0],
+            )
+        )
+    figures = {
+        "how the wall's motion was found": load["theory"],
+        "deepest dent (mm)": load["dent_mm"],
+        "receptors stiffen the wall": report["response"]["receptors"],
+        "nodes of the decoder's mesh": report["response"]["nodes"],
+        "condition number of its compliance": report["condition_compliance"],
+        "smallest image shift of a marker for inward motion (px/mm)": report["response"][
+            "sensitivity_px_mm_least"
+        ],
+        "its median (px/mm)": report["response"]["sensitivity_px_mm_median"],
+    }
+    unknown = report["response"]["receptors_unknown"]
+    note = f'<p class="foot">The wall is taken as plain: {unknown}.</p>' if unknown else ""
+    return (
+        page.side_by_side(*maps)
+        + page.table(("figure", "value"), list(figures.items()))
+        + note
+        + "<h3>Mesh for other solvers, and the printed shell</h3>"
+        + page.side_by_side(
+            page.facts(report["mesh"], "mesh"), page.facts(report["shell"], "shell")
+        )
+    )
+
+
+def switch_section(context: Context, report: Mapping[str, Any]) -> str:
+    """Bowls side by side, their force curves, warnings, and the visibility of the tips."""
+    made = [page.flatten(item) for item in report["switch"]["switches"]]
+    keys = [key for key in SWITCH_ROWS if any(key in item for item in made)]
+    head = ("switch", *(f"{page.number(item['threshold_N'])} N" for item in made))
+    rows = [(SWITCH_ROWS[key], *(item.get(key) for item in made)) for key in keys]
+    warnings = dict.fromkeys(text for item in made for text in item.get("warnings", ()))
+    curves = sorted((context.folders["switch"] / EXPORT / "switch").glob("*.svg"))
+    left_out = {"switches", "refused"}  # shown above, and in the verdict
+    red = {key: value for key, value in report["switch"].items() if key not in left_out}
+    return (
+        page.table(head, rows)
+        + "".join(f'<p class="foot">{escape(sentence(text))}</p>' for text in warnings)
+        + page.side_by_side(
+            *(
+                page.svg_figure(path.read_text(encoding="utf-8"), f"Force over stroke: {path.stem}")
+                for path in curves
+            )
+        )
+        + page.facts(red, "switch")
+    )
+
+
 def frames_section(context: Context, report: Mapping[str, Any], table: str) -> str:
     """Decoding of rendered frames."""
-    shown = "".join(
+    captions = {"rest": "Frame of the unloaded sensor", "pressed": "A decoded frame under load"}
+    shown = [
         photo(
             context,
             "frames",
             f"frame_{what}{MARKS[number]}.png",
-            f"{caption}{of_camera(report, number)}",
+            caption + of_camera(report, number),
         )
         for number in range(len(report["cameras"]))
-        for what, caption in (
-            ("rest", "Frame of the unloaded sensor"),
-            ("pressed", "A pressed frame that was decoded"),
-        )
-    )
+        for what, caption in captions.items()
+    ]
     return (
         f"{table}<p>({page.number(PAPER)}.)</p>"
-        + page.side_by_side(shown)
+        + page.side_by_side(*shown)
         + page.facts(report["frames"], "frames")
     )
 

@@ -1,4 +1,4 @@
-"""What the page says first: is it seen, can it be printed, cast and decoded; what to change."""
+"""Verdict of a build: is it seen, can it be printed, cast and decoded; what to change."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -40,34 +40,32 @@ SIMULATED = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Finding:
     """One line of the verdict.
 
     Attributes
     ----------
+    matter : str
+        The question that it answers.
     level : str
         ``good``; ``odd``, of which the user should know; or ``bad``, which makes the sensor fail.
     text : str
         Without a full stop at its end.
-    matter : str
-        The question that it answers.
     """
 
+    matter: Matter
     level: Level
     text: str
-    matter: Matter = "seen"
 
 
 def findings(report: Mapping[str, Any]) -> list[Finding]:
-    """What holds and what does not, most serious things first within each matter."""
+    """Findings of a report, by matter."""
     refused = report["switch"].get("refused")
     return [
         *(
             Finding(
-                level="bad",
-                text=f"built with --force though {text}",
-                matter="cast" if text == refused else "seen",
+                "cast" if text == refused else "seen", "bad", f"built with --force though {text}"
             )
             for text in report["forced"]
         ),
@@ -80,34 +78,32 @@ def findings(report: Mapping[str, Any]) -> list[Finding]:
 
 
 def _printed(shell: Mapping[str, Any], facts: Mapping[str, Any]) -> list[Finding]:
-    """What the printer and the bench would find."""
-    out = []
-    if shell["watertight"]:
-        out.append(Finding(level="good", text="the shell is one watertight body", matter="printed"))
-    else:
-        out.append(Finding(level="bad", text="the shell is NOT watertight", matter="printed"))
-    if facts["print_violations"]:
-        text = (
-            f"{facts['print_violations']} places break the rules of the printer "
-            f"({facts['print_process']}): see shell/print_report.json"
+    printer, broken = facts["print_process"], facts["print_violations"]
+    out = [
+        Finding("printed", "good", "the shell is one watertight body")
+        if shell["watertight"]
+        else Finding("printed", "bad", "the shell is NOT watertight"),
+        Finding(
+            "printed",
+            "odd",
+            f"{broken} places break the rules of the printer ({printer}): see "
+            "shell/print_report.json",
         )
-        out.append(Finding(level="odd", text=text, matter="printed"))
-    else:
-        text = f"no rule of the printer ({facts['print_process']}) is broken"
-        out.append(Finding(level="good", text=text, matter="printed"))
+        if broken
+        else Finding("printed", "good", f"no rule of the printer ({printer}) is broken"),
+    ]
     if facts["interference_mm3"]:
         text = f"parts of the assembly overlap by {facts['interference_mm3']:.3g} mm³"
-        out.append(Finding(level="bad", text=text, matter="printed"))
+        out.append(Finding("printed", "bad", text))
     if not missing(shell.get("step_left_out")):
-        text = f"no STEP file: {shell['step_left_out']}"
-        out.append(Finding(level="odd", text=text, matter="printed"))
+        out.append(Finding("printed", "odd", f"no STEP file: {shell['step_left_out']}"))
     return out
 
 
 def _cast(switch: Mapping[str, Any], facts: Mapping[str, Any]) -> list[Finding]:
     """Switches and their molds."""
     if not missing(switch.get("refused")):
-        return []  # among what the build was forced past
+        return []  # among the forced findings
     out = []
     made = switch.get("switches", ())
     if made:
@@ -116,67 +112,64 @@ def _cast(switch: Mapping[str, Any], facts: Mapping[str, Any]) -> list[Finding]:
             f"{item['spread']['high_N']:.2g} N in a batch)"
             for item in made
         )
-        out.append(Finding(level="good", text=f"bowls snap at {each}", matter="cast"))
+        out.append(Finding("cast", "good", f"bowls snap at {each}"))
     mold = facts["mold"]
     if not missing(facts["mold_left_out"]):
-        text = f"no molds: {facts['mold_left_out']}"
-        out.append(Finding(level="odd", text=text, matter="cast"))
+        out.append(Finding("cast", "odd", f"no molds: {facts['mold_left_out']}"))
     elif mold.get("undercut_rays"):
         text = f"the molds catch the switches ({mold['undercut_rays']} rays along the pull)"
-        out.append(Finding(level="bad", text=text, matter="cast"))
+        out.append(Finding("cast", "bad", text))
     elif not missing(mold.get("cavities")):
         text = f"the molds ({mold['cavities']} cavities) open without undercut"
-        out.append(Finding(level="good", text=text, matter="cast"))
+        out.append(Finding("cast", "good", text))
     return out
 
 
 def _decoded(report: Mapping[str, Any]) -> list[Finding]:
-    out = [Finding(level="odd", text=text, matter="decoded") for text in report["limits"]]
+    out = [Finding("decoded", "odd", text) for text in report["limits"]]
     if not out:
         text = "every switch can be read, and the force on every marker"
-        out = [Finding(level="good", text=text, matter="decoded")]
+        out = [Finding("decoded", "good", text)]
     frames = report["frames"]
     if frames["refused"]:
-        said = (
+        text = (
             f"{frames['refused']} of {frames['frames']} rendered frames could not be decoded, the "
             f"first because {frames['first_refusal']}"
         )
-        out.append(Finding(level="odd", text=said, matter="decoded"))
+        out.append(Finding("decoded", "odd", text))
     return out
 
 
 def _at_rest(report: Mapping[str, Any]) -> Finding:
-    seen, eyes = report["visibility"], len(report["cameras"])
+    seen, cameras = report["visibility"], len(report["cameras"])
     if seen["occluded"] or seen["fused"]:
         text = (
             f"at rest {seen['occluded']} markers are hidden and {seen['fused']} fuse with another "
             "of their colour: see Camera"
         )
-        return Finding(level="bad", text=text)
-    by = f", each by one of {eyes} cameras" if eyes > 1 else ""
-    return Finding(level="good", text=f"at rest every marker is seen and told apart{by}")
+        return Finding("seen", "bad", text)
+    by = f", each by one of {cameras} cameras" if cameras > 1 else ""
+    return Finding("seen", "good", f"at rest every marker is seen and distinguished{by}")
 
 
 def _under_load(load: Mapping[str, Any]) -> list[Finding]:
-    out = []
-    tried = (
-        f"pressed with up to {load['force_N']:g} N at {load['presses']} places, one at a time, "
-        "no marker hides or fuses"
-    )
     if missing(load["first_force_N"]):
-        level: Level = "good" if load["presses"] else "odd"
-        out.append(Finding(level=level, text=tried))
+        text = (
+            f"pressed with up to {load['force_N']:g} N at {load['presses']} places, one at a time, "
+            "no marker hides or fuses"
+        )
+        out = [Finding("seen", "good" if load["presses"] else "odd", text)]
     else:
         text = (
             f"under load a marker hides or fuses from {number(float(load['first_force_N']))} N on: "
             f"marker {load['first_marker']}, pressed {load['first_place']} (tried up to "
             f"{load['force_N']:g} N)"
         )
-        out.append(Finding(level="odd", text=text))
+        out = [Finding("seen", "odd", text)]
     if load.get("not_solved"):
         text = f"{load['not_solved']} presses could not be solved"
         why = load.get("why")
-        out.append(Finding(level="odd", text=text if missing(why) else f"{text}: {why}"))
+        out.append(Finding("seen", "odd", text if missing(why) else f"{text}: {why}"))
     return out
 
 
@@ -191,7 +184,7 @@ def worst(found: list[Finding]) -> Level:
 
 
 def percent(score: Mapping[str, Any]) -> str:
-    """Relative error of a score as text; a dash if no contact was judged."""
+    """Relative error of a score as text; a dash without evaluated contacts."""
     error = score["relative_error"]
     return DASH if missing(error) else f"{100.0 * error:.1f} %"
 
@@ -224,7 +217,7 @@ def lead(report: Mapping[str, Any]) -> str:
 
 
 def best_of(report: Mapping[str, Any]) -> str:
-    """Name of the estimator that the page leads with."""
+    """Name of the report's main estimator."""
     return "auto" if "auto" in report["decoder"] else "koi_inverse"
 
 
@@ -243,6 +236,6 @@ def answer(matter: Matter, found: list[Finding]) -> str:
 def change_list(texts: Sequence[str]) -> str:
     """What to change, as HTML."""
     if not texts:
-        return "<p><strong>To change:</strong> nothing that these checks know of.</p>"
+        return "<p><strong>To change:</strong> nothing that these checks find.</p>"
     lines = "".join(f"<li>{escape(sentence(text))}</li>" for text in texts)
     return f'<div class="change"><strong>To change or to mind:</strong><ul>{lines}</ul></div>'

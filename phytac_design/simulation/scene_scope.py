@@ -1,4 +1,4 @@
-"""The part of a sensor that a scene is about: places, receptors in play, where to press."""
+"""The part of a sensor that a scene is about: places, receptors in play, places to press."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from phytac_design.layout import Markers
-from phytac_design.layout.worst_places import SAME_mm, press_places
+from phytac_design.layout.worst_places import press_places
 from phytac_design.simulation.sample_plan import ChartBox
 from phytac_design.simulation.scenario.contact_box import contact_box, window_grid
 from phytac_design.simulation.scenario.placement import ChartWindow
@@ -23,12 +23,10 @@ MARGIN_SPACINGS = 3.0
 """Places beyond a region, in their spacings: the cubics of those inside it are then the whole
 table's, whose twenty places reach 2.8 spacings."""
 PRESSES_LEAST = 4
-"""Places to press in a region, at least."""
-EVERYWHERE = 10**9
-SHARE_CELLS = 200
+"""Minimum number of places to press in a region."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Scope:
     """Where contacts of a scene are centred, and what they can reach.
 
@@ -55,7 +53,7 @@ class Scope:
 
     @cached_property
     def places(self) -> FloatArray:
-        """Chart positions (k, 2) all over the regions."""
+        """Chart positions (k, 2) spread over the regions."""
         return np.concatenate([window_grid(window) for window in self.windows])
 
     def distance_mm(self, uv: FloatArray) -> FloatArray:
@@ -82,7 +80,7 @@ class Scope:
     def share(self) -> float:
         """Share of the surface's area that contacts are centred in."""
         (u0, u1), (v0, v1) = self.surface.domain
-        middle = (np.arange(SHARE_CELLS) + 0.5) / SHARE_CELLS
+        middle = (np.arange(200) + 0.5) / 200
         shares = np.stack(np.meshgrid(middle, middle, indexing="ij"), axis=-1).reshape(-1, 2)
         uv = np.array([u0, v0]) + shares * np.array([u1 - u0, v1 - v0])
         metric = self.surface.metric(uv)
@@ -98,46 +96,27 @@ class Scope:
         *,
         repeats: bool = False,
     ) -> FloatArray:
-        """Chart positions (k, 2) to press at in the regions, as dense as ``count`` are all over.
+        """Chart positions (k, 2) to press at in the regions, as dense as ``count`` everywhere.
 
-        See :func:`phytac_design.layout.worst_places.press_places`, which this chooses from.
+        See :func:`phytac_design.layout.worst_places.press_places`.
 
         Raises
         ------
         DesignError
-            If the regions hold none of its candidates.
+            If the regions hold no candidate.
         """
-        every = press_places(surface, markers, gap_px, EVERYWHERE)
-        inside = every[self.holds(every)]
-        if len(inside) == 0:
+        turns = markers.lattice.columns if repeats and markers.lattice else 1
+        wanted = max(int(np.ceil(count * self.sector_share(turns))), PRESSES_LEAST)
+        uv = press_places(surface, markers, gap_px, wanted, repeats=repeats, inside=self.holds)
+        if len(uv) == 0:
             raise DesignError(
                 "the scene's regions hold no receptor and no middle between two; widen along and "
                 "around"
             )
-        turns = markers.lattice.columns if repeats and markers.lattice else 1
-        wanted = max(int(np.ceil(count * self.sector_share(turns))), PRESSES_LEAST)
-        at = surface.point(inside)
-        nearest = np.argmin(
-            np.linalg.norm(at[:, None] - surface.point(markers.uv)[None], axis=2), axis=1
-        )
-        away = np.full(len(inside), np.inf)
-        chosen: list[int] = []
-        for rank in range(min(wanted, len(inside))):
-            if not away.max() > SAME_mm:
-                break
-            free = away > SAME_mm
-            tight = np.where(free, gap_px[nearest], np.inf)
-            k = int(np.argmin(tight)) if 2 * rank < wanted else int(np.argmax(away))
-            chosen.append(k)
-            images = np.tile(inside[k], (turns, 1))
-            if markers.lattice:
-                images[:, 1] += np.arange(turns) * markers.lattice.pitch_v
-            for image in surface.point(images):
-                away = np.minimum(away, np.linalg.norm(at - image, axis=1))
-        return np.asarray(inside[np.sort(chosen)])
+        return uv
 
     def sector_share(self, turns: int) -> float:
-        """Share of one sector, of so many alike, that the regions' images cover."""
+        """Share of one of ``turns`` identical sectors that the regions' images cover."""
         if turns == 1:
             return self.share
         around = sum(float(w.size[1]) for w in self.windows)
@@ -146,12 +125,12 @@ class Scope:
 
 
 def windows_of(surface: Surface, regions: "tuple[RegionSection, ...]") -> tuple[ChartWindow, ...]:
-    """Parts of the chart that regions stand for.
+    """Parts of the chart that regions cover.
 
     Raises
     ------
     DesignError
-        If one runs over a seam that the surface does not have.
+        If a region crosses a seam that the surface does not have.
     """
     start, end = surface.domain.T
     span = end - start
@@ -171,7 +150,7 @@ def windows_of(surface: Surface, regions: "tuple[RegionSection, ...]") -> tuple[
 
 
 def scope_of(context: "Context") -> Scope | None:
-    """Scope of the scene that is built; None where all of the surface is touched."""
+    """Scope of a context's scene; None if the whole surface is touched."""
     scene, design = context.scene, context.design
     if scene is None or not scene.regions:
         return None

@@ -7,7 +7,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from importlib import metadata
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any
 
 from phytac_design.design.accuracy import Accuracy, preset_name, settings_of
 from phytac_design.design.design_file import design_hash, parse_design, to_toml
+from phytac_design.design.scene import Scene
 from phytac_design.design.spec import Design
 from phytac_design.engine import cache
 from phytac_design.engine.cache_eviction import limit_bytes, prune
@@ -56,6 +57,8 @@ class BuildResult:
         Wall time of this call.
     timing_s : dict
         Seconds each stage took when it ran.
+    folders : dict
+        Result folder of each stage in the cache.
     """
 
     out: Path
@@ -63,6 +66,7 @@ class BuildResult:
     cached: tuple[str, ...]
     seconds: float
     timing_s: dict[str, float]
+    folders: dict[str, Path] = field(default_factory=dict)
 
 
 def select_stages(only: Sequence[str] | None) -> list[Stage]:
@@ -91,11 +95,22 @@ def build(
     *,
     accuracy: str | Accuracy = "standard",
     only: Sequence[str] | None = None,
+    stages: Sequence[Stage] | None = None,
+    scene: Scene | None = None,
     seed: int = 0,
     force: bool = False,
     progress: Progress = print,
 ) -> BuildResult:
     """Build a design into ``out``; the same inputs give the same files.
+
+    Parameters
+    ----------
+    only : sequence of str, optional
+        Names of stages to build with those that they depend on; all by default.
+    stages : sequence of Stage, optional
+        The stages themselves, in order, in place of ``only``.
+    scene : Scene, optional
+        What the build is limited to; everything by default.
 
     Raises
     ------
@@ -105,7 +120,7 @@ def build(
         If the folder is not writable, or holds another design and ``force`` is not set.
     """
     begin = time.perf_counter()
-    stages = select_stages(only)
+    stages = select_stages(only) if stages is None else stages
     check_design(design)
     limit = limit_bytes()
     _claim(out, design, force=force)
@@ -115,6 +130,7 @@ def build(
                 design,
                 stages,
                 accuracy=accuracy,
+                scene=scene,
                 seed=seed,
                 force=force,
                 progress=progress,
@@ -140,6 +156,7 @@ def build(
         cached=tuple(stage.name for stage in stages if stage.name not in ran),
         seconds=time.perf_counter() - begin,
         timing_s=timing,
+        folders=context.folders,
     )
 
 
@@ -153,6 +170,7 @@ def run_stages(
     *,
     accuracy: str | Accuracy,
     seed: int,
+    scene: Scene | None = None,
     force: bool = False,
     progress: Progress = print,
     keep: ExitStack | None = None,
@@ -177,7 +195,13 @@ def run_stages(
     DesignError
         If the design cannot be built.
     """
-    context = Context(design=design, accuracy=settings_of(accuracy), seed=seed, progress=progress)
+    context = Context(
+        design=design,
+        accuracy=settings_of(accuracy),
+        seed=seed,
+        scene=scene,
+        progress=progress,
+    )
     keys: dict[str, str] = {}
     ran: list[str] = []
     timing: dict[str, float] = {}

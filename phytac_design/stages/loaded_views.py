@@ -1,4 +1,4 @@
-"""What the camera sees when the sensor is pressed."""
+"""Visibility of the markers when the sensor is pressed."""
 
 from dataclasses import asdict, dataclass
 from functools import reduce
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from phytac_design.optics.loaded_visibility import UnderLoad
 
 LOAD_STEPS = (0.5, 1.0)
-"""Shares of the design's greatest force at which the shell is solved; between, interpolated."""
+"""Shares of the design's largest force at which the shell is solved; between, interpolated."""
 
 
 class PressedShell:
-    """The shell of a sensor, and presses on it at the design's greatest force."""
+    """The shell of a sensor, and presses on it with the design's largest force."""
 
     def __init__(self, context: Context) -> None:
         from phytac_design.mechanics.meshing.mesh import marker_mesh
@@ -42,9 +42,9 @@ class PressedShell:
         self.repeats = column_turn(self.model, self.mesh, columns) is not None
 
     def motions(self, uv: FloatArray, shares: tuple[float, ...]) -> tuple[FloatArray, list[Any]]:
-        """Motion of the wall under every marker, (p, k, n, 6), at shares of the greatest force.
+        """Motion of the wall under every marker, (p, k, n, 6), at shares of the largest force.
 
-        Also the samples behind it, none if linear theory was asked for; NaN where not solved.
+        NaN without a solution. Also the large-displacement samples; none with linear theory.
         """
         from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
         from phytac_design.mechanics.shell.loads import patch_loads
@@ -73,7 +73,7 @@ class PressedShell:
 
 
 def theory_facts(samples: list[Any], tolerance: float) -> dict[str, Any]:
-    """How the motions were found."""
+    """Method of the motions."""
     if not samples:
         return {"theory": "linear", "not_solved": 0}
     lost = [sample for sample in samples if sample.motion is None]
@@ -88,7 +88,7 @@ def theory_facts(samples: list[Any], tolerance: float) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Presses:
-    """Presses at p places, each alone, and what the camera sees.
+    """Presses at p places, each alone, and the visibility of the markers.
 
     Attributes
     ----------
@@ -97,9 +97,9 @@ class Presses:
     motion : (p, n, 6) float
         Motion of the wall under every marker at the full force: mm, rad.
     found : UnderLoad
-        What the camera sees.
+        Visibility.
     facts : dict
-        How it was found; with two cameras also what each of them loses.
+        Method; with two cameras also the losses of each.
     """
 
     uv: FloatArray
@@ -107,8 +107,8 @@ class Presses:
     found: "UnderLoad"
     facts: dict[str, Any]
 
-    def telling(self) -> int:
-        """Press where something happens first; the one that moves markers most if nothing does."""
+    def shown(self) -> int:
+        """Press at which a marker is lost first; the one with the largest shift if none is."""
         if np.isfinite(self.found.first_force_N).any():
             return self.found.worst
         return int(self.found.shift_px.argmax())
@@ -117,7 +117,7 @@ class Presses:
 def see_pressed(
     context: Context, gap_px: FloatArray, camera_number: IntArray | None = None
 ) -> tuple[FloatArray, "UnderLoad", dict[str, Any]]:
-    """Places, what is seen, and how it was found, of :func:`press_and_see`."""
+    """Places, visibility and method of :func:`press_and_see`."""
     done = press_and_see(context, gap_px, camera_number)
     return done.uv, done.found, done.facts
 
@@ -125,15 +125,15 @@ def see_pressed(
 def press_and_see(
     context: Context, gap_px: FloatArray, camera_number: IntArray | None = None
 ) -> Presses:
-    """Press all over the surface and look.
+    """Press all over the surface and render.
 
-    All places are pressed with the full force; those where something hides or fuses also with the
-    lower ones of ``LOAD_STEPS``, to find from when.
+    All places are pressed with the full force; those where a marker hides or fuses also with the
+    lower ones of ``LOAD_STEPS``, to find the force at which that starts.
 
     Parameters
     ----------
     gap_px : (n,) float
-        Least gap of each marker at rest: where to press first.
+        Smallest gap of each marker at rest: the smallest are pressed first.
     camera_number : (n,) int, optional
         Camera that each marker is read through; the first by default.
     """
@@ -176,21 +176,21 @@ def press_and_see(
     solved = np.isfinite(full).all(axis=(1, 2, 3))
     uv, full = uv[solved], full[solved]
     each = look(full, np.array([force]))
-    found = together(each)
+    found = merged(each)
     events = np.flatnonzero(np.isfinite(found.first_force_N))
     if samples and len(events):
         below, more = shell.motions(uv[events], LOAD_STEPS[:-1])
         samples += more
         known = np.isfinite(below).all(axis=(1, 2, 3))
         path = np.concatenate([below, full[events]], axis=1)[known]
-        first = together(look(path, force * np.array(LOAD_STEPS)))
+        first = merged(look(path, force * np.array(LOAD_STEPS)))
         found.first_force_N[events[known]] = first.first_force_N
         found.first_marker[events[known]] = first.first_marker
     facts = theory_facts(samples, context.accuracy.press_tolerance)
     if len(views) > 1:
         facts["cameras"] = [
             {"end": "far" if end else "near", "read": int((reader == number).sum())}
-            | (lost_of(each[number], reader == number) if number in each else {})
+            | (figures_of(each[number], reader == number) if number in each else {})
             for number, end in enumerate(design.camera.end_numbers)
         ]
     inward = -np.einsum("pni,ni->pn", full[:, -1, :, :3], markers.normal)
@@ -198,13 +198,13 @@ def press_and_see(
     return Presses(uv=uv, motion=full[:, -1], found=found, facts=facts)
 
 
-def together(each: dict[int, "UnderLoad"]) -> "UnderLoad":
-    """What all cameras see, each of the markers that are read through it."""
+def merged(each: dict[int, "UnderLoad"]) -> "UnderLoad":
+    """Results of all cameras, each for the markers that it reads."""
     return reduce(lambda one, other: one.with_other(other), each.values())
 
 
-def lost_of(found: "UnderLoad", own: BoolArray) -> dict[str, Any]:
-    """Figures of one camera, over the markers (n,) that are read through it."""
+def figures_of(found: "UnderLoad", own: BoolArray) -> dict[str, Any]:
+    """Figures of all presses, for some of the markers (n,)."""
     return {
         "hidden_most": int(found.hidden.max(initial=0)),
         "fused_most": int(found.fused.max(initial=0)),
@@ -217,32 +217,26 @@ def lost_of(found: "UnderLoad", own: BoolArray) -> dict[str, Any]:
 
 
 def run_underload(context: Context, folder: Path) -> None:
-    """Press at the design's greatest force all over the surface, and look."""
+    """Press with the design's largest force all over the surface, and render."""
     markers, training = context.markers, context.design.training
     views = context.arrays("views")
     gap = np.minimum(views["gap_same_colour_px"], views["gap_other_colour_px"])
     done = press_and_see(context, gap, views["camera"])
     uv, found, how = done.uv, done.found, done.facts
-    shown = done.telling() if len(uv) else 0
-    # One press, for the report's pictures; a slice: empty where none was solved.
+    shown = done.shown() if len(uv) else 0
+    # One press for the report's pictures; empty if none was solved.
     picture = {"shown_uv": uv[shown : shown + 1], "shown_motion": done.motion[shown : shown + 1]}
     write_arrays(folder, {"uv": uv, **asdict(found), **picture})
     facts: dict[str, Any] = {
         "presses": len(uv),
         "force_N": training.force_max_N,
         "patch_radius_mm": training.patch_radius_max_mm,
-        "hidden_most": int(found.hidden.max(initial=0)),
-        "fused_most": int(found.fused.max(initial=0)),
         "first_force_N": None,
         "first_place_uv": None,
-        "least_visible_fraction": float(found.least_fraction.min()),
-        "least_gap_same_colour_px": float(found.least_gap_same_px.min()),
-        "least_gap_other_colour_px": float(found.least_gap_other_px.min()),
-        "crosstalk_px": float(found.crosstalk_px.max()),
         "crosstalk_marker": markers.name(int(found.crosstalk_px.argmax())),
         "crosstalk_still_px": float(found.crosstalk_still_px.max()),
-        "greatest_shift_px": float(found.shift_px.max(initial=0.0)),
     }
+    facts |= figures_of(found, np.ones(markers.count, dtype=np.bool_))
     if len(uv) and np.isfinite(found.first_force_N).any():
         worst = found.worst
         facts |= {
@@ -264,27 +258,27 @@ def place_in_words(context: Context, uv: FloatArray) -> str:
 
 
 def load_sentence(facts: dict[str, Any]) -> str:
-    """What happens under load, for a reader."""
-    stray = (
+    """Summary of the results as a sentence."""
+    crosstalk = (
         f"the centroid of a marker is disturbed by at most {facts['crosstalk_px']:.2g} px (marker "
         f"{facts['crosstalk_marker']}; {facts['crosstalk_still_px']:.2g} px for markers that stand "
         "still)"
     )
-    pressed = (
+    presses = (
         f"Pressed with up to {facts['force_N']:g} N (radius {facts['patch_radius_mm']:g} mm) at "
         f"{facts['presses']} places, one at a time: "
     )
     if facts["first_force_N"] is None:
-        return f"{pressed}no marker hides or fuses; {stray}."
+        return f"{presses}no marker hides or fuses; {crosstalk}."
     return (
-        f"{pressed}from {facts['first_force_N']:.2g} N on, pressed {facts['first_place']}, marker "
+        f"{presses}from {facts['first_force_N']:.2g} N on, pressed {facts['first_place']}, marker "
         f"{facts['first_marker']} hides or fuses; at the full force up to {facts['hidden_most']} "
-        f"are hidden and {facts['fused_most']} fused; {stray}."
+        f"are hidden and {facts['fused_most']} fused; {crosstalk}."
     )
 
 
 def load_verdict(context: Context) -> str:
-    """Say which demand of the design is not met under load; "" if all are, or none is made."""
+    """Demand of the design that is not met under load; "" if all are met."""
     demand = context.design.demands.clear_force_N
     first = context.facts("underload")["first_force_N"]
     if first is None or first >= demand:

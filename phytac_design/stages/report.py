@@ -46,7 +46,7 @@ NEEDS = (
 )
 FABRICATION = ("hardware", "mold", "kit", "printing", "bench")
 GATED = (VIEWS, UNDERLOAD, SWITCH)
-"""Stages that can stop a build: it goes on past them only with --force."""
+"""Stages that can stop a build, which --force overrides."""
 
 
 def gather(context: Context) -> dict[str, Any]:

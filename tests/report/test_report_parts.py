@@ -85,7 +85,7 @@ def test_pictures_go_from_rest_to_the_full_force(tmp_path: Path) -> None:
     camera = press_pictures.window(camera, np.zeros(2), camera.width_px, press_pictures.WIDTH_PX)
     tolerance = tolerance_mm(camera, context.markers)
     scene = build_scene(context.design, context.surface, context.markers, tolerance_mm=tolerance)
-    rest = render_frame(scene, camera, samples=press_pictures.SAMPLES)
+    rest = render_frame(scene, camera, samples=4)
     assert np.abs(np.asarray(frames[0]).astype(int) - rest).mean() < 3.0  # but for JPEG
     # The pressed receptor moves: its surroundings change, step by step.
     changed = [
@@ -174,9 +174,9 @@ def test_the_shown_press_is_the_first_to_lose_a_marker_or_moves_most() -> None:
         crosstalk_still_px=np.zeros(4),
     )
     done = Presses(uv=np.zeros((p, 2)), motion=np.zeros((p, 4, 6)), found=found, facts={})
-    assert done.telling() == 2
+    assert done.shown() == 2
     found.first_force_N[:] = [np.inf, 12.0, 20.0]
-    assert done.telling() == 1
+    assert done.shown() == 1
 
 
 def test_softness_is_the_inverse_of_what_stiffness_holds(tmp_path: Path) -> None:
@@ -226,7 +226,7 @@ def test_what_to_change_is_gathered(tmp_path: Path) -> None:
     assert found[0] == "2 markers hidden; move the camera back"
     assert found[1].startswith("from 12.5 N on a marker hides or fuses: ")
     assert found[2].startswith("3 places of shell/shell.stl break the print rule wall")
-    assert found[2].endswith("asked 0.6 mm): 0 mm² are thin; make the wall thicker")
+    assert found[2].endswith("required 0.6 mm): 0 mm² are thin; make the wall thicker")
     assert found[3].startswith("1 place of shell/shell.stl breaks the print rule hole")
     assert found[3].endswith(": widen the hole")
     assert found[4:] == ["the threshold spreads"]

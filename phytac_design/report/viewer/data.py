@@ -1,4 +1,4 @@
-"""What the 3-D shell and the map show, as plain JSON.
+"""Contents of the 3-D shell and the map, as plain JSON.
 
 Numbers go as base64 of little-endian arrays. Places in space are quantised: three ``uint16`` a
 point, ``place = low + step * number``, which keeps them within ``step / 2`` (0.001 mm on a sensor
@@ -53,21 +53,13 @@ from phytac_shapes.arrays import FloatArray
 if TYPE_CHECKING:
     from phytac_decoder.camera.camera import Camera
 
-VERSION = 1
-WALL_SHARE = 0.002
-"""How far the drawn wall may be from the true one, as a share of the sensor's size."""
-LEVELS = 65535
 LOG_RANGE = 20.0
 """Values that differ by more than this factor are coloured on a logarithmic scale."""
-FIELD_SHARE = 0.12
-"""Length of a drawn field of view as a share of the sensor's size."""
-SIDE = np.array([0.62, -0.70, 0.35])
-"""Where tubes are looked at from."""
-LEAN = 0.6
-"""How far sheets and domes are looked at from the side: the tangent of the angle."""
+TUBE_VIEW = np.array([0.62, -0.70, 0.35])
+"""Direction that tubes are first viewed from."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Colouring:
     """A number of every marker that colours it.
 
@@ -118,7 +110,7 @@ class Box:
     def around(cls, points: FloatArray) -> "Box":
         """Box of points (n, 3)."""
         low, high = points.min(axis=0), points.max(axis=0)
-        return cls(low, np.maximum(high - low, 1e-6) / LEVELS)
+        return cls(low, np.maximum(high - low, 1e-6) / 65535)
 
     def pack(self, points: FloatArray) -> str:
         """Points (…, 3) as text."""
@@ -139,22 +131,20 @@ def base_colourings(markers: Markers) -> list[Colouring]:
     """Colourings that need no result: the marker itself, its paint, its height."""
     number = np.arange(markers.count, dtype=np.float64)
     return [
-        Colouring(key="id", label="marker", values=number, kind="id"),
-        Colouring(
-            key="paint", label="paint", values=markers.colour.astype(np.float64), kind="paint"
-        ),
-        Colouring(key="height_mm", label="receptor height", values=markers.height_mm, unit="mm"),
+        Colouring("id", "marker", number, kind="id"),
+        Colouring("paint", "paint", markers.colour.astype(np.float64), kind="paint"),
+        Colouring("height_mm", "receptor height", markers.height_mm, "mm"),
     ]
 
 
 def eye_of(surface: Surface, markers: Markers) -> FloatArray:
-    """Unit vector (3,) towards the view's start: beside tubes, before the markers of the others."""
+    """Unit vector (3,) towards the first viewpoint: beside tubes, on the marker side of others."""
     if family(surface) == "tube":
-        return np.asarray(SIDE / np.linalg.norm(SIDE))
+        return np.asarray(TUBE_VIEW / np.linalg.norm(TUBE_VIEW))
     inward = -markers.normal.mean(axis=0)
     inward /= max(float(np.linalg.norm(inward)), 1e-9)
-    aside = SIDE - (SIDE @ inward) * inward
-    eye = inward + LEAN * aside / np.linalg.norm(aside)
+    aside = TUBE_VIEW - (TUBE_VIEW @ inward) * inward
+    eye = inward + 0.6 * aside / np.linalg.norm(aside)
     return np.asarray(eye / np.linalg.norm(eye))
 
 
@@ -171,21 +161,21 @@ def viewer_data(
     Parameters
     ----------
     colourings : list of Colouring
-        In the order in which they are offered; the first is shown first.
+        In the order of the page's list; the first is shown first.
     cameras : list of Camera
         Whose fields of view are drawn.
     """
     (low, high) = surface.bounds_mm()
     size = float(np.linalg.norm(high - low))
-    meshes = _bodies(design, surface, WALL_SHARE * size)
-    lines = np.concatenate([np.zeros((0, 2, 3)), *(_field(eye, size) for eye in cameras)])
+    meshes = _bodies(design, surface, 0.002 * size)
+    lines = np.concatenate([np.zeros((0, 2, 3)), *(_field(camera, size) for camera in cameras)])
     everything = [mesh.vertices for _, _, mesh in meshes if len(mesh.vertices)]
     box = Box.around(
         np.concatenate([*everything, lines.reshape(-1, 3), markers.foot_mm, markers.tip_mm])
     )
     flat = flat_map(surface, markers.uv)
     return {
-        "version": VERSION,
+        "version": 1,
         "box": {"low": box.low.tolist(), "step": box.step.tolist()},
         "eye": eye_of(surface, markers).round(4).tolist(),
         "wall": "clear" if family(surface) == "sheet" else "cut",
@@ -257,14 +247,14 @@ def _outward(surface: Surface, mesh: Mesh) -> Mesh:
 
 
 def _field(camera: "Camera", size_mm: float) -> FloatArray:
-    """Edges (m, 2, 3) of the pyramid that a camera sees, as far as its corners see anything."""
+    """Edges (m, 2, 3) of a camera's field of view, 0.12 of the sensor's size long."""
     width, height = camera.width_px, camera.height_px
     corners = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]]) - 0.5
     rays = camera.lens.unproject(corners) @ camera.rotation
     rays = rays[np.isfinite(rays).all(axis=1)]
     if not len(rays):
         return np.zeros((0, 2, 3))
-    ends = camera.position_mm + FIELD_SHARE * size_mm * rays
+    ends = camera.position_mm + 0.12 * size_mm * rays
     around = np.stack([ends, np.roll(ends, -1, axis=0)], axis=1)
     out = np.stack([np.broadcast_to(camera.position_mm, ends.shape), ends], axis=1)
     return np.concatenate([out, around])

@@ -1,1 +1,1 @@
-"""What a scene requires: what is modelled, how finely, why, and at what cost."""
+"""What a scene requires: the stages, their resolution, their reasons and their cost."""

@@ -1,60 +1,193 @@
-"""What stages cost: counts times unit costs that were measured, scaled to this machine."""
+"""Cost of a build: amounts of work, times unit costs that were measured.
+
+The amounts (markers, mesh nodes, right-hand sides, pixels) follow from the design, the settings and
+the scene. The unit costs are a non-negative least-squares fit to measured builds on one machine
+(``python -m benchmarks.tradeoff --parts costs,units``); :func:`machine_factor` scales them to the
+machine that is running.
+"""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.sparse import csc_matrix, diags_array, eye_array, kron
+from scipy.sparse import diags_array
 from scipy.sparse.linalg import splu
 
 from phytac_design.design.accuracy import Accuracy
-from phytac_design.design.scene import Scene
+from phytac_design.design.scene import ALL_AT_ONCE, Scene
 from phytac_design.design.spec import Design
-from phytac_design.simulation.response_tables import HIGHER_ORDER_SPACING
-from phytac_design.study.planning.counts import Counts
-from phytac_design.study.planning.unit_costs import MEMORY_MB, SECONDS, PROBE_s
-from phytac_shapes.arrays import FloatArray
+from phytac_design.layout import Markers, make_markers
+from phytac_design.mechanics.meshing.mesh import marker_mesh
+from phytac_design.simulation.instance_shell import MARGIN, truth_mesh
+from phytac_design.simulation.pressed_series import LARGE_SOLVED_ABOVE
+from phytac_design.simulation.response_tables import HIGHER_ORDER_SPACING, place_spacing_mm, rings
+from phytac_design.simulation.scene_scope import PRESSES_LEAST, Scope
+from phytac_design.stages.response import SCENE_SAMPLES, samples_of
+from phytac_design.study.planning.unit_costs import PROBE_s
+from phytac_shapes import Surface
 
-WITHIN = 2.0
-"""Factor within which predicted and actual cost of a build lie; measured, see docs/plan.md."""
-PROBES = 3
-KOITER = 6.0
-"""Cost of all powers of a press, in linear solves."""
-PROBE_SIZE = 96
+PREDICTED_WITHIN = 2.0
+"""Factor between predicted and actual cost that the benchmark accepts; see docs/plan.md."""
+LOCAL_COARSENING = 2.5
+"""Element size of a local mesh far from the touched part, over that in it."""
 
-Features = dict[str, float]
+Amounts = dict[str, float]
+UnitCosts = Mapping[str, Mapping[str, float]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cost:
-    """Predicted cost of a stage.
+class Counts:
+    """Amounts of work of a build.
 
     Attributes
     ----------
-    seconds : float
-        Processor time, s.
-    memory_MB : float
-        Greatest memory of the process, libraries included.
+    markers, in_play : int
+        Receptors, and those that contacts can trip.
+    megapixels, picture_megapixels : float
+        Of all cameras, and of the pictures that are written.
+    repeats : int
+        Identical sectors around the sensor; 1 without symmetry.
+    nodes, truth_nodes : int
+        Of the decoder's mesh and of the simulated sensor's mesh.
+    response_loads, twin_loads : int
+        Right-hand sides.
+    places, place_solves, large_solves : int
+        Places tabulated, those solved by linear theory, and those solved for higher powers of the
+        force.
+    contacts : int
+        Drawn by the simulation.
+    samples, samples_all : int
+        Samples that train networks, and all samples.
+    presses : int
+        Places pressed to find hidden markers.
+    frames : int
+        Rendered and decoded.
     """
 
-    seconds: float
-    memory_MB: float
+    markers: int
+    in_play: int
+    megapixels: float
+    picture_megapixels: float
+    repeats: int
+    nodes: int
+    truth_nodes: int
+    response_loads: int
+    twin_loads: int
+    places: int
+    place_solves: int
+    large_solves: int
+    contacts: int
+    samples: int
+    samples_all: int
+    presses: int
+    frames: int
+
+
+class Workload:
+    """Amounts of work of builds of one design; meshes are counted once for each refinement."""
+
+    def __init__(self, design: Design) -> None:
+        self.design = design
+        self.surface = design.surface()
+        self.markers = make_markers(design, self.surface)
+        self.repeats = repeats(self.surface, self.markers)
+        self.nodes = cache(self._nodes)
+        self.truth_nodes = cache(
+            lambda refine: len(truth_mesh(design, self.surface, refine).nodes_mm)
+        )
+        self.table_sectors = cache(self._table_sectors)
+        self.place_rings = cache(self._place_rings)
+
+    def _nodes(self, refine: int) -> int:
+        thickness = self.design.wall.thickness_mm
+        mesh = marker_mesh(self.surface, self.markers, thickness_mm=thickness, refine=refine)
+        return len(mesh.nodes_mm)
+
+    def _table_sectors(self) -> int:
+        """Identical sectors of the tables of ``auto``: as ``repeats``, also on cuboids."""
+        lattice = self.markers.lattice
+        if self.design.shape.kind != "cuboid" or lattice is None:
+            return self.repeats
+        thickness = self.design.wall.thickness_mm
+        mesh = marker_mesh(self.surface, self.markers, thickness_mm=thickness, refine=1)
+        if mesh.around is None:
+            return 1
+        width, depth, _ = np.ptp(self.surface.bounds_mm(), axis=0)
+        square = abs(width - depth) < 1e-6 * width
+        return 4 if square and lattice.columns % 4 == 0 else 2 if lattice.columns % 2 == 0 else 1
+
+    def _place_rings(self, share: float, scope: Scope | None) -> tuple[int, int]:
+        """Places of a table, and those that are solved."""
+        training = self.design.training
+        radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
+        spacing = place_spacing_mm(self.surface, share, radius)
+        ring = rings(self.surface, spacing, self.table_sectors())
+        base = ring.base if scope is None else ring.base[scope.near(spacing, ring.uv)]
+        return len(base), len(np.unique(base))
+
+    def counts(
+        self,
+        accuracy: Accuracy,
+        *,
+        scene: Scene | None = None,
+        scope: Scope | None = None,
+        in_play: int | None = None,
+    ) -> Counts:
+        """Amounts of a build; of the whole sensor without a scene."""
+        design, camera, n = self.design, self.design.camera, self.markers.count
+        pixels = len(camera.end_numbers) * camera.width_px * camera.height_px / 1e6
+        in_play = n if in_play is None else in_play
+        samples = samples_of(design, accuracy.sample_share)
+        if scene is not None and not scene.samples:
+            samples = {"train": 0, **SCENE_SAMPLES}
+        at_once = scene.at_once if scene else ALL_AT_ONCE
+        mean = 1.0 + design.training.multi_contact * at_once / 2.0 if at_once > 1 else 1.0
+        contacts = round(sum(samples.values()) * mean)
+        rows = n // self.repeats
+        truth, adjoints, presses = self.truth_nodes(accuracy.truth_refine), 6 * rows, None
+        if scope is not None:
+            truth = round(truth * local_mesh_share(design, self.surface, scope))
+            adjoints = 6 * n
+            share = scope.sector_share(self.repeats)
+            presses = max(int(np.ceil(accuracy.press_places * share)), PRESSES_LEAST)
+        places, solves = self.place_rings(accuracy.place_share, scope)
+        return Counts(
+            markers=n,
+            in_play=in_play,
+            megapixels=pixels,
+            picture_megapixels=pixels if scene is None or scene.pictures else 0.0,
+            repeats=self.repeats,
+            nodes=self.nodes(accuracy.refine),
+            truth_nodes=truth,
+            response_loads=rows if self.repeats > 1 else in_play,
+            twin_loads=min(contacts, adjoints),
+            places=places,
+            place_solves=solves,
+            large_solves=self.place_rings(HIGHER_ORDER_SPACING * accuracy.place_share, scope)[1],
+            contacts=contacts,
+            samples=samples["train"],
+            samples_all=sum(samples.values()),
+            presses=accuracy.press_places if presses is None else presses,
+            frames=accuracy.frames,
+        )
 
 
 def features(
     counts: Counts, accuracy: Accuracy, design: Design, scene: Scene | None = None
-) -> dict[str, Features]:
-    """What the cost of each stage grows with, in units of thousands and millions."""
-    n, pixels = counts.markers / 1e3, counts.megapixels
+) -> dict[str, Amounts]:
+    """Amounts of work of each stage that its cost is linear in; ``one`` is the constant."""
+    n, pixels = counts.markers / 100.0, counts.megapixels
     nodes, truth = counts.nodes / 1e3, counts.truth_nodes / 1e3
-    fine = n * float(np.sqrt(0.01 / accuracy.cad_tolerance_mm))
-    solid = {"one": 1.0, "markers": n, "fine": fine}
-    orders = 1.0 if accuracy.place_orders == 1 else 1.0 + (KOITER - 1.0) / HIGHER_ORDER_SPACING**2
-    large = 0.0 if accuracy.press_tolerance >= 1.0 else 1.0
-    trained = 1.0 if scene is None or scene.networks else 0.0
-    judged = max(counts.contacts - counts.samples, 0)
+    fine = 0.01 / accuracy.cad_tolerance_mm
+    tools = float(accuracy.print_tools)
+    solid = {"one": 1.0, "markers": n, "fine": n * fine}
+    higher_orders = float(accuracy.place_orders > 1)
+    solved = float(accuracy.place_orders in LARGE_SOLVED_ABOVE)
+    large = float(accuracy.press_tolerance < 1.0)
+    trained = float(scene is None or scene.networks)
     return {
         "views": {
             "one": 1.0,
@@ -62,110 +195,138 @@ def features(
             "markers": n,
             "pictures": counts.picture_megapixels,
         },
-        "switch": {"one": 1.0, "thresholds": float(len(set(_thresholds(design))))},
-        "compare": {"one": 1.0, "pixels": pixels * (design.layout.kind == "spiral")},
+        "switch": {"one": 1.0, "markers": n},
+        "compare": {
+            "one": 1.0,
+            "pixels": pixels * (design.layout.kind == "spiral"),
+            "markers": n,
+        },
         "underload": {
             "one": 1.0,
+            "pixels": pixels,
+            "looks": counts.presses * (1.0 + n) / 10.0,
+            "large": large * counts.presses * nodes / 10.0,
             "nodes": nodes,
-            "large": large * counts.presses * nodes,
-            "looks": counts.presses * n,
         },
-        "resolution": {"one": 1.0, "nodes": nodes, "loads": nodes * counts.in_play / 1e3},
+        "resolution": {"one": 1.0, "nodes": nodes, "loads": nodes * counts.in_play / 100.0},
         "shell": solid,
         "step": {"one": 1.0, "markers": n},
         "hardware": solid,
         "mold": solid,
         "kit": solid,
-        "printing": solid | {"tools": fine * accuracy.print_tools},
+        "printing": solid | {"tools": tools, "fine_tools": tools * n * fine},
         "bench": solid,
         "mesh": {"one": 1.0, "nodes": nodes},
-        "response": {"one": 1.0, "nodes": nodes, "loads": nodes * counts.response_loads / 1e3},
+        "response": {
+            "one": 1.0,
+            "nodes": nodes,
+            "loads": nodes * counts.response_loads / 100.0,
+            "markers": n,
+        },
         "places": {
             "one": 1.0,
             "nodes": nodes,
-            "solves": nodes * counts.place_solves * orders / 1e3,
-            "copies": counts.places * n * accuracy.place_orders,
+            "solves": nodes * counts.place_solves / 100.0,
+            "orders": higher_orders * nodes * counts.large_solves / 100.0,
+            "large": solved * nodes * counts.large_solves / 100.0,
+            "copies": counts.places * n / 100.0,
         },
         "twin": {
             "one": 1.0,
             "nodes": truth,
-            "loads": truth * counts.twin_loads / 1e3,
-            "seen": counts.contacts * n,
+            "loads": truth * counts.twin_loads / 100.0,
+            "seen": counts.contacts * n / 100.0,
         },
         "decoder": {
             "one": 1.0,
-            "trained": trained * counts.samples / 1e3,
-            "judged": judged * n,
+            "samples": counts.samples_all * n / 100.0,
+            "trained": trained * counts.samples / 100.0,
         },
         "frames": {
             "one": 1.0,
+            "frames": counts.frames,
             "pixels": counts.frames * pixels,
-            "markers": counts.frames * n,
+            "markers": counts.frames * n / 10.0,
             "nodes": truth,
+            "solves": counts.frames * truth / 10.0,
         },
         "report": {"one": 1.0, "markers": n},
     }
 
 
-def predict(
-    stages: Sequence[str],
-    counts: Counts,
-    accuracy: Accuracy,
-    design: Design,
-    scene: Scene | None = None,
-    *,
-    speed: float = 1.0,
-) -> dict[str, Cost]:
-    """Cost of each stage if it runs; ``speed`` is that of :func:`probe`."""
-    grown = features(counts, accuracy, design, scene)
+def predict(unit_costs: UnitCosts, amounts: Mapping[str, Amounts]) -> dict[str, float]:
+    """Cost of each stage: seconds or MB, as the unit costs are."""
     return {
-        name: Cost(
-            seconds=_dot(SECONDS[name], grown[name]) * speed,
-            memory_MB=_dot(MEMORY_MB[name], grown[name]),
-        )
-        for name in stages
+        stage: sum(unit_costs[stage].get(name, 0.0) * value for name, value in own.items())
+        for stage, own in amounts.items()
     }
 
 
-def probe() -> float:
-    """How much longer this machine takes than the one of the unit costs, by a small solve."""
-    return probe_s() / PROBE_s
+def fit(rows: Mapping[str, Sequence[tuple[Amounts, float]]]) -> dict[str, dict[str, float]]:
+    """Unit costs of each stage, none below zero, from (amounts, cost); relative errors count."""
+    out = {}
+    for stage, measured in rows.items():
+        names = list(measured[0][0])
+        cost = np.array([value for _, value in measured])
+        matrix = np.array([[amounts[name] for name in names] for amounts, _ in measured])
+        scale = 1.0 / (0.3 + cost)
+        found, _ = nnls(matrix * scale[:, None], cost * scale)
+        pairs = zip(names, found.tolist(), strict=True)
+        out[stage] = {name: float(f"{value:.4g}") for name, value in pairs if value > 1e-9}
+    return out
 
 
-def probe_s() -> float:
-    """Least of a few times, s, of a sparse factorisation and a dense product."""
-    line = diags_array([-1.0, 2.1, -1.0], offsets=[-1, 0, 1], shape=(PROBE_SIZE, PROBE_SIZE))
-    plate = csc_matrix(kron(line, eye_array(PROBE_SIZE)) + kron(eye_array(PROBE_SIZE), line))
-    dense = np.sin(np.arange(400.0 * 400.0)).reshape(400, 400)
-    taken = []
-    for _ in range(PROBES):
-        start = time.process_time()
-        splu(plate).solve(np.ones(PROBE_SIZE**2))
-        dense @ dense
-        taken.append(time.process_time() - start)
-    return min(taken)
+def machine_factor(clock: Callable[[], float] = time.perf_counter) -> float:
+    """Seconds of this machine over those of the machine that the unit costs were measured on."""
+    return probe_s(clock) / PROBE_s
 
 
-def fit_units(rows: Sequence[tuple[Mapping[str, float], float]]) -> dict[str, float]:
-    """Unit costs, none below zero, that explain measured costs best, relative to each.
-
-    Parameters
-    ----------
-    rows : sequence of (features, cost)
-        What was measured.
-    """
-    names = sorted({name for grown, _ in rows for name in grown})
-    matrix: FloatArray = np.array([[grown.get(n, 0.0) for n in names] for grown, _ in rows])
-    cost = np.maximum(np.array([value for _, value in rows]), 1e-2)
-    units, _ = nnls(matrix / cost[:, None], np.ones(len(cost)))
-    return {name: float(f"{unit:.3g}") for name, unit in zip(names, units, strict=True)}
-
-
-def _dot(units: Mapping[str, float], grown: Features) -> float:
-    return float(sum(unit * grown.get(name, 0.0) for name, unit in units.items()))
+@cache
+def probe_s(clock: Callable[[], float]) -> float:
+    """Seconds of a sparse factorisation by a clock, the fastest of three; measured once."""
+    size, line = 25_200, 60
+    matrix = diags_array(
+        [4.2, -1.0, -1.0, -1.0, -1.0], offsets=[0, 1, -1, line, -line], shape=(size, size)
+    ).tocsc()
+    loads = np.ones((size, 8))
+    spent = []
+    for _ in range(3):
+        begin = clock()
+        splu(matrix).solve(loads)
+        spent.append(clock() - begin)
+    return min(spent)
 
 
-def _thresholds(design: Design) -> list[float]:
-    switch = design.switch.model_dump()
-    own = [float(switch["threshold_N"])]
-    return own + [float(item["threshold_N"]) for item in switch.get("regions", ())]
+def repeats(surface: Surface, markers: Markers) -> int:
+    """Identical sectors around the sensor by the positions of its markers; 1 without symmetry."""
+    lattice = markers.lattice
+    if lattice is None or lattice.columns < 2 or not surface.periodic[1] or any(surface.poles):
+        return 1
+    if len(lattice.rows_u) * lattice.columns != markers.count:
+        return 1
+    angle = 2.0 * np.pi / lattice.columns
+    turn = np.array(
+        [[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]]
+    )
+    here = markers.mid_mm.reshape(-1, lattice.columns, 3)
+    gap = np.abs(here @ turn.T - np.roll(here, -1, axis=1)).max()
+    return lattice.columns if gap < 1e-6 * np.abs(here).max() else 1
+
+
+def local_mesh_share(design: Design, surface: Surface, scope: Scope) -> float:
+    """Nodes of a mesh that is fine in the touched part only, over those of one fine everywhere."""
+    if any(surface.poles):
+        return 1.0
+    region, span = scope.touched, np.ptp(surface.domain, axis=1)
+    size = np.sort(np.ptp(surface.bounds_mm(), axis=0))[1] / 2.0
+    margin = MARGIN * float(np.sqrt(size * design.wall.thickness_mm))
+    metric = surface.metric(surface.domain.mean(axis=1)[None])[0]
+    share = 1.0
+    for axis in (0, 1):
+        if region.whole[axis]:
+            continue
+        part = float(region.high[axis] - region.low[axis]) % float(span[axis])
+        fine = part / float(span[axis])
+        fine += 2.0 * margin / (float(np.sqrt(metric[axis, axis])) * float(span[axis]))
+        share *= min(fine + (1.0 - fine) / LOCAL_COARSENING, 1.0)
+    return share

@@ -1,5 +1,6 @@
-"""The plan of a build: what runs, how finely, why and at what cost; what is left out."""
+"""The plan of a build: what runs, at which resolution, why and at what cost; what is left out."""
 
+import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -9,14 +10,34 @@ from phytac_design.design.scene import Scene
 from phytac_design.design.spec import Design
 from phytac_design.engine import cache
 from phytac_design.engine.stage import Context, Stage
-from phytac_design.layout import make_markers
 from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY
 from phytac_design.stages import STAGES
-from phytac_design.study.planning.cost import Cost, predict, probe
-from phytac_design.study.planning.counts import Counts, count, counts_of
-from phytac_design.study.planning.resolve import Resolved, resolve
-from phytac_design.study.planning.words import how_of, lost_by, why_of
+from phytac_design.study.planning.cost import Counts, Workload, features, machine_factor, predict
+from phytac_design.study.planning.resolve import STAGES_OF, Resolved, resolve
+from phytac_design.study.planning.unit_costs import MEMORY_MB, CPU_s
 
+LOST = {
+    "views": "no pictures; nothing is known of what the camera sees",
+    "switch": "no switch files",
+    "compare": "no comparison with straight rows",
+    "underload": "markers that hide or fuse under load are not known",
+    "resolution": "the smallest possible error of a force is not known",
+    "shell": "no STL, no 3MF",
+    "step": "no STEP",
+    "hardware": "no camera mount, cover, bar or connector",
+    "mold": "no molds",
+    "kit": "no calibration kit",
+    "printing": "print rules are not checked",
+    "bench": "no paint map, bill of materials or recipe",
+    "mesh": "no mesh for other solvers",
+    "response": "no matrices of a decoder",
+    "places": "no `auto`: koi_inverse errs by about 8 % of a force in the middle, auto by 2 %",
+    "twin": "no simulated data",
+    "decoder": "no forces",
+    "frames": "markers that the detector misses are not known",
+    "report": "no report page",
+}
+"""What is missing without a stage."""
 MESH_ERROR = 0.2
 """Error of a force by a mesh of one element per marker pitch, as a share of it; it falls with the
 square of their number. Set so that predictions cover the worst of 8 presses of `fingertip` on
@@ -36,14 +57,13 @@ class Row:
     action : str
         ``run``, ``cached`` or ``left out``.
     how : str
-        How finely, and of how much.
+        Resolution and amount.
     why : str
-        What asks for it, or for it no more.
+        Output or stage that needs it.
     seconds, memory_MB : float
-        Predicted cost; 0 from the cache. Of a stage that is left out, what it would have cost in
-        the whole build.
+        Predicted cost; 0 from the cache. Of a stage that is left out, its cost in the whole build.
     loses : str
-        What leaving out, or limiting, costs.
+        What is missing because the stage is left out or limited.
     """
 
     stage: str
@@ -122,92 +142,70 @@ def plan_scene(
     Parameters
     ----------
     speed : float, optional
-        As of :func:`cost.probe`; probed if not given.
+        As of :func:`cost.machine_factor`; measured if not given.
 
     Raises
     ------
     DesignError
-        If the scene does not go with the design.
+        If the scene does not fit the design.
     """
     resolved = resolve(design, scene, accuracy)
-    slow = probe() if speed is None else speed
-    counts = counts_of(resolved)
-    surface = design.surface()
-    whole = count(design, accuracy, surface, make_markers(design, surface))
-    names = [stage.name for stage in STAGES]
-    full = predict(names, whole, accuracy, design, speed=slow)
-    mine = predict(names, counts, resolved.accuracy, resolved.design, resolved.scene, speed=slow)
-    cached = cached_stages(resolved, seed)
-    chosen = {stage.name for stage in resolved.stages}
-    rows = tuple(
-        _row(name, resolved, counts, chosen, cached, mine[name] if name in chosen else full[name])
-        for name in names
+    slow = machine_factor(time.process_time) if speed is None else speed
+    counts = Workload(resolved.design).counts(
+        resolved.accuracy,
+        scene=resolved.scene,
+        scope=resolved.scope,
+        in_play=int(resolved.in_play.sum()),
     )
+    whole = Workload(design).counts(accuracy)
+    full_amounts = features(whole, accuracy, design)
+    amounts = features(counts, resolved.accuracy, resolved.design, resolved.scene)
+    full_s, full_MB = predict(CPU_s, full_amounts), predict(MEMORY_MB, full_amounts)
+    own_s, own_MB = predict(CPU_s, amounts), predict(MEMORY_MB, amounts)
+    cached = cached_stages(resolved.context(seed), resolved.stages)
+    chosen = {stage.name for stage in resolved.stages}
+    rows = []
+    for name in (stage.name for stage in STAGES):
+        action = "left out" if name not in chosen else "cached" if name in cached else "run"
+        seconds, memory = (own_s, own_MB) if name in chosen else (full_s, full_MB)
+        rows.append(
+            Row(
+                stage=name,
+                action=action,
+                how=how_of(name, resolved, counts) if name in chosen else "",
+                why=why_of(name, resolved),
+                seconds=0.0 if action == "cached" else slow * seconds[name],
+                memory_MB=0.0 if action == "cached" else memory[name],
+                loses=lost_by(name, resolved, counts),
+            )
+        )
     return Plan(
         resolved=resolved,
-        rows=rows,
+        rows=tuple(rows),
         counts=counts,
         whole_counts=whole,
-        whole_seconds=sum(cost.seconds for cost in full.values()),
-        whole_memory_MB=max(cost.memory_MB for cost in full.values()),
+        whole_seconds=slow * sum(full_s.values()),
+        whole_memory_MB=max(full_MB.values()),
         error=predicted_error(resolved) if "decoder" in chosen else {},
     )
 
 
-def context_of(resolved: Resolved, seed: int = 0) -> Context:
-    """Context of a scene's stages."""
-    return Context(
-        design=resolved.design,
-        accuracy=resolved.accuracy,
-        seed=seed,
-        scene=resolved.scene,
-        progress=lambda _: None,
-    )
-
-
-def cached_stages(resolved: Resolved, seed: int) -> set[str]:
-    """Stages whose results lie in the cache."""
-    context = context_of(resolved, seed)
+def cached_stages(context: Context, stages: Sequence[Stage]) -> frozenset[str]:
+    """Stages whose results are in the cache; their folders are added to the context."""
     keys: dict[str, str] = {}
-    found = set()
-    stages: Sequence[Stage] = resolved.stages
     for stage in stages:
-        keys[stage.name] = cache.stage_key(stage.name, stage.inputs(context, keys))
-        folder = cache.lookup(stage.name, keys[stage.name])
+        key = keys[stage.name] = cache.stage_key(stage.name, stage.inputs(context, keys))
+        folder = cache.lookup(stage.name, key)
         if folder is not None:
             context.folders[stage.name] = folder
-            found.add(stage.name)
-    return found
-
-
-def _row(
-    name: str,
-    resolved: Resolved,
-    counts: Counts,
-    chosen: set[str],
-    cached: set[str],
-    cost: Cost,
-) -> Row:
-    action = "left out"
-    if name in chosen:
-        action = "cached" if name in cached else "run"
-    free = action == "cached"
-    return Row(
-        stage=name,
-        action=action,
-        how=how_of(name, resolved, counts) if name in chosen else "",
-        why=why_of(name, resolved),
-        seconds=0.0 if free else cost.seconds,
-        memory_MB=0.0 if free else cost.memory_MB,
-        loses=lost_by(name, resolved, counts),
-    )
+    return frozenset(context.folders)
 
 
 def predicted_error(resolved: Resolved) -> dict[str, float]:
-    """Parts of the error of a force in the regions, by `auto`, without noise, as shares of it.
+    """Relative force error of `auto` in the regions, without noise: its parts and the total.
 
-    Linear theory errs by what the pilot found, with its safety; the powers of the force up to k by
-    about the k-th power of what it found, as the terms of a geometric series do.
+    Linear theory has the error of the pilot, with its safety factor; a series of k powers of the
+    force about the k-th power of that error, as the terms of a geometric series have.
     """
     off, accuracy = min(resolved.linear_error, 1.0), resolved.accuracy
     orders = accuracy.place_orders
@@ -219,3 +217,66 @@ def predicted_error(resolved: Resolved) -> dict[str, float]:
         "table": TABLE_ERROR * (accuracy.place_share / 0.55) ** 3,
     }
     return parts | {"force": sum(value**2 for value in parts.values()) ** 0.5}
+
+
+def how_of(name: str, resolved: Resolved, counts: Counts) -> str:
+    """Resolution and amount of a stage."""
+    accuracy, scene = resolved.accuracy, resolved.scene
+    played = f"{counts.in_play} of {counts.markers} receptors"
+    sector = f", one of {counts.repeats} sectors solved" if counts.repeats > 1 else ""
+    pictures = "pictures" if scene.pictures else "no pictures"
+    theory = "linear" if accuracy.press_tolerance >= 1.0 else "large where linear is not enough"
+    powers = "1 power" if accuracy.place_orders == 1 else f"{accuracy.place_orders} powers"
+    local = ", fine in the regions alone" if resolved.scope else ""
+    networks = "networks trained" if scene.networks else "no networks"
+    solid = f"{counts.markers} receptors, chords within {accuracy.cad_tolerance_mm:g} mm"
+    texts = dict.fromkeys(("shell", "hardware", "mold", "kit", "printing", "bench"), solid) | {
+        "views": f"{counts.markers} markers, {counts.megapixels:.1f} Mpx, {pictures}",
+        "underload": f"{counts.presses} presses on {counts.nodes} nodes, {theory}",
+        "resolution": f"{played}, {counts.nodes} nodes",
+        "mesh": f"{counts.nodes} nodes",
+        "response": f"{played}, {counts.nodes} nodes, {counts.response_loads} loads{sector}",
+        "places": f"{counts.places} places, {counts.place_solves} solved, {powers} of the force, "
+        f"{counts.nodes} nodes",
+        "twin": f"{counts.contacts} contacts, {counts.twin_loads} loads, {counts.truth_nodes} "
+        f"nodes{local}",
+        "decoder": f"{played}, {networks}, {scene.estimator}",
+        "frames": f"{counts.frames} frames of {counts.megapixels:.1f} Mpx",
+    }
+    return texts.get(name, f"{counts.markers} receptors")
+
+
+def why_of(name: str, resolved: Resolved) -> str:
+    """Output or stage that needs a stage."""
+    outputs = [o for o in resolved.scene.outputs if name in STAGES_OF[o]]
+    if outputs:
+        return "output " + ", ".join(outputs)
+    readers = [stage.name for stage in resolved.stages if name in stage.needs]
+    if readers:
+        return "read by " + ", ".join(readers)
+    if name == "places" and "decoder" in {stage.name for stage in resolved.stages}:
+        return resolved.why.get("estimator", "the estimator does not need it")
+    return "no output needs it"
+
+
+def lost_by(name: str, resolved: Resolved, counts: Counts) -> str:
+    """What is missing because a stage is left out or limited; "" if nothing."""
+    scene, limited = resolved.scene, resolved.scope is not None
+    if name not in {stage.name for stage in resolved.stages}:
+        return LOST[name]
+    outside = counts.markers - counts.in_play
+    texts = {
+        "views": "" if scene.pictures else "no pictures",
+        "response": f"no forces on {outside} receptors, listed in the decoder's limits"
+        if outside
+        else "",
+        "places": "none in the regions, whose places are the whole table's; no forces outside"
+        if limited
+        else "",
+        "twin": ""
+        if scene.samples
+        else "evaluated on few contacts; the mesh is coarse outside the regions",
+        "decoder": "" if scene.networks else "no networks of the paper",
+        "underload": "no presses outside the regions" if limited else "",
+    }
+    return texts.get(name, "")

@@ -1,20 +1,20 @@
-"""A scene on a design: which stages, with which settings, of which variant of the design; why."""
+"""A scene applied to a design: the stages, their settings, the variant of the design, and why."""
 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from phytac_decoder.camera.camera import Camera
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.scene import ContactSection, Scene
 from phytac_design.design.spec import Design
-from phytac_design.engine.stage import Stage
+from phytac_design.engine.stage import Context, Stage
 from phytac_design.layout import Markers, make_markers
-from phytac_design.layout.cameras import cameras_of
-from phytac_design.optics.fixture_bodies import fixture_mesh
+from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY, check_linear
+from phytac_design.mechanics.meshing.mesh import marker_size_mm, plain_mesh
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
 from phytac_design.simulation.scene_scope import Scope, windows_of
 from phytac_design.stages import STAGES
-from phytac_design.study.planning.pilot import linear_error
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray
 from phytac_shapes.errors import DesignError
@@ -33,12 +33,26 @@ STAGES_OF: dict[str, tuple[str, ...]] = {
     "report": ("report",),
 }
 """Stages that make each output; those that they read from come with them."""
-AUTO_ms, INVERSE_ms = 1.6, 0.8
-"""Time of one core per contact by `auto`, and per frame by `koi_inverse` (measured, p50)."""
-POWERS = 4
-"""Of the force, in the tables of `auto`, where linear theory is not enough."""
-EYES_ms, EYES_ms_Mpx = 0.8, 0.45
-"""Time of one core to find markers in a frame: for any, and more per megapixel (measured, p50)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecoderLatency:
+    """Time of one core to decode a frame, ms; medians of the decoder benchmark.
+
+    Attributes
+    ----------
+    detection_ms, detection_ms_Mpx : float
+        To find the markers: constant, and per megapixel.
+    auto_ms : float
+        Per contact, by `auto`.
+    inverse_ms : float
+        Per frame, by the other estimators.
+    """
+
+    detection_ms: float = 0.8
+    detection_ms_Mpx: float = 0.45
+    auto_ms: float = 1.6
+    inverse_ms: float = 0.8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +62,7 @@ class Resolved:
     Attributes
     ----------
     design : Design
-        With the scene's contacts and camera in it, and without fixtures that hide nothing.
+        With the scene's contacts and camera.
     scene : Scene
         Its contacts filled in from the design, its estimator chosen.
     accuracy : Accuracy
@@ -62,10 +76,10 @@ class Resolved:
     in_play : (n,) bool
         Receptors that contacts can trip.
     linear_error : float
-        Of linear theory at the greatest force, over the greatest motion (pilot); NaN if nobody
-        asks.
+        Of linear theory at the largest force, over the largest motion (pilot); NaN if no stage
+        needs it.
     why : dict
-        Reasons, by stage or by what was decided.
+        Reasons, by decision.
     """
 
     design: Design
@@ -79,14 +93,24 @@ class Resolved:
     linear_error: float
     why: dict[str, str] = field(default_factory=dict)
 
+    def context(self, seed: int = 0) -> Context:
+        """Context of the stages, without results."""
+        return Context(
+            design=self.design,
+            accuracy=self.accuracy,
+            seed=seed,
+            scene=self.scene,
+            progress=lambda _: None,
+        )
+
 
 def resolve(design: Design, scene: Scene, accuracy: Accuracy) -> Resolved:
-    """Work out what a scene needs of a design.
+    """Stages and settings that a scene needs of a design.
 
     Raises
     ------
     DesignError
-        If the scene does not go with the design.
+        If the scene does not fit the design.
     """
     why: dict[str, str] = {}
     design = _with_contacts(_with_camera(design, scene, why), scene)
@@ -118,8 +142,6 @@ def resolve(design: Design, scene: Scene, accuracy: Accuracy) -> Resolved:
             )
     stages = _stages(scene)
     names = {stage.name for stage in stages}
-    if not names & {"hardware", "report", "printing"} and not scene.pictures:
-        design = _without_idle_fixtures(design, surface, markers, why)
     off = float("nan")
     if names & {"places", "underload"}:
         off = linear_error(design, surface, markers, scope)
@@ -183,15 +205,18 @@ def _with_contacts(design: Design, scene: Scene) -> Design:
 
 
 def latency_ms(design: Design, scene: Scene, estimator: str) -> float:
-    """Time of one core from a frame to forces, predicted, ms."""
-    camera = design.camera
-    pixels = len(camera.end_numbers) * camera.width_px * camera.height_px / 1e6
-    eyes = EYES_ms * len(camera.end_numbers) + EYES_ms_Mpx * pixels
-    return eyes + (AUTO_ms * scene.contacts.at_once if estimator == "auto" else INVERSE_ms)
+    """Predicted time of one core from a frame to forces, ms."""
+    camera, latency = design.camera, DecoderLatency()
+    count = len(camera.end_numbers)
+    pixels = count * camera.width_px * camera.height_px / 1e6
+    detection = latency.detection_ms * count + latency.detection_ms_Mpx * pixels
+    if estimator == "auto":
+        return detection + latency.auto_ms * scene.contacts.at_once
+    return detection + latency.inverse_ms
 
 
 def _estimator(design: Design, scene: Scene, why: dict[str, str]) -> str:
-    """Estimator of the decoder; `auto` unless it is too slow for the frames."""
+    """Estimator of the decoder; `auto` unless it is too slow for the frame rate."""
     rate = scene.frame_rate_Hz
     budget = float("inf") if rate is None else 1e3 / rate
     chosen = scene.estimator
@@ -202,12 +227,12 @@ def _estimator(design: Design, scene: Scene, why: dict[str, str]) -> str:
         why["estimator"] = f"{chosen}: latency does not matter here ({takes:.1f} ms a frame)"
     else:
         how = "within" if takes <= budget else "longer than"
-        why["estimator"] = f"{chosen}: {takes:.1f} ms a frame, {how} the {budget:.1f} ms there are"
+        why["estimator"] = f"{chosen}: {takes:.1f} ms a frame, {how} the {budget:.1f} ms available"
     return chosen
 
 
 def _stages(scene: Scene) -> tuple[Stage, ...]:
-    """Stages that the scene's outputs need, each without what it can do without."""
+    """Stages that the scene's outputs need, each with the dependencies that it needs."""
     wanted = {name for output in scene.outputs for name in STAGES_OF[output]}
     chosen: list[Stage] = []
     for stage in reversed(STAGES):
@@ -222,56 +247,38 @@ def _stages(scene: Scene) -> tuple[Stage, ...]:
 
 
 def _theory(accuracy: Accuracy, scene: Scene, off: float, why: dict[str, str]) -> Accuracy:
-    """Linear theory where the pilot says that it is within half of the error allowed."""
+    """Linear theory where the pilot's error is within half of the error allowed, else a series."""
+    orders = 4
     linear = off <= scene.error_allowed / 2.0
     force = scene.contacts.force_max_N
     what = f"linear theory is off by up to {100.0 * off:.2g} % at {force:g} N"
     if linear:
         why["theory"] = f"linear: {what}, the scene allows {100.0 * scene.error_allowed:g} %"
         return replace(accuracy, place_orders=1, press_tolerance=1.0)
-    why["theory"] = f"{what}: {POWERS} powers of the force, presses by large displacement"
+    why["theory"] = f"{what}: {orders} powers of the force, presses by large displacement"
     allowed = scene.error_allowed
     press = max(min(accuracy.press_tolerance, allowed), allowed / 2.0)
-    return replace(accuracy, place_orders=POWERS, press_tolerance=press)
+    return replace(accuracy, place_orders=orders, press_tolerance=press)
 
 
-def _without_idle_fixtures(
-    design: Design, surface: Surface, markers: Markers, why: dict[str, str]
-) -> Design:
-    """Drop fixtures whose picture overlaps no receptor's: they can hide none."""
-    if not design.fixtures:
-        return design
-    cameras = cameras_of(design, surface)
-    kept = tuple(
-        fixture
-        for fixture in design.fixtures
-        if any(
-            _overlaps(camera, fixture_mesh(fixture, tolerance_mm=0.1).vertices, design, markers)
-            for camera in cameras
-        )
+def linear_error(design: Design, surface: Surface, markers: Markers, scope: Scope | None) -> float:
+    """Error of linear theory at the largest force, over the largest motion, with its safety factor.
+
+    The worst of up to three presses on a coarse mesh: in the middle of each region, or of the whole
+    surface, where the wall is softest. Takes less than a second.
+    """
+    mesh = plain_mesh(
+        surface,
+        thickness_mm=design.wall.thickness_mm,
+        size_mm=marker_size_mm(surface, markers.count, refine=2),
     )
-    if len(kept) < len(design.fixtures):
-        names = ", ".join(f.name for f in design.fixtures if f not in kept)
-        why["fixtures"] = f"left out, they hide no receptor: {names}"
-    return design.model_copy(update={"fixtures": kept})
-
-
-def _overlaps(
-    camera: Camera,
-    vertices_mm: "np.ndarray[tuple[int, ...], np.dtype[np.float64]]",
-    design: Design,
-    markers: Markers,
-) -> bool:
-    """Whether the box around a body's picture meets that around any receptor's; True if unsure."""
-    if not camera.sees(vertices_mm).all():
-        return True
-    body = camera.project(vertices_mm)
-    radius = design.receptor.diameter_outer_mm / 2.0
-    corners = np.stack([s * radius * axis for s in (-1.0, 1.0) for axis in np.eye(3)])
-    ends = np.stack([markers.tip_mm, markers.foot_mm])
-    cloud = (ends[:, :, None] + corners).swapaxes(0, 1).reshape(markers.count, -1, 3)
-    pixels = camera.project(cloud.reshape(-1, 3)).reshape(markers.count, -1, 2)
-    if not np.isfinite(pixels).all():
-        return True
-    apart = (pixels.max(axis=1) < body.min(axis=0)) | (pixels.min(axis=1) > body.max(axis=0))
-    return bool((~apart.any(axis=1)).any())
+    model = sensor_model(design, markers, mesh, receptors=not unknown_receptors(design))
+    training = design.training
+    radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
+    if scope is None:
+        places = surface.domain.mean(axis=1)[None]
+    else:
+        places = np.array([window.at(np.array([[0.5, 0.5]]))[0] for window in scope.windows[:3]])
+    loads = training.force_max_N * patch_loads(mesh, surface, places, radius).toarray()
+    errors = [check_linear(model, loads[:, k]).error for k in range(len(places))]
+    return LINEAR_ERROR_SAFETY * float(max(errors))

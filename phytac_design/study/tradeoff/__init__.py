@@ -1,1 +1,1 @@
-"""The trade of time for truth: every knob measured, and settings chosen by what they lose."""
+"""The trade of speed for accuracy: every setting measured, and settings chosen by their error."""

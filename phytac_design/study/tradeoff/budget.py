@@ -1,126 +1,101 @@
-"""The best setting in a given time: planned by the cost model, and again after every few stages.
+"""The finest setting that is built within a time: planned, and planned again between stages.
 
-Settings rise on a ladder. A build goes through groups of stages; before each the rung is chosen
-anew as the highest whose stages, with all that are still to come at that rung, fit what is left of
-the time. What has run corrects the model, so that only the last stages are a guess.
+Settings are ordered in levels from the cheapest to the finest. A build runs in groups of stages;
+before each group the level is chosen again as the finest whose remaining stages fit the remaining
+time. Measured times correct the cost model.
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from phytac_design.design.accuracy import PRESETS, Accuracy
 from phytac_design.design.spec import Design
-from phytac_design.engine import cache
 from phytac_design.engine.stage import Context
 from phytac_design.stages import STAGES
 from phytac_design.stages.build import run_stages, select_stages
-from phytac_design.study.tradeoff.cost import Work, machine_factor, predict
+from phytac_design.study.planning.cost import Workload, machine_factor
+from phytac_design.study.planning.plan import cached_stages
+from phytac_design.study.tradeoff.choose import wall_seconds
 from phytac_shapes.errors import DesignError
 
 Progress = Callable[[str], None]
-GROUPS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
-    (("views", "switch", "compare"), ()),
-    (
-        ("mesh", "response", "resolution", "places"),
-        ("refine", "receptors", "place_share", "place_orders"),
-    ),
-    (("underload",), ("press_places", "press_tolerance")),
-    (
-        ("shell", "step", "hardware", "mold", "kit", "printing", "bench"),
-        ("cad_tolerance_mm", "print_tools"),
-    ),
-    (("twin", "decoder"), ("truth_refine", "sample_share")),
-    (("frames", "report"), ("frames",)),
+GROUPS = (
+    ("views", "switch", "compare"),
+    ("mesh", "response", "resolution", "places"),
+    ("underload",),
+    ("shell", "step", "hardware", "mold", "kit", "printing", "bench"),
+    ("twin", "decoder"),
+    ("frames", "report"),
 )
-"""Stages that run together, and the knobs that are settled before them."""
-
-
-def _rung(
-    base: Accuracy, mechanics: tuple[int, int, float], load: tuple[int, float], **more: Any
-) -> Accuracy:
-    refine, orders, share = mechanics
-    return replace(
-        base,
-        refine=refine,
-        place_orders=orders,
-        place_share=share,
-        press_places=load[0],
-        press_tolerance=load[1],
-        **more,
-    )
-
-
+"""Stages that run together; their settings are fixed before each group."""
 DRAFT, STANDARD, FINE = (PRESETS[name] for name in ("draft", "standard", "fine"))
-LADDER: tuple[Accuracy, ...] = (
-    _rung(DRAFT, (2, 1, 1.2), (4, 1.0), cad_tolerance_mm=0.1, sample_share=0.1, frames=2),
+COARSE = replace(DRAFT, refine=4, place_orders=3, cad_tolerance_mm=0.02, frames=10)
+LEVELS: tuple[Accuracy, ...] = (
+    replace(
+        DRAFT,
+        refine=2,
+        place_share=1.2,
+        press_places=4,
+        cad_tolerance_mm=0.1,
+        sample_share=0.1,
+        frames=2,
+    ),
     DRAFT,
-    _rung(DRAFT, (3, 3, 0.8), (8, 1.0)),
-    _rung(DRAFT, (4, 3, 0.8), (8, 1.0), cad_tolerance_mm=0.02, frames=10),
-    _rung(DRAFT, (4, 3, 0.8), (20, 1.0), cad_tolerance_mm=0.02, truth_refine=7, frames=20),
-    _rung(STANDARD, (4, 4, 0.55), (20, 0.05), truth_refine=7, frames=30),
+    replace(DRAFT, place_orders=3),
+    COARSE,
+    replace(COARSE, press_places=20, truth_refine=7, frames=20),
+    replace(STANDARD, place_share=0.55, press_places=20, truth_refine=7, frames=30),
     STANDARD,
-    _rung(STANDARD, (5, 4, 0.55), (60, 0.05), truth_refine=11, frames=75),
+    replace(STANDARD, refine=5, place_share=0.55, press_places=60, truth_refine=11, frames=75),
     FINE,
 )
 """Settings from the cheapest to the finest."""
 MARGIN = 1.08
-"""Factor on what is still to come."""
-PRIOR_s = 4.0
-"""Seconds that the machine's probe counts like when it is held against what has run."""
+"""Factor on the time of stages that are still to run."""
+PROBE_WEIGHT_s = 4.0
+"""Seconds of measured stages that the machine's probe counts as."""
 
 
 @dataclass(kw_only=True)
-class Plan:
-    """A build in a given time, as far as it has come.
+class BudgetPlan:
+    """A build within a time, and its progress.
 
     Attributes
     ----------
-    design : Design
-        The sensor.
     budget_s : float
         Wall seconds from ``begin`` on.
-    seed : int
-        Of the build.
     begin : float
         ``time.perf_counter()`` at its start.
     factor : float
-        Seconds of this machine over the model's.
+        Seconds of this machine over the cost model's.
     setting : Accuracy
-        What has been settled; the rest is of the first plan.
+        Settings that are fixed; the others are of the first plan.
     """
 
-    design: Design
+    work: Workload
     budget_s: float
     seed: int
     begin: float
-    work: Work
     factor: float
-    setting: Accuracy
+    setting: Accuracy = LEVELS[0]
 
-    @property
-    def left_s(self) -> float:
-        """What is left of the budget."""
-        return self.budget_s - (time.perf_counter() - self.begin)
-
-
-def cached_stages(design: Design, setting: Accuracy, seed: int) -> frozenset[str]:
-    """Stages whose results are in the cache."""
-    context = Context(design=design, accuracy=setting, seed=seed, progress=lambda _: None)
-    keys: dict[str, str] = {}
-    for stage in STAGES:
-        key = keys[stage.name] = cache.stage_key(stage.name, stage.inputs(context, keys))
-        folder = cache.lookup(stage.name, key)
-        if folder is not None:
-            context.folders[stage.name] = folder
-    return frozenset(context.folders)
+    def seconds(self, setting: Accuracy) -> dict[str, float]:
+        """Predicted wall seconds of each stage; 0 for those in the cache."""
+        context = Context(
+            design=self.work.design, accuracy=setting, seed=self.seed, progress=lambda _: None
+        )
+        cached = cached_stages(context, STAGES)
+        return {
+            name: 0.0 if name in cached else self.factor * seconds
+            for name, seconds in wall_seconds(self.work, setting).items()
+        }
 
 
 def choose_budget(
     design: Design, budget_s: float, *, seed: int = 0
-) -> tuple[Plan, dict[str, float]]:
-    """Find the finest rung that is predicted to be built in a time, and seconds of its stages.
+) -> tuple[BudgetPlan, dict[str, float]]:
+    """Find the finest level that is predicted to be built in a time, and seconds of its stages.
 
     Raises
     ------
@@ -129,92 +104,78 @@ def choose_budget(
     """
     if not 0.0 < budget_s < float("inf"):
         raise DesignError(f"the budget must be above 0 s (got {budget_s:g} s)")
-    begin = time.perf_counter()
-    work, factor = Work(design), machine_factor()
-    plan = Plan(
-        design=design,
+    plan = BudgetPlan(
+        work=Workload(design),
         budget_s=budget_s,
         seed=seed,
-        begin=begin,
-        work=work,
-        factor=factor,
-        setting=LADDER[0],
+        begin=time.perf_counter(),
+        factor=machine_factor(),
     )
-    # What is in the cache may make a finer rung cheaper than the first.
-    each = [_predicted(plan, rung) for rung in LADDER]
-    for rung, seconds in zip(reversed(LADDER), reversed(each), strict=True):
-        if MARGIN * sum(seconds.values()) <= budget_s:
-            plan.setting = rung
-            return plan, seconds
-    least = min(each, key=lambda seconds: sum(seconds.values()))
-    if sum(least.values()) <= budget_s:
-        plan.setting = LADDER[each.index(least)]
-        return plan, least
-    costly = sorted(least, key=least.__getitem__)[-3:][::-1]
-    parts = ", ".join(f"{name} {least[name]:.1f} s" for name in costly)
-    raise DesignError(
-        f"no setting of this design is built in {budget_s:g} s: the cheapest is predicted to "
-        f"take {sum(least.values()):.0f} s here ({parts}); allow that, or build some stages "
-        "with --only"
-    )
+    # Cached results may make a finer level cheaper than the first.
+    each = [plan.seconds(level) for level in LEVELS]
+    total = [sum(seconds.values()) for seconds in each]
+    fitting = [k for k, seconds in enumerate(total) if MARGIN * seconds <= budget_s]
+    cheapest = total.index(min(total))
+    if not fitting and total[cheapest] > budget_s:
+        parts = each[cheapest]
+        costly = sorted(parts, key=parts.__getitem__)[-3:][::-1]
+        listed = ", ".join(f"{name} {parts[name]:.1f} s" for name in costly)
+        raise DesignError(
+            f"no setting of this design is built in {budget_s:g} s: the cheapest is predicted to "
+            f"take {total[cheapest]:.0f} s here ({listed}); allow that, or build some stages "
+            "with --only"
+        )
+    chosen = fitting[-1] if fitting else cheapest
+    plan.setting = LEVELS[chosen]
+    return plan, each[chosen]
 
 
-def _predicted(plan: Plan, setting: Accuracy) -> dict[str, float]:
-    known = cached_stages(plan.design, setting, plan.seed)
-    return predict(plan.work, setting, factor=plan.factor, cached=known)
+def run_budget(plan: BudgetPlan, *, force: bool, progress: Progress) -> dict[str, float]:
+    """Run all stages into the cache, group by group; ``plan.setting`` is what they ran with.
 
-
-def run_plan(
-    plan: Plan, *, force: bool, progress: Progress, ran: dict[str, float] | None = None
-) -> Accuracy:
-    """Run all stages into the cache, group by group; return the setting they were run with.
-
-    Parameters
-    ----------
-    plan : Plan
-        Of :func:`choose_budget`.
-    force : bool
-        Go on where a stage objects.
-    ran : dict, optional
-        Filled with the seconds of stages that ran.
+    Returns
+    -------
+    ran : dict
+        Wall seconds of the stages that ran.
     """
-    ran = {} if ran is None else ran
-    raw = 0.0
-    prior = plan.factor
-    for number, (names, _) in enumerate(GROUPS):
+    ran: dict[str, float] = {}
+    modelled, prior = 0.0, plan.factor
+    for number, names in enumerate(GROUPS):
         plan.setting = _replanned(plan, number)
-        foretold = predict(plan.work, plan.setting)
-        stages = select_stages(names)
+        model = wall_seconds(plan.work, plan.setting)
         _, done, timing = run_stages(
-            plan.design,
-            stages,
+            plan.work.design,
+            select_stages(names),
             accuracy=plan.setting,
             seed=plan.seed,
             force=force,
             progress=progress,
         )
         ran |= {name: timing[name] for name in done}
-        raw += sum(foretold[name] for name in done)
-        plan.factor = (PRIOR_s * prior + sum(ran.values())) / (PRIOR_s + raw)
-    return plan.setting
+        modelled += sum(model[name] for name in done)
+        weight = PROBE_WEIGHT_s
+        plan.factor = (weight * prior + sum(ran.values())) / (weight + modelled)
+    return ran
 
 
-def _replanned(plan: Plan, number: int) -> Accuracy:
-    """Setting with the knobs of group ``number`` and later of the highest rung that fits."""
-    later = {knob for _, knobs in GROUPS[number:] for knob in knobs}
-    ahead = {name for names, _ in GROUPS[number:] for name in names}
-    least: tuple[float, Accuracy] | None = None
-    for rung in reversed(LADDER):
-        setting = _with(plan.setting, rung, later)
-        seconds = _predicted(plan, setting)
+def _replanned(plan: BudgetPlan, number: int) -> Accuracy:
+    """Setting with the fields of group ``number`` and later from the finest level that fits."""
+    done, ahead = (
+        [name for names in part for name in names] for part in (GROUPS[:number], GROUPS[number:])
+    )
+    open_fields = fields_used_by(ahead) - fields_used_by(done)
+    left_s = max(plan.budget_s - (time.perf_counter() - plan.begin), 0.0)
+    tried = []
+    for level in reversed(LEVELS):
+        setting = replace(plan.setting, **{name: getattr(level, name) for name in open_fields})
+        seconds = plan.seconds(setting)
         spent = MARGIN * sum(seconds[name] for name in ahead)
-        if spent <= max(plan.left_s, 0.0):
+        if spent <= left_s:
             return setting
-        if least is None or spent <= least[0]:
-            least = spent, setting
-    return least[1] if least else plan.setting
+        tried.append((spent, setting))
+    return min(reversed(tried), key=lambda pair: pair[0])[1]
 
 
-def _with(settled: Accuracy, rung: Accuracy, knobs: set[str]) -> Accuracy:
-    values: Mapping[str, Any] = rung.as_dict()
-    return replace(settled, **{knob: values[knob] for knob in knobs})
+def fields_used_by(names: Sequence[str]) -> set[str]:
+    """Fields of the settings that some stages depend on."""
+    return {field for stage in STAGES if stage.name in names for field in stage.knobs}

@@ -1,4 +1,4 @@
-"""Builds to a tolerance or in a time, and what became of the promise."""
+"""Builds to a tolerance or within a time, with predicted and achieved error and time."""
 
 import json
 import time
@@ -11,7 +11,7 @@ from phytac_design.core.json_values import finite
 from phytac_design.design.spec import Design
 from phytac_design.rules.check import check_design
 from phytac_design.stages.build import BuildResult, build
-from phytac_design.study.tradeoff.budget import choose_budget, run_plan
+from phytac_design.study.tradeoff.budget import choose_budget, run_budget
 from phytac_design.study.tradeoff.choose import Choice, achieved, choose_tolerance
 from phytac_design.study.tradeoff.force import ForceError
 from phytac_design.study.tradeoff.settings import Quantity
@@ -19,7 +19,7 @@ from phytac_shapes.errors import DesignError, OutputError
 
 Progress = Callable[[str], None]
 AUDIT = Path("report") / "trade.json"
-"""Where a build's folder says what was promised and what came."""
+"""File of a build with predicted and achieved error and time."""
 
 
 def build_to(
@@ -29,14 +29,13 @@ def build_to(
     tolerance: float | None = None,
     of: Quantity = "force",
     budget_s: float | None = None,
-    audited: bool = True,
     seed: int = 0,
     force: bool = False,
     progress: Progress = print,
 ) -> tuple[BuildResult, Choice]:
     """Build with the cheapest setting within a tolerance, or the finest within a time.
 
-    Writes ``report/trade.json``: predicted against achieved.
+    Writes ``report/trade.json``: predicted and achieved error and time.
 
     Parameters
     ----------
@@ -47,57 +46,55 @@ def build_to(
     tolerance : float, optional
         Relative error, as a fraction.
     of : str
-        What the tolerance is of: ``force``, ``visibility``, ``volume``.
+        Quantity of the tolerance: ``force``, ``visibility``, ``volume``.
     budget_s : float, optional
-        Wall seconds of the build. One of the two must be given, not both.
-    audited : bool
-        Whether the error of a tolerance is held against the reference when all is built.
+        Wall seconds of the build. Exactly one of the two must be given.
 
     Raises
     ------
     DesignError
-        If the design cannot be built, or no setting will do.
+        If the design cannot be built, or no setting is within the tolerance or budget.
     """
     if (tolerance is None) == (budget_s is None):
         raise DesignError("give a tolerance or a budget, and not both")
     check_design(design)
     if budget_s is not None:
-        return _in_time(design, out, budget_s, seed=seed, force=force, progress=progress)
+        return _within_time(design, out, budget_s, seed=seed, force=force, progress=progress)
     error = ForceError(design)
     choice = choose_tolerance(design, tolerance or 0.0, of=of, error=error, progress=progress)
     result = build(design, out, accuracy=choice.accuracy, seed=seed, force=force, progress=progress)
-    choice = replace(choice, achieved_s={name: result.timing_s[name] for name in result.ran})
-    if audited:
-        progress(f"audit: the {of} error against the reference")
-        choice = replace(choice, achieved_error=achieved(choice, error))
+    progress(f"audit: the {of} error against the reference")
+    choice = replace(
+        choice,
+        achieved_s={name: result.timing_s[name] for name in result.ran},
+        achieved_error=achieved(choice, error),
+    )
     write_audit(out, choice, result.seconds)
     return result, choice
 
 
-def _in_time(
+def _within_time(
     design: Design, out: Path, budget_s: float, *, seed: int, force: bool, progress: Progress
 ) -> tuple[BuildResult, Choice]:
     plan, seconds = choose_budget(design, budget_s, seed=seed)
     first = plan.setting
-    ran: dict[str, float] = {}
-    final = run_plan(plan, force=force, progress=progress, ran=ran)
-    result = build(design, out, accuracy=final, seed=seed, force=force, progress=progress)
-    wall = time.perf_counter() - plan.begin
+    ran = run_budget(plan, force=force, progress=progress)
+    result = build(design, out, accuracy=plan.setting, seed=seed, force=force, progress=progress)
     result = replace(
         result,
         ran=tuple(name for name in result.timing_s if name in ran),
         cached=tuple(name for name in result.timing_s if name not in ran),
-        seconds=wall,
+        seconds=time.perf_counter() - plan.begin,
     )
     choice = Choice(
-        accuracy=final,
+        accuracy=plan.setting,
         quantity="time",
         wanted=budget_s,
         predicted_error=None,
         predicted_s=seconds,
         achieved_s=ran,
     )
-    write_audit(out, choice, wall, first_plan=first.as_dict())
+    write_audit(out, choice, result.seconds, first_plan=first.as_dict())
     return result, choice
 
 
@@ -119,27 +116,20 @@ def write_audit(out: Path, choice: Choice, wall_s: float, **more: Any) -> None:
 
 
 def audit_lines(choice: Choice, wall_s: float) -> list[str]:
-    """Predicted against achieved, for people."""
-    lines = []
-    if choice.predicted_error is not None:
-        came = "not looked at" if choice.achieved_error is None else _percent(choice.achieved_error)
-        lines.append(
-            f"{choice.quantity} error: wanted {_percent(choice.wanted)}, predicted "
-            f"{_percent(choice.predicted_error)}, achieved {came}"
+    """Predicted and achieved error and time, for people."""
+    first = f"time: wanted at most {choice.wanted:.0f} s, took {wall_s:.0f} s"
+    if choice.predicted_error is not None and choice.achieved_error is not None:
+        first = (
+            f"{choice.quantity} error: wanted {100.0 * choice.wanted:.3g} %, "
+            f"predicted {100.0 * choice.predicted_error:.3g} %, "
+            f"achieved {100.0 * choice.achieved_error:.3g} %"
         )
-    else:
-        lines.append(f"time: wanted at most {choice.wanted:.0f} s, took {wall_s:.0f} s")
     ran = sum(choice.achieved_s.values())
-    lines.append(f"stages: predicted {choice.seconds:.1f} s, took {ran:.1f} s")
-    return lines
-
-
-def _percent(value: float) -> str:
-    return f"{100.0 * value:.3g} %"
+    return [first, f"stages: predicted {choice.seconds:.1f} s, took {ran:.1f} s"]
 
 
 def read_tolerance(text: str) -> float:
-    """Tolerance as a fraction, of ``2%`` or ``0.02``.
+    """Tolerance as a fraction, from ``2%`` or ``0.02``.
 
     Raises
     ------
@@ -147,17 +137,14 @@ def read_tolerance(text: str) -> float:
         If it is neither.
     """
     plain = text.strip()
-    try:
-        value = float(plain.removesuffix("%")) / (100.0 if plain.endswith("%") else 1.0)
-    except ValueError:
-        value = float("nan")
+    value = _number(plain.removesuffix("%")) / (100.0 if plain.endswith("%") else 1.0)
     if not 0.0 < value <= 1.0:
         raise DesignError(f"a tolerance is above 0 and at most 100 %: 2% or 0.02 (got {text!r})")
     return value
 
 
 def read_seconds(text: str) -> float:
-    """Seconds of ``60s``, ``2min`` or ``60``.
+    """Seconds from ``60s``, ``2min`` or ``60``.
 
     Raises
     ------
@@ -165,11 +152,14 @@ def read_seconds(text: str) -> float:
         If it is none of these.
     """
     plain = text.strip().removesuffix("s")
-    factor = 60.0 if plain.endswith("min") else 1.0
-    try:
-        value = factor * float(plain.removesuffix("min"))
-    except ValueError:
-        value = float("nan")
+    value = _number(plain.removesuffix("min")) * (60.0 if plain.endswith("min") else 1.0)
     if not 0.0 < value < float("inf"):
         raise DesignError(f"a budget is a time above zero: 60s or 2min (got {text!r})")
     return value
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")

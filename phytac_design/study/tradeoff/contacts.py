@@ -1,26 +1,19 @@
-"""The standard contacts of a design: what the force error of a setting is measured on."""
+"""The standard contacts of a design, on which the force error of settings is measured."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from phytac_design.design.spec import Design
+from phytac_design.layout.arc import by_area
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.indenters import Touches, flat_touches
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
-COUNT = 16
-"""Contacts of the standard set."""
-LEAST_SHARE = 0.2
-"""The least force of the set over the design's greatest (5 N of 25 N)."""
-TRIED = 40
-"""Places looked at for each that is wanted; those beside a rim are passed over."""
-GRID = 129
-"""Points along each side of the chart that areas and rims are sampled at."""
-STEPS = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
-"""Powers of the inverse of the root of x⁴ = x + 1: the evenest additive sequence in 3 numbers."""
+EVEN_STEPS = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
+"""Steps of an even additive sequence in three dimensions: powers of 1/p, p⁴ = p + 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +25,7 @@ class StandardContacts:
     uv : (c, 2) float
         Places.
     force_N : (c,) float
-        Forces, from a fifth of the design's greatest to all of it.
+        Forces, from a fifth of the design's largest to all of it.
     radius_mm : float
         Of every patch.
     """
@@ -56,11 +49,11 @@ class StandardContacts:
         )
 
 
-def standard_contacts(design: Design, surface: Surface, count: int = COUNT) -> StandardContacts:
-    """Return places spread evenly over the area and away from the rims, forces spread evenly.
+def standard_contacts(design: Design, surface: Surface, count: int = 16) -> StandardContacts:
+    """Return contacts spread evenly over area and force, away from the rims.
 
-    The places stand at least one patch radius (its far side, that is) off every open edge, where
-    place and force are nearly degenerate. The same design always has the same contacts.
+    The places are at least a patch diameter away from every open edge, where place and force are
+    nearly degenerate. The same design always has the same contacts.
 
     Raises
     ------
@@ -69,50 +62,32 @@ def standard_contacts(design: Design, surface: Surface, count: int = COUNT) -> S
     """
     training = design.training
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
-    numbers = (0.5 + np.arange(1, count * TRIED + 1)[:, None] * STEPS) % 1.0
-    uv = even_places(surface, numbers[:, :2])
-    rim = rim_points(surface)
-    off = np.full(len(uv), np.inf)
-    for part in np.array_split(rim, max(len(rim) // 256, 1)):
-        gap = np.linalg.norm(surface.point(uv)[:, None] - part[None], axis=2)
-        off = np.minimum(off, gap.min(axis=1, initial=np.inf))
-    kept = np.flatnonzero(off >= 2.0 * radius)[:count]
+    # Forty candidates for each contact: those near a rim are skipped.
+    numbers = (0.5 + np.arange(1, 40 * count + 1)[:, None] * EVEN_STEPS) % 1.0
+    uv = by_area(surface, numbers[:, :2])
+    away = np.full(len(uv), np.inf)
+    for edge in rim_points(surface):
+        gap = np.linalg.norm(surface.point(uv)[:, None] - edge[None], axis=2)
+        away = np.minimum(away, gap.min(axis=1))
+    kept = np.flatnonzero(away >= 2.0 * radius)[:count]
     if len(kept) == 0:
         raise DesignError(
             f"no place on this sensor is {2.0 * radius:g} mm from its rims, so it has no standard "
             "contacts to measure a force error on; lower training.patch_radius_max_mm or make the "
             "sensor larger"
         )
-    least = max(training.force_min_N, LEAST_SHARE * training.force_max_N)
-    force = least + (training.force_max_N - least) * numbers[: len(kept), 2]
+    low = max(training.force_min_N, 0.2 * training.force_max_N)
+    force = low + (training.force_max_N - low) * numbers[: len(kept), 2]
     return StandardContacts(uv=uv[kept], force_N=force, radius_mm=radius)
 
 
-def even_places(surface: Surface, unit: FloatArray) -> FloatArray:
-    """Chart positions (n, 2) of points (n, 2) of the unit square, even over the outer area."""
-    (u0, u1), (v0, v1) = surface.domain
-    u, v = np.linspace(u0, u1, GRID), np.linspace(v0, v1, GRID)
-    grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
-    area = np.sqrt(np.maximum(np.linalg.det(surface.metric(grid)), 0.0)).reshape(GRID, GRID)
-    rows = area.mean(axis=1)
-    cumulated = np.append(0.0, np.cumsum((rows[1:] + rows[:-1]) / 2.0))
-    at_u = np.interp(unit[:, 0], cumulated / cumulated[-1], u)
-    at_v = np.empty(len(unit))
-    for k, place in enumerate(at_u):
-        own = area[int(np.clip(np.searchsorted(u, place), 0, GRID - 1))]
-        along = np.append(0.0, np.cumsum((own[1:] + own[:-1]) / 2.0))
-        share = along / along[-1] if along[-1] > 0.0 else np.linspace(0.0, 1.0, GRID)
-        at_v[k] = np.interp(unit[k, 1], share, v)
-    return np.column_stack([at_u, at_v])
-
-
-def rim_points(surface: Surface) -> FloatArray:
-    """Points (r, 3) along all open edges of the outer face, mm."""
-    parts = [np.zeros((0, 3))]
+def rim_points(surface: Surface, count: int = 129) -> list[FloatArray]:
+    """Points (count, 3) along each open edge of the outer face, mm."""
+    edges = []
     for axis, end in surface.edges():
-        uv = np.empty((GRID, 2))
+        uv = np.empty((count, 2))
         uv[:, axis] = surface.domain[axis, end]
         low, high = surface.domain[1 - axis]
-        uv[:, 1 - axis] = np.linspace(low, high, GRID)
-        parts.append(surface.point(uv))
-    return np.concatenate(parts)
+        uv[:, 1 - axis] = np.linspace(low, high, count)
+        edges.append(surface.point(uv))
+    return edges

@@ -1,20 +1,21 @@
-"""Fronts: settings that no other beats, and by how much a setting is beaten."""
+"""Pareto fronts of settings in time and error, and dominated settings."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from math import log
 from typing import Any
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """A setting with what it costs and loses.
+    """A setting with its cost and errors.
 
     Attributes
     ----------
     settings : dict
-        Knobs and their values.
+        Names and values.
     seconds, cpu_s, peak_MB : float
-        Wall and CPU time, and the greatest memory of any of its processes.
+        Wall and processor time, and the largest memory of its processes.
     errors : dict
         By quantity.
     """
@@ -24,10 +25,6 @@ class Measured:
     cpu_s: float
     peak_MB: float
     errors: Mapping[str, float]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values."""
-        return asdict(self)
 
 
 def pareto(points: Sequence[Measured], quantity: str) -> list[Measured]:
@@ -51,18 +48,13 @@ def no_worse(one: Measured, other: Measured) -> bool:
 
 
 def beaten_by(point: Measured, points: Sequence[Measured]) -> float:
-    """Share of a setting's seconds that another saves, none of whose errors is larger; 0 if none.
-
-    A share of 0.1 means that it is dominated by 10 %.
-    """
+    """Share of a setting's seconds that another saves without a larger error; 0 if none does."""
     rivals = [other.seconds for other in points if no_worse(other, point)]
     return max(0.0, 1.0 - min(rivals, default=point.seconds) / point.seconds)
 
 
 def knee(points: Sequence[Measured], quantity: str) -> Measured:
     """Point of a front farthest below the line between its ends, in logarithms of both."""
-    from math import log
-
     whole = pareto(points, quantity)
     front = [p for p in whole if p.errors[quantity] > 0.0]
     x = [log(p.seconds) for p in front]

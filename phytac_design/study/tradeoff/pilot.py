@@ -1,84 +1,252 @@
-"""What a setting's force error will be, from small solves of the design itself.
+"""Predicted errors of a setting, from small solves on the design itself, and the audit of each.
 
-Three errors of each standard contact are found apart, each where it is cheap, and multiplied:
+The force error has three factors, each found where it is cheap, and multiplied contact by contact:
 
-- the mesh: the setting's own against linear theory on an endlessly fine one;
+- the mesh: the setting's own against linear theory on an infinitely fine one;
 - the theory: linear or a series against large displacements, both on one coarse mesh;
-- the places: the cubic between tabulated rows against the row itself, on that mesh too.
+- the tables: rows interpolated between tabulated places against the rows themselves, on that mesh.
 
-No large displacement is solved on a fine mesh, and no table is made. What is not known this way
-(errors of one that depend on another, the pilot's own mesh) is what the safety is for.
+The visibility error is the largest difference in the clearance that markers keep when each standard
+contact presses alone. The volume error is proportional to the chordal tolerance; two coarse meshes
+give the factor.
 """
 
-from functools import cached_property
+from collections.abc import Sequence
+from functools import cache, cached_property, partial
+from typing import Protocol
 
 import numpy as np
 
 from phytac_design.design.accuracy import Accuracy
-from phytac_design.study.tradeoff.force import COARSE, ForceError, read_forces, rms
+from phytac_design.engine.stage import Context
+from phytac_design.layout.cameras import tolerance_mm
+from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
+from phytac_design.optics.loaded_visibility import UnderLoad, press_all
+from phytac_design.optics.scene import build_scene
+from phytac_design.solids.solid_mesh import shell_manifold
+from phytac_design.study.tradeoff.force import (
+    PILOT_REFINE,
+    REFERENCE_REFINES,
+    ForceError,
+    fit_forces,
+    rms,
+)
 from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import NumericalError
 
-SAFETY = 1.25
+FORCE_SAFETY = 1.25
 """Factor on predicted force errors; 0.9 to 1.2 was needed on domes, grips and a patch."""
 
 
-class ForcePilot:
-    """Predicted force errors of settings on one design.
+class Pilot(Protocol):
+    """Errors of settings on one design."""
 
-    Parameters
-    ----------
-    error : ForceError
-        The design's standard contacts and solves; what is solved here is not solved again there.
-    """
+    def predict(self, setting: Accuracy) -> float:
+        """Predicted error, with a safety factor."""
+
+    def achieved(self, setting: Accuracy) -> float:
+        """Error against the reference."""
+
+
+class ForcePilot:
+    """Relative force errors, root mean square over the standard contacts."""
 
     def __init__(self, error: ForceError) -> None:
         self.error = error
-        self._theory: dict[int, FloatArray] = {}
-        self._places: dict[float, FloatArray] = {}
+        self.mesh = cache(self._mesh)
+        self.theory = cache(self._theory)
+        self.tables = cache(self._tables)
 
-    def mesh(self, refine: int, *, receptors: bool) -> FloatArray:
-        """Force read over the true one (c,), for the mesh alone."""
-        rows = self.error.rows(refine, receptors=receptors, orders=1).shift_px
-        return read_forces(rows, self.error.linear_reference)
+    def _mesh(self, refine: int, receptors: bool) -> FloatArray:
+        """Estimated over true force (c,), for the mesh alone."""
+        rows = self.error.rows(refine, receptors=receptors, orders=1)
+        return fit_forces(rows, self.error.linear_reference)
 
     @cached_property
-    def _large(self) -> FloatArray:
-        return self.error.own_large(COARSE).shift_px
+    def _large_px(self) -> FloatArray:
+        mesh, model = self.error.shell(PILOT_REFINE, receptors=True)
+        return self.error.large(mesh, model).shift_px
 
-    def theory(self, orders: int) -> FloatArray:
-        """The same for the theory alone; NaN for contacts that were not solved."""
-        if orders not in self._theory:
-            rows = self.error.rows(COARSE, receptors=True, orders=orders).shift_px
-            out = np.full(len(rows), np.nan)
-            good = np.isfinite(self._large).all(axis=1)
-            out[good] = read_forces(rows[good], self._large[good])
-            self._theory[orders] = out / self.error.contacts.force_N
-        return self._theory[orders]
+    def _theory(self, orders: int) -> FloatArray:
+        """The same for the theory alone; NaN for contacts without a solution."""
+        rows = self.error.rows(PILOT_REFINE, receptors=True, orders=orders)
+        return fit_forces(rows, self._large_px) / self.error.contacts.force_N
 
-    def places(self, share: float) -> FloatArray:
-        """The same for the cubic between places alone."""
-        if share not in self._places:
-            exact = self.error.rows(COARSE, receptors=True, orders=1).shift_px[:, 0]
-            between = self.error.between(COARSE, share, receptors=True)
-            self._places[share] = read_forces(between[:, None], exact)
-        return self._places[share]
+    def _tables(self, share: float) -> FloatArray:
+        """The same for the interpolation between places alone."""
+        exact = self.error.rows(PILOT_REFINE, receptors=True, orders=1)[:, 0]
+        between = self.error.between(PILOT_REFINE, share, receptors=True)
+        return fit_forces(between[:, None], exact)
 
-    def alone(self, knob: str, setting: Accuracy) -> float:
-        """Root mean square error that one knob makes, all else being ideal."""
-        if knob in {"refine", "receptors"}:
-            refine = setting.refine if knob == "refine" else COARSE
-            read = self.mesh(refine, receptors=setting.receptors)
-        elif knob == "place_share":
-            read = self.places(setting.place_share)
+    def alone(self, name: str, setting: Accuracy) -> float:
+        """Root mean square error of one field of the settings, everything else being ideal."""
+        if name in {"refine", "receptors"}:
+            refine = setting.refine if name == "refine" else PILOT_REFINE
+            ratio = self.mesh(refine, setting.receptors)
+        elif name == "place_share":
+            ratio = self.tables(setting.place_share)
         else:
-            read = self.theory(setting.place_orders)
-        return rms(read[np.isfinite(read)] - 1.0)
+            ratio = self.theory(setting.place_orders)
+        return rms(ratio[np.isfinite(ratio)] - 1.0)
 
     def predict(self, setting: Accuracy) -> float:
-        """Root mean square of the relative force error, with its safety."""
-        product = (
-            self.mesh(setting.refine, receptors=setting.receptors)
+        """Predicted error, with its safety factor."""
+        ratio = (
+            self.mesh(setting.refine, setting.receptors)
             * self.theory(setting.place_orders)
-            * self.places(setting.place_share)
+            * self.tables(setting.place_share)
         )
-        return SAFETY * rms(product[np.isfinite(product)] - 1.0)
+        return FORCE_SAFETY * rms(ratio[np.isfinite(ratio)] - 1.0)
+
+    def achieved(self, setting: Accuracy) -> float:
+        """Error against the reference."""
+        return rms(self.error.errors(setting))
+
+
+class VolumePilot:
+    """Relative errors of the printed shell's volume."""
+
+    def __init__(self, error: ForceError) -> None:
+        self.error = error
+        self.volume_mm3 = cache(self._volume_mm3)
+
+    def _volume_mm3(self, tolerance_mm: float) -> float:
+        error = self.error
+        solid = shell_manifold(
+            error.design, error.surface, error.markers, tolerance_mm=tolerance_mm
+        )
+        return float(solid.volume())
+
+    def predict(self, setting: Accuracy) -> float:
+        """Predicted error; the factor of 1.5 covers facets of whole numbers."""
+        first, second = self.volume_mm3(0.2), self.volume_mm3(0.1)
+        return 1.5 * abs(first - second) / 0.1 / second * setting.cad_tolerance_mm
+
+    def achieved(self, setting: Accuracy) -> float:
+        """Error against the limit of two fine meshes."""
+        first, second = self.volume_mm3(0.01), self.volume_mm3(0.005)
+        return abs(self.volume_mm3(setting.cad_tolerance_mm) / (2.0 * second - first) - 1.0)
+
+
+class VisibilityPilot:
+    """Largest differences in marker clearance: mesh and theory of the stage ``underload``."""
+
+    def __init__(self, error: ForceError) -> None:
+        self.error = error
+        self.reference = cache(self._reference)
+        self.clearance = cache(self._clearance)
+
+    def predict(self, setting: Accuracy) -> float:
+        """Difference from a coarse reference; 0.002 is a pixel more or less on a small marker."""
+        return 0.002 + 1.3 * self._difference(setting, fine=False)
+
+    def achieved(self, setting: Accuracy) -> float:
+        """Difference from the reference."""
+        return self._difference(setting, fine=True)
+
+    def _difference(self, setting: Accuracy, *, fine: bool) -> float:
+        own = self.clearance(setting.refine, setting.receptors, setting.press_tolerance)
+        gap = np.abs(own - self.reference(fine))
+        if not np.isfinite(gap).any():
+            raise NumericalError(
+                "no standard contact could be solved and seen; run `phytac check` on the design"
+            )
+        return float(np.nanmax(gap))
+
+    def _reference(self, fine: bool) -> FloatArray:
+        error = self.error
+        solution = error.reference if fine else error.truth(REFERENCE_REFINES[0])
+        return self.pressed(solution.motion)
+
+    def _clearance(self, refine: int, receptors: bool, tolerance: float) -> FloatArray:
+        """Clearance (c, n) of markers by the motion that the stage computes."""
+        mesh, model = self.error.shell(refine, receptors=receptors)
+        loads, shell = self.error.loads(mesh), QuasiNewtonSolver(model)
+        motion = np.full((loads.shape[1], self.error.markers.count, 6), np.nan)
+        for k, force in enumerate(self.error.contacts.force_N.tolist()):
+            load = force * loads[:, k]
+            found: FloatArray | None = shell.linear(load) if tolerance >= 1.0 else None
+            if tolerance < 1.0:
+                found = shell.solve(load, tolerance=tolerance).sample.motion
+            if found is not None:
+                motion[k] = found.reshape(-1, 6)[mesh.marker_nodes]
+        return self.pressed(motion)
+
+    def pressed(self, motion: FloatArray) -> FloatArray:
+        """Clearance (c, n) of markers under each contact, by their motion (c, n, 6)."""
+        error = self.error
+        markers, readers, forces = error.markers, error.imaging.readers, error.contacts.force_N
+        out = np.full((len(motion), markers.count), np.nan)
+        for number, camera in enumerate(readers.cameras):
+            own = readers.read_by == number
+            if not own.any():
+                continue
+            tolerance = tolerance_mm(camera, markers)
+            look = partial(
+                press_all,
+                build_scene(error.design, error.surface, markers, tolerance_mm=tolerance),
+                camera,
+                pivots_mm=markers.mid_mm,
+                counted=own,
+            )
+            rest = look(motions=motion[:0, None], forces_N=forces[:1])
+            for k in np.flatnonzero(np.isfinite(motion).all(axis=(1, 2))).tolist():
+                loaded = look(motions=motion[k][None, None], forces_N=forces[k : k + 1])
+                out[k, own] = clearance_between(loaded, rest)[own]
+        return out
+
+
+def relative_clearance(
+    fraction: FloatArray, gaps_px: Sequence[FloatArray], rest_px: Sequence[FloatArray]
+) -> FloatArray:
+    """Clearance (n,) that each marker keeps: 1 is undisturbed, 0 hidden or fused.
+
+    The minimum of its visible fraction and of its gaps over those at rest. The minimum over all
+    markers would not do as a figure: a few presses at the tightest place find it.
+
+    Parameters
+    ----------
+    fraction : (n,) float
+        Visible fraction under load.
+    gaps_px, rest_px : each (n,) float
+        Gaps to markers of its own colour and of others, under load and at rest. Gaps that are
+        infinite (no such marker) or zero at rest are ignored.
+    """
+    out = np.array(fraction, dtype=np.float64)
+    for gap, rest in zip(gaps_px, rest_px, strict=True):
+        known = np.isfinite(rest) & (rest > 0.0)
+        out = np.minimum(out, np.divide(gap, rest, out=np.ones_like(out), where=known))
+    return out
+
+
+def clearance_between(loaded: UnderLoad, rest: UnderLoad) -> FloatArray:
+    """Clearance (n,) of each marker over all presses of one result, from one at rest."""
+    return relative_clearance(
+        loaded.least_fraction,
+        (loaded.least_gap_same_px, loaded.least_gap_other_px),
+        (rest.least_gap_same_px, rest.least_gap_other_px),
+    )
+
+
+def built_clearance(context: Context) -> FloatArray:
+    """Clearance that markers keep over all presses of the stage ``underload``.
+
+    Of each marker (n,); where one symmetric sector was pressed, the minimum of each row (rows,).
+    """
+    rest, loaded = context.arrays("views"), context.arrays("underload")
+    out = relative_clearance(
+        loaded["least_fraction"],
+        (loaded["least_gap_same_px"], loaded["least_gap_other_px"]),
+        (rest["gap_same_colour_px"], rest["gap_other_colour_px"]),
+    )
+    if not context.facts("underload")["sector_only"]:
+        return out
+    _, row = np.unique(context.markers.row, return_inverse=True)
+    minimum = np.full(int(row.max()) + 1, np.inf)
+    np.minimum.at(minimum, row, out)
+    return minimum
+
+
+def visibility_error(clearance: Sequence[float], finest: Sequence[float]) -> float:
+    """Largest difference in the clearance that any marker (or row) keeps."""
+    return float(np.abs(np.subtract(clearance, finest)).max(initial=0.0))

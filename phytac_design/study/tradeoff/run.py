@@ -1,34 +1,24 @@
-"""``phytac tradeoff``: measure every knob and the joint fronts of a design, resumable."""
+"""``phytac tradeoff``: measure every setting and the joint fronts of a design, resumable."""
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from phytac_design.core.json_values import finite
-from phytac_design.design.accuracy import PRESETS, Accuracy
+from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import design_hash
 from phytac_design.design.spec import Design
 from phytac_design.rules.check import check_design
 from phytac_design.study.tradeoff.front import Measured, beaten_by, knee, pareto
-from phytac_design.study.tradeoff.joint import Joint, accuracy_of
-from phytac_design.study.tradeoff.points import Points
-from phytac_design.study.tradeoff.settings import KNOBS, QUANTITIES, Knob, knob_named
-from phytac_design.study.tradeoff.single import as_table, measure_knob
+from phytac_design.study.tradeoff.joint import joint_settings, score_error
+from phytac_design.study.tradeoff.pilot import visibility_error
+from phytac_design.study.tradeoff.points import Point, Points, accuracy_of
+from phytac_design.study.tradeoff.settings import QUANTITIES, SETTINGS, Setting, setting_named
 
 JOINT = "joint"
-"""Name of the joint fronts beside those of the knobs."""
-
-
-def presets_of(joint: Sequence[Measured]) -> dict[str, Measured]:
-    """Presets among joint settings."""
-    return {
-        name: point
-        for name, preset in PRESETS.items()
-        for point in joint
-        if accuracy_of(point.settings) == preset
-    }
+"""Name of the joint fronts beside those of the settings."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,14 +29,14 @@ class Tradeoff:
     ----------
     design : Design
         The sensor.
-    knobs : dict
-        Values of each knob, cheapest to finest.
+    settings : list of (Setting, list of Measured)
+        Values of each setting, cheapest to finest.
     joint : list of Measured
-        Joint settings of the whole build; empty if not asked for.
+        Joint settings of the whole build; empty if not measured.
     """
 
     design: Design
-    knobs: dict[str, tuple[Knob, list[Measured]]]
+    settings: list[tuple[Setting, list[Measured]]]
     joint: list[Measured]
 
     @property
@@ -61,17 +51,17 @@ class Tradeoff:
                 "design": {"name": self.design.name, "hash": design_hash(self.design)},
                 "quantities": dict(QUANTITIES),
                 "knobs": {
-                    name: {
-                        "quantity": knob.quantity,
-                        "unit": knob.unit,
-                        "stages": list(knob.stages),
-                        "values": [point.as_dict() for point in points],
+                    setting.name: {
+                        "quantity": setting.quantity,
+                        "unit": setting.unit,
+                        "stages": list(setting.stages),
+                        "values": [asdict(point) for point in points],
                     }
-                    for name, (knob, points) in self.knobs.items()
+                    for setting, points in self.settings
                 },
-                "joint": [point.as_dict() for point in self.joint],
+                "joint": [asdict(point) for point in self.joint],
                 "presets": {
-                    name: point.as_dict() | {"beaten_by": beaten_by(point, self.joint)}
+                    name: asdict(point) | {"beaten_by": beaten_by(point, self.joint)}
                     for name, point in self.presets.items()
                 },
             }
@@ -80,32 +70,43 @@ class Tradeoff:
 
     def text(self) -> str:
         """Tables for people."""
-        lines: list[str] = []
-        for knob, points in self.knobs.values():
-            lines += as_table(knob, points)
-        if self.joint:
-            lines += self._joint_lines()
-        return "\n".join(lines)
-
-    def _joint_lines(self) -> list[str]:
         lines = []
-        for quantity in QUANTITIES:
-            front = pareto(self.joint, quantity)
+        for setting, points in self.settings:
+            lines.append(
+                f"{setting.name} ({setting.description}); error of {setting.quantity}, "
+                f"{setting.unit}"
+            )
+            lines += [
+                f"  {next(iter(p.settings.values()))!s:>8}  {p.seconds:8.2f} s  {p.cpu_s:8.2f} s "
+                f"CPU  {p.peak_MB:6.0f} MB  {p.errors[setting.quantity]:.3g}"
+                for p in points
+            ]
+        for quantity in QUANTITIES if self.joint else ():
             at = knee(self.joint, quantity)
             lines.append(f"whole build, front of {quantity} (knee at {at.seconds:.0f} s)")
             lines += [
-                f"  {point.seconds:8.1f} s  {point.peak_MB:6.0f} MB  {point.errors[quantity]:.3g}  "
-                + ", ".join(f"{k}={v}" for k, v in point.settings.items())
-                for point in front
+                f"  {p.seconds:8.1f} s  {p.peak_MB:6.0f} MB  {p.errors[quantity]:.3g}  "
+                + ", ".join(f"{k}={v}" for k, v in p.settings.items())
+                for p in pareto(self.joint, quantity)
             ]
         for name, point in self.presets.items():
             errors = ", ".join(f"{key} {value:.3g}" for key, value in point.errors.items())
             saved = 100.0 * beaten_by(point, self.joint)
             lines.append(
-                f"preset {name}: {point.seconds:.1f} s, {errors}; another that is no worse in "
-                f"anything saves {saved:.0f} %"
+                f"preset {name}: {point.seconds:.1f} s, {errors}; the cheapest setting without a "
+                f"larger error saves {saved:.0f} %"
             )
-        return lines
+        return "\n".join(lines)
+
+
+def presets_of(joint: Sequence[Measured]) -> dict[str, Measured]:
+    """Presets among joint settings."""
+    return {
+        name: point
+        for name, preset in PRESETS.items()
+        for point in joint
+        if accuracy_of(point.settings) == preset
+    }
 
 
 def tradeoff(
@@ -116,7 +117,7 @@ def tradeoff(
     quick: bool = False,
     progress: Callable[[str], None] = print,
 ) -> Tradeoff:
-    """Measure a design's knobs and fronts into ``out``; what is measured already is not again.
+    """Measure a design's settings and fronts into ``out``; measured points are not repeated.
 
     Parameters
     ----------
@@ -125,23 +126,23 @@ def tradeoff(
     out : Path
         Folder of journal, ``tradeoff.json``, ``tradeoff.txt`` and pictures.
     only : sequence of str
-        Knobs, and ``joint`` for the whole build; all if empty.
+        Settings, and ``joint`` for the whole build; all if empty.
     quick : bool
         Few joint settings.
 
     Raises
     ------
     DesignError
-        If the design cannot be built, or there is no such knob.
+        If the design cannot be built, or there is no such setting.
     """
-    names = list(only) or [knob.name for knob in KNOBS] + [JOINT]
-    chosen = [knob_named(name) for name in names if name != JOINT]
+    names = list(only) or [setting.name for setting in SETTINGS] + [JOINT]
+    chosen = [setting_named(name) for name in names if name != JOINT]
     check_design(design)
     points = Points(design, out / ".work", progress)
     done = Tradeoff(
         design=design,
-        knobs={knob.name: (knob, measure_knob(points, knob)) for knob in chosen},
-        joint=Joint(points, quick=quick).measured() if JOINT in names else [],
+        settings=[(setting, measure_setting(points, setting)) for setting in chosen],
+        joint=joint_settings(points, quick=quick) if JOINT in names else [],
     )
     write(out, done)
     return done
@@ -149,18 +150,57 @@ def tradeoff(
 
 def write(out: Path, done: Tradeoff) -> None:
     """Write JSON, tables and pictures."""
-    from phytac_design.study.tradeoff.plots import knob_fronts, whole_front
+    from phytac_design.study.tradeoff.plots import joint_fronts, setting_fronts
 
     text = json.dumps(done.as_dict(), indent=1, ensure_ascii=False)
     (out / "tradeoff.json").write_text(text + "\n", encoding="utf-8")
     (out / "tradeoff.txt").write_text(done.text() + "\n", encoding="utf-8")
     name = done.design.name
-    if done.knobs:
-        (out / "knobs.png").write_bytes(knob_fronts(name, done.knobs))
+    if done.settings:
+        (out / "knobs.png").write_bytes(setting_fronts(name, done.settings))
     if done.joint:
-        (out / "front.png").write_bytes(whole_front(name, done.joint, done.presets))
+        (out / "front.png").write_bytes(joint_fronts(name, done.joint, done.presets))
 
 
-def settings_of_point(point: Measured) -> Accuracy:
-    """All settings of a joint point."""
-    return accuracy_of(point.settings)
+def measure_setting(points: Points, setting: Setting) -> list[Measured]:
+    """Every value of a setting, the others as in ``draft`` (for the force error: ideal)."""
+    each: list[dict[str, Any]] = [
+        {setting.name: bool(value) if setting.name == "receptors" else value}
+        for value in setting.values
+    ]
+    if setting.of_build:
+        name = ",".join(setting.stages)
+        runs = [points.get(Point(kind="stages", name=name, settings=one)) for one in each]
+        errors = _errors(points, setting, each, runs)
+    else:
+        runs = [points.get(Point(kind="use", name=setting.name, settings=one)) for one in each]
+        errors = [float(run["error"]) for run in runs]
+    return [
+        Measured(
+            settings=one,
+            seconds=run["seconds"],
+            cpu_s=run["cpu_s"],
+            peak_MB=run["peak_MB"],
+            errors={setting.quantity: error},
+        )
+        for one, run, error in zip(each, runs, errors, strict=True)
+    ]
+
+
+def _errors(
+    points: Points, setting: Setting, each: list[dict[str, Any]], runs: list[dict[str, Any]]
+) -> list[float]:
+    """Errors due to one setting of the build alone."""
+    if setting.quantity == "volume":
+        return [abs(run["volume_mm3"] / runs[-1]["volume_mm3"] - 1.0) for run in runs]
+    if setting.quantity == "visibility":
+        return [visibility_error(run["clearance"], runs[-1]["clearance"]) for run in runs]
+    if setting.name in {"sample_share", "frames"}:
+        many = {"sample_share": 1e9, "frames": 10**9}
+        return [score_error(points.design, many | one, 0.0) for one in each]
+    point = (
+        Point(kind="alone", name=setting.name, settings={"each": each})
+        if setting.quantity == "force"
+        else Point(kind="truth", name="truth", settings={"each": each})
+    )
+    return [float(error) for error in points.get(point)["errors"]]

@@ -1,9 +1,7 @@
 """Plans: what runs, why, at what cost; estimator, camera, theory and fixtures chosen."""
 
 import json
-from typing import Any
 
-import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
@@ -14,11 +12,10 @@ from phytac_design.design.scene import Scene, load_scene
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.stages import STAGES
-from phytac_design.study.planning.cost import features, fit_units, predict, probe
-from phytac_design.study.planning.counts import repeats
+from phytac_design.study.planning.cost import features, machine_factor, predict, repeats
 from phytac_design.study.planning.plan import Plan, plan_scene
 from phytac_design.study.planning.resolve import resolve
-from phytac_design.study.planning.unit_costs import MEMORY_MB, SECONDS
+from phytac_design.study.planning.unit_costs import MEMORY_MB, CPU_s
 from phytac_shapes.errors import DesignError
 from tests.designs import changed, small
 from tests.study.planning.scenes import scene
@@ -93,27 +90,7 @@ def test_only_the_named_camera_of_two() -> None:
         resolve(small(), scene(camera="far"), PRESETS["draft"])
 
 
-def test_fixtures_that_hide_nothing_are_left_out() -> None:
-    def fixture(name: str, radius: float, z: float) -> dict[str, Any]:
-        return {
-            "kind": "cylinder",
-            "name": name,
-            "from_mm": [0.0, 0.0, z],
-            "to_mm": [0.0, 0.0, z + 1.0],
-            "radius_mm": radius,
-        }
-
-    # A pin on the axis stands before no receptor; a plate before the rim may.
-    design = small(fixtures=[fixture("pin", 0.5, 4.0), fixture("plate", 12.0, 4.0)])
-    wanted = Scene(name="seen", outputs=("visibility",))
-    resolved = resolve(design, wanted, PRESETS["draft"])
-    assert [item.name for item in resolved.design.fixtures] == ["plate"]
-    assert "pin" in resolved.why["fixtures"]
-    pictured = resolve(design, Scene(name="shown", outputs=("views",)), PRESETS["draft"])
-    assert len(pictured.design.fixtures) == 2
-
-
-def test_forces_that_leave_no_range_are_refused() -> None:
+def test_empty_force_ranges_are_rejected() -> None:
     with pytest.raises(DesignError, match=r"leaves forces from 0\.5 to 0\.4 N"):
         resolve(small(), scene(contacts={"force_max_N": 0.4}), PRESETS["draft"])
     with pytest.raises(DesignError, match="leaves patches from 4 to 2 mm"):
@@ -127,41 +104,30 @@ def test_sectors_are_found_by_the_markers() -> None:
         assert repeats(surface, make_markers(design, surface)) == turns
 
 
-def test_units_are_found_again() -> None:
-    rng = np.random.default_rng(0)
-    truth = {"one": 0.4, "loads": 2.0, "nodes": 0.0}
-    rows = []
-    for _ in range(12):
-        grown = {name: float(rng.uniform(0.5, 4.0)) for name in truth}
-        rows.append((grown, sum(truth[name] * grown[name] for name in truth)))
-    found = fit_units(rows)
-    assert found == pytest.approx(truth, abs=0.02)
-
-
-def test_units_cover_every_stage_and_grow() -> None:
-    assert set(SECONDS) == set(MEMORY_MB) == {stage.name for stage in STAGES}
-    names = [stage.name for stage in STAGES]
+def test_unit_costs_cover_every_stage_and_grow() -> None:
+    names = {stage.name for stage in STAGES}
+    assert set(CPU_s) == set(MEMORY_MB) == names
     plan = planned(small(), scene())
-    few = predict(names, plan.counts, PRESETS["draft"], small(), scene())
-    many = predict(names, plan.whole_counts, PRESETS["fine"], small())
-    known = features(plan.counts, PRESETS["draft"], small())
-    for name in names:
-        assert set(SECONDS[name]) <= set(known[name])
-        assert few[name].seconds <= many[name].seconds
-        assert few[name].memory_MB > 0.0
-    twice = predict(names, plan.counts, PRESETS["draft"], small(), speed=2.0)
-    assert twice["views"].seconds > few["views"].seconds
-    assert 0.02 < probe() < 50.0
+    few = features(plan.counts, PRESETS["draft"], small(), scene())
+    many = features(plan.whole_counts, PRESETS["fine"], small())
+    for table in (CPU_s, MEMORY_MB):
+        less, more = predict(table, few), predict(table, many)
+        for name in names:
+            assert set(table[name]) <= set(few[name])
+            assert 0.0 < less[name] <= more[name]
+    twice = plan_scene(small(), scene(), accuracy=PRESETS["draft"], speed=2.0)
+    assert twice.whole_seconds == pytest.approx(2.0 * plan.whole_seconds)
+    assert 0.02 < machine_factor() < 50.0
 
 
 def test_the_command_prints_the_plan_and_json() -> None:
     app = typer.Typer()
     app.command()(plan_command.plan)
     run = CliRunner()
-    said = run.invoke(app, ["cylinder60", "fingertip", "--accuracy", "draft"])
-    assert said.exit_code == 0
-    assert "left out" in said.stdout
-    assert "predicted error of a force" in said.stdout
+    done = run.invoke(app, ["cylinder60", "fingertip", "--accuracy", "draft"])
+    assert done.exit_code == 0
+    assert "left out" in done.stdout
+    assert "predicted error of a force" in done.stdout
     plain = run.invoke(app, ["cylinder60", "fabrication", "--json"])
     report = json.loads(plain.stdout)
     assert report["predicted"]["seconds"] >= 0.0

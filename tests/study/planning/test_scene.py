@@ -1,11 +1,11 @@
-"""Scene files: read, checked, refused with a reason."""
+"""Scene files: read, checked, rejected with a reason."""
 
 import tomllib
 from pathlib import Path
 
 import pytest
 
-from phytac_design.design.scene import WITHOUT, Scene, load_scene, shipped_scenes
+from phytac_design.design.scene import SCENE_DEFAULTS, Scene, load_scene, shipped_scenes
 from phytac_shapes.errors import DesignError
 from tests.study.planning.scenes import scene
 
@@ -18,7 +18,7 @@ def test_shipped_scenes_are_those_that_the_docs_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "text"),
     [
         ({"output": ["decoder"]}, "unknown key 'output'; did you mean 'outputs'?"),
         ({"outputs": []}, "outputs"),
@@ -33,10 +33,10 @@ def test_shipped_scenes_are_those_that_the_docs_name() -> None:
         ({"frame_rate_Hz": True}, "true or false"),
     ],
 )
-def test_what_will_not_do_is_said(changes: dict, said: str) -> None:
+def test_invalid_keys_and_values_are_rejected(changes: dict, text: str) -> None:
     with pytest.raises(DesignError, match=r"scene test scene: ") as caught:
         scene(**changes)
-    assert said in str(caught.value)
+    assert text in str(caught.value)
 
 
 def test_missing_file_and_no_toml(tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def test_a_report_wants_everything() -> None:
     assert everything.pictures
     assert everything.networks
     # Stages then find what a build without a scene has, but for its name.
-    parts = [name for name in WITHOUT if name != "name"]
+    parts = [name for name in SCENE_DEFAULTS if name != "name"]
     assert everything.inputs(parts) == {}
 
 

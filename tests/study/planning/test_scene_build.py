@@ -1,6 +1,7 @@
-"""Builds of a scene: the whole sensor's forces in the region, no silent ones outside it."""
+"""Builds of a scene: the whole sensor's forces in the region, warnings outside it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +10,13 @@ import pytest
 from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_decoder.pipeline.decode import Measured
 from phytac_design.design.accuracy import PRESETS
-from phytac_design.design.scene import building
 from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.simulation.dataset import Dataset
 from phytac_design.stages import STAGES
-from phytac_design.stages.build import run_stages, select_stages
+from phytac_design.stages.build import BuildResult, run_stages, select_stages
 from phytac_design.stages.decoder import tips_in_play
-from phytac_design.study.planning.audit import force_errors, reference_presses
 from phytac_design.study.planning.plan import Plan, plan_scene
-from phytac_design.study.planning.run import SceneResult, run_plan
+from phytac_design.study.planning.run import force_errors, reference_presses, run_plan
 from tests.designs import small
 from tests.study.planning.scenes import scene
 
@@ -39,33 +38,28 @@ def planned() -> Plan:
 
 
 @pytest.fixture(scope="module")
-def result(planned: Plan, tmp_path_factory: pytest.TempPathFactory) -> SceneResult:
+def result(planned: Plan, tmp_path_factory: pytest.TempPathFactory) -> BuildResult:
     out = tmp_path_factory.mktemp("scene") / "finger"
-    return run_plan(planned, out, progress=quiet)
+    return run_plan(planned, out, progress=quiet)[0]
 
 
 @pytest.fixture(scope="module")
-def bundle(result: SceneResult) -> Bundle:
+def bundle(result: BuildResult) -> Bundle:
     return load_bundle(result.out / "decoder")
 
 
 def context_on(planned: Plan, whole: Context) -> Context:
     """The scene's context on what the camera sees of the whole sensor."""
-    resolved = planned.resolved
-    return Context(
-        design=resolved.design,
-        accuracy=resolved.accuracy,
-        seed=0,
-        folders=dict(whole.folders),
-        scene=resolved.scene,
-    )
+    context = planned.resolved.context()
+    context.folders.update(whole.folders)
+    return context
 
 
 def bundle_of(context: Context) -> Bundle:
     return load_bundle(context.folders["decoder"] / EXPORT / "decoder")
 
 
-def test_only_what_the_scene_needs_runs(result: SceneResult) -> None:
+def test_only_what_the_scene_needs_runs(result: BuildResult) -> None:
     assert set(result.ran) <= {"views", "response", "places", "twin", "decoder"}
     files = {p.relative_to(result.out).as_posix() for p in result.out.rglob("*") if p.is_file()}
     assert files == {
@@ -111,13 +105,13 @@ def test_forces_in_the_region_are_the_whole_decoders(
     for estimator in ("auto", "koi_inverse"):
         mine = force_errors(bundle.model, presses, estimator)
         full = force_errors(bundle_of(whole).model, presses, estimator)
-        judged = np.isfinite(mine)
-        assert judged.sum() >= 3
-        assert np.abs(mine - full)[judged].max() < 0.01
-        assert np.abs(mine[judged]).max() < 0.5
+        valid = np.isfinite(mine)
+        assert valid.sum() >= 3
+        assert np.abs(mine - full)[valid].max() < 0.01
+        assert np.abs(mine[valid]).max() < 0.5
 
 
-def test_no_force_outside_is_silently_wrong(bundle: Bundle, whole: Context, planned: Plan) -> None:
+def test_forces_outside_raise_a_warning(bundle: Bundle, whole: Context, planned: Plan) -> None:
     resolved = planned.resolved
     data = Dataset.from_arrays(whole.arrays("twin"), "test")
     contacts = data.contacts
@@ -161,7 +155,7 @@ def test_blind_tips_out_of_play_never_count() -> None:
     assert tips.threshold_px[1] > max(rest[1], 1.25 * rest[1] + 4.0)
 
 
-def test_audit_stands_beside_the_plan(result: SceneResult, planned: Plan) -> None:
+def test_audit_stands_beside_the_plan(result: BuildResult, planned: Plan) -> None:
     written = json.loads((result.out / "report" / "plan.json").read_text())
     assert written["scene"]["name"] == "finger"
     assert set(written["audit"]["stages"]) == set(result.ran)
@@ -174,22 +168,19 @@ def test_audit_stands_beside_the_plan(result: SceneResult, planned: Plan) -> Non
     assert error["predicted"] == planned.error["force"]
 
 
-def test_a_second_build_takes_all_from_the_cache(result: SceneResult, tmp_path: Path) -> None:
+def test_a_second_build_takes_all_from_the_cache(result: BuildResult, tmp_path: Path) -> None:
     again = plan_scene(small(), scene(), accuracy=PRESETS["draft"], speed=1.0)
     ours = [row for row in again.rows if row.action != "left out"]
     assert {row.action for row in ours} == {"cached"}
     assert again.seconds == 0.0
-    assert run_plan(again, tmp_path / "again", errors=False, progress=quiet).ran == ()
+    assert run_plan(again, tmp_path / "again", errors=False, progress=quiet)[0].ran == ()
 
 
-def test_without_a_scene_keys_are_as_ever() -> None:
+def test_without_a_scene_keys_do_not_change() -> None:
     context = Context(design=small(), accuracy=PRESETS["draft"], seed=0)
     keys = {stage.name: "0" for stage in STAGES}
     for stage in STAGES:
         plain = stage.inputs(context, keys)
         assert set(plain) == {"reads", "knobs", "needs", "seed", "graphics"}
-        with building(scene()):
-            limited = Context(design=small(), accuracy=PRESETS["draft"], seed=0)
-        assert limited.scene == scene()
+        limited = replace(context, scene=scene())
         assert ("scene" in stage.inputs(limited, keys)) == bool(stage.scene)
-    assert Context(design=small(), accuracy=PRESETS["draft"], seed=0).scene is None

@@ -21,13 +21,13 @@ from tests.designs import small
 
 
 def quiet(_: str) -> None:
-    """Say nothing."""
+    """No progress."""
 
 
 def test_a_budget_takes_what_the_cache_has(
     built: BuildResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A draft is in the cache, and costs nothing; nothing else fits so few seconds."""
+    """A cached draft costs nothing; nothing else fits so few seconds."""
     monkeypatch.setattr(budget_module, "machine_factor", lambda: 10.0)
     result, choice = build_to(small(), tmp_path / "out", budget_s=5.0, progress=quiet)
     assert choice.accuracy == PRESETS["draft"]
@@ -55,18 +55,17 @@ def test_a_tolerance_is_built_and_audited(
     monkeypatch.setattr(module, "achieved", lambda choice, _: 0.8 * choice.wanted)
     path = tmp_path / "small.toml"
     path.write_text(to_toml(small()), encoding="utf-8")
-    asked = ["build", str(path), "--out", str(tmp_path / "out"), "--tolerance", "20%"]
-    run = CliRunner().invoke(app, asked)
+    arguments = ["build", str(path), "--out", str(tmp_path / "out"), "--tolerance", "20%"]
+    run = CliRunner().invoke(app, arguments)
     assert run.exit_code == 0
-    said = run.stdout
-    assert "force error: wanted 20 %, predicted 18 %, achieved 16 %" in said
+    assert "force error: wanted 20 %, predicted 18 %, achieved 16 %" in run.stdout
     data = json.loads((tmp_path / "out" / AUDIT).read_text())
     assert data["achieved_error"] == pytest.approx(0.16)
     manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
     assert manifest["accuracy"] == "draft"
 
 
-def test_one_of_the_two_is_asked_for(tmp_path: Path) -> None:
+def test_exactly_one_of_the_two_is_required(tmp_path: Path) -> None:
     for more in ({}, {"tolerance": 0.1, "budget_s": 60.0}):
         with pytest.raises(DesignError, match="a tolerance or a budget, and not both"):
             build_to(small(), tmp_path / "out", progress=quiet, **more)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from phytac_design.study.tradeoff.contacts import even_places, rim_points, standard_contacts
+from phytac_design.layout.arc import by_area
+from phytac_design.study.tradeoff.contacts import rim_points, standard_contacts
 from phytac_shapes.errors import DesignError
 from tests.designs import drawn, small
 
@@ -13,7 +14,7 @@ def test_contacts_stand_off_every_rim(kind: str) -> None:
     design = drawn(kind, 3)
     surface = design.surface()
     contacts = standard_contacts(design, surface, 12)
-    rim = rim_points(surface)
+    rim = np.concatenate([np.zeros((0, 3)), *rim_points(surface)])
     gap = np.linalg.norm(surface.point(contacts.uv)[:, None] - rim[None], axis=2)
     assert gap.min() >= 2.0 * contacts.radius_mm - 1e-9
     assert len(np.unique(contacts.uv, axis=0)) == len(contacts.uv) == 12
@@ -22,25 +23,25 @@ def test_contacts_stand_off_every_rim(kind: str) -> None:
     assert np.array_equal(contacts.force_N, again.force_N)
 
 
-def test_forces_span_a_fifth_to_the_greatest() -> None:
+def test_forces_span_a_fifth_to_the_largest() -> None:
     design = small()
     force = standard_contacts(design, design.surface()).force_N
-    most = design.training.force_max_N
-    assert 0.2 * most <= force.min() < 0.35 * most
-    assert 0.85 * most < force.max() <= most
+    largest = design.training.force_max_N
+    assert 0.2 * largest <= force.min() < 0.35 * largest
+    assert 0.85 * largest < force.max() <= largest
 
 
 def test_places_are_even_over_the_area_of_a_dome() -> None:
     surface = drawn("hemisphere", 1).surface()
     numbers = np.random.default_rng(0).random((20000, 2))
-    z = surface.point(even_places(surface, numbers))[:, 2]
+    z = surface.point(by_area(surface, numbers))[:, 2]
     low, high = surface.bounds_mm()[:, 2]
     # On a sphere the height is even (Archimedes), and so it is on a skirt.
     share = np.histogram(z, bins=10, range=(low, high))[0] / len(z)
     assert np.abs(share - 0.1).max() < 0.012
 
 
-def test_a_sensor_that_is_all_rim_is_refused() -> None:
+def test_a_sensor_that_is_all_rim_is_rejected() -> None:
     design = small(training={"patch_radius_min_mm": 30.0, "patch_radius_max_mm": 31.0})
     with pytest.raises(DesignError, match="no place on this sensor is"):
         standard_contacts(design, design.surface())

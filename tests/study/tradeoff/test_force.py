@@ -1,4 +1,4 @@
-"""The force error: exact on its own truth, falling with the mesh, foretold by the pilot."""
+"""The force error: exact on its own truth, falling with the mesh, predicted by the pilot."""
 
 from dataclasses import replace
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from phytac_design.design.accuracy import PRESETS
-from phytac_design.study.tradeoff.force import ForceError, extrapolation, read_forces, rms
-from phytac_design.study.tradeoff.pilot import SAFETY, ForcePilot
+from phytac_design.study.tradeoff.force import ForceError, extrapolated, fit_forces, rms
+from phytac_design.study.tradeoff.pilot import FORCE_SAFETY, ForcePilot
 from tests.designs import drawn
 
 DRAFT = PRESETS["draft"]
@@ -23,15 +23,15 @@ def test_forces_are_read_from_their_own_shifts() -> None:
     rows = rng.normal(size=(5, 3, 40)) * np.array([1.0, 1e-2, 1e-4])[:, None]
     force = rng.uniform(3.0, 25.0, 5)
     shift = np.einsum("ckn,ck->cn", rows, force[:, None] ** np.arange(1, 4))
-    assert np.allclose(read_forces(rows, shift), force, rtol=1e-9)
+    assert np.allclose(fit_forces(rows, shift), force, rtol=1e-9)
     # A sensor twice as soft is read as twice the force, by linear theory.
-    assert np.allclose(read_forces(rows[:, :1], 2.0 * force[:, None] * rows[:, 0]), 2.0 * force)
+    assert np.allclose(fit_forces(rows[:, :1], 2.0 * force[:, None] * rows[:, 0]), 2.0 * force)
 
 
 def test_a_mesh_read_by_itself_has_no_error(error: ForceError) -> None:
-    rows = error.rows(3, receptors=True, orders=1).shift_px
+    rows = error.rows(3, receptors=True, orders=1)
     own = error.contacts.force_N[:, None] * rows[:, 0]
-    assert np.allclose(read_forces(rows, own), error.contacts.force_N)
+    assert np.allclose(fit_forces(rows, own), error.contacts.force_N)
 
 
 def test_finer_meshes_and_series_err_less(error: ForceError) -> None:
@@ -46,13 +46,15 @@ def test_finer_meshes_and_series_err_less(error: ForceError) -> None:
 
 
 def test_the_reference_is_met_by_a_third_mesh(error: ForceError) -> None:
-    """Extrapolated from 5 and 9 it foretells what 13 gives: d(13) = d(∞) − C/13²."""
-    linear, fine = error.linear_reference, error._linear_truth(13)
-    nine = error._linear_truths[9]
-    left = rms(read_forces(fine[:, None], linear) - 1.0)
-    assert left < 0.75 * rms(read_forces(nine[:, None], linear) - 1.0)
-    assert left < 0.006
-    assert extrapolation(1, 2) == pytest.approx(1.0 / 3.0)
+    """Extrapolated from 5 and 9 it predicts the result of 13: d(13) = d(∞) − C/13²."""
+    linear, fine = error.linear_reference, error.linear_truth(13)
+    nine = error.linear_truth(9)
+    residual = rms(fit_forces(fine[:, None], linear) - 1.0)
+    assert residual < 0.75 * rms(fit_forces(nine[:, None], linear) - 1.0)
+    assert residual < 0.006
+    # Errors of 1/25 and 1/81 of the first mesh extrapolate to none.
+    limit = extrapolated(np.array([1.0 + 1.0 / 25.0]), np.array([1.0 + 1.0 / 81.0]))
+    assert limit == pytest.approx(1.0)
     five, large = error.truth(5), error.truth(9)
     for name in ("shift_px", "motion"):
         step = getattr(large, name) - getattr(five, name)
@@ -60,15 +62,15 @@ def test_the_reference_is_met_by_a_third_mesh(error: ForceError) -> None:
         assert np.allclose(getattr(error.reference, name), limit)
 
 
-def test_the_pilot_foretells_the_error(error: ForceError) -> None:
+def test_the_pilot_predicts_the_error(error: ForceError) -> None:
     pilot = ForcePilot(error)
     for refine, orders, share in ((2, 1, 1.2), (3, 3, 0.8), (6, 1, 0.55), (6, 3, 0.55)):
         setting = replace(DRAFT, refine=refine, place_orders=orders, place_share=share)
         got = rms(error.errors(setting))
-        assert got <= pilot.predict(setting) <= 2.0 * SAFETY * got
+        assert got <= pilot.predict(setting) <= 2.0 * FORCE_SAFETY * got
 
 
-def test_one_knob_alone(error: ForceError) -> None:
+def test_one_setting_alone(error: ForceError) -> None:
     pilot = ForcePilot(error)
     mesh = [pilot.alone("refine", replace(DRAFT, refine=refine)) for refine in (2, 4, 8)]
     assert mesh == sorted(mesh, reverse=True)

@@ -1,6 +1,7 @@
-"""Fronts, knobs and the journal of measured points."""
+"""Fronts, settings and the journal of measured points."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -10,12 +11,13 @@ from typer.testing import CliRunner
 from phytac_design.cli.tradeoff_command import tradeoff as tradeoff_command
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import to_toml
+from phytac_design.design.spec import Design
 from phytac_design.study.tradeoff import points as points_module
 from phytac_design.study.tradeoff.front import Measured, beaten_by, knee, pareto
-from phytac_design.study.tradeoff.joint import CAD, LOAD, LOAD_REFINE, MECHANICS, SCORE, accuracy_of
-from phytac_design.study.tradeoff.points import Point, Points
+from phytac_design.study.tradeoff.joint import CAD, LOAD, LOAD_REFINE, MECHANICS, SCORE
+from phytac_design.study.tradeoff.points import Point, Points, accuracy_of
 from phytac_design.study.tradeoff.run import tradeoff
-from phytac_design.study.tradeoff.settings import KNOBS, QUANTITIES, knob_named
+from phytac_design.study.tradeoff.settings import QUANTITIES, SETTINGS, setting_named
 from phytac_shapes.errors import DesignError, NumericalError
 from tests.designs import drawn
 
@@ -47,16 +49,16 @@ def test_knee_is_where_more_time_gains_little() -> None:
     assert knee(cloud, "force").seconds == 2
 
 
-def test_every_knob_of_a_build_is_read_by_a_stage() -> None:
+def test_every_setting_of_a_build_is_read_by_a_stage() -> None:
     settings = set(PRESETS["draft"].as_dict())
-    of_build = {knob.name for knob in KNOBS if knob.of_build}
+    of_build = {setting.name for setting in SETTINGS if setting.of_build}
     assert of_build == settings - {"print_tools"}
-    for knob in KNOBS:
-        assert knob.quantity in QUANTITIES
-        assert bool(knob.stages) == knob.of_build
-        assert len(set(knob.values)) == len(knob.values) >= 2
+    for setting in SETTINGS:
+        assert setting.quantity in QUANTITIES
+        assert bool(setting.stages) == setting.of_build
+        assert len(set(setting.values)) == len(setting.values) >= 2
     with pytest.raises(DesignError, match="did you mean 'refine'"):
-        knob_named("refin")
+        setting_named("refin")
 
 
 def test_presets_are_joint_settings() -> None:
@@ -73,25 +75,25 @@ def test_presets_are_joint_settings() -> None:
 
 
 def test_measured_points_survive_a_restart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    design, asked = drawn("hemisphere", 1), []
+    design, measured = drawn("hemisphere", 1), []
 
-    def answer(self: Points, point: Point, mode: str) -> dict[str, float]:
-        asked.append(mode)
+    def answer(_: Design, point: Point, cache: Path) -> dict[str, float]:
+        measured.append(point)
         return {"seconds": 1.0, "cpu_s": 1.0, "peak_MB": 1.0, "error": 0.5}
 
-    monkeypatch.setattr(Points, "_asked", answer)
+    monkeypatch.setattr(points_module, "measure_apart", answer)
     point = Point(kind="force", name="force", settings={"each": [{"refine": 3}]})
     first = Points(design, tmp_path).get(point)
-    assert Points(design, tmp_path).get(point) == first | {"point": point.as_dict()}
-    assert asked == ["measure"]
+    assert Points(design, tmp_path).get(point) == first | {"point": asdict(point)}
+    assert measured == [point]
     # Another setting, another design, or a torn file is measured again.
     Points(design, tmp_path).get(Point(kind="force", name="force", settings={"each": []}))
     Points(drawn("plane", 1), tmp_path).get(point)
-    assert len(asked) == 3
+    assert len(measured) == 3
     for path in (tmp_path / "points").glob("*.json"):
         path.write_text(path.read_text()[:20])
     Points(design, tmp_path).get(point)
-    assert len(asked) == 4
+    assert len(measured) == 4
 
 
 def test_stages_are_measured_apart_from_what_they_need(tmp_path: Path) -> None:
@@ -105,17 +107,17 @@ def test_stages_are_measured_apart_from_what_they_need(tmp_path: Path) -> None:
         points.get(Point(kind="use", name="none", settings={"none": 1}))
 
 
-def test_command_measures_what_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def answer(self: Points, point: Point, mode: str) -> dict[str, object]:
+def test_command_measures_one_setting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def answer(design: Design, point: Point, cache: Path) -> dict[str, object]:
         return {"seconds": 1.0, "cpu_s": 1.0, "peak_MB": 9.0, "error": 0.25}
 
-    monkeypatch.setattr(points_module.Points, "_asked", answer)
+    monkeypatch.setattr(points_module, "measure_apart", answer)
     app = typer.Typer()
     app.command()(tradeoff_command)
     path = tmp_path / "dome.toml"
     path.write_text(to_toml(drawn("hemisphere", 1)), encoding="utf-8")
-    asked = [str(path), "--only", "precision", "--out", str(tmp_path / "out"), "--json"]
-    done = CliRunner().invoke(app, asked)
+    arguments = [str(path), "--only", "precision", "--out", str(tmp_path / "out"), "--json"]
+    done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 0, done.output
     data = json.loads(done.stdout)
     assert set(data["knobs"]) == {"precision"}
@@ -126,24 +128,21 @@ def test_command_measures_what_is_asked(tmp_path: Path, monkeypatch: pytest.Monk
 def test_tradeoff_writes_json_tables_and_pictures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def answer(self: Points, point: Point, mode: str) -> dict[str, object]:
+    def answer(design: Design, point: Point, cache: Path) -> dict[str, object]:
         if "each" in point.settings:
             own = [sum(map(float, one.values())) for one in point.settings["each"]]
             return {"errors": [1.0 / (1.0 + size) for size in own]}
         size = float(sum(float(v) for v in point.settings.values() if not isinstance(v, str)))
-        facts = {
-            "shell": {"volume_mm3": 1000.0 + size},
-        }
         return {
             "seconds": 1.0 + size,
             "cpu_s": 1.0,
             "peak_MB": 9.0,
             "error": 1.0 / (1.0 + size),
-            "facts": facts,
-            "room": [1.0, 0.5 + 0.001 * size],
+            "volume_mm3": 1000.0 + size,
+            "clearance": [1.0, 0.5 + 0.001 * size],
         }
 
-    monkeypatch.setattr(points_module.Points, "_asked", answer)
+    monkeypatch.setattr(points_module, "measure_apart", answer)
     design = drawn("hemisphere", 1)
     done = tradeoff(design, tmp_path, progress=lambda _: None)
     assert set(done.presets) == set(PRESETS)

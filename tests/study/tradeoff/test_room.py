@@ -1,4 +1,4 @@
-"""Room that markers keep under load: the visibility error of presses."""
+"""Clearance that markers keep under load: the visibility error of presses."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -9,27 +9,32 @@ import pytest
 
 from phytac_design.engine.stage import Context
 from phytac_design.optics.loaded_visibility import UnderLoad
-from phytac_design.study.tradeoff.room import room_between, room_left, room_of, visibility_error
+from phytac_design.study.tradeoff.pilot import (
+    built_clearance,
+    clearance_between,
+    relative_clearance,
+    visibility_error,
+)
 
 
-def test_room_is_the_least_of_what_is_seen_and_of_gaps_over_those_at_rest() -> None:
+def test_clearance_is_the_minimum_of_visible_fraction_and_relative_gaps() -> None:
     """By hand: undisturbed, half hidden, a gap closed by three quarters, fused with another."""
     rest = np.full(4, 8.0)
-    room = room_of(
+    clearance = relative_clearance(
         np.array([1.0, 0.5, 1.0, 0.9]),
         (np.array([8.0, 6.0, 2.0, 8.0]), np.array([8.0, 8.0, 4.0, 0.0])),
         (rest, rest),
     )
-    assert room.tolist() == [1.0, 0.5, 0.25, 0.0]
+    assert clearance.tolist() == [1.0, 0.5, 0.25, 0.0]
 
 
-def test_gaps_that_tell_nothing_take_no_room() -> None:
+def test_undefined_gaps_are_ignored() -> None:
     """No marker of that colour, or one that touches at rest already."""
     nothing = np.array([np.inf, 0.0])
-    assert room_of(np.ones(2), (nothing,), (nothing,)).tolist() == [1.0, 1.0]
+    assert relative_clearance(np.ones(2), (nothing,), (nothing,)).tolist() == [1.0, 1.0]
 
 
-def look(gap: float, fraction: float) -> UnderLoad:
+def view(gap: float, fraction: float) -> UnderLoad:
     """Two markers, the second as at rest."""
     one = np.ones(1)
     gaps = np.array([gap, 8.0])
@@ -42,16 +47,16 @@ def look(gap: float, fraction: float) -> UnderLoad:
     )  # fmt: skip
 
 
-def test_room_between_a_look_and_one_at_rest() -> None:
-    assert room_between(look(2.0, 0.9), look(8.0, 1.0)).tolist() == [0.25, 1.0]
-    other = replace(look(8.0, 1.0), least_gap_other_px=np.array([1.0, 8.0]))
-    assert room_between(other, look(8.0, 1.0)).tolist() == [0.125, 1.0]
+def test_clearance_between_a_view_under_load_and_one_at_rest() -> None:
+    assert clearance_between(view(2.0, 0.9), view(8.0, 1.0)).tolist() == [0.25, 1.0]
+    other = replace(view(8.0, 1.0), least_gap_other_px=np.array([1.0, 8.0]))
+    assert clearance_between(other, view(8.0, 1.0)).tolist() == [0.125, 1.0]
 
 
 @pytest.mark.parametrize(
     ("sector", "expected"), [(False, [1.0, 0.5, 0.25, 1.0]), (True, [0.5, 0.25])]
 )
-def test_rows_stand_for_their_markers_where_one_sector_was_pressed(
+def test_rows_represent_their_markers_where_one_sector_was_pressed(
     sector: bool, expected: list[float]
 ) -> None:
     eight = np.full(4, 8.0)
@@ -67,7 +72,7 @@ def test_rows_stand_for_their_markers_where_one_sector_was_pressed(
         facts=lambda _: {"sector_only": sector},
         markers=SimpleNamespace(row=np.array([3, 3, 7, 7])),
     )
-    assert room_left(cast("Context", context)).tolist() == expected
+    assert built_clearance(cast("Context", context)).tolist() == expected
 
 
 def test_the_error_is_that_of_the_worst_marker() -> None:

@@ -1,11 +1,10 @@
-"""Time and memory of stages: each runs in a process of its own, forked, one after the other.
+"""Time and memory of stages: each runs in its own forked process, one after the other.
 
-``python -m phytac_design.study.planning.measure DESIGN ACCURACY [SCENE]`` prints them as JSON.
+``python -m benchmarks.tradeoff_measure DESIGN ACCURACY [SCENE]`` prints them as JSON.
 """
 
 import json
 import os
-import resource
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -15,10 +14,8 @@ from typing import Any
 from phytac_design.engine import cache
 from phytac_design.engine.stage import Context, Stage
 from phytac_design.stages.build import Work
+from phytac_design.study.planning.run import cpu_s, peak_MB
 from phytac_shapes.errors import NumericalError
-
-MB = 1024.0
-"""Of the kilobytes that the system counts peak memory in."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,14 +85,8 @@ def _record(stage: Stage, context: Context, folder: Path) -> dict[str, Any]:
     cpu = cpu_s()
     return Work(stage, context, f"measuring {stage.name}")(folder) | {
         "cpu_s": round(cpu_s() - cpu, 3),
-        "peak_MB": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / MB, 1),
+        "peak_MB": round(peak_MB(), 1),
     }
-
-
-def cpu_s() -> float:
-    """Processor time of this process and the children that it waited for, s."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(u.ru_utime + u.ru_stime for u in used)
 
 
 def measure(design: str, accuracy: str, scene: str = "") -> dict[str, Any]:
@@ -111,13 +102,7 @@ def measure(design: str, accuracy: str, scene: str = "") -> dict[str, Any]:
     context = Context(design=loaded, accuracy=settings, seed=0, progress=lambda _: None)
     if scene:
         resolved = resolve(loaded, load_scene(scene), settings)
-        stages = resolved.stages
-        context = replace(
-            context,
-            design=resolved.design,
-            accuracy=resolved.accuracy,
-            scene=resolved.scene,
-        )
+        stages, context = resolved.stages, resolved.context()
     costs = measure_stages(context, stages, lambda text: print(text, file=sys.stderr, flush=True))
     return {
         "costs": {name: asdict(cost) for name, cost in costs.items()},
