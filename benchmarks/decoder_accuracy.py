@@ -46,8 +46,6 @@ from benchmarks.harness import Table
 from phytac_decoder.io.bundle import Bundle
 from phytac_design.engine.stage import Context
 from phytac_design.training.training_data import DataSet
-from phytac_design.workflows.simulate import imaging_model
-from phytac_shapes.arrays import FloatArray
 
 COUNTS = (25, 50, 100, 150, 300, 598)
 """Samples of the learning curve."""
@@ -95,12 +93,6 @@ class UnitDecoder:
         """Where its data are from."""
         return f"{self.case.name}: {origin(self.case.name, self.test.meta)}"
 
-    @property
-    def pixels_px(self) -> FloatArray:
-        """Scatter (n, 2) of its markers' places over where on the pixels they are."""
-        found = imaging_model(self.case.job).at_rest.grid_px
-        return np.where(np.isfinite(found), found, np.nanmean(found, axis=0))
-
     def judged(self, bundle: Bundle, *, names: Sequence[str] | None = None) -> Evaluation:
         """A decoder on the held-out samples."""
         return evaluate_decoder(self.context, bundle.model, self.test, estimators=names)
@@ -119,7 +111,7 @@ def add_rows_accuracy(table: Table, *, quick: bool) -> None:
     for number, case in enumerate(units(quick=quick)):
         here = bench(case)
         bundle, facts = train_decoder(here.plain, here.train)
-        judged = replace(here.judged(bundle), pixels_px=here.pixels_px)
+        judged = here.judged(bundle)
         full = number == 0 and not quick
         _count_row(table, here, judged, target=full)
         add_scores(table, here.head, judged, FULL, targets=TARGETS)
@@ -138,16 +130,13 @@ def add_rows_accuracy(table: Table, *, quick: bool) -> None:
 def _count_row(table: Table, here: UnitDecoder, judged: Evaluation, *, target: bool) -> None:
     """How many contacts are judged, and where the data are from."""
     judged_ones, count = int(judged.decoded.tripped.sum()), len(judged.decoded.touch)
-    table.add(
-        f"{here.head}: held-out contacts, trained on {here.train.samples.count} samples",
-        count,
-        "contacts",
-        reference=CONTACTS,
-        source="project target",
-        target=f">= {CONTACTS}" if target else None,
-        note=f"{here.note}; {count - judged_ones} of them tripped no switch and are apart; the "
-        f"{'first samples train' if not here.case.mixed else 'parts are drawn at random'}",
+    row = f"{here.head}: held-out contacts, trained on {here.train.samples.count} samples"
+    source = "project target"
+    note = (
+        f"{here.note}; {count - judged_ones} of them tripped no switch and are apart; the "
+        f"{'first samples train' if not here.case.mixed else 'parts are drawn at random'}"
     )
+    table.add(row, count, "contacts", CONTACTS, source, f">= {CONTACTS}" if target else None, note)
 
 
 def _pairs_rows(table: Table, here: UnitDecoder, judged: Evaluation) -> None:
@@ -166,30 +155,22 @@ def _pairs_rows(table: Table, here: UnitDecoder, judged: Evaluation) -> None:
         now, then = (
             100.0 * one.score("auto", mask)[RELATIVE]["value"] for one in (judged, without)
         )
-        table.add(
+        row = (
             f"{here.head}: auto, {WORDS[group]}, mean relative error without tables of pairs over "
-            "that with them",
-            then / now,
-            "ratio",
-            reference=now,
-            source="with them, %",
-            note=f"{then:.3g} % without",
+            "that with them"
         )
+        table.add(row, then / now, "ratio", now, "with them, %", note=f"{then:.3g} % without")
 
 
 def _time_rows(
     table: Table, here: UnitDecoder, facts: Mapping[str, Mapping[str, Any]], *, target: bool
 ) -> None:
     for name, found in facts.items():
-        table.add(
-            f"{here.head}: training {name} on {here.train.samples.count} samples",
-            found["seconds"],
-            "s",
-            reference=60.0,
-            source="paper: within 1 min",
-            target=f"<= {TRAIN_S:g}" if target else None,
-            note=f"{found['cpu_seconds']:.2f} s of CPU time",
-        )
+        row = f"{here.head}: training {name} on {here.train.samples.count} samples"
+        source = "paper: within 1 min"
+        note = f"{found['cpu_seconds']:.2f} s of CPU time"
+        value = found["seconds"]
+        table.add(row, value, "s", 60.0, source, f"<= {TRAIN_S:g}" if target else None, note)
 
 
 def _spread_rows(table: Table, each: Sequence[Evaluation]) -> None:
@@ -202,16 +183,14 @@ def _spread_rows(table: Table, each: Sequence[Evaluation]) -> None:
                     factor * one.score(estimator, one.group(*group))[key]["value"] for one in each
                 ]
                 words = "mean relative error" if key == RELATIVE else "mean absolute error"
-                table.add(
-                    f"{name}, {len(each)} units: {estimator}, {WORDS[group]}: {words}, mean",
-                    float(np.mean(values)),
-                    unit,
-                    reference="none",
-                    source=TWIN,
-                    target=TARGETS.get((group, key), {}).get(estimator),
-                    note=f"each {', '.join(f'{v:.3g}' for v in values)} {unit}; standard "
-                    f"deviation over units {float(np.std(values, ddof=1)):.2g} {unit}",
+                row = f"{name}, {len(each)} units: {estimator}, {WORDS[group]}: {words}, mean"
+                note = (
+                    f"each {', '.join(f'{v:.3g}' for v in values)} {unit}; standard "
+                    f"deviation over units {float(np.std(values, ddof=1)):.2g} {unit}"
                 )
+                value = float(np.mean(values))
+                target = TARGETS.get((group, key), {}).get(estimator)
+                table.add(row, value, unit, "none", TWIN, target, note)
 
 
 def add_rows_few(table: Table, *, quick: bool) -> None:
@@ -234,16 +213,13 @@ def add_rows_few(table: Table, *, quick: bool) -> None:
     for (name, group), curve in errors.items():
         good = [n for n, error in curve.items() if error <= PAPER_PERCENT]
         if good:
-            table.add(
+            row = (
                 f"{here.head}: {name}, {WORDS[group]}: samples from which on it is at the paper's "
-                "2.3 %",
-                good[0],
-                "samples",
-                reference=598,
-                source="paper: trained on 598",
-                target=f"<= {ENOUGH}",
-                note=f"of {', '.join(map(str, curve))}",
+                "2.3 %"
             )
+            source = "paper: trained on 598"
+            note = f"of {', '.join(map(str, curve))}"
+            table.add(row, good[0], "samples", 598, source, f"<= {ENOUGH}", note)
 
 
 def _curve_rows(
@@ -263,15 +239,10 @@ def _curve_rows(
         note = [f"{len(values)} draws: {', '.join(f'{v:.3g}' for v in values)} %"]
         if judge and mean > PAPER_PERCENT:
             note.append(allowed(draws[0], mask))
-        table.add(
-            f"{here.head}: {name} from {count} samples, {WORDS[group]}: mean relative error",
-            mean,
-            "%",
-            reference=PAPER_PERCENT,
-            source=f"{PAPER}, all heights, 598 samples",
-            target=f"<= {PAPER_PERCENT}" if judge else None,
-            note="; ".join(note),
-        )
+        row = f"{here.head}: {name} from {count} samples, {WORDS[group]}: mean relative error"
+        source = f"{PAPER}, all heights, 598 samples"
+        target = f"<= {PAPER_PERCENT}" if judge else None
+        table.add(row, mean, "%", PAPER_PERCENT, source, target, "; ".join(note))
 
 
 def add_rows_other_unit(table: Table, *, quick: bool) -> None:

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from phytac_decoder.estimation.contact_estimates import ContactDetection
-from phytac_decoder.estimation.contact_fit import initial_state
-from phytac_decoder.estimation.contact_shifts import UNKNOWNS, single_contact_shifts
 from phytac_design.datasets.samples import Samples
 from phytac_design.engine.stage import Context
 from phytac_design.mechanics.meshing.mesh import marker_mesh
@@ -18,7 +16,6 @@ from phytac_design.simulation.cramer_rao import (
     contact_signals,
 )
 from phytac_design.simulation.response import motion_responses
-from phytac_design.stages.places import locator_of
 from phytac_design.training.locator_calibration import pressure_moments
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -26,17 +23,13 @@ QUIET_px = 0.05
 """Markers that contacts move by less tell the noise: what mechanics leave out is far below it."""
 QUIET_LEAST = 10
 """Readings of a coordinate from which on it has a noise of its own."""
-STILL_px = 0.1
-"""Markers that move by more lie elsewhere on the pixels."""
-MOMENT_LEAST_MM2 = 0.1
-"""Least scatter of second moments that is presumed."""
 MEAN_SIZE = float(np.sqrt(2.0 / np.pi))
 """Mean of |error| over the standard deviation of a normal error."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
-    """Least standard deviations of the force; arrays run over c contacts.
+    """Minimum standard deviations of the force; arrays run over c contacts.
 
     Attributes
     ----------
@@ -44,31 +37,15 @@ class Bounds:
         Place, size and forces of all of a sample's contacts unknown but for the prior; NaN for
         contacts that tripped no switch.
     alone_N : (c,) float
-        The same if all about the sample's other contacts were known.
-    pixels_N : (c,) float
-        As the first, with what pixels add to the noise of markers that move.
-    shaped_N : (c,) float
-        As the last, of contacts of which three second moments are unknown, not a radius alone:
-        balls, edges and discs that are turned anyhow.
-    tips_N : (c,) float
-        As the last, with the scatter of markers whose red tip is out.
+        The same if the sample's other contacts were known.
     """
 
     force_N: FloatArray
     alone_N: FloatArray
-    pixels_N: FloatArray
-    shaped_N: FloatArray
-    tips_N: FloatArray
 
     def pick(self, rows: IntArray) -> "Bounds":
         """Of some contacts."""
-        return Bounds(
-            force_N=self.force_N[rows],
-            alone_N=self.alone_N[rows],
-            pixels_N=self.pixels_N[rows],
-            shaped_N=self.shaped_N[rows],
-            tips_N=self.tips_N[rows],
-        )
+        return Bounds(force_N=self.force_N[rows], alone_N=self.alone_N[rows])
 
 
 def noise_of(found: list[ContactDetection | None], samples: Samples) -> FloatArray:
@@ -98,13 +75,7 @@ def noise_of(found: list[ContactDetection | None], samples: Samples) -> FloatArr
     return np.where(known, noise, overall)
 
 
-def bounds(
-    context: Context,
-    samples: Samples,
-    noise_px: FloatArray,
-    pixels_px: FloatArray | float = 0.0,
-    switched_px: float = 0.0,
-) -> Bounds:
+def bounds(context: Context, samples: Samples, noise_px: FloatArray) -> Bounds:
     """Bounds of all contacts of samples, by the decoder's own shell, linear.
 
     Parameters
@@ -115,17 +86,11 @@ def bounds(
         With contacts and truth.
     noise_px : (n, 2) float
         Standard deviation of each coordinate of a shift.
-    pixels_px : (n, 2) float
-        Standard deviation of the error of a place that depends on where on the pixels it is; of a
-        marker that moves, shifts have it twice: of where it is and of where it was.
-    switched_px : float
-        Standard deviation of shifts of markers whose tip is out, besides.
     """
     touches, truth = samples.touches, samples.truth
     assert touches is not None
     assert truth is not None
     assert samples.shift_px is not None
-    assert samples.bits_read is not None
     design = context.design
     tripped = np.isin(np.arange(len(touches.sample)), truth.touch) & (touches.force_N > 0.0)
     prior = cell_prior(
@@ -136,28 +101,17 @@ def bounds(
     )
     rows = np.flatnonzero(tripped)
     signals = _signals(context, samples, tripped)
-    force, alone, pixels, shaped, tips = np.full((5, len(tripped)), np.nan)
-    slopes, known = _by_moments(context, samples, tripped, prior)
-    twice = np.broadcast_to(2.0 * np.asarray(pixels_px) ** 2, noise_px.shape)
+    force, alone = np.full((2, len(tripped)), np.nan)
     start = np.searchsorted(touches.sample[rows], np.arange(samples.count + 1))
     for sample in range(samples.count):
         own = slice(start[sample], start[sample + 1])
         if own.start == own.stop:
             continue
-        seen = np.isfinite(samples.shift_px[sample]).reshape(-1)
+        weight = np.isfinite(samples.shift_px[sample]).reshape(-1) / noise_px.reshape(-1)
         mine = ContactSignals(shift=signals.shift[own], slopes=signals.slopes[own])
-        newtons = touches.force_N[rows[own]]
-        force[rows[own]], alone[rows[own]] = _sample(
-            mine, newtons, seen / noise_px.reshape(-1), prior
-        )
-        moves = np.linalg.norm((newtons @ mine.shift).reshape(-1, 2), axis=1) > STILL_px
-        noise = np.sqrt(noise_px**2 + twice * moves[:, None])
-        weight = seen / noise.reshape(-1)
-        pixels[rows[own]] = _sample(mine, newtons, weight, prior)[0]
-        shaped[rows[own]] = _least(slopes[own] * weight, known)
-        noise = np.hypot(noise, switched_px * samples.bits_read[sample][:, None])
-        tips[rows[own]] = _least(slopes[own] * (seen / noise.reshape(-1)), known)
-    return Bounds(force_N=force, alone_N=alone, pixels_N=pixels, shaped_N=shaped, tips_N=tips)
+        found = _sample(mine, touches.force_N[rows[own]], weight, prior)
+        force[rows[own]], alone[rows[own]] = found
+    return Bounds(force_N=force, alone_N=alone)
 
 
 def _sample(
@@ -188,42 +142,6 @@ def _least(weighed: FloatArray, known: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.diagonal(np.linalg.inv(information))[:: len(known)]))
 
 
-def _by_moments(
-    context: Context, samples: Samples, chosen: BoolArray, prior: PositionPrior
-) -> tuple[FloatArray, FloatArray]:
-    """Slopes (c, 6, 2n) of shifts by all unknowns of the chosen contacts, and what is known (6,).
-
-    By the decoder's linear tables. Moments are presumed to scatter as those of these contacts do.
-    """
-    locator = locator_of(context).linear
-    touches = samples.touches
-    assert touches is not None
-    moments = _moments(samples, chosen)
-    moments[:, [0, 2]] -= locator.places.radius_mm**2 / 4.0
-    out = np.empty((len(moments), UNKNOWNS, 2 * samples.markers))
-    rows = zip(touches.point_mm[chosen], touches.force_N[chosen], moments, strict=True)
-    for k, (point, force, own) in enumerate(rows):
-        state = initial_state(locator.places, locator.prior, point, float(force))
-        state.x[3:] = own
-        out[k] = single_contact_shifts(state, 1)[1]
-    spread = np.maximum(moments.std(axis=0), MOMENT_LEAST_MM2)
-    return out, np.array([0.0, *[prior.place_mm**-2] * 2, *spread**-2.0])
-
-
-def _moments(samples: Samples, chosen: BoolArray) -> FloatArray:
-    """Second moments (c, 3) mm² of the chosen contacts."""
-    touches = samples.touches
-    assert touches is not None
-    return pressure_moments(
-        {
-            "indenter": touches.indenter[chosen],
-            "radius_mm": touches.radius_mm[chosen],
-            "length_mm": touches.length_mm[chosen],
-            "turn_rad": touches.turn_rad[chosen],
-        }
-    )
-
-
 def _signals(context: Context, samples: Samples, chosen: BoolArray) -> ContactSignals:
     """Shifts per newton of the chosen contacts, as even discs of their second moments."""
     touches = samples.touches
@@ -240,7 +158,8 @@ def _signals(context: Context, samples: Samples, chosen: BoolArray) -> ContactSi
         motion = motion_responses(model, mesh, surface, markers, uv=uv, radius_mm=radius_mm)
         return np.asarray(np.einsum("nij,cnj->cni", slope, motion))
 
-    moments = _moments(samples, chosen)
+    names = ("indenter", "radius_mm", "length_mm", "turn_rad")
+    moments = pressure_moments({name: getattr(touches, name)[chosen] for name in names})
     # An even disc of radius a has a²/4 along each axis.
     radius = np.sqrt(2.0 * (moments[:, 0] + moments[:, 2]))
     return contact_signals(surface, shifts, uv=touches.uv[chosen], radius_mm=radius)

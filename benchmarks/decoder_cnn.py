@@ -36,7 +36,7 @@ PAPER = {598: 48.0, 3909: 93.0}
 PARAMETERS = 758.4
 """Of the paper's network, thousand."""
 CONDITIONS = (
-    "told which switches are truly on; the force of a contact is the sum over its switches; "
+    "given which switches are truly on; the force of a contact is the sum over its switches; "
     "contacts that turned on none are left out"
 )
 
@@ -142,13 +142,9 @@ def add_rows(table: Table, *, quick: bool) -> None:
         known = judge(name, trained, samples, taught)
         found = judge(name, trained, samples, np.sort(order[counts[-1] :]))
         _add(table, count, trained, known, found, about)
-    table.add(
-        "cnn: parameters",
-        trained.parameters / 1e3,
-        "thousand",
-        reference=PARAMETERS,
-        source="paper; its layers are not published",
-    )
+    row = "cnn: parameters"
+    source = "paper; its layers are not published"
+    table.add(row, trained.parameters / 1e3, "thousand", PARAMETERS, source)
 
 
 def _add(
@@ -177,14 +173,8 @@ def _add(
 
     def percent(case: str, key: str, measure: str, reference: float | str, source: str) -> None:
         row = score[key][measure]
-        table.add(
-            case,
-            100.0 * row["value"],
-            "%",
-            reference=reference,
-            source=source,
-            note=f"95 % interval {100.0 * row['low']:.1f} to {100.0 * row['high']:.1f}; {about}",
-        )
+        note = f"95 % interval {100.0 * row['low']:.1f} to {100.0 * row['high']:.1f}; {about}"
+        table.add(case, 100.0 * row["value"], "%", reference, source, note=note)
 
     percent(
         f"{label}: accuracy",
@@ -201,14 +191,16 @@ def _add(
         ("absolute_error_sd_N", "SD of the absolute error"),
     ):
         row = cnn[measure]
+        note = f"95 % interval {row['low']:.2f} to {row['high']:.2f}; {about}"
+        target = "<= " + f"{score['guess'][measure]['value']:.6g}" if "MAE" in case else None
         table.add(
             f"{label}: {case}",
             row["value"],
             "N",
-            reference=score["guess"][measure]["value"],
-            source="guessing the mean force of the contacts that were learnt from",
-            target="<= " + f"{score['guess'][measure]['value']:.6g}" if "MAE" in case else None,
-            note=f"95 % interval {row['low']:.2f} to {row['high']:.2f}; {about}",
+            score["guess"][measure]["value"],
+            "guessing the mean force of the contacts that were learnt from",
+            target,
+            note,
         )
     percent(
         f"{label}: accuracy of the best single guess",
@@ -223,14 +215,15 @@ def _add(
         f"cnn on {count} samples: accuracy on what it learnt from",
         100.0 * own.score(known.decoded_N, known.force_N, all_known)["accuracy"]["value"],
         "%",
-        reference=100.0 * cnn["accuracy"]["value"],
-        source="on further contacts: what lies between was learnt by heart",
+        100.0 * cnn["accuracy"]["value"],
+        "on further contacts: what lies between was learnt by heart",
     )
+    note = f"best of its rounds: {trained.rounds}; one thread"
     table.add(
         f"cnn on {count} samples: training",
         trained.seconds,
         "s",
-        reference="several hours",
-        source="paper, of image-based networks",
-        note=f"best of its rounds: {trained.rounds}; one thread",
+        "several hours",
+        "paper, of image-based networks",
+        note=note,
     )

@@ -75,8 +75,8 @@ class DataSetSpec:
 
 def data_folder() -> Path:
     """Where data sets lie."""
-    told = os.environ.get("PHYTAC_DATA")
-    return Path(told) if told else Path.home() / ".cache" / "phytac-benchmarks"
+    folder = os.environ.get("PHYTAC_DATA")
+    return Path(folder) if folder else Path.home() / ".cache" / "phytac-benchmarks"
 
 
 def data_set(name: str, job: Job) -> tuple[Samples, DataSetInfo]:

@@ -72,7 +72,7 @@ def train_decoder(
         if name not in names:
             continue
         begin, cpu = time.perf_counter(), time.process_time()
-        lesson = TrainingTask(
+        task = TrainingTask(
             bundle=bundle,
             training=parts[0],
             validation=parts[1],
@@ -80,7 +80,7 @@ def train_decoder(
             seed=seed,
             start=start if start is not None and name in start.model.networks else None,
         )
-        model, found = trainer(lesson)
+        model, found = trainer(task)
         bundle = replace(bundle, model=model)
         facts[name] = found | {
             "seconds": time.perf_counter() - begin,
@@ -238,10 +238,6 @@ class Evaluation:
         The same beside what was pressed.
     context : Context
         Of the decoder's mechanics.
-    pixels_px : (n, 2) float or 0
-        What the place on the pixels adds to the noise of markers that move, where it is known.
-    switched_px : float
-        What was learnt of the scatter of markers whose tip is out.
     """
 
     data: DataSet
@@ -250,8 +246,6 @@ class Evaluation:
     found: list[ContactDetection | None]
     claims: Claims
     context: Context
-    pixels_px: FloatArray | float = 0.0
-    switched_px: float = 0.0
 
     def group(self, section: str, name: str) -> BoolArray:
         """Mask (c,); a name may be only begun. Empty for a group without contacts."""
@@ -277,33 +271,12 @@ class Evaluation:
     @cached_property
     def bounds(self) -> Bounds:
         """Of the judged contacts, (c,)."""
-        all_ = bounds(
-            self.context, self.data.samples, self.noise_px, self.pixels_px, self.switched_px
-        )
-        return all_.pick(self.decoded.touch)
+        return bounds(self.context, self.data.samples, self.noise_px).pick(self.decoded.touch)
 
     def over_bound(self, mask: BoolArray) -> tuple[float, float, float]:
         """RMSE of ``auto`` over the RMS of the bound; that, N; RMSE over that of each alone."""
         least = _rms(self.bounds.force_N[mask])
         return self._rmse(mask) / least, least, self._rmse(mask) / _rms(self.bounds.alone_N[mask])
-
-    def over_pixels(self, mask: BoolArray) -> tuple[float, float]:
-        """RMSE of ``auto`` over the RMS of the bound with what pixels add; that, N."""
-        least = _rms(self.bounds.pixels_N[mask])
-        return self._rmse(mask) / least, least
-
-    def over_shaped(self, mask: BoolArray) -> tuple[float, float, float]:
-        """The same where second moments are unknown too; and the least mean of |error| / force."""
-        return self._over(self.bounds.shaped_N, mask)
-
-    def over_tips(self, mask: BoolArray) -> tuple[float, float, float]:
-        """The same with the scatter of markers whose tip is out."""
-        return self._over(self.bounds.tips_N, mask)
-
-    def _over(self, least_N: FloatArray, mask: BoolArray) -> tuple[float, float, float]:
-        own = least_N[mask]
-        share = MEAN_SIZE * float((own / self.decoded.force_N[mask]).mean())
-        return self._rmse(mask) / _rms(own), _rms(own), share
 
     def _rmse(self, mask: BoolArray) -> float:
         return _rms((self.decoded.decoded_N["auto"] - self.decoded.force_N)[mask])
@@ -324,11 +297,7 @@ def _rms(values: FloatArray) -> float:
 
 
 def evaluate_decoder(
-    context: Context,
-    model: ForceModel,
-    data: DataSet,
-    *,
-    estimators: Sequence[str] | None = None,
+    context: Context, model: ForceModel, data: DataSet, *, estimators: Sequence[str] | None = None
 ) -> Evaluation:
     """Judge a model on samples that it has not learnt from.
 
@@ -355,11 +324,4 @@ def evaluate_decoder(
         found=found,
         claims=claims_of(found, samples, decoded),
         context=context,
-        switched_px=_switched_px(model),
     )
-
-
-def _switched_px(model: ForceModel) -> float:
-    """Scatter of markers whose tip is out; 0 where none was learnt."""
-    noise = model.locator.noise if model.locator else None
-    return noise.switched_px if noise and noise.ratio is not None else 0.0

@@ -1,7 +1,7 @@
 """Frames in another light than the design's, and with faults: what the decoder makes of them.
 
 Frames are rendered (lens blur, fall-off, vignetting, noise) of contacts that a shell of large
-displacement solves. ``python -m benchmarks.decoder_faults [--quick]``
+displacement solves.
 """
 
 import copy
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from benchmarks.decoder_damage import FAULTS, Sample
 from benchmarks.decoder_lights import add_lights
 from benchmarks.decoder_presses import REFINE, SEEN, PressedSensor, scenario_of
-from benchmarks.harness import Table, arguments
+from benchmarks.harness import Table
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_decoder.pipeline.decode import Measured, measure_frame
@@ -67,8 +67,8 @@ def judged(
     wrong = bool(abs(after[0] - before[0]) > max(WRONG_SHARE * true.sum(), WRONG_N))
     wrong |= bool((np.abs(after[1] - before[1]) > limit).any())
     error = after[1] - np.append(true, 0.0)
-    told = seen.warnings(bundle, forces, estimator=estimator)
-    return abs(after[0] / true.sum() - 1.0), float(np.abs(error).max()), wrong, told
+    warnings = seen.warnings(bundle, forces, estimator=estimator)
+    return abs(after[0] / true.sum() - 1.0), float(np.abs(error).max()), wrong, warnings
 
 
 def add_faults(table: Table, bench: PressedSensor, count: int) -> None:
@@ -97,15 +97,15 @@ def add_faults(table: Table, bench: PressedSensor, count: int) -> None:
                     tally.said = str(error)
                 continue
             for name, tally in tallies.items():
-                total, contact, wrong, told = judged(bench, index, sound[index], seen, name)
+                total, contact, wrong, warnings = judged(bench, index, sound[index], seen, name)
                 tally.frames += 1
                 tally.followed += follows
                 tally.watched += torn
-                tally.flagged += bool(told)
+                tally.flagged += bool(warnings)
                 tally.wrong += wrong
-                tally.silent += wrong and not told
-                tally.unseen += wrong and not told and not torn
-                tally.said = told[0] if told else tally.said
+                tally.silent += wrong and not warnings
+                tally.unseen += wrong and not warnings and not torn
+                tally.said = warnings[0] if warnings else tally.said
                 tally.total.append(total)
                 tally.contact.append(contact)
         for name, tally in tallies.items():
@@ -117,9 +117,7 @@ def _again(sample: Sample) -> ImageArray:
 
 
 def _samples(
-    bench: PressedSensor,
-    chosen: list[int],
-    chips: dict[int, NDArray[np.float32]],
+    bench: PressedSensor, chosen: list[int], chips: dict[int, NDArray[np.float32]]
 ) -> Iterator[tuple[int, Sample]]:
     """Samples to be damaged; the last of ``chosen`` is only there to be torn into another."""
     for number, index in enumerate(chosen[:-1]):
@@ -173,51 +171,41 @@ def _add_fault(table: Table, fault: str, estimator: str, tally: FaultCounts) -> 
     total, contact = tally.total, tally.contact
     where = f"fault {fault}, {estimator}"
     if fault == "none":
-        table.add(
-            f"sound frames with a warning, {estimator}",
-            tally.flagged,
-            "frames",
-            reference=tally.frames,
-            source="frames, another draw of the noise",
-            target="== 0",
-            note=f"by a follower {tally.followed}; by one who holds them against the frame before "
-            f"{tally.watched}; said: {tally.said or 'nothing'}",
+        row = f"sound frames with a warning, {estimator}"
+        source = "frames, another draw of the noise"
+        note = (
+            f"by a follower {tally.followed}; by one who holds them against the frame before "
+            f"{tally.watched}; said: {tally.said or 'nothing'}"
         )
+        table.add(row, tally.flagged, "frames", tally.frames, source, "== 0", note)
     else:
-        table.add(
-            f"{where}: frames with a force wrong by it, and nothing said",
-            tally.silent,
-            "frames",
-            reference=tally.wrong,
-            source=f"frames with a force changed by more than {100 * WRONG_SHARE:g} % and "
-            f"{WRONG_N:g} N",
-            target="== 0",
-            note=f"{tally.frames} frames: {tally.refused} refused, {tally.flagged} flagged; by a "
-            f"follower {tally.followed}; last said: {tally.said or 'nothing'}",
+        row = f"{where}: frames with a force wrong by it, and nothing said"
+        source = (
+            f"frames with a force changed by more than {100 * WRONG_SHARE:g} % and {WRONG_N:g} N"
         )
+        note = (
+            f"{tally.frames} frames: {tally.refused} refused, {tally.flagged} flagged; by a "
+            f"follower {tally.followed}; last said: {tally.said or 'nothing'}"
+        )
+        table.add(row, tally.silent, "frames", tally.wrong, source, "== 0", note)
     if fault == TORN:
-        table.add(
-            f"{where}: the same, by one who holds it against the frame before",
-            tally.unseen,
-            "frames",
-            reference=tally.wrong,
-            source="as serve, live and decode do with recordings and cameras; rows that are the "
-            "last frame's to the bit",
-            target="== 0",
-            note=f"{tally.watched} of {tally.frames} frames told to be torn",
+        row = f"{where}: the same, by one who holds it against the frame before"
+        source = (
+            "as serve, live and decode do with recordings and cameras; rows that are the "
+            "last frame's to the bit"
         )
+        note = f"{tally.watched} of {tally.frames} frames found to be torn"
+        table.add(row, tally.unseen, "frames", tally.wrong, source, "== 0", note)
     if not total:
         return
-    table.add(
-        f"{where}: error of the total, median",
-        float(np.median(total)),
-        "relative",
-        reference="-",
-        source="true forces of the contacts; frames that were not refused",
-        note=f"worst {np.max(total):.3g}; largest error of one contact, median "
+    row = f"{where}: error of the total, median"
+    source = "true forces of the contacts; frames that were not refused"
+    note = (
+        f"worst {np.max(total):.3g}; largest error of one contact, median "
         f"{np.median(contact):.3g} N, worst {np.max(contact):.3g} N; {tally.flagged} of "
-        f"{tally.frames} frames flagged",
+        f"{tally.frames} frames flagged"
     )
+    table.add(row, float(np.median(total)), "relative", "-", source, note=note)
 
 
 def add_alarms(table: Table, benches: dict[str, PressedSensor]) -> None:
@@ -228,7 +216,7 @@ def add_alarms(table: Table, benches: dict[str, PressedSensor]) -> None:
 
 
 def _add_alarm(table: Table, label: str, bench: PressedSensor, estimator: str) -> None:
-    alarms, missing, told = 0, 0, ""
+    alarms, missing, warnings = 0, 0, ""
     for index, motion in enumerate(bench.motion):
         bits = bench.job.plan.switching.bits[index]
         seen = bench.eyes.points(motion, bits, 1.0, np.random.default_rng([SEEN, index]))
@@ -238,18 +226,17 @@ def _add_alarm(table: Table, label: str, bench: PressedSensor, estimator: str) -
         sound = bool(bench.tripped[index])
         alarms += sound and bool(said)
         missing += not sound and bool(said)
-        told = said[0] if sound and said else told
-    table.add(
-        f"sound samples with a warning, {label}, {estimator}",
-        alarms,
-        "samples",
-        reference=int(bench.tripped.sum()),
-        source="samples by points, all of whose contacts tripped a switch, up to "
-        f"{bench.job.design.training.force_max_N:g} N each",
-        target="== 0",
-        note=f"of {int((~bench.tripped).sum())} with a contact that trips no switch {missing} "
-        f"are told of missing forces; said: {told or 'nothing'}",
+        warnings = said[0] if sound and said else warnings
+    row = f"sound samples with a warning, {label}, {estimator}"
+    source = (
+        "samples by points, all of whose contacts tripped a switch, up to "
+        f"{bench.job.design.training.force_max_N:g} N each"
     )
+    note = (
+        f"of {int((~bench.tripped).sum())} with a contact that trips no switch {missing} "
+        f"have a warning of missing forces; said: {warnings or 'nothing'}"
+    )
+    table.add(row, alarms, "samples", int(bench.tripped.sum()), source, "== 0", note)
 
 
 def with_tables(bench: PressedSensor) -> PressedSensor:
@@ -286,12 +273,3 @@ def add_rows(table: Table, *, quick: bool) -> None:
             job, bench.eyes, bench.bundle, refine=5 if quick else REFINE
         )
     add_alarms(table, benches)
-
-
-def main() -> None:
-    """Print the rows; ``decoder`` writes them."""
-    add_rows(Table("decoder_faults"), quick=arguments(__doc__ or "").quick)
-
-
-if __name__ == "__main__":
-    main()

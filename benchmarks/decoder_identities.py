@@ -3,7 +3,6 @@
 The hand of :mod:`decoder_speed` closes, slides and lets go again and again: each time with other
 fingers, elsewhere, with another force and way, at the camera's noise. Frames are rendered and
 followed one by one, each grip in a process of its own.
-``python -m benchmarks.decoder_identities [--quick]``
 """
 
 import multiprocessing
@@ -23,7 +22,7 @@ from benchmarks.decoder_speed import (
     named_wrongly,
     separable,
 )
-from benchmarks.harness import Table, arguments
+from benchmarks.harness import Table
 from phytac_decoder.pipeline.tracker import Follower
 from phytac_design.design.design_file import load_design
 
@@ -39,7 +38,7 @@ class FollowedGrip:
     Attributes
     ----------
     frames, markers : int
-        Looked at; markers are those that are told apart at rest.
+        Looked at; markers are those that are separable at rest.
     swapped, lost : int
         Markers nearer to another's true place than to their own, and not found; over all frames.
     on, missed, false : int
@@ -86,11 +85,11 @@ def followed(number: int, frames: int = WHOLE) -> FollowedGrip:
         shift = eyes.exact(motion, bits)
         swapped += named_wrongly(bundle, sure, follower.rest_px, shift, seen.position_px)
         lost += int(np.isnan(seen.position_px[sure, 0]).sum())
-        told = np.isin(np.arange(eyes.count), seen.koi)[readable]
+        read_on = np.isin(np.arange(eyes.count), seen.koi)[readable]
         true = bits[readable]
         on, missed, false = (
             total + int(more.sum())
-            for total, more in ((on, true), (missed, true & ~told), (false, told & ~true))
+            for total, more in ((on, true), (missed, true & ~read_on), (false, read_on & ~true))
         )
         largest = max(largest, float(np.linalg.norm(shift, axis=1).max()))
     return FollowedGrip(
@@ -116,33 +115,20 @@ def add_rows(table: Table, *, quick: bool) -> None:
     looked = sum(run.frames * run.markers for run in runs)
     head = f"{DESIGN} {SMALL}, {len(runs)} grips of two to five fingers, {frames} frames at 480 fps"
     on = sum(run.on for run in runs)
-    table.add(
-        f"{head}: markers nearer to another's true place than to their own",
-        sum(run.swapped for run in runs),
-        "markers",
-        reference=0,
-        source="rendered truth",
-        target="== 0",
-        note=f"of {looked} looked at: the {min(run.markers for run in runs)} to "
-        f"{max(run.markers for run in runs)} of 368 that can be told apart at rest, followed "
+    row = f"{head}: markers nearer to another's true place than to their own"
+    source = "rendered truth"
+    note = (
+        f"of {looked} looked at: the {min(run.markers for run in runs)} to "
+        f"{max(run.markers for run in runs)} of 368 that are separable at rest, followed "
         "from rest through each grip; motions up to "
-        f"{max(run.largest_px for run in runs):.1f} px; {sum(run.lost for run in runs)} not found",
+        f"{max(run.largest_px for run in runs):.1f} px; {sum(run.lost for run in runs)} not found"
     )
-    table.add(
-        f"{head}: switches read wrongly, over those that are on",
-        sum(run.missed + run.false for run in runs) / max(on, 1),
-        "relative",
-        reference=0.0,
-        source="readable switches, rendered truth",
-        note=f"{sum(run.missed for run in runs)} missed and {sum(run.false for run in runs)} "
-        f"false, of {on} on",
+    table.add(row, sum(run.swapped for run in runs), "markers", 0, source, "== 0", note)
+    row = f"{head}: switches read wrongly, over those that are on"
+    source = "readable switches, rendered truth"
+    note = (
+        f"{sum(run.missed for run in runs)} missed and {sum(run.false for run in runs)} "
+        f"false, of {on} on"
     )
-
-
-def main() -> None:
-    """Print the rows; ``decoder`` writes them."""
-    add_rows(Table("decoder_names"), quick=arguments(__doc__ or "").quick)
-
-
-if __name__ == "__main__":
-    main()
+    value = sum(run.missed + run.false for run in runs) / max(on, 1)
+    table.add(row, value, "relative", 0.0, source, note=note)

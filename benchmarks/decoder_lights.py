@@ -134,37 +134,24 @@ def _faded(bench: PressedSensor, poses: list[int]) -> list[NDArray[np.float32]]:
 
 
 def _add_light(
-    table: Table,
-    label: str,
-    seen: dict[str, Light],
-    usual_px: float,
-    markers: int,
-    *,
-    target: bool,
+    table: Table, label: str, seen: dict[str, Light], usual_px: float, markers: int, *, target: bool
 ) -> None:
     """Rows of several lights together."""
     read = {name: one for name, one in seen.items() if not one.refused}
     refused = [f"{name}: {one.refused}" for name, one in seen.items() if one.refused]
     missed = len(refused) * markers
     wrong = sum(one.wrong for one in read.values())
-    table.add(
-        f"{label}: markers lost or in frames refused, and bits wrong",
-        sum(one.lost for one in read.values()) + wrong + missed,
-        "markers",
-        reference=len(seen) * markers,
-        source="markers in all frames; rendered truth",
-        target="== 0" if target else None,
-        note=f"{len(seen)} lights, {len(refused)} refused, {wrong} bits wrong"
-        + (f"; {refused[0]}" if refused else ""),
+    row = f"{label}: markers lost or in frames refused, and bits wrong"
+    source = "markers in all frames; rendered truth"
+    note = f"{len(seen)} lights, {len(refused)} refused, {wrong} bits wrong" + (
+        f"; {refused[0]}" if refused else ""
     )
+    value = sum(one.lost for one in read.values()) + wrong + missed
+    table.add(row, value, "markers", len(seen) * markers, source, "== 0" if target else None, note)
     if read:
         worst = max(read, key=lambda name: read[name].error_px)
-        table.add(
-            f"{label}: error of shifts, over that in the design's light",
-            read[worst].error_px / usual_px,
-            "ratio",
-            reference=usual_px,
-            source="px RMS in the design's light, by the design's colours; truth of the renderer",
-            target="<= 1.25" if target else None,
-            note=f"worst light: {worst}, {read[worst].error_px:.3f} px RMS",
-        )
+        row = f"{label}: error of shifts, over that in the design's light"
+        source = "px RMS in the design's light, by the design's colours; truth of the renderer"
+        note = f"worst light: {worst}, {read[worst].error_px:.3f} px RMS"
+        ratio = read[worst].error_px / usual_px
+        table.add(row, ratio, "ratio", usual_px, source, "<= 1.25" if target else None, note)

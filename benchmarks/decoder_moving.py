@@ -1,9 +1,8 @@
-"""The decoder on a hand that grips and is hit, at 480 fps: each frame by itself, and gone on.
+"""The decoder on a hand that grips and is hit, at 480 fps: each frame by itself, and warm-started.
 
 What a stream does with each frame after its markers are found: forces, contacts, doubts. Five
 fingers grip cylinder60, and after a tenth of a second something hits what they hold: forces kick
 by up to 11 N within 5 ms, ring, and the fingers slip by 1.5 mm. Part ``moving`` of ``decoder``.
-``python -m benchmarks.decoder_moving [--quick]``
 """
 
 import time
@@ -15,7 +14,7 @@ import numpy as np
 from benchmarks.decoder_accuracy import bench
 from benchmarks.decoder_data import LINEAR, SEED, DataSetSpec, data_set, units
 from benchmarks.decoder_evaluation import train_decoder
-from benchmarks.harness import Table, arguments
+from benchmarks.harness import Table
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.pipeline.decode import Measured
 from phytac_decoder.pipeline.frame_reading import Reading, read
@@ -171,40 +170,30 @@ def add_film(
     for words, run in (
         ("koi_inverse", inverse),
         ("auto, each frame by itself", alone),
-        ("auto, gone on from the frame before", followed),
+        ("auto, warm-started from the frame before", followed),
     ):
         _time_rows(table, f"{head}: {words}", run, note)
-        table.add(
-            f"{head}: {words}: error of the sum of forces",
-            float(np.sqrt(np.mean(error_N(run, true_N) ** 2))),
-            "N RMS",
-            reference=float(true_N.mean()),
-            source="mean of the true sum, N",
-        )
-    table.add(
-        f"{head}: auto, gone on over by itself: median time of a frame",
-        float(np.median(followed.ms) / np.median(alone.ms)),
-        "ratio",
-        reference=float(np.median(alone.ms)),
-        source="each frame by itself, ms of one core, same run",
-    )
+        row = f"{head}: {words}: error of the sum of forces"
+        source = "mean of the true sum, N"
+        value = float(np.sqrt(np.mean(error_N(run, true_N) ** 2)))
+        table.add(row, value, "N RMS", float(true_N.mean()), source)
+    row = f"{head}: auto, warm-started over by itself: median time of a frame"
+    source = "each frame by itself, ms of one core, same run"
+    value = float(np.median(followed.ms) / np.median(alone.ms))
+    table.add(row, value, "ratio", float(np.median(alone.ms)), source)
     _difference_rows(table, head, alone, followed)
 
 
 def _time_rows(table: Table, head: str, run: DecodedFilm, note: str) -> None:
     for name, share in (("p50", 50), ("p99", 99)):
-        table.add(
-            f"{head}: a frame, {name}",
-            float(np.percentile(run.ms, share)),
-            "ms of one core",
-            reference=PERIOD_ms,
-            source="a frame's period at 480 fps",
-            note=note,
-        )
+        row = f"{head}: a frame, {name}"
+        source = "a frame's period at 480 fps"
+        value = float(np.percentile(run.ms, share))
+        table.add(row, value, "ms of one core", PERIOD_ms, source, note=note)
 
 
 def _difference_rows(table: Table, head: str, alone: DecodedFilm, followed: DecodedFilm) -> None:
-    """How far what is gone on is from what each frame says by itself."""
+    """Difference of warm-started results from those of each frame by itself."""
     apart, other = [], 0
     for one, two in zip(alone.readings, followed.readings, strict=True):
         assert one.found is not None
@@ -219,21 +208,11 @@ def _difference_rows(table: Table, head: str, alone: DecodedFilm, followed: Deco
     went = sum(
         bool(two.found and two.found.state and two.found.state.age) for two in followed.readings
     )
-    table.add(
-        f"{head}: auto, gone on against by itself: forces apart, p99",
-        float(np.percentile(apart, 99)) if apart else 0.0,
-        "standard deviations",
-        reference=0.0,
-        source="the same frames, each by itself",
-        note=f"largest {max(apart, default=0.0):.2f}; {other} of {len(alone.readings)} frames with "
-        f"another number of contacts; {went} frames were gone on",
+    row = f"{head}: auto, warm-started against by itself: force difference, p99"
+    source = "the same frames, each by itself"
+    note = (
+        f"largest {max(apart, default=0.0):.2f}; {other} of {len(alone.readings)} frames with "
+        f"another number of contacts; {went} frames were warm-started"
     )
-
-
-def main() -> None:
-    """Print the rows; ``decoder`` writes them."""
-    add_rows(Table("decoder_moving"), quick=arguments(__doc__ or "").quick)
-
-
-if __name__ == "__main__":
-    main()
+    value = float(np.percentile(apart, 99)) if apart else 0.0
+    table.add(row, value, "standard deviations", 0.0, source, note=note)

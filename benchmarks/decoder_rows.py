@@ -41,10 +41,7 @@ PAPER_FIGURES: Mapping[tuple[Group, str], Mapping[str, float]] = {
     (ALL, SD): {"fem_nn": 0.16, "fem_nn_identity": 0.16},
     (SMALL, RELATIVE): {"fem": 49.0},
 }
-TARGETS: Targets = {
-    (MIDDLE, RELATIVE): {"auto": "<= 1"},
-    (MIDDLE, MAE): {"auto": "<= 0.05"},
-}
+TARGETS: Targets = {(MIDDLE, RELATIVE): {"auto": "<= 1"}, (MIDDLE, MAE): {"auto": "<= 0.05"}}
 NO_TARGETS: Targets = {}
 
 
@@ -92,14 +89,18 @@ def add_scores(
             note = [f"95 %: {factor * figure['low']:.3g} to {factor * figure['high']:.3g} {unit}"]
             if target is not None and not holds(value, target):
                 note.append(allowed(judged, mask))
+            row = (
+                f"{head}: {estimator}, {WORDS[group]} ({score['contacts']} contacts): {NAMES[key]}"
+            )
+            reference = "none" if paper is None else paper
             table.add(
-                f"{head}: {estimator}, {WORDS[group]} ({score['contacts']} contacts): {NAMES[key]}",
+                row,
                 value,
                 unit,
-                reference="none" if paper is None else paper,
-                source=source if paper is None else f"{PAPER}; here {source}",
-                target=target,
-                note="; ".join(note),
+                reference,
+                source if paper is None else f"{PAPER}; here {source}",
+                target,
+                "; ".join(note),
             )
 
 
@@ -109,19 +110,14 @@ def add_tenths(table: Table, head: str, judged: Evaluation) -> None:
     error = judged.decoded.decoded_N["auto"] - judged.decoded.force_N
     share = 100.0 * error / np.maximum(judged.decoded.force_N, 1e-12)
     worst = {name: float(np.abs(share[mask]).mean()) for name, mask in tenths.items()}
-    told = [
+    listed = [
         f"{name} {worst[name]:.2g} (sign {share[mask].mean():+.2g}, bound "
         f"{100.0 * judged.least_relative(mask)[0]:.2g})"
         for name, mask in tenths.items()
     ]
-    table.add(
-        f"{head}: auto, worst tenth of the way from rim to rim: mean relative error",
-        max(worst.values()),
-        "%",
-        reference="none",
-        source=TWIN,
-        note=f"mean |error|, mean with its sign, least that the bound allows, %: {'; '.join(told)}",
-    )
+    row = f"{head}: auto, worst tenth of the way from rim to rim: mean relative error"
+    note = f"mean |error|, mean with its sign, least that the bound allows, %: {'; '.join(listed)}"
+    table.add(row, max(worst.values()), "%", "none", TWIN, note=note)
 
 
 def allowed(judged: Evaluation, mask: BoolArray) -> str:
@@ -145,64 +141,22 @@ def add_bounds(table: Table, head: str, judged: Evaluation, *, target: str | Non
         ratio, least_N, alone = judged.over_bound(mask)
         least, median = judged.least_relative(mask)
         noise = judged.noise_px
-        table.add(
+        row = (
             f"{head}: auto, {WORDS[group]}: RMSE over the RMS of the Cramér-Rao bound, place, "
-            "size and number unknown",
-            ratio,
-            "ratio",
-            reference=1.0,
-            source="linear shell of the design; noise of the data (markers that contacts leave "
-            "alone)",
-            target=target if group == RIMS else None,
-            note=f"RMS of the bound {least_N:.3g} N; {alone:.3g} over the bound that knows all "
+            "size and number unknown"
+        )
+        source = "linear shell of the design; noise of the data (markers that contacts leave alone)"
+        note = (
+            f"RMS of the bound {least_N:.3g} N; {alone:.3g} over the bound that knows all "
             f"about a sample's other contacts; {judged.typical(mask):.3g} from median |error| over "
             f"0.67 of the bound's median; noise {np.min(noise):.3f} to {np.max(noise):.3f}, "
-            f"median {np.median(noise):.3f} px",
+            f"median {np.median(noise):.3f} px"
         )
-        if np.any(judged.pixels_px):
-            ratio, least_N = judged.over_pixels(mask)
-            table.add(
-                f"{head}: auto, {WORDS[group]}: RMSE over the RMS of that bound with what pixels "
-                "add to the noise of markers that move",
-                ratio,
-                "ratio",
-                reference=1.0,
-                source="a place's error changes with where on the pixels it is: scatter over four "
-                "places, in frames without noise; twice in a shift",
-                note=f"RMS of the bound {least_N:.3g} N; pixels add "
-                f"{float(np.sqrt(2.0 * np.nanmean(np.square(judged.pixels_px)))):.3f} px RMS",
-            )
-        ratio, least_N, share = judged.over_shaped(mask)
-        table.add(
-            f"{head}: auto, {WORDS[group]}: RMSE over the RMS of that bound with three second "
-            "moments unknown besides",
-            ratio,
-            "ratio",
-            reference=1.0,
-            source="linear tables of the design; moments scatter as those of these contacts do",
-            note=f"RMS of the bound {least_N:.3g} N; it allows {100.0 * share:.2g} % in the mean",
-        )
-        if judged.switched_px > 0.0:
-            ratio, least_N, share = judged.over_tips(mask)
-            table.add(
-                f"{head}: auto, {WORDS[group]}: RMSE over the RMS of that bound with the scatter "
-                "of markers whose tip is out besides",
-                ratio,
-                "ratio",
-                reference=1.0,
-                source="the same, and what known contacts leave of markers whose tip is out, in "
-                "the samples that were learnt from",
-                note=f"RMS of the bound {least_N:.3g} N; it allows {100.0 * share:.2g} % in the "
-                f"mean; scatter {judged.switched_px:.3f} px",
-            )
-        table.add(
-            f"{head}: {WORDS[group]}: least mean relative error that the bound allows",
-            100.0 * least,
-            "%",
-            reference=2.3,
-            source="0.8 of bound over force, mean; the paper's error beside it",
-            note=f"median of bound over force {100.0 * median:.2g} %",
-        )
+        table.add(row, ratio, "ratio", 1.0, source, target if group == RIMS else None, note)
+        row = f"{head}: {WORDS[group]}: least mean relative error that the bound allows"
+        source = "0.8 of bound over force, mean; the paper's error beside it"
+        note = f"median of bound over force {100.0 * median:.2g} %"
+        table.add(row, 100.0 * least, "%", 2.3, source, note=note)
 
 
 def add_claims(table: Table, head: str, claims: Claims, *, target: bool) -> None:
@@ -210,32 +164,22 @@ def add_claims(table: Table, head: str, claims: Claims, *, target: bool) -> None
     count = len(claims.truth_N)
     if count:
         share = claims.covered
-        table.add(
-            f"{head}: auto, share of truths inside 90 % intervals: distance from 90 %",
-            abs(100.0 * share - 90.0),
-            "%",
-            reference=0.0,
-            source=TWIN,
-            target="<= 2" if target else None,
-            note=f"{100.0 * share:.1f} % of {count} contacts inside; "
-            f"{claims.unmatched} others were found as two or with another and count in neither",
+        row = f"{head}: auto, share of truths inside 90 % intervals: distance from 90 %"
+        note = (
+            f"{100.0 * share:.1f} % of {count} contacts inside; "
+            f"{claims.unmatched} others were found as two or with another and count in neither"
         )
-    table.add(
-        f"{head}: auto, contacts that tripped no switch, found within 5 mm by motion alone",
-        claims.found_silent,
-        "contacts",
-        reference=claims.pressed_silent,
-        source="those pressed in frames in which another contact tripped a switch",
-    )
-    table.add(
+        table.add(row, abs(100.0 * share - 90.0), "%", 0.0, TWIN, "<= 2" if target else None, note)
+    row = f"{head}: auto, contacts that tripped no switch, found within 5 mm by motion alone"
+    source = "those pressed in frames in which another contact tripped a switch"
+    table.add(row, claims.found_silent, "contacts", claims.pressed_silent, source)
+    row = (
         f"{head}: auto, contacts found by motion alone where none was pressed within 5 mm that "
-        "tripped no switch",
-        len(claims.nothing_N),
-        "contacts",
-        reference=claims.claimed_silent,
-        source="all that were found by motion alone",
-        note=_nothing(claims),
+        "tripped no switch"
     )
+    source = "all that were found by motion alone"
+    note = _nothing(claims)
+    table.add(row, len(claims.nothing_N), "contacts", claims.claimed_silent, source, note=note)
 
 
 def _nothing(claims: Claims) -> str:
@@ -245,7 +189,7 @@ def _nothing(claims: Claims) -> str:
     return (
         f"forces {claims.nothing_N.min():.2g} to {claims.nothing_N.max():.2g} N, median "
         f"{np.median(claims.nothing_N):.2g} N; {near} of them within {BESIDE_MM:g} mm of a "
-        "contact that tripped a switch: its force told in two parts"
+        "contact that tripped a switch: its force split in two"
     )
 
 
@@ -253,20 +197,9 @@ def add_switches(table: Table, head: str, judged: Evaluation) -> None:
     """Key nodes of interest: recall and false ones."""
     found = judged.decoded
     if found.on:
-        table.add(
-            f"{head}: KOI recall ({found.on} switches on)",
-            100.0 * (1.0 - found.missed / found.on),
-            "%",
-            reference=100.0,
-            source="activation law",
-            target=">= 99.9",
-        )
+        row = f"{head}: KOI recall ({found.on} switches on)"
+        source = "activation law"
+        table.add(row, 100.0 * (1.0 - found.missed / found.on), "%", 100.0, source, ">= 99.9")
     if found.off:
-        table.add(
-            f"{head}: false KOI ({found.off} switches off)",
-            100.0 * found.false / found.off,
-            "%",
-            reference=0.0,
-            source="activation law",
-            target="<= 0.1",
-        )
+        row = f"{head}: false KOI ({found.off} switches off)"
+        table.add(row, 100.0 * found.false / found.off, "%", 0.0, "activation law", "<= 0.1")

@@ -40,14 +40,8 @@ def add_rows_shapes(table: Table, *, quick: bool) -> None:
         add_scores(table, here.head, judged, FULL, targets=SHAPE_TARGETS)
         add_bounds(table, here.head, judged, target=None)
         add_claims(table, here.head, judged.claims, target=False)
-        table.add(
-            f"{here.head}: samples that were learnt from",
-            here.train.samples.count,
-            "samples",
-            reference=598,
-            source="paper",
-            note=here.note,
-        )
+        row = f"{here.head}: samples that were learnt from"
+        table.add(row, here.train.samples.count, "samples", 598, "paper", note=here.note)
 
 
 def add_rows_cycles(table: Table, *, quick: bool) -> None:
@@ -86,42 +80,32 @@ def _drift_rows(
         part = error[decoded.tripped & samples[decoded.sample]]
         which = np.unique(here.test.samples.sequence[samples])
         bias[words] = 100.0 * float(part.mean())
-        table.add(
-            f"{head}: mean relative error, {words} cycles",
-            100.0 * float(np.abs(part).mean()),
-            "%",
-            reference=0.0,
-            source=TWIN,
-            note=f"cycles {', '.join(str(k + 1) for k in which)}; {len(part)} presses; mean error "
-            f"with its sign {bias[words]:.3g} %",
+        row = f"{head}: mean relative error, {words} cycles"
+        note = (
+            f"cycles {', '.join(str(k + 1) for k in which)}; {len(part)} presses; mean error "
+            f"with its sign {bias[words]:.3g} %"
         )
-    table.add(
-        f"{head}: drift from the first to the last cycles",
-        bias["last"] - bias["first"],
-        "% of force",
-        reference=0.0,
-        source=TWIN,
-        note="the wall creeps by 8 % of its compliance over three decades (assumed): under the "
-        "same force it moves more, which no decoder of positions can tell from a stronger one",
+        table.add(row, 100.0 * float(np.abs(part).mean()), "%", 0.0, TWIN, note=note)
+    row = f"{head}: drift from the first to the last cycles"
+    note = (
+        "the wall creeps by 8 % of its compliance over three decades (assumed): under the "
+        "same force it moves more, which no decoder of positions can tell from a stronger one"
     )
+    table.add(row, bias["last"] - bias["first"], "% of force", 0.0, TWIN, note=note)
 
 
 def _rest_rows(table: Table, here: UnitDecoder, judged: Evaluation, rest: BoolArray) -> None:
     """Forces read after each release, and what the markers still show; ``rest`` is (s,)."""
     decoded, samples = judged.decoded, here.test.samples
     assert samples.shift_px is not None
-    # Every sample counts that did not fail; forces on no contact are told as elsewhere.
+    # Every sample counts that did not fail; forces on no contact count as elsewhere.
     free = rest[decoded.judged]
     worst = max(float(np.abs(force[free]).max()) for force in decoded.elsewhere_N.values())
     light = samples.light[rest]
     shift = np.sqrt(np.nanmean(np.sum(samples.shift_px[rest] ** 2, axis=2), axis=1))
-    table.add(
-        f"{here.head}, cycles: largest force read at rest, {int(free.sum())} rests, any estimator",
-        worst,
-        "N",
-        reference=0.0,
-        source=TWIN,
-        target="== 0",
-        note=f"RMS shift of markers at rest {shift[0]:.3f} px after the first cycle, "
-        f"{shift[-1]:.3f} px after the last; light {light[0]:.3f} and {light[-1]:.3f} of the start",
+    row = f"{here.head}, cycles: largest force read at rest, {int(free.sum())} rests, any estimator"
+    note = (
+        f"RMS shift of markers at rest {shift[0]:.3f} px after the first cycle, "
+        f"{shift[-1]:.3f} px after the last; light {light[0]:.3f} and {light[-1]:.3f} of the start"
     )
+    table.add(row, worst, "N", 0.0, TWIN, "== 0", note)

@@ -1,7 +1,7 @@
 """Eyes at camera speed: frame to force map on one core, and what following finds.
 
 Frames are rendered (lens blur, fall-off, vignetting, the design's noise) of a hand of five fingers
-that closes, slides and lets go, at 480 fps motion. ``python -m benchmarks.decoder_speed [--quick]``
+that closes, slides and lets go, at 480 fps motion.
 """
 
 import time
@@ -12,9 +12,9 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
-from benchmarks.harness import Table, arguments
-from benchmarks.plain_eyes import plain_opencv
+from benchmarks.harness import Table
 from benchmarks.twin_camera import CameraCase
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle
@@ -188,26 +188,37 @@ def spent_ms(work: Callable[[], Any]) -> float:
     return 1e3 * (time.process_time() - start)
 
 
+def plain_opencv(bundle: Bundle, frame: ImageArray) -> None:
+    """What a user would write with OpenCV: three masks, labelling, optimal assignment."""
+    ycc = cv2.cvtColor(frame, cv2.COLOR_BGR2YCrCb)
+    for colour, chroma in enumerate(bundle.colours.chroma):
+        low = np.clip(chroma + 128.0 - 45.0, 0, 255)
+        high = np.clip(chroma + 128.0 + 45.0, 0, 255)
+        mask = cv2.inRange(ycc, np.array([0, *low]), np.array([255, *high]))
+        _, _, _, centroids = cv2.connectedComponentsWithStats(mask)
+        rest = bundle.rest_px[bundle.colour == colour]
+        if len(rest):
+            gap = np.linalg.norm(centroids[1:, None] - rest[None], axis=2)
+            linear_sum_assignment(gap)
+
+
 def rms(values: FloatArray) -> float:
     """Root mean square of what is known."""
     return float(np.sqrt(np.nanmean(values**2)))
 
 
 def add_accuracy(table: Table, label: str, sensor: CameraSensor, film: Film) -> BoolArray:
-    """Centroids against the full search; gives the markers (n,) that it tells apart."""
+    """Centroids against the full search; returns the separable markers (n,)."""
     bundle = sensor.bundle
     full_rest = measure_frame(bundle, film.rest[1], rest_px=bundle.rest_px)
     apart = nearest_same_colour_px(bundle.rest_px, bundle.colour)
     sure = separable(sensor, film.rest)
-    table.add(
-        f"{label}: markers that can be told apart at rest",
-        float(sure.mean()),
-        "share",
-        reference=1.0,
-        source="all of them",
-        note=f"found by both ways, and by the full search within {SEPARABLE} of the way to the "
-        "next of the same colour from where the renderer has them; the rows below are of these",
+    row = f"{label}: separable markers at rest"
+    note = (
+        f"found by both ways, and by the full search within {SEPARABLE} of the way to the "
+        "next of the same colour from where the renderer has them; the rows below are of these"
     )
+    table.add(row, float(sure.mean()), "share", 1.0, "all of them", note=note)
     for stride in (1, 2):
         follower = Follower(bundle, film.rest[0], stride=stride)
         gap = follower.follow(film.rest[1]).position_px - bundle.rest_px - full_rest.shift_px
@@ -225,21 +236,20 @@ def add_accuracy(table: Table, label: str, sensor: CameraSensor, film: Film) -> 
             named = np.linalg.norm(own - film.shift_px[k], axis=1) < SEPARABLE * apart
             pressed.append((seen.position_px - bundle.rest_px - own)[sure & named])
         for name, error in (("at rest", gap[sure]), ("gripped", np.concatenate(pressed))):
+            row = f"{label}: centroids against the full search, {name}, stride {stride}"
+            source = "measure_frame on the same noisy frames"
+            note = (
+                f"largest {float(np.nanmax(np.abs(error))):.3f} px; the full search drops "
+                "pieces of a marker smaller than 3 px, following does not"
+            )
             table.add(
-                f"{label}: centroids against the full search, {name}, stride {stride}",
-                rms(error),
-                "px RMS",
-                reference=0.0,
-                source="measure_frame on the same noisy frames",
-                target="<= 0.02" if stride == 1 else None,
-                note=f"largest {float(np.nanmax(np.abs(error))):.3f} px; the full search drops "
-                "pieces of a marker smaller than 3 px, following does not",
+                row, rms(error), "px RMS", 0.0, source, "<= 0.02" if stride == 1 else None, note
             )
     return sure
 
 
 def separable(sensor: CameraSensor, rest: list[ImageArray]) -> BoolArray:
-    """Markers (n,) that are told apart in the second of two frames at rest."""
+    """Markers (n,) that are separable in the second of two frames at rest."""
     bundle = sensor.bundle
     full = measure_frame(bundle, rest[1], rest_px=bundle.rest_px)
     apart = nearest_same_colour_px(bundle.rest_px, bundle.colour)
@@ -249,11 +259,7 @@ def separable(sensor: CameraSensor, rest: list[ImageArray]) -> BoolArray:
 
 
 def named_wrongly(
-    bundle: Bundle,
-    sure: BoolArray,
-    rest_px: FloatArray,
-    shift_px: FloatArray,
-    found_px: FloatArray,
+    bundle: Bundle, sure: BoolArray, rest_px: FloatArray, shift_px: FloatArray, found_px: FloatArray
 ) -> int:
     """Markers (n,) among the sure ones nearer to the true place of another of their colour.
 
@@ -279,34 +285,30 @@ def add_names(table: Table, label: str, sensor: CameraSensor, film: Film, sure: 
         for one, shift in zip(seen, film.shift_px, strict=True)
     )
     largest = float(np.linalg.norm(film.shift_px, axis=2).max())
-    table.add(
-        f"{label}: markers nearer to another's true place than to their own",
-        swaps,
-        "markers",
-        reference=0,
-        source="rendered truth",
-        target="== 0",
-        note=f"{len(seen)} frames of a grip, motions up to {largest:.1f} px; error against the "
+    row = f"{label}: markers nearer to another's true place than to their own"
+    source = "rendered truth"
+    note = (
+        f"{len(seen)} frames of a grip, motions up to {largest:.1f} px; error against the "
         f"paint's true shift {rms(error):.3f} px RMS, largest {float(np.nanmax(error)):.2f} px "
-        f"(with what hides paint); lost {100.0 * float(np.isnan(error).mean()):.2g} %",
+        f"(with what hides paint); lost {100.0 * float(np.isnan(error).mean()):.2g} %"
     )
+    table.add(row, swaps, "markers", 0, source, "== 0", note)
     every = max(len(seen) // 12, 1)
     full = [measure_frame(bundle, frame).koi for frame in film.frames[::every]]
     readable = bundle.tips.readable & sure
     alone = np.stack([np.isin(np.arange(len(sure)), koi) for koi in full])[:, readable]
     bits = np.stack([np.isin(np.arange(len(sure)), one.koi) for one in seen])[:, readable]
     true = film.bits[:, readable]
-    table.add(
-        f"{label}: switches read wrongly, over those that are on",
-        float((bits != true).sum() / max(true.sum(), 1)),
-        "relative",
-        reference=0.0,
-        source="readable switches, rendered truth",
-        note=f"{int((~bits & true).sum())} missed and {int((bits & ~true).sum())} false, of "
+    row = f"{label}: switches read wrongly, over those that are on"
+    source = "readable switches, rendered truth"
+    note = (
+        f"{int((~bits & true).sum())} missed and {int((bits & ~true).sum())} false, of "
         f"{int(true.sum())} on in {len(seen)} frames; the full search, of {len(alone)} of these: "
         f"{int((~alone & true[::every]).sum())} missed and "
-        f"{int((alone & ~true[::every]).sum())} false",
+        f"{int((alone & ~true[::every]).sum())} false"
     )
+    value = float((bits != true).sum() / max(true.sum(), 1))
+    table.add(row, value, "relative", 0.0, source, note=note)
 
 
 def swapped(true_px: FloatArray, found_px: FloatArray) -> int:
@@ -344,24 +346,18 @@ def add_speed(
             ("frame to force map by fem", eyes + spent["fem"]),
             ("frame to force map by koi_inverse", eyes + spent["koi_inverse"]),
         ):
-            table.add(
-                f"{label}: {name}, stride {stride}, p99",
-                float(np.percentile(part, 99)),
-                "ms of one core",
-                reference=read,
-                source="reading the frame once from memory, ms of one core, same run",
-                target=f"<= {target_ms:g}",
-                note=f"median {np.median(part):.3f} ms of {repeats} frames; "
+            row = f"{label}: {name}, stride {stride}, p99"
+            source = "reading the frame once from memory, ms of one core, same run"
+            note = (
+                f"median {np.median(part):.3f} ms of {repeats} frames; "
                 f"{follower.pixels} of {frame.shape[0] * frame.shape[1]} pixels looked at; of the "
-                f"median the force solve takes {np.median(part - eyes):.3f} ms",
+                f"median the force solve takes {np.median(part - eyes):.3f} ms"
             )
-        table.add(
-            f"{label}: eyes, stride {stride}, times faster than masks, labelling, assignment",
-            plain / float(np.median(eyes)),
-            "ratio",
-            reference=plain,
-            source="plain OpenCV route, ms of one core, same run; without switches",
-        )
+            value = float(np.percentile(part, 99))
+            table.add(row, value, "ms of one core", read, source, f"<= {target_ms:g}", note)
+        row = f"{label}: eyes, stride {stride}, times faster than masks, labelling, assignment"
+        source = "plain OpenCV route, ms of one core, same run; without switches"
+        table.add(row, plain / float(np.median(eyes)), "ratio", plain, source)
 
 
 def before_camera(design: Design, size: str) -> Design:
@@ -385,12 +381,3 @@ def add_rows(table: Table, *, quick: bool, size: str = SMALL) -> None:
         if whole:
             film = film_of(sensor, range(WHOLE), STRESS)
             add_names(table, f"{label}, motions times {STRESS:g}", sensor, film, sure)
-
-
-def main() -> None:
-    """Print the rows; ``decoder`` writes them."""
-    add_rows(Table("decoder_speed"), quick=arguments(__doc__ or "").quick)
-
-
-if __name__ == "__main__":
-    main()

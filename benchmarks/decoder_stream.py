@@ -1,19 +1,15 @@
-"""The force stream under load: ten clients of which one stalls, and a soak at 480 fps.
-
-``python -m benchmarks.decoder_stream [--quick]``
-"""
+"""The force stream under load: ten clients of which one stalls, and a soak at 480 fps."""
 
 import os
 import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from benchmarks.decoder_stream_clients import READERS, clients
-from benchmarks.harness import Table, arguments
+from benchmarks.harness import Table
 from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_decoder.io.frame import Frame, Source
 from phytac_decoder.pipeline.decode import read_image, rest_positions
@@ -40,7 +36,7 @@ STAND_IN = (
 
 
 class Repeated(Source):
-    """The same frames over and over; ``asked_s`` keeps when each was asked for."""
+    """The same frames over and over; ``asked_s`` keeps when each was requested."""
 
     description, clock = "rendered frames", "number / 480 fps"
 
@@ -168,43 +164,16 @@ def add_stalled(table: Table, folder: Path, *, quick: bool) -> Bundle:
     ten_p50, ten_p99 = np.percentile(ten_ms, (50, 99))
     head = f"{DESIGN} at 640x480, decoded and sent"
     same = "the same loop without clients, in turns, same run"
-    table.add(
-        f"{head}, no client: median time of a frame",
-        float(lone_p50),
-        "ms",
-        reference="none",
-        source="frame by frame, koi_inverse",
-    )
-    table.add(
-        f"{head}: ten clients of which one stalls, over none: median time of a frame",
-        float(ten_p50 / lone_p50),
-        "ratio",
-        reference=float(lone_p50),
-        source=same,
-        target="<= 1.1",
-    )
-    table.add(
-        f"{head}: ten clients of which one stalls, over none: p99 time of a frame",
-        float(ten_p99 / lone_p99),
-        "ratio",
-        reference=float(lone_p99),
-        source=same,
-    )
-    table.add(
-        f"{head}: messages that the nine who read did not get ({READERS} × {sent} sent)",
-        got.missing(sent),
-        "messages",
-        reference=0,
-        source="counted by the clients",
-        target="== 0",
-    )
-    table.add(
-        f"{head}: messages dropped for the one who stalls",
-        dropped,
-        "messages",
-        reference="none",
-        source="kept to the end, though it never reads",
-    )
+    row = f"{head}, no client: median time of a frame"
+    table.add(row, float(lone_p50), "ms", "none", "frame by frame, koi_inverse")
+    row = f"{head}: ten clients of which one stalls, over none: median time of a frame"
+    table.add(row, float(ten_p50 / lone_p50), "ratio", float(lone_p50), same, "<= 1.1")
+    row = f"{head}: ten clients of which one stalls, over none: p99 time of a frame"
+    table.add(row, float(ten_p99 / lone_p99), "ratio", float(lone_p99), same)
+    row = f"{head}: messages that the nine who read did not get ({READERS} × {sent} sent)"
+    table.add(row, got.missing(sent), "messages", 0, "counted by the clients", "== 0")
+    row = f"{head}: messages dropped for the one who stalls"
+    table.add(row, dropped, "messages", "none", "kept to the end, though it never reads")
     return bundle
 
 
@@ -228,15 +197,10 @@ def add_flood(table: Table, bundle: Bundle, *, quick: bool) -> None:
     for name, taken in spent.items():
         p50, p99 = np.percentile(taken, (50, 99))
         for which, value in (("median", p50), ("p99", p99)):
-            table.add(
-                f"publishing a message, {name}: {which}",
-                float(value),
-                "ms",
-                reference=PERIOD_MS,
-                source="a frame's period at 480 fps",
-                target="<= 1" if which == "p99" else None,
-                note=STAND_IN,
-            )
+            row = f"publishing a message, {name}: {which}"
+            source = "a frame's period at 480 fps"
+            target = "<= 1" if which == "p99" else None
+            table.add(row, float(value), "ms", PERIOD_MS, source, target, STAND_IN)
 
 
 def _publish(server: StreamServer, message: Message, count: int, taken: list[float]) -> None:
@@ -278,63 +242,59 @@ def add_soak(table: Table, bundle: Bundle, *, quick: bool) -> None:
     rss = source.rss_mib
     settled = float(np.median(rss[int(WARM_SHARE * len(rss)) :][:10]))
     p50, p99 = np.percentile(got.latency_ms, (50, 99))
-    rows: list[dict[str, Any]] = [
-        {
-            "case": "frames that the loop missed",
-            "value": source.missed,
-            "unit": f"of {sent + source.missed}",
-            "reference": alone.missed * seconds / alone_s,
-            "source": "late by a whole period; the loop alone before, without a server, in as long",
-            "target": "== 0",
-        },
-        {
-            "case": f"messages that the nine did not get ({READERS} × {sent} sent)",
-            "value": got.missing(sent),
-            "unit": "messages",
-            "reference": 0,
-            "source": "counted by the clients",
-            "target": "== 0",
-        },
-        {
-            "case": "growth of resident memory",
-            "value": float(np.median(rss[-10:])) - settled,
-            "unit": "MiB",
-            "reference": settled,
-            "source": f"after {WARM_SHARE * seconds:g} s",
-            "target": "<= 1",
-        },
-        {
-            "case": "from decoded to received: median",
-            "value": float(p50),
-            "unit": "ms",
-            "reference": PERIOD_MS,
-            "source": "a frame's period; clients in one other process",
-        },
-        {
-            "case": "from decoded to received: p99",
-            "value": float(p99),
-            "unit": "ms",
-            "reference": PERIOD_MS,
-            "source": "a frame's period; clients in one other process",
-            "target": f"<= {PERIOD_MS:.3f}",
-        },
-        {
-            "case": "processor time of loop and server",
-            "value": 100.0 * share,
-            "unit": "% of a core",
-            "reference": "none",
-            "source": "process time over wall time",
-        },
-    ]
-    if alone.missed:
-        rows[0]["note"] = (
-            f"{STAND_IN}; without any server the loop missed {alone.missed} in {alone_s:g} s "
-            "too: other programs had the processor"
-        )
-    for row in rows:
-        row.setdefault("note", STAND_IN)
-        row["case"] = f"{head}: {row['case']}"
-        table.add(**row)
+    late = (
+        f"{STAND_IN}; without any server the loop missed {alone.missed} in {alone_s:g} s too: "
+        "other programs had the processor"
+    )
+    growth = float(np.median(rss[-10:])) - settled
+    counted, period = "counted by the clients", "a frame's period; clients in one other process"
+    before = "late by a whole period; the loop alone before, without a server, in as long"
+    rows: tuple[tuple[str, float, str, float | str, str, str | None], ...] = (
+        (
+            "frames that the loop missed",
+            source.missed,
+            f"of {sent + source.missed}",
+            alone.missed * seconds / alone_s,
+            before,
+            "== 0",
+        ),
+        (
+            f"messages that the nine did not get ({READERS} × {sent} sent)",
+            got.missing(sent),
+            "messages",
+            0,
+            counted,
+            "== 0",
+        ),
+        (
+            "growth of resident memory",
+            growth,
+            "MiB",
+            settled,
+            f"after {WARM_SHARE * seconds:g} s",
+            "<= 1",
+        ),
+        ("from decoded to received: median", float(p50), "ms", PERIOD_MS, period, None),
+        (
+            "from decoded to received: p99",
+            float(p99),
+            "ms",
+            PERIOD_MS,
+            period,
+            f"<= {PERIOD_MS:.3f}",
+        ),
+        (
+            "processor time of loop and server",
+            100.0 * share,
+            "% of a core",
+            "none",
+            "process time over wall time",
+            None,
+        ),
+    )
+    for case, value, unit, reference, origin, target in rows:
+        note = late if case.startswith("frames that") and alone.missed else STAND_IN
+        table.add(f"{head}: {case}", value, unit, reference, origin, target, note)
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
@@ -343,12 +303,3 @@ def add_rows(table: Table, *, quick: bool) -> None:
         bundle = add_stalled(table, Path(scratch), quick=quick)
     add_flood(table, bundle, quick=quick)
     add_soak(table, bundle, quick=quick)
-
-
-def main() -> None:
-    """Print the rows; ``decoder`` writes them."""
-    add_rows(Table("decoder_stream"), quick=arguments(__doc__ or "").quick)
-
-
-if __name__ == "__main__":
-    main()

@@ -3,8 +3,6 @@
 Run ``python -m benchmarks.fabrication`` (``--quick`` for a smoke run, not written).
 """
 
-import shutil
-import subprocess
 import tempfile
 import time
 from collections.abc import Callable
@@ -22,6 +20,7 @@ from benchmarks import (
     fabrication_printing,
     fabrication_switch,
 )
+from benchmarks.fabrication_outside import repair_row, slice_row
 from benchmarks.harness import Table, median_of, run_parts
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.design.spec import Design, WallSection
@@ -42,16 +41,6 @@ from tests.fabrication.cad_files import read_step, write_stl_by_cad
 
 ANGLE_rad = 0.5
 """Angular tolerance of OpenCASCADE's mesher: loose, so that the chord alone decides."""
-ADMESH_ROWS = (
-    "Degenerate facets",
-    "Edges fixed",
-    "Facets removed",
-    "Facets added",
-    "Facets reversed",
-    "Backwards edges",
-    "Normals fixed",
-    "Total disconnected facets",
-)
 CheckedDesign = tuple[Design, Surface, Markers]
 
 
@@ -74,46 +63,19 @@ def facts(table: Table, case: CheckedDesign) -> None:
         ("trimesh", trimesh_facts(to_triangles(solid))),
     ):
         label = f"{design.name}, {program}"
-        table.add(
-            f"{label}: watertight",
-            float(found.watertight),
-            "-",
-            reference=1,
-            source="every edge has two triangles",
-            target="== 1",
-        )
-        table.add(
-            f"{label}: bodies",
-            found.bodies,
-            "-",
-            reference=1,
-            source="one printed part",
-            target="== 1",
-        )
-        table.add(
-            f"{label}: genus",
-            found.genus,
-            "-",
-            reference=genus,
-            source="tube 1, dome and sheet 0, + one for each through-hole (derived here)",
-            target=f"== {genus}",
-        )
-    table.add(
-        f"{design.name}: triangles",
-        int(solid.num_tri()),
-        "-",
-        reference=TOLERANCE_mm,
-        source="within this distance (mm) of the true faces",
-    )
+        row = f"{label}: watertight"
+        table.add(row, float(found.watertight), "-", 1, "every edge has two triangles", "== 1")
+        table.add(f"{label}: bodies", found.bodies, "-", 1, "one printed part", "== 1")
+        row = f"{label}: genus"
+        source = "tube 1, dome and sheet 0, + one for each through-hole (derived here)"
+        table.add(row, found.genus, "-", genus, source, f"== {genus}")
+    row = f"{design.name}: triangles"
+    source = "within this distance (mm) of the true faces"
+    table.add(row, int(solid.num_tri()), "-", TOLERANCE_mm, source)
     tiles = sum(body.volume() for body in painted_manifolds(*case).values())
-    table.add(
-        f"{design.name}: resin and paints against shell, volume",
-        abs(tiles / solid.volume() - 1.0),
-        "relative",
-        reference=float(solid.volume()),
-        source="shell, mm3",
-        target="<= 1e-9",
-    )
+    row = f"{design.name}: resin and paints against shell, volume"
+    value = abs(tiles / solid.volume() - 1.0)
+    table.add(row, value, "relative", float(solid.volume()), "shell, mm3", "<= 1e-9")
 
 
 def wall(table: Table) -> None:
@@ -126,14 +88,9 @@ def wall(table: Table) -> None:
         ("wall and rims", WallSection(), bare + rims),
     ):
         volume = wall_mesh(surface, section, tolerance_mm=TOLERANCE_mm).volume_mm3
-        table.add(
-            f"cylinder60: {label} against closed form",
-            abs(volume / closed - 1.0),
-            "relative",
-            reference=closed,
-            source="π(R² − r²)·L, mm3",
-            target="<= 1e-5",
-        )
+        row = f"cylinder60: {label} against closed form"
+        source = "π(R² − r²)·L, mm3"
+        table.add(row, abs(volume / closed - 1.0), "relative", closed, source, "<= 1e-5")
 
 
 def routes(table: Table, case: CheckedDesign, folder: Path) -> None:
@@ -156,22 +113,10 @@ def routes(table: Table, case: CheckedDesign, folder: Path) -> None:
     source = f"chord {TOLERANCE_mm} mm both, same run; OCC once, mesh median of 5"
     table.add(f"{design.name}: STL by manifold3d", mesh_time, "s", reference="-", source=source)
     table.add(f"{design.name}: STL by CadQuery/OCC", cad_time, "s", reference="-", source=source)
-    table.add(
-        f"{design.name}: STL, CadQuery/OCC over manifold3d",
-        cad_time / mesh_time,
-        "ratio",
-        reference=cad_time,
-        source=source,
-        target=">= 8",
-    )
-    table.add(
-        f"{design.name}: STEP, solid and file",
-        solid_time + step_time,
-        "s",
-        reference="-",
-        source="one fuse, one cut, no pcurves",
-        target="<= 15",
-    )
+    row = f"{design.name}: STL, CadQuery/OCC over manifold3d"
+    table.add(row, cad_time / mesh_time, "ratio", cad_time, source, ">= 8")
+    row = f"{design.name}: STEP, solid and file"
+    table.add(row, solid_time + step_time, "s", "-", "one fuse, one cut, no pcurves", "<= 15")
     agreement(table, case, solid, folder)
     sizes(table, design.name, folder)
 
@@ -180,93 +125,34 @@ def agreement(table: Table, case: CheckedDesign, solid: Any, folder: Path) -> No
     """Volumes of mesh, CAD solid, and STEP file opened again; validity."""
     name, mine, again = case[0].name, cad_facts(solid), cad_facts(read_step(folder / "shell.step"))
     mesh = shell_manifold(*case).volume()
-    table.add(
-        f"{name}: volume, manifold3d against OCC",
-        abs(mesh / mine.volume_mm3 - 1.0),
-        "relative",
-        reference=mine.volume_mm3,
-        source="OpenCASCADE GProp, mm3",
-        target="<= 0.001",
-    )
-    table.add(
-        f"{name}: volume, STEP opened again",
-        abs(again.volume_mm3 / mine.volume_mm3 - 1.0),
-        "relative",
-        reference=mine.volume_mm3,
-        source="before writing, mm3",
-        target="<= 0.0001",
-    )
+    row = f"{name}: volume, manifold3d against OCC"
+    source = "OpenCASCADE GProp, mm3"
+    value = abs(mesh / mine.volume_mm3 - 1.0)
+    table.add(row, value, "relative", mine.volume_mm3, source, "<= 0.001")
+    row = f"{name}: volume, STEP opened again"
+    source = "before writing, mm3"
+    value = abs(again.volume_mm3 / mine.volume_mm3 - 1.0)
+    table.add(row, value, "relative", mine.volume_mm3, source, "<= 0.0001")
     for label, found in (("CAD", mine), ("STEP opened again", again)):
-        table.add(
-            f"{name}: {label} valid, one solid",
-            float(found.valid and found.solids == 1),
-            "-",
-            reference=1,
-            source="BRepCheck",
-            target="== 1",
-        )
+        row = f"{name}: {label} valid, one solid"
+        table.add(row, float(found.valid and found.solids == 1), "-", 1, "BRepCheck", "== 1")
 
 
 def sizes(table: Table, name: str, folder: Path) -> None:
     """Size of our STL against OCC's at the same chord."""
     ours, theirs = ((folder / file).stat().st_size for file in ("shell.stl", "occ.stl"))
-    table.add(
-        f"{name}: STL size against OCC's",
-        ours / theirs,
-        "ratio",
-        reference=theirs,
-        source=f"bytes of OCC's STL, angle {ANGLE_rad} rad",
-    )
+    row = f"{name}: STL size against OCC's"
+    table.add(row, ours / theirs, "ratio", theirs, f"bytes of OCC's STL, angle {ANGLE_rad} rad")
 
 
 def outside(table: Table, case: CheckedDesign, folder: Path) -> None:
     """Run admesh and prusa-slicer on the files as they are."""
-    name = case[0].name
-    stl = folder / "shell.stl"
+    label, stl = f"{case[0].name}: ", folder / "shell.stl"
     write_stl(to_triangles(shell_manifold(*case)), stl)
-    if shutil.which("admesh"):
-        report = subprocess.run(
-            ["admesh", str(stl)], capture_output=True, text=True, check=True
-        ).stdout
-        fields = dict(line.split(":", 1) for line in report.splitlines() if ":" in line)
-        counts = {key.strip(): value.split() for key, value in fields.items()}
-        repairs = sum(int(counts[row][0]) for row in ADMESH_ROWS)
-        table.add(
-            f"{name}: repairs by admesh",
-            repairs,
-            "-",
-            reference=0,
-            source="admesh, all its counts of faults",
-            target="== 0",
-        )
-    bodies = {label: to_triangles(body) for label, body in painted_manifolds(*case).items()}
-    write_3mf(bodies, folder / "shell.3mf", name=name)
-    if shutil.which("prusa-slicer"):
-        for file in (stl, folder / "shell.3mf"):
-            slice_file(table, name, file)
-
-
-def slice_file(table: Table, name: str, file: Path) -> None:
-    """Slice a file by prusa-slicer's default printer; the time and whether G-code came out."""
-    target = file.with_suffix(file.suffix + ".gcode")
-    start = time.perf_counter()
-    done = subprocess.run(
-        ["prusa-slicer", "--export-gcode", str(file), "-o", str(target)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    seconds = time.perf_counter() - start
-    sliced = done.returncode == 0 and target.exists() and target.stat().st_size > 100_000
-    table.add(
-        f"{name}: {file.suffix[1:]} sliced by prusa-slicer",
-        float(sliced),
-        "-",
-        reference=1,
-        source=f"G-code written in {seconds:.1f} s",
-        target="== 1",
-        note="" if file.suffix == ".stl" else "PrusaSlicer 2.5 loads the bodies as objects",
-    )
+    bodies = {name: to_triangles(body) for name, body in painted_manifolds(*case).items()}
+    write_3mf(bodies, folder / "shell.3mf", name=case[0].name)
+    repair_row(table, label, [stl])
+    slice_row(table, label, [stl, folder / "shell.3mf"])
 
 
 def shapes_rows(table: Table, names: list[str], folder: Path, *, rows: int | None = None) -> None:
@@ -279,13 +165,8 @@ def shapes_rows(table: Table, names: list[str], folder: Path, *, rows: int | Non
         solid = shell_cad(*case)
         write_step(solid, folder / "shell.step", name=name)
         seconds = time.perf_counter() - start
-        table.add(
-            f"{name}: STEP, solid and file",
-            seconds,
-            "s",
-            reference=case[2].count,
-            source="receptors; one fuse, one cut, no pcurves",
-        )
+        row = f"{name}: STEP, solid and file"
+        table.add(row, seconds, "s", case[2].count, "receptors; one fuse, one cut, no pcurves")
         agreement(table, case, solid, folder)
         outside(table, case, folder)
 
@@ -299,14 +180,9 @@ def bare_wall(table: Table, case: CheckedDesign) -> None:
     closed = thickness / 2.0 * float(w @ np.array(areas))
     section = design.wall.model_copy(update={"rim_length_mm": 0.0})
     volume = wall_mesh(surface, section, tolerance_mm=TOLERANCE_mm).volume_mm3
-    table.add(
-        f"{design.name}: wall against closed form",
-        abs(volume / closed - 1.0),
-        "relative",
-        reference=closed,
-        source="offset areas integrated through the wall, mm3",
-        target="<= 0.001",
-    )
+    row = f"{design.name}: wall against closed form"
+    source = "offset areas integrated through the wall, mm3"
+    table.add(row, abs(volume / closed - 1.0), "relative", closed, source, "<= 0.001")
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
@@ -318,7 +194,6 @@ def add_rows(table: Table, *, quick: bool) -> None:
         facts(table, main_case)
         routes(table, main_case, folder)
         fabrication_facets.facet_rows(table, main_case)
-        fabrication_facets.slicing(table, main_case, folder)
         outside(table, main_case, folder)
         if quick:
             shapes_rows(table, ["plane"], folder, rows=3)
@@ -345,10 +220,5 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     }
 
 
-def main() -> None:
-    """Run all parts, or those named."""
-    run_parts("fabrication", parts, (__doc__ or "").split("\n", 1)[0])
-
-
 if __name__ == "__main__":
-    main()
+    run_parts("fabrication", parts, (__doc__ or "").split("\n", 1)[0])

@@ -3,7 +3,6 @@
 import csv
 import io
 import shutil
-import subprocess
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from benchmarks.document_measurements import (
     tick_places_mm,
     tool_axis,
 )
+from benchmarks.fabrication_outside import repair_row
 from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.design.spec import Design
@@ -32,10 +32,6 @@ from phytac_design.solids.mesh_export import read_stl
 from phytac_design.stages.build import build
 from phytac_shapes import Surface
 
-FAULTS = (
-    "Degenerate facets", "Edges fixed", "Facets removed", "Facets added", "Facets reversed",
-    "Backwards edges", "Normals fixed", "Total disconnected facets",
-)  # fmt: skip
 SAMPLES = 9
 """Places on each straight move of the program that are looked at."""
 
@@ -60,39 +56,25 @@ def map_rows(table: Table, design: Design, out: Path) -> None:
     whole = float(np.abs((ticks - ticks[0])[:, None] - 10.0 * np.arange(len(ticks))).min(1).max())
     error = max(whole, float(np.abs(np.diff(ticks) - 10.0).max()))
     source = "400 dpi by pdftoppm, page 1"
-    table.add(
-        f"{name}: paint map, 10 mm",
-        error,
-        "mm",
-        reference=10.0,
-        source=f"{source}; worst of {len(ticks) - 1} ticks",
-        target="<= 0.05",
-    )
+    row = f"{name}: paint map, 10 mm"
+    table.add(row, error, "mm", 10.0, f"{source}; worst of {len(ticks) - 1} ticks", "<= 0.05")
     seen = red_centres_mm(page, design.switch.tip_diameter_mm)
-    table.add(
-        f"{name}: paint map, markers found on it",
-        len(seen),
-        "-",
-        reference=markers.count,
-        source=f"red discs, {source}",
-        target=f"== {markers.count}",
-    )
+    row = f"{name}: paint map, markers found on it"
+    table.add(row, len(seen), "-", markers.count, f"red discs, {source}", f"== {markers.count}")
     # For shapes that unroll, the surface's own unwrapping is the reference.
     due = flat.at(markers.uv) * [1.0, -1.0]
+    row = f"{name}: paint map, marker centres"
+    value = float(fit_shift_mm(seen, due).max())
+    table.add(row, value, "mm", "-", f"{flat.note}; one common shift", "<= 0.05")
+    row = f"{name}: paint map, largest local scale"
+    value = float(flat.stretch[1])
+    reference = float(flat.stretch[0])
     table.add(
-        f"{name}: paint map, marker centres",
-        float(fit_shift_mm(seen, due).max()),
-        "mm",
-        reference="-",
-        source=f"{flat.note}; one common shift",
-        target="<= 0.05",
-    )
-    table.add(
-        f"{name}: paint map, largest local scale",
-        float(flat.stretch[1]),
+        row,
+        value,
         "-",
-        reference=float(flat.stretch[0]),
-        source=f"singular values against the metric; least as reference; {flat.note}",
+        reference,
+        f"singular values against the metric; least as reference; {flat.note}",
     )
 
 
@@ -102,13 +84,16 @@ def bill_rows(table: Table, design: Design, out: Path) -> None:
     by_file = np.array([read_stl(out / row["file"]).volume_mm3 for row in listed])
     mass = np.array([float(row["mass_g"]) for row in listed])
     due = by_file * DENSITY_g_cm3["resin"] / 1000.0
+    source = f"volumes of {len(listed)} STL files, g in all; worst part"
+    value = float(np.abs(mass / due - 1.0).max())
+    reference = float(due.sum())
     table.add(
         f"{design.name}: bill, mass of printed parts",
-        float(np.abs(mass / due - 1.0).max()),
+        value,
         "relative",
-        reference=float(due.sum()),
-        source=f"volumes of {len(listed)} STL files, g in all; worst part",
-        target="<= 0.001",
+        reference,
+        source,
+        "<= 0.001",
     )
     text = (out / "bench/casting.md").read_text(encoding="utf-8")
     grams = dict(
@@ -121,13 +106,10 @@ def bill_rows(table: Table, design: Design, out: Path) -> None:
     bill = rows_of(out / "bench/bill_of_materials.csv")
     rubber = sum(int(r["count"]) * float(r["volume_mm3"]) for r in bill if r["material"] == "tpu")
     asked = rubber / 1000.0 * DENSITY_g_cm3["tpu"] * (1.0 + design.bench.waste_rubber)
+    source = "A + B + C, A : C, (A + C) : B, and grams from the bill; rounding to 0.01 g"
+    value = max(worst, abs(total / asked - 1.0))
     table.add(
-        f"{design.name}: recipe, sums and ratios",
-        max(worst, abs(total / asked - 1.0)),
-        "relative",
-        reference=total,
-        source="A + B + C, A : C, (A + C) : B, and grams from the bill; rounding to 0.01 g",
-        target="<= 0.01",
+        f"{design.name}: recipe, sums and ratios", value, "relative", total, source, "<= 0.01"
     )
 
 
@@ -141,39 +123,15 @@ def kit_rows(table: Table, case: tuple[Design, Surface, Markers], out: Path) -> 
     for path in files:
         body = trimesh.load_mesh(path)
         sound += int(body.is_watertight and body.is_winding_consistent and body.body_count == 1)
-    table.add(
-        f"{design.name}: kit, sound solids",
-        sound,
-        "-",
-        reference=len(files),
-        source="trimesh, from the STL files: watertight, one body",
-        target=f"== {len(files)}",
-    )
-    if shutil.which("admesh"):
-        table.add(
-            f"{design.name}: kit, repairs by admesh",
-            sum(_repairs(path) for path in files),
-            "-",
-            reference=len(files),
-            source="admesh, all its counts of faults, all files",
-            target="== 0",
-        )
+    row = f"{design.name}: kit, sound solids"
+    source = "trimesh, from the STL files: watertight, one body"
+    table.add(row, sound, "-", len(files), source, f"== {len(files)}")
+    repair_row(table, f"{design.name}: kit, ", files)
     regions = make_regions(design, surface, markers)
-    table.add(
-        f"{design.name}: kit, indenters off the surface",
-        max(_misfit(case, regions, k, out) for k in range(len(regions.faces))),
-        "mm",
-        reference=len(regions.faces),
-        source="corners of the printed face, pushed home, at every region; indenters",
-        target="<= 0.05",
-    )
-
-
-def _repairs(path: Path) -> int:
-    report = subprocess.run(["admesh", str(path)], capture_output=True, text=True, check=True)
-    fields = dict(line.split(":", 1) for line in report.stdout.splitlines() if ":" in line)
-    counts = {key.strip(): value.split() for key, value in fields.items()}
-    return sum(int(counts[row][0]) for row in FAULTS)
+    row = f"{design.name}: kit, indenters off the surface"
+    source = "corners of the printed face, pushed home, at every region; indenters"
+    value = max(_misfit(case, regions, k, out) for k in range(len(regions.faces)))
+    table.add(row, value, "mm", len(regions.faces), source, "<= 0.05")
 
 
 def _misfit(case: tuple[Design, Surface, Markers], regions: Regions, tool: int, out: Path) -> float:
@@ -216,39 +174,17 @@ def program_rows(table: Table, case: tuple[Design, Surface, Markers], out: Path)
         misses = max(misses, float(side.max()))
         least = min(least, _clearance_mm(surface, [move for move in moves if not move.logs]))
     alike = symmetry.maps[:, sorted(reached)]
-    table.add(
-        f"{name}: program, markers that its regions stand for",
-        len(np.unique(alike)),
-        "-",
-        reference=len(reached),
-        source="G-code read back; regions pressed as reference",
-        target=f"== {markers.count}",
-        note=f"{symmetry.turns} turns, {symmetry.mirrors} mirrors",
-    )
-    table.add(
-        f"{name}: program, off the normal",
-        worst,
-        "deg",
-        reference=0.0,
-        source="rotations by scipy, both runs",
-        target="<= 0.001",
-    )
-    table.add(
-        f"{name}: program, beside the region's middle",
-        misses,
-        "mm",
-        reference=0.0,
-        source="G-code read back, both runs",
-        target="<= 0.001",
-    )
-    table.add(
-        f"{name}: program, least height of the way between presses",
-        least,
-        "mm",
-        reference=design.kit.hover_mm,
-        source="tool's middle over the outer face; 0 is the touch; hover as reference",
-        target=">= -0.001",
-    )
+    row = f"{name}: program, markers that its regions stand for"
+    source = "G-code read back; regions pressed as reference"
+    note = f"{symmetry.turns} turns, {symmetry.mirrors} mirrors"
+    table.add(row, len(np.unique(alike)), "-", len(reached), source, f"== {markers.count}", note)
+    row = f"{name}: program, off the normal"
+    table.add(row, worst, "deg", 0.0, "rotations by scipy, both runs", "<= 0.001")
+    row = f"{name}: program, beside the region's middle"
+    table.add(row, misses, "mm", 0.0, "G-code read back, both runs", "<= 0.001")
+    row = f"{name}: program, least height of the way between presses"
+    source = "tool's middle over the outer face; 0 is the touch; hover as reference"
+    table.add(row, least, "mm", design.kit.hover_mm, source, ">= -0.001")
 
 
 def _clearance_mm(surface: Surface, moves: list[Any]) -> float:
@@ -273,22 +209,13 @@ def design_rows(table: Table, design: Design, folder: Path) -> None:
     kit_rows(table, case, out)
     program_rows(table, case, out)
     program = make_program(*case, make_regions(*case))
-    table.add(
-        f"{design.name}: program, steps of both runs",
-        len(program.marker) * (len(program.force_N) + len(program.displacement_mm)),
-        "-",
-        reference=case[2].count,
-        source="markers as reference",
-    )
+    row = f"{design.name}: program, steps of both runs"
+    source = "markers as reference"
+    value = len(program.marker) * (len(program.force_N) + len(program.displacement_mm))
+    table.add(row, value, "-", case[2].count, source)
     for stage in ("kit", "bench"):
-        table.add(
-            f"{design.name}: stage {stage}, draft",
-            result.timing_s[stage],
-            "s",
-            reference="-",
-            source="wall time when it ran",
-            target="<= 4",
-        )
+        row = f"{design.name}: stage {stage}, draft"
+        table.add(row, result.timing_s[stage], "s", "-", "wall time when it ran", "<= 4")
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
@@ -297,7 +224,3 @@ def add_rows(table: Table, *, quick: bool) -> None:
     with tempfile.TemporaryDirectory() as name:
         for each in names:
             design_rows(table, load_design(each), Path(name))
-
-
-if __name__ == "__main__":
-    add_rows(Table("fabrication", part="bench"), quick=True)

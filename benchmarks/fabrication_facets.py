@@ -1,10 +1,5 @@
 """Facets of the shell: how far from the true faces, how many against the fewest, time to slice."""
 
-import shutil
-import subprocess
-import time
-from pathlib import Path
-
 import numpy as np
 
 from benchmarks.harness import Table
@@ -13,7 +8,6 @@ from phytac_design.fabrication.printing.receptors import owners
 from phytac_design.fabrication.printing.samples import sample_faces
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.layout import Markers
-from phytac_design.solids.mesh_export import write_stl
 from phytac_design.solids.solid_mesh import TOLERANCE_mm, shell_manifold, to_triangles
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
@@ -85,46 +79,11 @@ def facet_rows(table: Table, case: CheckedDesign) -> None:
     name = case[0].name
     count = int(shell_manifold(*case).num_tri())
     best = fewest(case, TOLERANCE_mm)
-    table.add(
-        f"{name}: facets over the fewest possible",
-        count / best,
-        "ratio",
-        reference=best,
-        source=f"counted for wall, rims, tubes, holes at {TOLERANCE_mm} mm both ways",
-        target="<= 2",
-    )
-    table.add(
-        f"{name}: chordal error",
-        float(chordal_errors(case).max()),
-        "mm",
-        reference=TOLERANCE_mm,
-        source=f"corners, and points every {SPACING_mm} mm, against cylinders and planes",
-        target=f"<= {1.05 * TOLERANCE_mm:g}",
-        note="corners stand out by two thirds of the sag, to fourth order",
-    )
-
-
-def slicing(table: Table, case: CheckedDesign, folder: Path) -> None:
-    """Time that prusa-slicer takes for our STL and for OCC's (``occ.stl`` in the folder)."""
-    if not shutil.which("prusa-slicer"):
-        return
-    write_stl(to_triangles(shell_manifold(*case)), folder / "shell.stl")
-    seconds = {}
-    for file in ("shell.stl", "occ.stl"):
-        target = folder / f"{file}.gcode"
-        start = time.perf_counter()
-        subprocess.run(
-            ["prusa-slicer", "--export-gcode", str(folder / file), "-o", str(target)],
-            capture_output=True,
-            check=False,
-        )
-        seconds[file] = time.perf_counter() - start
-        assert target.exists(), f"{file} was not sliced"
-    ours, theirs = seconds.values()
-    table.add(
-        f"{case[0].name}: slicing time, our STL over OCC's",
-        ours / theirs,
-        "ratio",
-        reference=theirs,
-        source="prusa-slicer, same run, s",
-    )
+    row = f"{name}: facets over the fewest possible"
+    source = f"counted for wall, rims, tubes, holes at {TOLERANCE_mm} mm both ways"
+    table.add(row, count / best, "ratio", best, source, "<= 2")
+    row = f"{name}: chordal error"
+    source = f"corners, and points every {SPACING_mm} mm, against cylinders and planes"
+    note = "corners stand out by two thirds of the sag, to fourth order"
+    value = float(chordal_errors(case).max())
+    table.add(row, value, "mm", TOLERANCE_mm, source, f"<= {1.05 * TOLERANCE_mm:g}", note)

@@ -1,11 +1,9 @@
 """Molds of every shipped design, both ways, judged from the files as they are printed.
 
-The STL files are read back, shrunk as print, silicone and rubber shrink, and closed: what is left
+The STL files are read back, shrunk as print, silicone and rubber shrink, and closed: the cavity
 between the halves must be the switch.
 """
 
-import shutil
-import subprocess
 import tempfile
 import time
 from dataclasses import dataclass
@@ -14,17 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Table, arguments
+from benchmarks.fabrication_outside import repair_row, slice_row
+from benchmarks.harness import Table
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, write_facts
-from phytac_design.fabrication.molds.audit import (
-    Audit,
-    audit_set,
-    fine_sections,
-    releases_of,
-)
+from phytac_design.fabrication.molds.audit import Audit, audit_set, fine_sections, releases_of
 from phytac_design.fabrication.molds.make import TURNED, MoldSet, make_molds
 from phytac_design.fabrication.molds.rules import rule_rows
 from phytac_design.geometry.triangles import TriangleMesh
@@ -37,15 +31,8 @@ from phytac_design.solids.solid_mesh import to_manifold
 from phytac_design.stages.build import copy_of
 from phytac_design.stages.mold import MOLD
 from phytac_design.stages.switch import switches_of
-from phytac_shapes.errors import PhytacError
 
 WAYS = ("rigid", "silicone-master")
-FAULTS = (
-    "Degenerate facets", "Edges fixed", "Facets removed", "Facets added", "Facets reversed",
-    "Backwards edges", "Normals fixed", "Total disconnected facets",
-)  # fmt: skip
-SLICE_s = 600.0
-"""Longest time that the slicer gets for one plate."""
 COARSE = ("--layer-height", "0.3", "--fill-density", "5%")  # fast; takes the same solids
 SMALL = ("hemisphere", "patch", "plane")
 """Designs whose plates are all sliced; of the others the largest of the rigid mold."""
@@ -144,62 +131,30 @@ def closed_rows(table: Table, label: str, made: Made) -> None:
         audits.append(audit_set(real, fine))
     rays = sum(release.rays for audit in audits for release in audit.releases.values())
     add = table.add
-    add(
-        f"{label}: watertight, one body, one hole for each stem and no other",
-        float(sound),
-        "-",
-        reference=1,
-        source=f"{len(made.sets)} sets, manifold3d on the STL files",
-        target="== 1",
-    )
-    add(
-        f"{label}: rays along the pull that are caught",
-        sum(audit.caught for audit in audits),
-        "-",
-        reference=rays,
-        source="rays, 0.1 mm apart, all parts",
-        target="== 0",
-    )
-    add(
-        f"{label}: least draft of any face",
-        min(audit.draft_deg for audit in audits),
-        "deg",
-        reference=section.draft_deg,
-        source="mold.draft_deg; files are in single precision",
-        target=f">= {section.draft_deg - 2e-3:g}",
-    )
-    add(
-        f"{label}: volume that closed parts share",
-        max(audit.shared_mm3 for audit in audits),
-        "mm3",
-        reference=0,
-        source="boolean intersection; single precision of the files times the area of contact",
-        target="<= 0.05",
-    )
-    add(
-        f"{label}: clearance of the keys against what is asked",
-        max(abs(audit.key_gap_mm - section.key_clearance_mm) for audit in audits),
-        "mm",
-        reference=section.key_clearance_mm,
-        source="least distance of peg and socket",
-        target="<= 0.001",
-    )
-    add(
-        f"{label}: volume of the cavities, worst error",
-        100.0 * max(audit.volume_error for audit in audits),
-        "%",
-        reference=len(switches.kinds),
-        source="kinds of switches, each one's section revolved; cavities shrunk",
-        target="<= 0.5",
-    )
-    add(
-        f"{label}: Hausdorff distance of the shrunk cavities from the switches",
-        max(audit.hausdorff_mm for audit in audits),
-        "mm",
-        reference=tolerance,
-        source="tolerance of the mesh",
-        target=f"<= {tolerance:g}",
-    )
+    row = f"{label}: watertight, one body, one hole for each stem and no other"
+    add(row, float(sound), "-", 1, f"{len(made.sets)} sets, manifold3d on the STL files", "== 1")
+    row = f"{label}: rays along the pull that are caught"
+    source = "rays, 0.1 mm apart, all parts"
+    add(row, sum(audit.caught for audit in audits), "-", rays, source, "== 0")
+    row = f"{label}: least draft of any face"
+    source = "mold.draft_deg; files are in single precision"
+    value = min(audit.draft_deg for audit in audits)
+    add(row, value, "deg", section.draft_deg, source, f">= {section.draft_deg - 2e-3:g}")
+    row = f"{label}: volume that closed parts share"
+    source = "boolean intersection; single precision of the files times the area of contact"
+    add(row, max(audit.shared_mm3 for audit in audits), "mm3", 0, source, "<= 0.05")
+    row = f"{label}: clearance of the keys against what is asked"
+    source = "least distance of peg and socket"
+    value = max(abs(audit.key_gap_mm - section.key_clearance_mm) for audit in audits)
+    add(row, value, "mm", section.key_clearance_mm, source, "<= 0.001")
+    row = f"{label}: volume of the cavities, worst error"
+    source = "kinds of switches, each one's section revolved; cavities shrunk"
+    value = 100.0 * max(audit.volume_error for audit in audits)
+    add(row, value, "%", len(switches.kinds), source, "<= 0.5")
+    row = f"{label}: Hausdorff distance of the shrunk cavities from the switches"
+    source = "tolerance of the mesh"
+    value = max(audit.hausdorff_mm for audit in audits)
+    add(row, value, "mm", tolerance, source, f"<= {tolerance:g}")
 
 
 def size_rows(table: Table, label: str, made: Made) -> None:
@@ -211,85 +166,40 @@ def size_rows(table: Table, label: str, made: Made) -> None:
         for name, mesh in each.parts.items()
     ]
     add = table.add
-    add(
-        f"{label}: largest plate over the bed",
-        max(max(size[:2] / sorted(rules.bed_mm[:2], reverse=True)) for size, _ in sizes),
-        "ratio",
-        reference=max(float(size.max()) for size, _ in sizes),
-        source=f"largest side, mm; {len(sizes)} parts",
-        target="<= 1",
-    )
+    source = f"largest side, mm; {len(sizes)} parts"
+    value = max(max(size[:2] / sorted(rules.bed_mm[:2], reverse=True)) for size, _ in sizes)
+    reference = max(float(size.max()) for size, _ in sizes)
+    add(f"{label}: largest plate over the bed", value, "ratio", reference, source, "<= 1")
+    source = "cavities of the fullest set"
+    value = max(count for _, count in sizes)
+    target = "<= 1000000"
     add(
         f"{label}: triangles of the largest plate",
-        max(count for _, count in sizes),
+        value,
         "-",
-        reference=max(each.plan.cavities for each in made.sets),
-        source="cavities of the fullest set",
-        target="<= 1000000",
+        max(each.plan.cavities for each in made.sets),
+        source,
+        target,
     )
     wrong = [row["detail"] for row in rule_rows(made.sets[0].sizes) if not row["holds"]]
+    source = ", ".join(wrong) or f"details checked, {rules.process}"
     add(
         f"{label}: details against the printer's rules",
         len(wrong),
         "-",
-        reference=len(rule_rows(made.sets[0].sizes)),
-        source=", ".join(wrong) or f"details checked, {rules.process}",
-        target="== 0",
+        len(rule_rows(made.sets[0].sizes)),
+        source,
+        "== 0",
     )
+    source = "cavities; audit and files included"
     add(
         f"{label}: stage mold, {len(made.sets)} sets",
         made.seconds,
         "s of one core",
-        reference=sum(each.plan.cavities for each in made.sets),
-        source="cavities; audit and files included",
-        target="<= 15",
+        sum(each.plan.cavities for each in made.sets),
+        source,
+        "<= 15",
     )
-
-
-def repairs(path: Path) -> int:
-    """All faults that admesh counts in a file."""
-    report = subprocess.run(["admesh", str(path)], capture_output=True, text=True, check=True)
-    lines = dict(line.split(":", 1) for line in report.stdout.splitlines() if ":" in line)
-    counts = {key.strip(): value.split() for key, value in lines.items()}
-    return sum(int(counts[row][0]) for row in FAULTS)
-
-
-def outside_rows(table: Table, label: str, made: Made, *, slices: int) -> None:
-    """Admesh on every file, prusa-slicer on the largest ones."""
-    paths = [(made.file(each, name), name) for each in made.sets for name in each.parts]
-    if shutil.which("admesh"):
-        table.add(
-            f"{label}: repairs by admesh",
-            sum(repairs(path) for path, _ in paths),
-            "-",
-            reference=len(paths),
-            source="files; all its counts of faults",
-            target="== 0",
-        )
-    if not shutil.which("prusa-slicer"):
-        return
-    paths.sort(key=lambda item: -item[0].stat().st_size)
-    for path, name in paths[:slices]:
-        target = made.folder / f"{path.stem}.gcode"
-        start = time.perf_counter()
-        try:
-            done = subprocess.run(
-                ["prusa-slicer", *COARSE, "--export-gcode", str(path), "-o", str(target)],
-                capture_output=True,
-                check=False,
-                timeout=SLICE_s,
-            )
-            sliced = done.returncode == 0 and target.stat().st_size > 100_000
-        except (subprocess.TimeoutExpired, FileNotFoundError):
-            sliced = False
-        table.add(
-            f"{label}: {path.stem} sliced by prusa-slicer",
-            float(sliced),
-            "-",
-            reference=1,
-            source=f"G-code of the {name} in {time.perf_counter() - start:.1f} s",
-            target="== 1",
-        )
 
 
 def embree_row(table: Table, label: str, made: Made) -> None:
@@ -314,42 +224,10 @@ def embree_row(table: Table, label: str, made: Made) -> None:
         wall = (np.hypot(*(middle[:, :2] - centre).T) < 1.5) & (middle[:, 2] > -reach + 1e-6)
         start = middle[wall] + 1e-4 * body.face_normals[wall]
         hit = body.ray.intersects_any(start, np.tile([0.0, 0.0, 1.0], (len(start), 1)))
-        table.add(
-            f"{label}: {text}, rays caught here and by Embree agree",
-            float((ours.caught > 0) == bool(hit.any())),
-            "-",
-            reference=int(hit.sum()),
-            source=f"of {len(hit)} rays caught by Embree; {ours.caught} here",
-            target="== 1",
-        )
-
-
-def refusal_rows(table: Table, folder: Path, switch: Path) -> None:
-    """What cannot be made is refused before anything is written."""
-    base = load_design("hemisphere")
-    for label, change in (
-        ("a mold larger than the bed", {"print_rules": {"bed_mm": [30.0, 30.0, 100.0]}}),
-        ("a mold taller than the printer", {"print_rules": {"bed_mm": [145.0, 145.0, 8.0]}}),
-        ("a rubber that shrinks by half", {"mold": {"shrink_rubber": 0.5}}),
-        ("silicone that grows", {"mold": {"shrink_silicone": -0.1}}),
-        ("a print that shrinks to nothing", {"mold": {"shrink_print": 1.0}}),
-        ("keys wider than their pads", {"mold": {"key_mm": 20.0}}),
-    ):
-        target = folder / label.replace(" ", "_")
-        target.mkdir()
-        said = ""
-        try:
-            MOLD.run(context_of(copy_of(base, **change), "draft", switch), target)
-        except PhytacError as error:
-            said = str(error)
-        table.add(
-            f"refused: {label}, nothing written",
-            float(bool(said) and not any(target.iterdir())),
-            "-",
-            reference=1,
-            source=said[:140].replace("\n", " "),
-            target="== 1",
-        )
+        row = f"{label}: {text}, rays caught here and by Embree agree"
+        source = f"of {len(hit)} rays caught by Embree; {ours.caught} here"
+        value = float((ours.caught > 0) == bool(hit.any()))
+        table.add(row, value, "-", int(hit.sum()), source, "== 1")
 
 
 def follow_row(table: Table, label: str, made: Made) -> None:
@@ -362,14 +240,8 @@ def follow_row(table: Table, label: str, made: Made) -> None:
         longer[-2:, 1] -= 0.1
         fine[kind] = longer
     audit = audit_set(each, fine)
-    table.add(
-        f"{label}: stems 0.1 mm longer than their holes, Hausdorff distance",
-        audit.hausdorff_mm,
-        "mm",
-        reference=0.1,
-        source="planted",
-        target=">= 0.095",
-    )
+    row = f"{label}: stems 0.1 mm longer than their holes, Hausdorff distance"
+    table.add(row, audit.hausdorff_mm, "mm", 0.1, "planted", ">= 0.095")
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
@@ -379,22 +251,18 @@ def add_rows(table: Table, *, quick: bool) -> None:
         design = load_design(name)
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
-            switch = fitted(design, folder / "switch")
+            fitted(design, folder / "switch")
             for way in WAYS:
                 label = f"{name}, {way}"
                 made = make(design, way, preset, folder)
                 closed_rows(table, label, made)
                 size_rows(table, label, made)
                 slices = 99 if name in SMALL and not quick else int(way == "rigid")
-                outside_rows(table, label, made, slices=slices)
+                files = [made.file(each, part) for each in made.sets for part in each.parts]
+                repair_row(table, f"{label}: ", files)
+                files.sort(key=lambda path: -path.stat().st_size)
+                slice_row(table, f"{label}: ", files[:slices], *COARSE)
                 if name == "hemisphere":
                     follow_row(table, label, made)
                     if way == "rigid":
                         embree_row(table, label, made)
-            if name == "hemisphere":
-                refusal_rows(table, folder, switch)
-
-
-if __name__ == "__main__":
-    given = arguments((__doc__ or "").split("\n", 1)[0])
-    add_rows(Table("fabrication_molds"), quick=given.quick)

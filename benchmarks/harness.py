@@ -48,13 +48,30 @@ class Table:
         case: str,
         value: float,
         unit: str,
-        *,
         reference: float | str,
         source: str,
         target: str | None = None,
         note: str = "",
     ) -> None:
-        """Add a row and print it; ``target=None`` marks a figure that is only reported."""
+        """Add a row and print it; ``target=None`` marks a figure that is only reported.
+
+        Parameters
+        ----------
+        case : str
+            What was measured, on what.
+        value : float
+            Figure, in ``unit``.
+        unit : str
+            "" where it has none.
+        reference : float or str
+            What it is compared with.
+        source : str
+            Where the reference comes from.
+        target : str, optional
+            Such as ``"<= 0.05"``.
+        note : str
+            What else was seen.
+        """
         row: dict[str, Any] = {
             "case": case,
             "value": value,
@@ -71,6 +88,20 @@ class Table:
         self.rows.append(row)
         verdict = "" if target is None else f"  target {target}: {row['holds']}"
         print(f"{case}: {value:.6g} {unit}{verdict}", flush=True)
+
+    def goal(
+        self,
+        case: str,
+        value: float,
+        unit: str,
+        target: str,
+        *,
+        source: str = "project target",
+        note: str = "",
+    ) -> None:
+        """Add a row whose reference is its target."""
+        reference = float(target.split()[1])
+        self.add(case, value, unit, reference=reference, source=source, target=target, note=note)
 
     def write(self, *, order: Sequence[str] = ()) -> Path:
         """Write the table as JSON beside the other results.
@@ -93,9 +124,7 @@ class Table:
 
 
 def run_parts(
-    name: str,
-    parts: Callable[..., dict[str, Callable[[Table], None]]],
-    description: str,
+    name: str, parts: Callable[..., dict[str, Callable[[Table], None]]], description: str
 ) -> None:
     """Run a benchmark's parts, ``--parts a,b`` or all; each is written as soon as it is done.
 

@@ -6,10 +6,8 @@ mesh that is finer than, and not aligned with, those of the calibration. Noise: 
 each displacement, 0.5 µm, and 1 % of the force of each press.
 """
 
-import argparse
 import time
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -31,11 +29,9 @@ from phytac_design.mechanics.calibration.probe_response import (
 )
 from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
-from phytac_design.mechanics.shell.sensitivity import motion_rate, stiffness_rates
-from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
+from phytac_design.mechanics.shell.solve import clamped_model
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import PhytacError
 
 TRUTH = ShellParameters(modulus=2050.0, thickness=0.86, poisson=0.36)
 PEAK_MM = 0.06
@@ -142,42 +138,8 @@ def inside(fit: Calibration) -> list[bool]:
     ]
 
 
-def sensitivities(table: Table) -> None:
-    """Derivatives of displacements against differences of whole solutions."""
-    design = load_design("cylinder60")
-    surface = design.surface()
-    mesh = chart_mesh(surface, thickness_mm=0.8, n_along=24, n_around=36)
-    loads = patch_loads(mesh, surface, np.array([[60.0, 0.0], [5.0, 1.0]]), 5.0)
-    base: dict[str, Any] = {"modulus_MPa": 2200.0, "poisson": 0.38, "thickness_mm": 0.8}
-
-    def model(**change: float) -> ShellModel:
-        return clamped_model(mesh, **(base | change))
-
-    at = model()
-    rates = stiffness_rates(at)
-    motion = at.solve(loads).motion
-    for name, key in (
-        ("modulus", "modulus_MPa"),
-        ("poisson", "poisson"),
-        ("thickness", "thickness_mm"),
-    ):
-        exact = motion_rate(at, getattr(rates, name), motion)
-        h = 1e-3 * base[key]
-        ends = [model(**{key: base[key] + k * h}).solve(loads).motion for k in (-2, -1, 1, 2)]
-        difference = (ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / (12 * h)
-        table.add(
-            f"sensitivity of displacements to {name}, largest error",
-            float(np.abs(exact - difference).max() / np.abs(exact).max()),
-            "1",
-            reference=0.0,
-            source="fourth-order difference of whole solutions",
-            target="<= 1e-8",
-        )
-
-
 def add_rows(table: Table, *, quick: bool) -> None:
-    """Add the rows of sensitivities and calibration to ``table``."""
-    sensitivities(table)
+    """Add the rows of calibration to ``table``."""
     surface, rows = presses(quick)
     per_newton = truth(surface, rows, (64, 100) if quick else (124, 196))
     around = 48 if quick else 64
@@ -198,23 +160,16 @@ def add_rows(table: Table, *, quick: bool) -> None:
     seconds = time.perf_counter() - start
     bias = errors(clean)
     for k, name in enumerate(("E", "t")):
-        table.add(
-            f"calibration, bias of {name} from the mesh alone (no noise)",
-            100.0 * abs(float(bias[k])),
-            "%",
-            reference=0.0,
-            source="synthetic data of a finer mesh, no noise",
-            target="<= 1",
-            note="without extrapolation over two meshes "
-            f"{100 * abs(bias[k] - list(clean.mesh_pull.values())[k]):.2g} %",
+        row = f"calibration, bias of {name} from the mesh alone (no noise)"
+        source = "synthetic data of a finer mesh, no noise"
+        note = (
+            "without extrapolation over two meshes "
+            f"{100 * abs(bias[k] - list(clean.mesh_pull.values())[k]):.2g} %"
         )
-    table.add(
-        "calibration, time of one fit",
-        seconds,
-        "s",
-        reference="none",
-        source=f"{len(per_newton)} rows, meshes of {around} and {around * 3 // 2} around",
-    )
+        table.add(row, 100.0 * abs(float(bias[k])), "%", 0.0, source, "<= 1", note)
+    row = "calibration, time of one fit"
+    source = f"{len(per_newton)} rows, meshes of {around} and {around * 3 // 2} around"
+    table.add(row, seconds, "s", "none", source)
     grid = Table2d(exact, np.linspace(0.76, 0.94, 3 if quick else 4), np.array([0.33, 0.38, 0.43]))
     repeats = 10 if quick else 100
     cases: tuple[tuple[str, ShellParameters, tuple[Name, ...]], ...] = (
@@ -226,7 +181,6 @@ def add_rows(table: Table, *, quick: bool) -> None:
             _fit(grid, measured(rows, per_newton, seed), begin, fixed) for seed in range(repeats)
         ]
         _repeat_rows(table, label, fits)
-    _refusal(table, grid, rows, per_newton, design)
 
 
 def _ease(per_newton: FloatArray) -> float:
@@ -235,10 +189,7 @@ def _ease(per_newton: FloatArray) -> float:
 
 
 def _fit(
-    response: ResponseModel,
-    data: Measurements,
-    start: ShellParameters,
-    fixed: tuple[Name, ...],
+    response: ResponseModel, data: Measurements, start: Parameters, fixed: tuple[Name, ...]
 ) -> Calibration:
     return calibrate(
         response,
@@ -263,67 +214,13 @@ def _repeat_rows(table: Table, label: str, fits: list[Calibration]) -> None:
         if name not in first.fitted:
             continue
         target = "<= 1" if unit == "%" else "<= 0.01"
-        table.add(
-            f"calibration, {label}: error of {symbol}, root mean square of {len(fits)} repeats",
-            scale * float(np.sqrt(np.mean(off[:, k] ** 2))),
-            unit,
-            reference=float(getattr(TRUTH, name)),
-            source=SOURCE,
-            target=target,
-            note=f"first repeat {scale * abs(off[0, k]):.2g}, largest "
+        row = f"calibration, {label}: error of {symbol}, root mean square of {len(fits)} repeats"
+        note = (
+            f"first repeat {scale * abs(off[0, k]):.2g}, largest "
             f"{scale * np.abs(off[:, k]).max():.2g}, within 0.01 in "
-            f"{int(np.sum(np.abs(off[:, k]) <= 0.01))} of {len(fits)}",
+            f"{int(np.sum(np.abs(off[:, k]) <= 0.01))} of {len(fits)}"
         )
-        table.add(
-            f"calibration, {label}: 95 % intervals that hold {symbol}",
-            float(100.0 * held[:, k].mean()),
-            "of 100 repeats",
-            reference=95.0,
-            source=SOURCE,
-            target=">= 90",
-        )
-
-
-def _refusal(
-    table: Table, grid: Table2d, rows: Measurements, per_newton: FloatArray, design: ShellParameters
-) -> None:
-    """Displacements under the patches alone cannot part E and t: refused; with t fixed, fitted."""
-    data = measured(rows, per_newton, 0)
-    own = np.flatnonzero(np.all(data.contact_uv == data.probe_uv, axis=1))
-    few = replace(data, **{k: getattr(data, k)[own] for k in data.__dataclass_fields__})
-
-    def response(t: float, v: float, with_poisson: bool, /) -> Response:
-        full = grid(t, v, with_poisson)
-        turn = None if full.poisson_rate is None else full.poisson_rate[own]
-        return Response(
-            value=full.value[own],
-            thickness_rate=full.thickness_rate[own],
-            poisson_rate=turn,
-            mesh_error=full.mesh_error[own],
-        )
-
-    try:
-        _fit(response, few, design, ())
-        refused, note = 0.0, "was not refused"
-    except PhytacError as error:
-        refused, note = 1.0, str(error)
-    table.add(
-        "calibration from displacements under the patches alone: refused",
-        refused,
-        "1",
-        reference=1.0,
-        source="Fisher information",
-        target="== 1",
-        note=note,
-    )
-
-
-def main() -> None:
-    """Print the rows; they are written by ``benchmarks.mechanics``."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="smaller cases")
-    add_rows(Table("mechanics_calibration"), quick=parser.parse_args().quick)
-
-
-if __name__ == "__main__":
-    main()
+        value = scale * float(np.sqrt(np.mean(off[:, k] ** 2)))
+        table.add(row, value, unit, float(getattr(TRUTH, name)), SOURCE, target, note)
+        row = f"calibration, {label}: 95 % intervals that hold {symbol}"
+        table.add(row, float(100.0 * held[:, k].mean()), "of 100 repeats", 95.0, SOURCE, ">= 90")

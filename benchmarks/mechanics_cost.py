@@ -1,12 +1,7 @@
 """Seconds and memory of a linear solution against its size, each size in a process of its own."""
 
-import os
-
-# One BLAS thread: SuperLU's many small products run slower on several, most of all when shared.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("MKL_NUM_THREADS", "1")
-
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -28,7 +23,6 @@ from phytac_shapes import Cylinder
 
 SIZES = ((36, 48), (62, 84), (114, 150), (200, 260), (370, 450))
 """Elements along and around: 10⁴ to 10⁶ DOF."""
-IMAGE = Path(__file__).parents[1] / "docs" / "images" / "mechanics_cost.png"
 PARTS = ("elements", "assembly", "factorisation", "one solve")
 MEMORY_GiB = 16.0
 """Address space of a child beyond which it gives up; it uses some three quarters of that."""
@@ -48,6 +42,26 @@ def python(*arguments: str) -> str:
         cwd=Path(__file__).parents[1],
     )
     return run.stdout
+
+
+def pardiso(table: Table, model: ShellModel, superlu_s: float) -> None:
+    """Add factorisation by PARDISO against SuperLU, where it is installed."""
+    if find_spec("pypardiso") is None:
+        print("pypardiso is not installed: comparison left out")
+        return
+    free = np.flatnonzero(~model.fixed.ravel())
+    matrix = model.stiffness[free][:, free]
+    loads = np.random.default_rng(0).normal(size=(len(free), 100))
+    for solver in SOLVERS:
+        seconds = median_of(partial(Factor, matrix, solver=solver), 3)
+        backend = Factor(matrix, solver=solver).backend
+        row = f"speed: {solver}, scaling and factorisation, {len(free)} DOF"
+        source = "SuperLU's factorisation alone in the same run"
+        note = (
+            f"a hundred loads {median_of(partial(backend.solve, loads), 1):.2f}"
+            f" s; MKL_NUM_THREADS {os.environ['MKL_NUM_THREADS']}"
+        )
+        table.add(row, seconds, "s", superlu_s, source, note=note)
 
 
 def _mesh(along: int, around: int) -> ShellMesh:
@@ -71,24 +85,14 @@ def solver(table: Table, *, quick: bool) -> None:
         element_s = median_of(partial(elements, poisson=POISSON), 5)
         ours_s = median_of(partial(splu, matrix, **SUPERLU), 3)
         default_s = median_of(partial(splu, matrix), 1 if quick else 3)
-        table.add(
-            f"speed: elements, assembly and checks / factorisation, {count} DOF",
-            build_s / ours_s,
-            "x",
-            reference=ours_s,
-            source="factorisation in the same run",
-            target="<= 0.5",
-            note=f"{build_s:.3f} s, of which the elements {element_s:.3f} s",
-        )
-        table.add(
-            f"speed: factorisation, {count} DOF: SciPy default seconds / ours",
-            default_s / ours_s,
-            "x",
-            reference=default_s,
-            source="scipy.sparse.linalg.splu, default settings",
-            target=">= 1",
-            note=f"ours {ours_s:.3f} s",
-        )
+        row = f"speed: elements, assembly and checks / factorisation, {count} DOF"
+        source = "factorisation in the same run"
+        note = f"{build_s:.3f} s, of which the elements {element_s:.3f} s"
+        table.add(row, build_s / ours_s, "x", ours_s, source, "<= 0.5", note)
+        row = f"speed: factorisation, {count} DOF: SciPy default seconds / ours"
+        source = "scipy.sparse.linalg.splu, default settings"
+        table.add(row, default_s / ours_s, "x", default_s, source, ">= 1", f"ours {ours_s:.3f} s")
+        pardiso(table, model, ours_s)
 
 
 def measure(along: int, around: int) -> dict[str, Any]:
@@ -128,10 +132,8 @@ def exponent(x: list[float], y: list[float]) -> float:
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
 
 
-def add_rows(
-    table: Table, *, sizes: tuple[tuple[int, int], ...] = SIZES, image: Path | None = IMAGE
-) -> None:
-    """Seconds, memory and exponents over ``sizes``; the plot goes to ``image``."""
+def add_rows(table: Table, *, sizes: tuple[tuple[int, int], ...] = SIZES) -> None:
+    """Seconds, memory and exponents over ``sizes``."""
     found: dict[str, list[dict[str, Any]]] = {}
     for solver in ("superlu",):
         for along, around in sizes:
@@ -144,22 +146,18 @@ def add_rows(
             found.setdefault(solver, []).append(json.loads(text))
     for solver, runs in found.items():
         _report(table, solver, runs)
-    if image is not None:
-        plot(found, image)
 
 
 def _report(table: Table, solver: str, runs: list[dict[str, Any]]) -> None:
     for run in runs:
         seconds = run["seconds"]
-        table.add(
-            f"cost: {solver}, {run['dof']} DOF",
-            sum(seconds.values()),
-            "s",
-            reference="-",
-            source="processor time, one thread, process of its own",
-            note="; ".join(f"{name} {seconds[name]:.3g} s" for name in PARTS)
-            + f"; peak memory {run['peak_GiB']:.2f} GiB",
+        row = f"cost: {solver}, {run['dof']} DOF"
+        source = "processor time, one thread, process of its own"
+        note = (
+            "; ".join(f"{name} {seconds[name]:.3g} s" for name in PARTS)
+            + f"; peak memory {run['peak_GiB']:.2f} GiB"
         )
+        table.add(row, sum(seconds.values()), "s", "-", source, note=note)
     if len(runs) < 2:
         return
     sizes = [float(run["dof"]) for run in runs]
@@ -167,45 +165,9 @@ def _report(table: Table, solver: str, runs: list[dict[str, Any]]) -> None:
     columns["peak memory"] = [run["peak_GiB"] for run in runs]
     theory = {"elements": 1.0, "assembly": 1.0, "factorisation": 1.5}
     for name, values in columns.items():
-        table.add(
-            f"cost: {solver}, exponent of {name} over {sizes[0]:.0f} to {sizes[-1]:.0f} DOF",
-            exponent(sizes, values),
-            "-",
-            reference=theory.get(name, "-"),
-            source="theory of nested dissection in the plane" if name in theory else "fit",
-        )
-
-
-def plot(found: dict[str, list[dict[str, Any]]], path: Path) -> None:
-    """Seconds of each part, and memory, against DOF."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 4.2), layout="constrained")
-    colours = dict(zip(PARTS, ("#0072b2", "#56b4e9", "#d55e00", "#009e73"), strict=True))
-    for solver, runs in found.items():
-        sizes = [float(run["dof"]) for run in runs]
-        style = "-" if solver == "superlu" else "--"
-        for name in PARTS if solver == "superlu" else PARTS[2:]:
-            values = [run["seconds"][name] for run in runs]
-            slope = f" ∝ n^{exponent(sizes, values):.2f}" if len(runs) > 1 else ""
-            label = name if name in PARTS[:2] else f"{name}, {solver}"
-            left.plot(sizes, values, "o" + style, color=colours[name], label=label + slope)
-        memory = [run["peak_GiB"] for run in runs]
-        slope = f" ∝ n^{exponent(sizes, memory):.2f}" if len(runs) > 1 else ""
-        right.plot(sizes, memory, "o" + style, color="#555555", label=solver + slope)
-    for axis, name in (
-        (left, "processor seconds, one thread"),
-        (right, "peak memory of the process, GiB"),
-    ):
-        axis.set(xscale="log", yscale="log", xlabel="degrees of freedom n", ylabel=name)
-        axis.grid(visible=True, which="both", alpha=0.25)
-        axis.legend(fontsize=8, frameon=False)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+        row = f"cost: {solver}, exponent of {name} over {sizes[0]:.0f} to {sizes[-1]:.0f} DOF"
+        source = "theory of nested dissection in the plane" if name in theory else "fit"
+        table.add(row, exponent(sizes, values), "-", theory.get(name, "-"), source)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,6 @@
 """Large-displacement rows of ``mechanics``: published cases, CalculiX, one sample's time."""
 
 import os
-
-# One BLAS thread: SuperLU's many small products run slower on several, most of all when shared.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import shutil
 import tempfile
 import time
@@ -24,10 +20,10 @@ from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_pa
 from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
-from phytac_design.mechanics.verification import large_cases
-from phytac_design.mechanics.verification.solid_roof import solid_roof
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
+from verification import large_shells as large_cases
+from verification.solid_roof import solid_roof
 
 FINGERTIP_MM = 6.0
 CCX = ((28, 32), (42, 48), (64, 74))
@@ -44,15 +40,12 @@ def published(table: Table, *, quick: bool) -> None:
     hemisphere, roof, tube = (16, 12, 32) if quick else (40, 24, 96)
     for case in large_cases.comparisons(strip=24, hemisphere=hemisphere, roof=roof, tube=tube):
         ours_only = case.reference == 0.0
-        table.add(
-            f"large: {case.name}",
-            case.error * (1.0 if ours_only else 100.0),
-            "length" if ours_only else "%",
-            reference=case.reference,
-            source="design study" if "tube" in case.name else "Sze, Liu and Lo 2004",
-            target="<= 1e-6" if ours_only else "<= 1",
-            note=f"ours {case.ours:.5g}" + (MISSED if case.error > 0.01 else ""),
-        )
+        row = f"large: {case.name}"
+        source = "design study" if "tube" in case.name else "Sze, Liu and Lo 2004"
+        note = f"ours {case.ours:.5g}" + (MISSED if case.error > 0.01 else "")
+        value = case.error * (1.0 if ours_only else 100.0)
+        target = "<= 1e-6" if ours_only else "<= 1"
+        table.add(row, value, "length" if ours_only else "%", case.reference, source, target, note)
 
 
 def fingertip(table: Table, *, quick: bool) -> None:
@@ -69,13 +62,8 @@ def fingertip(table: Table, *, quick: bool) -> None:
         with tempfile.TemporaryDirectory() as folder:
             moved = run_ccx(Path(folder), mesh8, load8, **kind)
         theirs = float(np.linalg.norm(moved, axis=1).max())
-        table.add(
-            f"large: {force:g} N on a fingertip, ccx NLGEOM S8R {along} × {around}, peak",
-            theirs,
-            "mm",
-            reference="-",
-            source="CalculiX",
-        )
+        row = f"large: {force:g} N on a fingertip, ccx NLGEOM S8R {along} × {around}, peak"
+        table.add(row, theirs, "mm", "-", "CalculiX")
     for size, growth in ((2.0, 0.15),) if quick else GRADED:
         fine = {"core_mm": 12.0, "size_mm": size, "growth": growth, "thickness_mm": wall}
         mesh = contact_mesh(surface, centre_uv=centre, **fine)
@@ -84,28 +72,21 @@ def fingertip(table: Table, *, quick: bool) -> None:
         peak = float(np.linalg.norm(_large(model, force * unit), axis=1).max())
         name = f"{force:g} N on a fingertip, {np.sum(~model.fixed)} DOF graded to {size} mm"
         if theirs is not None:
-            table.add(
-                f"large: {name}: peak against ccx NLGEOM S8R at its finest",
-                abs(peak / theirs - 1.0) * 100.0,
-                "%",
-                reference=theirs,
-                source="CalculiX, NLGEOM, S8R",
-                target="<= 1" if (size, growth) == GRADED[-1] else None,
-                note=f"ours {peak:.4f} mm",
-            )
+            row = f"large: {name}: peak against ccx NLGEOM S8R at its finest"
+            source = "CalculiX, NLGEOM, S8R"
+            note = f"ours {peak:.4f} mm"
+            value = abs(peak / theirs - 1.0) * 100.0
+            target = "<= 1" if (size, growth) == GRADED[-1] else None
+            table.add(row, value, "%", theirs, source, target, note)
         start, spent = time.perf_counter(), time.process_time()
         _large(model, force * unit)
         spans = time.perf_counter() - start, time.process_time() - spent
         for seconds, clock in zip(spans, ("wall clock", "processor time"), strict=True):
-            table.add(
-                f"large: {name}: one sample, shell factored at rest, {clock}",
-                seconds,
-                "s",
-                reference=1.0,
-                source="project target, at >= 8000 DOF",
-                target="<= 1" if (size, growth) == GRADED[0] else None,
-                note=f"one thread; load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
-            )
+            row = f"large: {name}: one sample, shell factored at rest, {clock}"
+            source = "project target, at >= 8000 DOF"
+            note = f"one thread; load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+            target = "<= 1" if (size, growth) == GRADED[0] else None
+            table.add(row, seconds, "s", 1.0, source, target, note)
         if (size, growth) == GRADED[0]:
             _honesty(table, model, unit)
 
@@ -121,21 +102,15 @@ def _honesty(table: Table, model: ShellModel, unit: Any) -> None:
         large = _large(model, force * unit)
         off = np.linalg.norm(large - linear, axis=1).max() / np.linalg.norm(linear, axis=1).max()
         ratio = check_linear(model, force * unit).error / off
-        table.add(
-            f"large: linear theory's error, {force:g} N on a fingertip, estimate off by a factor",
-            max(ratio, 1.0 / ratio),
-            "x",
-            reference=float(off),
-            source="large-displacement solution on the same mesh",
-            target="<= 2",
-            note=f"estimate / truth = {ratio:.3f}; the reference is the true relative error",
-        )
+        row = f"large: linear theory's error, {force:g} N on a fingertip, estimate off by a factor"
+        source = "large-displacement solution on the same mesh"
+        note = f"estimate / truth = {ratio:.3f}; the reference is the true relative error"
+        table.add(row, max(ratio, 1.0 / ratio), "x", float(off), source, "<= 2", note)
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
     """Stability and jumps, the roof against bricks, units and frames, batches over processes."""
     _jumps(table, 4 if quick else 8)
-    _units(table)
     if shutil.which("ccx") is not None:
         _bricks(table, bricks=6 if quick else 12, ours=12 if quick else 48)
 
@@ -162,14 +137,9 @@ def _jumps(table: Table, n: int) -> None:
         ("states below the limit marked or refused, 10 loads", false),
         (f"states of {states} along the arcs whose pivots miscount negative eigenvalues", wrong),
     ):
-        table.add(
-            f"large: hinged roofs, {n} a side: {label}",
-            value,
-            "states",
-            reference=0,
-            source="LAPACK eigenvalues" if "pivots" in label else "arc-length path, same mesh",
-            target="== 0",
-        )
+        row = f"large: hinged roofs, {n} a side: {label}"
+        source = "LAPACK eigenvalues" if "pivots" in label else "arc-length path, same mesh"
+        table.add(row, value, "states", 0, source, "== 0")
 
 
 def _arc(model: ShellModel, load: FloatArray, middle: int) -> list[Equilibrium]:
@@ -188,30 +158,6 @@ def _negative_eigenvalues(model: ShellModel, load: FloatArray, state: Equilibriu
     free = np.ix_(system.free, system.free)
     scaled = (system.scale[:, None] * K.toarray() * system.scale)[free]
     return int(np.sum(np.linalg.eigvalsh(0.5 * (scaled + scaled.T)) < 0.0))
-
-
-def _units(table: Table) -> None:
-    """The roof at 0.7 of its load in mm and N, and in m and kN."""
-    model, load, _ = large_cases.hinged_roof(8, thickness=12.7)
-    metres = ShellModel(
-        1e-3 * model.nodes_mm,
-        model.quads,
-        model.directors,
-        thickness_mm=12.7e-3,
-        modulus_MPa=1e3 * 3102.75,
-        poisson=0.3,
-        fixed=model.fixed,
-    )
-    one = _large(model, 0.7 * load)
-    two = 1e3 * _large(metres, 0.7e-3 * load)
-    table.add(
-        "large: hinged roof in m and kN against mm and N",
-        float(np.abs(two - one).max() / np.abs(one).max()),
-        "-",
-        reference=0,
-        source="the same problem",
-        target="<= 1e-8",
-    )
 
 
 def _bricks(table: Table, *, bricks: int, ours: int) -> None:
@@ -233,30 +179,59 @@ def _bricks(table: Table, *, bricks: int, ours: int) -> None:
             )
         model, load, middle = large_cases.hinged_roof(ours, thickness=thickness, flatter=flatter)
         path = trace_displacement(
-            model,
-            Loading(force=load / flatter**4),
-            dof=6 * middle + 2,
-            stops_mm=[-s for s in sags],
+            model, Loading(force=load / flatter**4), dof=6 * middle + 2, stops_mm=[-s for s in sags]
         )
         mine = np.array([s.load_factor for s in path])
         law = "neo-Hookean" if neo else "linear law"
         name = f"hinged roof {thickness:g} thick" + (f", {flatter:g} × flatter" * (flatter > 1.0))
         for sag, a, b in zip(ROOF_SAGS_MM, mine.tolist(), theirs.tolist(), strict=True):
             error = abs(a / b - 1.0) * 100.0
-            table.add(
-                f"large: {name}, {ours} a side, load at {sag / flatter:g} mm against ccx, {law}",
-                error,
-                "%",
-                reference=b,
-                source=f"CalculiX NLGEOM, {bricks} × {bricks} × 2 bricks C3D20R",
-                target="<= 1",
-                note=f"ours {a:.5f}" + (f"; {miss}flatter roof, it is gone" * (error > 1.0)),
-            )
+            row = f"large: {name}, {ours} a side, load at {sag / flatter:g} mm against ccx, {law}"
+            source = f"CalculiX NLGEOM, {bricks} × {bricks} × 2 bricks C3D20R"
+            note = f"ours {a:.5f}" + (f"; {miss}flatter roof, it is gone" * (error > 1.0))
+            table.add(row, error, "%", b, source, "<= 1", note)
             if sag == ROOF_SAGS_MM[-1] and flatter == 1.0:
-                table.add(
-                    f"large: hinged roof h 12.7, bricks of ccx, {law}: below the table at {sag} mm",
-                    (1.0 - b / large_cases.ROOF[12.7]["minimum"]) * 100.0,
-                    "%",
-                    reference=large_cases.ROOF[12.7]["minimum"],
-                    source="Sze, Liu and Lo 2004",
+                row = (
+                    f"large: hinged roof h 12.7, bricks of ccx, {law}: below the table at {sag} mm"
                 )
+                source = "Sze, Liu and Lo 2004"
+                value = (1.0 - b / large_cases.ROOF[12.7]["minimum"]) * 100.0
+                table.add(row, value, "%", large_cases.ROOF[12.7]["minimum"], source)
+
+
+def _batches(table: Table, *, size_mm: float, count: int) -> None:
+    """Samples over two processes against one, and against two independent batches at once."""
+    design, centre = load_design("cylinder60"), np.array([60.0, np.pi])
+    surface, wall = design.surface(), design.wall.thickness_mm
+    mesh = contact_mesh(
+        surface, thickness_mm=wall, centre_uv=centre, core_mm=12.0, size_mm=size_mm, growth=0.15
+    )
+    material = design.material
+    model = clamped_model(mesh, modulus_MPa=material.modulus_MPa, poisson=material.poisson)
+    unit = patch_loads(mesh, surface, centre[None], FINGERTIP_MM).toarray()
+    loads = unit * np.linspace(5.0, 25.0, count)
+    spans = []
+    start = time.perf_counter()
+    one = solve_batch(model, loads, workers=1)
+    spans.append(time.perf_counter() - start)
+    start = time.perf_counter()
+    two = solve_batch(model, loads, workers=2)
+    spans.append(time.perf_counter() - start)
+    start = time.perf_counter()
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda part: solve_batch(model, part, workers=1), (loads[:, ::2],) * 2))
+    spans.append(time.perf_counter() - start)
+    name = f"{count} samples of {int(np.sum(~model.fixed))} DOF"
+    load = f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; start-up included"
+    row = f"large: {name}: seconds of one process over twice those of two"
+    source = "the same batch"
+    note = f"{spans[0]:.2f} s and {spans[1]:.2f} s; {load}"
+    table.add(row, spans[0] / (2.0 * spans[1]), "-", 1.0, source, ">= 0.8", note)
+    row = f"large: {name}: two independent half batches at once, seconds over those of one of two"
+    source = "what the machine gives two processes"
+    table.add(row, spans[2] / spans[1], "-", 1.0, source, ">= 0.9", f"{spans[2]:.2f} s; {load}")
+    pairs = zip(one, two, strict=True)
+    row = f"large: {name}: samples that differ in any bit between one process and two"
+    source = "the same batch"
+    value = sum(not np.array_equal(np.asarray(a.motion), np.asarray(b.motion)) for a, b in pairs)
+    table.add(row, value, "samples", 0, source, "== 0")

@@ -4,10 +4,6 @@
 prints the rows alone, ``--table`` makes the tables of ``phytac_design.mechanics.shell.receptor_stiffness``.
 """
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import argparse
 import resource
 import tempfile
@@ -92,23 +88,16 @@ def compliance(table: Table, *, refine: int, finer: int) -> None:
     peak = np.linalg.norm(truth, axis=1).max(axis=0)
     for receptors, how, target in ((False, "plain wall", None), (True, "with receptors", "<= 3")):
         found, solves = tips(refine, receptors=receptors)
-        table.add(
-            f"cylinder60 compliance of all markers, refine {refine}, {how}: seconds",
-            median_of(partial(tips, refine, receptors=receptors), 3),
-            "s",
-            reference=3.0,
-            source="project target",
-            target=target,
-            note=f"mesh, model, factorisation and {solves} loads of 368, the others turned",
-        )
+        row = f"cylinder60 compliance of all markers, refine {refine}, {how}: seconds"
+        source = "project target"
+        note = f"mesh, model, factorisation and {solves} loads of 368, the others turned"
+        value = median_of(partial(tips, refine, receptors=receptors), 3)
+        table.add(row, value, "s", 3.0, source, target, note)
         error = np.linalg.norm(found - truth, axis=1).max(axis=0) / peak
-        table.add(
-            f"cylinder60 compliance of all markers, refine {refine}, {how}: tip error",
-            100.0 * float(np.sqrt(np.mean(error**2))),
-            "% of each load's peak, RMS over loads",
-            reference=0.0,
-            source=f"our shell with receptors, refine {finer}",
-        )
+        row = f"cylinder60 compliance of all markers, refine {refine}, {how}: tip error"
+        source = f"our shell with receptors, refine {finer}"
+        value = 100.0 * float(np.sqrt(np.mean(error**2)))
+        table.add(row, value, "% of each load's peak, RMS over loads", 0.0, source)
 
 
 def cells(table: Table, *, quick: bool) -> None:
@@ -133,22 +122,12 @@ def cells(table: Table, *, quick: bool) -> None:
             ("bending", found.bending, effect[1], rc.MIXING_BENDING),
         ):
             truth = ratio(matrix, nu)
-            table.add(
-                f"receptor cell ({name}): {kind} stiffness over the plain wall",
-                truth,
-                "1",
-                reference=1.0,
-                source=CCX,
-            )
-            table.add(
-                f"receptor cell ({name}): {kind} stiffness predicted by the shell's option, error",
-                100.0 * abs(float(rc.mixture(share, e, mixing)) / truth - 1.0),
-                "%",
-                reference=truth,
-                source=CCX,
-                target="<= 2",
-                note=DENSE if name.startswith("dense") else "",
-            )
+            row = f"receptor cell ({name}): {kind} stiffness over the plain wall"
+            table.add(row, truth, "1", 1.0, CCX)
+            row = f"receptor cell ({name}): {kind} stiffness predicted by the shell's option, error"
+            note = DENSE if name.startswith("dense") else ""
+            value = 100.0 * abs(float(rc.mixture(share, e, mixing)) / truth - 1.0)
+            table.add(row, value, "%", truth, CCX, "<= 2", note)
 
 
 def whole_sensor(table: Table, *, quick: bool) -> None:
@@ -180,23 +159,14 @@ def whole_sensor(table: Table, *, quick: bool) -> None:
             for k, (name, uv, radius) in enumerate(contacts):
                 motion = model.solve(patch_loads(mesh, surface, uv[None], radius)).motion
                 tips = point_motion(motion[mesh.marker_nodes], markers.tip_mm - markers.mid_mm)
-                table.add(
-                    f"ø30 solid sensor, contact {name}: {label}, refine {refine}, tip error",
-                    error_of_peak(tips[:, :, 0], solid[-1][k]),
-                    "% of peak",
-                    reference=0.0,
-                    source=CCX,
-                    target=target,
-                )
+                row = f"ø30 solid sensor, contact {name}: {label}, refine {refine}, tip error"
+                value = error_of_peak(tips[:, :, 0], solid[-1][k])
+                table.add(row, value, "% of peak", 0.0, CCX, target)
     if len(solid) > 1:
         for k, (name, _, _) in enumerate(contacts):
-            table.add(
-                f"ø30 solid sensor, contact {name}: change of the solid with {FINER} the size",
-                error_of_peak(solid[0][k], solid[1][k]),
-                "% of peak",
-                reference=0.0,
-                source="the same on the coarser mesh",
-            )
+            row = f"ø30 solid sensor, contact {name}: change of the solid with {FINER} the size"
+            source = "the same on the coarser mesh"
+            table.add(row, error_of_peak(solid[0][k], solid[1][k]), "% of peak", 0.0, source)
     table.add("ø30 solid sensor: all meshes and solves", seconds, "s", reference="-", source=CCX)
 
 
@@ -223,15 +193,9 @@ def whole_prototype(table: Table) -> None:
             result = press(
                 design, surface, markers, place, theory="linear", refine=refine, receptors=receptors
             )
-            table.add(
-                f"{name}, fingertip of 6 mm: {how}, refine {refine}, tip error",
-                error_of_peak(result.tip_mm, truth),
-                "% of peak",
-                reference=0.0,
-                source=CCX,
-                target=target,
-                note=STIFF,
-            )
+            row = f"{name}, fingertip of 6 mm: {how}, refine {refine}, tip error"
+            value = error_of_peak(result.tip_mm, truth)
+            table.add(row, value, "% of peak", 0.0, CCX, target, STIFF)
 
 
 def error_of_peak(ours: FloatArray, truth: FloatArray) -> float:
@@ -276,7 +240,7 @@ def solid_tips(
 
 
 def effect_tables() -> None:
-    """Print the tables of ``receptors`` anew (about ten minutes)."""
+    """Print the tables of ``receptors`` again (about ten minutes)."""
     shape = (len(rc.DIAMETER_OVER_T), len(rc.HOLE_OVER_DIAMETER), len(rc.HEIGHT_OVER_T))
     membrane, bending = np.zeros(shape), np.zeros(shape)
     share = np.pi / 4.0 / 2.56**2

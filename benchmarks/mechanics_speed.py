@@ -5,11 +5,6 @@ that reaches an error, each measured from the limit of its own meshes (extrapola
 finest): the two theories differ by some 0.3 %, which is a row of its own.
 """
 
-import os
-
-# One BLAS thread: SuperLU's many small products run slower on several, most of all when shared.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import shutil
 import tempfile
 import time
@@ -168,25 +163,16 @@ def one_load(table: Table, shell: Shell) -> None:
     """One load at equal error."""
     ours = _limit(shell.ours(shell.even(size)).peak for size in ((160, 192), (80, 96)))
     theirs = _limit(shell.theirs(shell.even(size)).peak for size in FINEST)
-    table.add(
-        "speed: limits of both programs' meshes for the peak, difference",
-        abs(ours / theirs - 1.0) * 100.0,
-        "%",
-        reference=theirs,
-        source="CalculiX S8R, two finest meshes extrapolated; mm per N",
-        note="shell theory here, bricks of one layer there",
-    )
+    row = "speed: limits of both programs' meshes for the peak, difference"
+    source = "CalculiX S8R, two finest meshes extrapolated; mm per N"
+    note = "shell theory here, bricks of one layer there"
+    table.add(row, abs(ours / theirs - 1.0) * 100.0, "%", theirs, source, note=note)
     graded_o = cache(lambda s: _pair(shell.ours, shell.graded, s, 0.5))
     graded_t = cache(lambda s: shell.theirs(shell.graded(s)))
     pair_o = cache(lambda s: _pair(shell.ours, shell.even, s))
     even_t = cache(lambda s: shell.theirs(shell.even(s)))
     families: dict[str, tuple[Any, Any, list[Any], list[Any]]] = {
-        "both on even meshes": (
-            cache(lambda s: shell.ours(shell.even(s))),
-            even_t,
-            OURS,
-            THEIRS,
-        ),
+        "both on even meshes": (cache(lambda s: shell.ours(shell.even(s))), even_t, OURS, THEIRS),
         "both graded towards the patch": (
             cache(lambda s: shell.ours(shell.graded(s))),
             graded_t,
@@ -223,7 +209,7 @@ def one_load(table: Table, shell: Shell) -> None:
             a = _cheapest(mine, my_sizes, ours, error)
             b = _cheapest(other, other_sizes, theirs, error)
             if a is None or b is None:
-                print(f"{name}: no mesh of the ladder reaches {error:g}")
+                print(f"{name}: no mesh of the list reaches {error:g}")
                 continue
             _ratio(table, f"one load, error {100 * error:g} % of the peak, {name}", a, b, ">= 3")
 
@@ -235,16 +221,14 @@ def _ratio(
     theirs: tuple[MeshSolution, Size],
     target: str,
 ) -> None:
-    table.add(
-        f"speed: {case}: ccx S8R seconds / ours",
-        theirs[0].seconds / ours[0].seconds,
-        "x",
-        reference=theirs[0].seconds,
-        source="CalculiX 2.20 (SPOOLES), S8R, one thread; start-up and reading taken off",
-        target=target,
-        note=f"ours {ours[0].seconds:.3f} s, {ours[0].unknowns} DOF, size {ours[1]}; "
-        f"theirs {theirs[0].seconds:.3f} s, {theirs[0].unknowns} equations, size {theirs[1]}",
+    row = f"speed: {case}: ccx S8R seconds / ours"
+    source = "CalculiX 2.20 (SPOOLES), S8R, one thread; start-up and reading taken off"
+    note = (
+        f"ours {ours[0].seconds:.3f} s, {ours[0].unknowns} DOF, size {ours[1]}; "
+        f"theirs {theirs[0].seconds:.3f} s, {theirs[0].unknowns} equations, size {theirs[1]}"
     )
+    value = theirs[0].seconds / ours[0].seconds
+    table.add(row, value, "x", theirs[0].seconds, source, target, note)
 
 
 def sites(count: int) -> FloatArray:
@@ -293,7 +277,7 @@ def many_loads(table: Table, shell: Shell) -> None:
         return float(np.abs(found / true - 1.0).max())
 
     for error in ERRORS:
-        # The finest of the ladder where none reaches the error: to their advantage.
+        # The finest of the list where none reaches the error: to their advantage.
         for theirs in THEIRS:
             their_worst = worst(_their_means(shell, theirs, some)[0], their_limit)
             if their_worst <= error:
@@ -309,19 +293,18 @@ def many_loads(table: Table, shell: Shell) -> None:
                 found, seconds, unknowns = solve(size)
                 if worst(found, limit) <= error:
                     break
-            table.add(
-                f"speed: a hundred loads, error {100 * error:g} %, {name}: ccx S8R seconds / ours",
-                their_s / seconds,
-                "x",
-                reference=their_s,
-                source="CalculiX 2.20 (SPOOLES), S8R, one thread, a *STEP for each load, which it "
-                f"factors one by one; from runs of 1 and {STEPS} steps, reading taken off",
-                target=">= 30",
-                note=f"ours {seconds:.2f} s, {unknowns} DOF, mesh {size}, off by at most "
+            row = f"speed: a hundred loads, error {100 * error:g} %, {name}: ccx S8R seconds / ours"
+            source = (
+                "CalculiX 2.20 (SPOOLES), S8R, one thread, a *STEP for each load, which it "
+                f"factors one by one; from runs of 1 and {STEPS} steps, reading taken off"
+            )
+            note = (
+                f"ours {seconds:.2f} s, {unknowns} DOF, mesh {size}, off by at most "
                 f"{100 * worst(found, limit):.2f} % of the mean displacement under a patch over "
                 f"the hundred; theirs {equations} equations, mesh {theirs}, "
-                f"off by at most {100 * their_worst:.2f} % over {len(some)} of them",
+                f"off by at most {100 * their_worst:.2f} % over {len(some)} of them"
             )
+            table.add(row, their_s / seconds, "x", their_s, source, ">= 30", note)
 
 
 def startup(table: Table, shell: Shell) -> None:
@@ -334,36 +317,23 @@ def startup(table: Table, shell: Shell) -> None:
     _, reading = _job(mesh, load, shell.kind)
     code = "import phytac_design.mechanics.shell.solve, scipy.sparse.linalg"
     table.add(
-        "speed: start-up of ccx, smallest mesh, without analysis",
-        start_s,
-        "s",
-        reference="-",
-        source="wall clock",
+        "speed: start-up of ccx, smallest mesh, without analysis", start_s, "s", "-", "wall clock"
     )
-    table.add(
-        "speed: start-up and reading of ccx, S8R 24 × 28, without analysis",
-        reading,
-        "s",
-        reference="-",
-        source="wall clock",
-    )
-    table.add(
-        "speed: start-up of ours, Python and imports",
-        median_of(lambda: mechanics_cost.python(code), 3),
-        "s",
-        reference="-",
-        source="wall clock",
-        note="meshes are made in memory, no file is read",
-    )
+    row = "speed: start-up and reading of ccx, S8R 24 × 28, without analysis"
+    table.add(row, reading, "s", "-", "wall clock")
+    row = "speed: start-up of ours, Python and imports"
+    note = "meshes are made in memory, no file is read"
+    value = median_of(lambda: mechanics_cost.python(code), 3)
+    table.add(row, value, "s", "-", "wall clock", note=note)
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
     """All rows of this module; ``quick`` leaves out CalculiX and the large meshes."""
     mechanics_cost.solver(table, quick=quick)
     if quick:
-        mechanics_cost.add_rows(table, sizes=((24, 32), (34, 44)), image=None)
+        mechanics_cost.add_rows(table, sizes=((24, 32), (34, 44)))
         return
-    mechanics_cost.add_rows(table, sizes=mechanics_cost.SIZES, image=mechanics_cost.IMAGE)
+    mechanics_cost.add_rows(table)
     if shutil.which("ccx") is None:
         print("ccx is not on PATH: comparison left out")
         return

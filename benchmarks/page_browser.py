@@ -42,7 +42,7 @@ class PageMetrics:
     turn_ms : float
         A turn of the shell, until it is drawn.
     errors, foreign : list of str
-        Errors on the console, and addresses outside of the page that were asked for.
+        Errors on the console, and addresses outside of the page that were requested.
     serious : list of str
         Rules of axe-core that it breaks seriously or critically.
     wide_px : int

@@ -79,25 +79,28 @@ def _design() -> Reader:
     return Reader(make=make, read=lambda at: load_design(str(at / "x.toml")), weight=60)
 
 
+def _tables(kind: str, load: Callable[[str], Any], weight: int) -> Reader:
+    """Reader of TOML files of a kind that ships with the package."""
+    make = _toml("x.toml", shipped(kind))
+    return Reader(make=make, read=lambda at: load(str(at / "x.toml")), weight=weight)
+
+
 def _study() -> Reader:
     from phytac_design.study.search.study_file import load_study
 
-    make = _toml("x.toml", shipped("studies"))
-    return Reader(make=make, read=lambda at: load_study(str(at / "x.toml")), weight=60)
+    return _tables("studies", load_study, 60)
 
 
 def _scene() -> Reader:
     from phytac_design.design.scene import load_scene
 
-    make = _toml("x.toml", shipped("scenes"))
-    return Reader(make=make, read=lambda at: load_scene(str(at / "x.toml")), weight=80)
+    return _tables("scenes", load_scene, 80)
 
 
 def _scenario() -> Reader:
     from phytac_design.simulation.scenario.scenario_file import load_scenario
 
-    make = _toml("x.toml", shipped("scenarios"))
-    return Reader(make=make, read=lambda at: load_scenario(str(at / "x.toml")), weight=80)
+    return _tables("scenarios", load_scenario, 80)
 
 
 def _folder_of(write: Callable[[Path], Any]) -> Files:
@@ -185,7 +188,7 @@ def _changed_zip(rng: random.Random, data: bytes) -> bytes:
 
 def _bundle() -> Reader:
     from phytac_decoder.io.bundle import load_bundle, save_bundle
-    from phytac_design.study.stability.rooms.readers import bundle
+    from verification.test_readers import bundle
 
     seed = _folder_of(lambda at: save_bundle(bundle(), at))
     table = json.loads(seed["bundle.json"])
@@ -248,7 +251,7 @@ MEASURED = (
 def _calibration() -> Reader:
     from phytac_design.layout import make_markers
     from phytac_design.mechanics.calibration.measurements import read_measurements
-    from phytac_design.study.stability.bases import design_of
+    from verification.designs import design_of
 
     design = design_of({"shape": "cylinder"})
     surface = design.surface()
@@ -294,22 +297,39 @@ def _stream() -> Reader:
     return Reader(make=make, read=read, weight=200)
 
 
+POSITIONS = (
+    b"u,v,colour,height_mm\n1.0,2.0,blue,3.0\n4.0,5.0,green,2.5\n",
+    b"x_mm,y_mm,z_mm\n1,2,3\n# a\n4,5,6\n",
+)
+BODIES = (
+    (
+        b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
+        b"endloop\nendfacet\nendsolid a\n"
+    ),
+    b"\0" * 80 + struct.pack("<I", 2) + struct.pack("<12fH", *range(12), 0) * 2,
+)
+STRETCHED = (b"stretch,stress_MPa\n1.1,0.2\n1.2,0.3\n1.3,0.35\n",)
+
+
 def _positions() -> Reader:
     from phytac_design.design.positions import read_positions
-    from phytac_design.study.stability.rooms.readers import POSITIONS
 
-    seeds = [POSITIONS.encode(), b"x_mm,y_mm,z_mm\n1,2,3\n# a\n4,5,6\n"]
-    make = texts("x.csv", seeds)
+    make = texts("x.csv", POSITIONS)
     return Reader(make=make, read=lambda at: read_positions(at / "x.csv"), weight=80)
 
 
 def _body() -> Reader:
     from phytac_design.design.fixture_files import read_stl
-    from phytac_design.study.stability.rooms.readers import BODY
 
-    binary = b"\0" * 80 + struct.pack("<I", 2) + struct.pack("<12fH", *range(12), 0) * 2
-    make = texts("x.stl", [BODY.encode(), binary])
+    make = texts("x.stl", BODIES)
     return Reader(make=make, read=lambda at: read_stl(at / "x.stl"), weight=80)
+
+
+def _tensile() -> Reader:
+    from phytac_design.mechanics.switch.material_fit import read_test
+
+    make = texts("x.csv", STRETCHED)
+    return Reader(make=make, read=lambda at: read_test(at / "x.csv"), weight=50)
 
 
 def _lens() -> Reader:
@@ -355,13 +375,6 @@ def _logs() -> Reader:
     return Reader(
         make=make, read=lambda at: read_rig_log(at / "x.csv", RowProblems(where="x.csv")), weight=60
     )
-
-
-def _tensile() -> Reader:
-    from phytac_design.mechanics.switch.material_fit import read_test
-
-    make = texts("x.csv", [b"stretch,stress_MPa\n1.1,0.2\n1.2,0.3\n1.3,0.35\n"])
-    return Reader(make=make, read=lambda at: read_test(at / "x.csv"), weight=50)
 
 
 READERS: dict[str, Callable[[], Reader]] = {

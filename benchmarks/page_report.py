@@ -33,30 +33,16 @@ def report(table: Table, *, quick: bool) -> None:
         figures = json.loads((page.parent / "report.json").read_text(encoding="utf-8"))
         case = f"report of {figures['design']}, {figures['markers']['count']} markers"
         table.add(
-            f"{case}: size",
-            page.stat().st_size / 1e6,
-            "MB",
-            reference=0.573,
-            source="MB of three.js in it",
-            target="<= 15",
+            f"{case}: size", page.stat().st_size / 1e6, "MB", 0.573, "MB of three.js in it", "<= 15"
         )
-        table.add(
-            f"{case}: its stage",
-            done.timing_s["report"],
-            "s",
-            reference=sum(done.timing_s.values()),
-            source="s of all stages of the draft, wall",
-        )
+        row = f"{case}: its stage"
+        source = "s of all stages of the draft, wall"
+        table.add(row, done.timing_s["report"], "s", sum(done.timing_s.values()), source)
         with chromium() as browser:
             times = paints_s(browser, page, 1 if quick else 5)
-            table.add(
-                f"{case}: first contentful paint, median of {len(times)}",
-                times[len(times) // 2],
-                "s",
-                reference=times[0],
-                source=f"the fastest; Chromium {browser.version}, headless, software GL, from disk",
-                target="<= 2",
-            )
+            row = f"{case}: first contentful paint, median of {len(times)}"
+            source = f"the fastest; Chromium {browser.version}, headless, software GL, from disk"
+            table.add(row, times[len(times) // 2], "s", times[0], source, "<= 2")
             seen = look(browser, page)
             _judged(table, case, seen)
             phone = look(browser, page, PHONE)
@@ -65,42 +51,19 @@ def report(table: Table, *, quick: bool) -> None:
 
 def _judged(table: Table, case: str, seen: PageMetrics) -> None:
     """Rows of one look at a page."""
-    table.add(
-        f"{case}: until everything is drawn",
-        seen.ready_s,
-        "s",
-        reference=seen.paint_s,
-        source="s to its first contentful paint",
-    )
-    table.add(
-        f"{case}: a turn of the shell, until it is drawn",
-        seen.turn_ms,
-        "ms",
-        reference=16.7,
-        source="ms of a frame at 60 Hz; software GL here",
-    )
+    row = f"{case}: until everything is drawn"
+    table.add(row, seen.ready_s, "s", seen.paint_s, "s to its first contentful paint")
+    row = f"{case}: a turn of the shell, until it is drawn"
+    table.add(row, seen.turn_ms, "ms", 16.7, "ms of a frame at 60 Hz; software GL here")
     for what, items in (
         ("errors on the console", seen.errors),
         ("requests outside of the page", seen.foreign),
         ("serious findings of axe-core", seen.serious),
     ):
-        table.add(
-            f"{case}: {what}",
-            len(items),
-            "count",
-            reference=0,
-            source="all colourings, the slider and every fold used",
-            target="== 0",
-            note="; ".join(items[:3]),
-        )
-    table.add(
-        f"{case}: wider than the window",
-        seen.wide_px,
-        "px",
-        reference=0,
-        source="every fold open",
-        target="== 0",
-    )
+        row = f"{case}: {what}"
+        source = "all colourings, the slider and every fold used"
+        table.add(row, len(items), "count", 0, source, "== 0", "; ".join(items[:3]))
+    table.add(f"{case}: wider than the window", seen.wide_px, "px", 0, "every fold open", "== 0")
 
 
 def _pictures(browser: Any, page: Path) -> None:
@@ -126,21 +89,13 @@ def compare(table: Table, *, quick: bool) -> None:
 
         case = f"comparison of {' and '.join(names)}"
         table.add(
-            f"{case}: making it",
-            median_of(make, 3),
-            "s",
-            reference=len(folders),
-            source="builds, made before",
+            f"{case}: making it", median_of(make, 3), "s", len(folders), "builds, made before"
         )
-        table.add(
-            f"{case}: size",
-            page.stat().st_size / 1e6,
-            "MB",
-            reference=sum((path / "report" / "report.html").stat().st_size for path in folders)
-            / 1e6,
-            source="MB of the builds' own reports",
-            target="<= 15",
-        )
+        row = f"{case}: size"
+        source = "MB of the builds' own reports"
+        value = page.stat().st_size / 1e6
+        reference = sum((path / "report" / "report.html").stat().st_size for path in folders) / 1e6
+        table.add(row, value, "MB", reference, source, "<= 15")
         with chromium() as browser:
             _judged(table, case, look(browser, page))
             if not quick:
@@ -158,11 +113,6 @@ def help_time(table: Table, *, quick: bool) -> None:
         subprocess.run([sys.executable, "-c", ""], check=True)
 
     times = 3 if quick else 9
-    table.add(
-        "phytac --help",
-        median_of(ask, times),
-        "s",
-        reference=median_of(nothing, times),
-        source=f"s of Python that does nothing; medians of {times}",
-        target="<= 0.5",
-    )
+    row = "phytac --help"
+    source = f"s of Python that does nothing; medians of {times}"
+    table.add(row, median_of(ask, times), "s", median_of(nothing, times), source, "<= 0.5")

@@ -88,13 +88,9 @@ def studio(table: Table, quick: bool) -> None:
         start = time.perf_counter()
         page.goto(url)
         _state(page, "checked")
-        table.add(
-            "studio: from the page's address to the first checked design",
-            time.perf_counter() - start,
-            "s",
-            reference="none",
-            source="cylinder60, compiled loops loaded on the way",
-        )
+        row = "studio: from the page's address to the first checked design"
+        source = "cylinder60, compiled loops loaded on the way"
+        table.add(row, time.perf_counter() - start, "s", "none", source)
         _moves(table, page, 12 if quick else MOVES)
         _drags(table, page, 3 if quick else DRAGS)
         # Back to a design that every stage of a build accepts.
@@ -106,14 +102,11 @@ def studio(table: Table, quick: bool) -> None:
         own = (url, "data:", "blob:")
         foreign = [address for address in asked if not address.startswith(own)]
         for what, found in (("console errors", wrong), ("outside requests", foreign)):
+            row = f"studio: {what}"
+            source = "project target"
+            note = "; ".join(list(dict.fromkeys(found))[:3])
             table.add(
-                f"studio: {what}",
-                len(found),
-                "errors" if found is wrong else "requests",
-                reference=0,
-                source="project target",
-                target="== 0",
-                note="; ".join(list(dict.fromkeys(found))[:3]),
+                row, len(found), "errors" if found is wrong else "requests", 0, source, "== 0", note
             )
         _axe(table, page)
         browser.close()
@@ -138,14 +131,9 @@ def _moves(table: Table, page: Any, moves: int) -> None:
         page.wait_for_timeout(float(rng.uniform(50.0, 900.0)))
     times = np.array(page.evaluate("studio.live.times"))[before:] / 1000.0
     for share, target in ((50, None), (95, "<= 1")):
-        table.add(
-            f"studio: cylinder60, from a control's change to all views drawn, p{share}",
-            float(np.percentile(times, share)),
-            "s",
-            reference=1,
-            source=f"project target; {len(times)} changes, 3-D drawn by software",
-            target=target,
-        )
+        row = f"studio: cylinder60, from a control's change to all views drawn, p{share}"
+        source = f"project target; {len(times)} changes, 3-D drawn by software"
+        table.add(row, float(np.percentile(times, share)), "s", 1, source, target)
 
 
 def _drags(table: Table, page: Any, drags: int) -> None:
@@ -156,21 +144,12 @@ def _drags(table: Table, page: Any, drags: int) -> None:
         took, drafts = page.evaluate(DRAG, ["layout.spiral_angle_deg", *ends, STEPS])
         late.append(took / 1000.0)
         drawn.append(drafts)
-    table.add(
-        "studio: cylinder60, from a drag's last move to all views drawn, p95",
-        float(np.percentile(late, 95)),
-        "s",
-        reference=1,
-        source=f"project target; {drags} drags of {STEPS} moves in {0.016 * STEPS:.2g} s",
-        target="<= 1",
-    )
-    table.add(
-        "studio: drafts drawn during such a drag, mean",
-        float(np.mean(drawn)),
-        "drafts",
-        reference="none",
-        source="same drags; a later move takes an earlier one's place",
-    )
+    row = "studio: cylinder60, from a drag's last move to all views drawn, p95"
+    source = f"project target; {drags} drags of {STEPS} moves in {0.016 * STEPS:.2g} s"
+    table.add(row, float(np.percentile(late, 95)), "s", 1, source, "<= 1")
+    row = "studio: drafts drawn during such a drag, mean"
+    source = "same drags; a later move takes an earlier one's place"
+    table.add(row, float(np.mean(drawn)), "drafts", "none", source)
 
 
 def _save(table: Table, page: Any, root: Path) -> None:
@@ -186,10 +165,7 @@ def _save(table: Table, page: Any, root: Path) -> None:
     )
     source = "the file read again is the design in the page"
     table.add("studio: saving", took, "s", reference="none", source=source)
-    table.add(
-        "studio: saved file is the design", int(same), "true", reference=1, source=source,
-        target="== 1",
-    )  # fmt: skip
+    table.add("studio: saved file is the design", int(same), "true", 1, source, "== 1")  # fmt: skip
 
 
 def _build(table: Table, page: Any, what: str) -> None:
@@ -207,22 +183,12 @@ def _build(table: Table, page: Any, what: str) -> None:
         frame = page.frame_locator("#report iframe")
         frame.locator("h1").first.wait_for()
         shown = int(frame.locator("h1").first.inner_text() != "")
-    table.add(
-        "studio: a draft build, from the button to its report in the page",
-        time.perf_counter() - start,
-        "s",
-        reference="none",
-        source="the changed cylinder60, empty or filled cache as it stands",
-    )
-    table.add(
-        "studio: the build's report shows",
-        shown,
-        "true",
-        reference=1,
-        source="heading of the report in its frame",
-        target="== 1",
-        note="" if shown else said,
-    )
+    row = "studio: a draft build, from the button to its report in the page"
+    source = "the changed cylinder60, empty or filled cache as it stands"
+    table.add(row, time.perf_counter() - start, "s", "none", source)
+    row = "studio: the build's report shows"
+    source = "heading of the report in its frame"
+    table.add(row, shown, "true", 1, source, "== 1", "" if shown else said)
 
 
 def _axe(table: Table, page: Any) -> None:
@@ -230,12 +196,5 @@ def _axe(table: Table, page: Any) -> None:
 
     found = Axe().run(page).response["violations"]
     serious = [item["id"] for item in found if item["impact"] in {"serious", "critical"}]
-    table.add(
-        "studio: serious findings of axe-core",
-        len(serious),
-        "findings",
-        reference=0,
-        source="axe-core, all rules",
-        target="== 0",
-        note=", ".join(serious),
-    )
+    row = "studio: serious findings of axe-core"
+    table.add(row, len(serious), "findings", 0, "axe-core, all rules", "== 0", ", ".join(serious))

@@ -17,7 +17,7 @@ from pathlib import Path
 from benchmarks.harness import Table
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("shapes", "decoder", "phytac_design")
+PACKAGES = ("shapes", "decoder", "phytac_design")
 LEFT_BEHIND = {".md", ".pyc", ".nbi", ".nbc"}
 """Files beside the modules that a program does not read: notes, compiled kernels."""
 OWN = ("__editable__", "phytac_design", "phytac-design")
@@ -27,9 +27,9 @@ def make_wheel(folder: Path) -> Path:
     """Build the wheel from a copy of the working tree."""
     source, out = folder / "source", folder / "out"
     out.mkdir(parents=True)
-    for room in ROOMS:
+    for package in PACKAGES:
         ignore = shutil.ignore_patterns("__pycache__", "node_modules")
-        shutil.copytree(ROOT / room, source / room, ignore=ignore)
+        shutil.copytree(ROOT / package, source / package, ignore=ignore)
     for name in ("pyproject.toml", "README.md"):
         shutil.copyfile(ROOT / name, source / name)
     code = f"from setuptools import build_meta; build_meta.build_wheel({str(out)!r})"
@@ -62,27 +62,16 @@ def wheel(table: Table, *, quick: bool) -> None:
         packed = set(zipfile.ZipFile(path).namelist())
         wanted = {
             item.relative_to(ROOT).as_posix()
-            for room in ROOMS
-            for item in (ROOT / room).rglob("*")
+            for package in PACKAGES
+            for item in (ROOT / package).rglob("*")
             if item.is_file()
             and item.suffix not in LEFT_BEHIND
             and "node_modules" not in item.parts
         }
-        table.add(
-            "wheel: files of the packages that are not in it",
-            len(wanted - packed),
-            "files",
-            reference=0,
-            source=f"the working tree, {len(wanted)} files",
-            target="== 0",
-        )
-        table.add(
-            "wheel: size",
-            path.stat().st_size / 1e6,
-            "MB",
-            reference="-",
-            source="reported only",
-        )
+        row = "wheel: files of the packages that are not in it"
+        source = f"the working tree, {len(wanted)} files"
+        table.add(row, len(wanted - packed), "files", 0, source, "== 0")
+        table.add("wheel: size", path.stat().st_size / 1e6, "MB", "-", "reported only")
         programs = environment(folder, path)
         away = folder / "away"
         away.mkdir()
@@ -98,31 +87,14 @@ def wheel(table: Table, *, quick: bool) -> None:
         )
         seconds = time.perf_counter() - start
         what = "checked" if quick else "draft built"
-        table.add(
-            f"wheel in a new environment, outside the checkout: cylinder60 {what}, exit code",
-            done.returncode,
-            "",
-            reference=0,
-            source="success",
-            target="== 0",
-            note=done.stderr.strip().splitlines()[-1] if done.returncode else "",
-        )
-        table.add(
-            f"wheel in a new environment: cylinder60 {what}, empty cache",
-            seconds,
-            "s",
-            reference="-",
-            source="reported only",
-        )
+        row = f"wheel in a new environment, outside the checkout: cylinder60 {what}, exit code"
+        note = done.stderr.strip().splitlines()[-1] if done.returncode else ""
+        table.add(row, done.returncode, "", 0, "success", "== 0", note)
+        row = f"wheel in a new environment: cylinder60 {what}, empty cache"
+        table.add(row, seconds, "s", "-", "reported only")
         if not quick:
             made = list((away / "exports" / "cylinder60").rglob("*"))
             whole = {"shell/shell.step", "decoder/bundle.json", "report/report.html"}
             names = {item.relative_to(away / "exports" / "cylinder60").as_posix() for item in made}
-            table.add(
-                "wheel in a new environment: STEP, decoder and report that are missing",
-                len(whole - names),
-                "files",
-                reference=0,
-                source="what a build writes",
-                target="== 0",
-            )
+            row = "wheel in a new environment: STEP, decoder and report that are missing"
+            table.add(row, len(whole - names), "files", 0, "what a build writes", "== 0")

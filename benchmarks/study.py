@@ -3,10 +3,6 @@
 ``python -m benchmarks.study [--quick] [--parts rate,ladder,optimiser,rows,dask,…]``
 """
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the program itself does
-
 from collections.abc import Callable
 from functools import partial
 

@@ -65,7 +65,7 @@ def warm() -> None:
 
 
 def copy(folder: Path, count: int) -> None:
-    """A copy of the program that does its own candidates, with files and all, once told to go."""
+    """A copy of the program that does its own candidates, with files and all, on a signal."""
     one_thread()
     warm()
     study, space = study_for(count)
@@ -219,18 +219,18 @@ def dask(table: Table, *, quick: bool) -> None:
                 ratios[case].append(rate / alone)
                 said[case] = f"{rate:.1f}/s against {alone:.1f}/s"
         for case, workers in CASES.items():
-            table.add(
+            row = (
                 f"{case}: throughput over that of {workers} independent "
-                f"{'copies run together' if workers > 1 else 'copy'}",
-                float(np.median(ratios[case])),
-                "ratio",
-                reference=1.0,
-                source=f"{count} candidates, rules and sampled, all loaded before; median of "
-                f"{turns} turns",
-                target=">= 0.9",
-                note=f"turns {', '.join(f'{ratio:.2f}' for ratio in ratios[case])}; the last "
-                f"{said[case]}; driver and scheduler on the same cores",
+                f"{'copies run together' if workers > 1 else 'copy'}"
             )
+            source = (
+                f"{count} candidates, rules and sampled, all loaded before; median of {turns} turns"
+            )
+            note = (
+                f"turns {', '.join(f'{ratio:.2f}' for ratio in ratios[case])}; the last "
+                f"{said[case]}; driver and scheduler on the same cores"
+            )
+            table.add(row, float(np.median(ratios[case])), "ratio", 1.0, source, ">= 0.9", note)
         with pool_of(LOCAL) as pool:
             more = 24 if quick else KILLED
             expected = rows_of(pooled(pool, more, Path(name) / "undisturbed").folder)
@@ -243,14 +243,10 @@ def dask(table: Table, *, quick: bool) -> None:
 
 def _overhead_row(table: Table, pool: DaskPool, count: int) -> None:
     """What a task costs beside its work."""
-    table.add(
-        "a task beside its work, driver, scheduler and two workers on this machine",
-        overhead_ms(pool, count),
-        "ms",
-        reference=100.0,
-        source="tasks that do nothing, wall time over their number",
-        note="0.1 s is what ten designs a second take",
-    )
+    row = "a task beside its work, driver, scheduler and two workers on this machine"
+    source = "tasks that do nothing, wall time over their number"
+    note = "0.1 s is what ten designs a second take"
+    table.add(row, overhead_ms(pool, count), "ms", 100.0, source, note=note)
 
 
 def _killed(table: Table, cluster: Cluster, folder: Path, expected: list[dict[str, Any]]) -> None:
@@ -280,17 +276,15 @@ def _killed(table: Table, cluster: Cluster, folder: Path, expected: list[dict[st
             running = driver()
     found = rows_of(folder)
     same = sum(one == other for one, other in zip(found, expected, strict=False))
-    table.add(
+    row = (
         f"rows equal to the undisturbed ones, {kills['worker']} workers, {kills['driver']} driver "
-        f"and {kills['scheduler']} scheduler killed",
-        100.0 * same / len(expected),
-        "%",
-        reference=100.0,
-        source=f"{count} candidates, a kill every {KILL_EVERY_S:g} s, cluster on loopback",
-        target=">= 100",
-        note=f"{len(found)} rows; driver ended with {running.returncode}, all but its last run "
-        "by kill",
+        f"and {kills['scheduler']} scheduler killed"
     )
+    source = f"{count} candidates, a kill every {KILL_EVERY_S:g} s, cluster on loopback"
+    note = (
+        f"{len(found)} rows; driver ended with {running.returncode}, all but its last run by kill"
+    )
+    table.add(row, 100.0 * same / len(expected), "%", 100.0, source, ">= 100", note)
 
 
 def drive(folder: Path, count: int, address: str) -> None:

@@ -20,7 +20,7 @@ from phytac_design.study.search.study_file import Budget, load_study
 from phytac_design.study.search.study_folder import rebuild
 
 STUDIES = {"dense-cylinder": (32, 1000), "dense-cone": (16, None), "dense-hemisphere": (16, None)}
-"""Candidates of each study, and the count that is asked for."""
+"""Candidates of each study, and the required count."""
 WHOLE = ("dense-cylinder", "cylinder60")
 """Built at standard accuracy; the others as drafts."""
 WORKERS = 2
@@ -38,15 +38,10 @@ def dense(table: Table, *, name: str, quick: bool) -> None:
         run_study(study, space, out, kind="optimise", pool=pool, progress=print)
     results = read_results(out)
     if not results.ok.any():
-        table.add(
-            f"{name}: markers of the densest that meets all",
-            0,
-            "markers",
-            reference="",
-            source=f"{number} candidates",
-            target=f">= {asked or 1}",
-            note="none of the candidates met all constraints",
-        )
+        row = f"{name}: markers of the densest that meets all"
+        source = f"{number} candidates"
+        note = "none of the candidates met all constraints"
+        table.add(row, 0, "markers", "", source, f">= {asked or 1}", note)
         return
     counts = np.where(results.ok, results.columns["marker_count"], 0.0)
     best = int(results.columns["trial"][int(counts.argmax())])

@@ -1,7 +1,5 @@
-"""How many designs a second a core looks at, and what each further rung costs and foretells."""
+"""How many designs a second a core looks at, and what each further level costs and predicts."""
 
-import cProfile
-import pstats
 import time
 
 import numpy as np
@@ -38,65 +36,22 @@ def rate(table: Table, *, quick: bool) -> None:
         able = [outcome for outcome in outcomes if outcome.status == OK]
         own = sum(sum(outcome.seconds.values()) for outcome in able)
         counts = [outcome.measures["marker_count"] for outcome in able]
-        table.add(
-            f"{shape}: designs a second and core, those that pass the rules",
-            len(able) / own,
-            "1/s",
-            reference=10,
-            source=SOURCE,
-            target=">= 10",
-            note=f"{len(able)} of {each} pass; {min(counts):.0f} to {max(counts):.0f} markers, "
+        row = f"{shape}: designs a second and core, those that pass the rules"
+        note = (
+            f"{len(able)} of {each} pass; {min(counts):.0f} to {max(counts):.0f} markers, "
             f"median {median(counts):.0f}; all {each} in {seconds:.1f} s of processor and "
             f"{wall:.1f} s of wall time; rules {1e3 * _mean(able, 'rules'):.0f} ms, sampled "
-            f"{1e3 * _mean(able, 'sampled'):.0f} ms",
+            f"{1e3 * _mean(able, 'sampled'):.0f} ms"
         )
+        table.add(row, len(able) / own, "1/s", 10, SOURCE, ">= 10", note)
         spent, looked, done = spent + seconds, looked + each, done + len(able)
-    table.add(
-        "designs a second and core, all that were drawn",
-        looked / spent,
-        "1/s",
-        reference=10,
-        source=SOURCE,
-        target=">= 10",
-        note=f"{looked} designs, of which {done} pass the rules; refused ones stop there",
-    )
-    _profile(table)
+    row = "designs a second and core, all that were drawn"
+    note = f"{looked} designs, of which {done} pass the rules; refused ones stop there"
+    table.add(row, looked / spent, "1/s", 10, SOURCE, ">= 10", note)
 
 
 def _mean(outcomes: list[Outcome], rung: str) -> float:
     return float(np.mean([outcome.seconds[rung] for outcome in outcomes]))
-
-
-PARTS = {
-    "placing and rules": "check_design",
-    "scene": "build_scene",
-    "sampled visibility": "sampled_fraction",
-    "surrogate": "predict",
-    "density": "density_of",
-    "gaps of outlines": "outlined_gap_px",
-}
-
-
-def _profile(table: Table) -> None:
-    """Where the time goes, on the cylinder."""
-    study, space = study_of("cylinder")
-    spec = spec_of(study, space)
-    profile = cProfile.Profile()
-    profile.enable()
-    for params in drawn(study, space, 20):
-        evaluate_candidate(spec, params, CHEAP)
-    profile.disable()
-    stats = pstats.Stats(profile)
-    cumulative = {key[2]: value[3] for key, value in stats.stats.items()}  # type: ignore[attr-defined]  # not in its stubs
-    whole = cumulative["climb"]
-    for name, function in PARTS.items():
-        table.add(
-            f"cylinder: share of the time for {name}",
-            100.0 * cumulative[function] / whole,
-            "%",
-            reference=100.0,
-            source="cProfile, wall time, 20 designs",
-        )
 
 
 def ladder(table: Table, *, quick: bool) -> None:
@@ -105,7 +60,7 @@ def ladder(table: Table, *, quick: bool) -> None:
     each = 4 if quick else 16
     for shape in SPACES:
         study, space = study_of(shape, ladder={"rungs": list(ALL)})
-        # A rung tells most where the others let designs through: no constraint, all rungs.
+        # A level is most informative where the others accept designs: no constraint, all rungs.
         candidates = drawn(study, space, 4 * each)
         able = [
             params
@@ -127,13 +82,9 @@ def _costs(table: Table, shape: str, found: list[Outcome], judged: list[Outcome]
             outcome.seconds[rung] for outcome in (judged if rung == "twin" else found)
             if rung in outcome.seconds
         ]  # fmt: skip
-        table.add(
-            f"{shape}: {rung}, each",
-            median(seconds),
-            "s",
-            reference="",
-            source=f"median of {len(seconds)} designs, processor time, one thread, draft",
-        )
+        row = f"{shape}: {rung}, each"
+        source = f"median of {len(seconds)} designs, processor time, one thread, draft"
+        table.add(row, median(seconds), "s", "", source)
 
 
 def _orders(table: Table, shape: str, found: list[Outcome], judged: list[Outcome]) -> None:
@@ -151,10 +102,6 @@ def _orders(table: Table, shape: str, found: list[Outcome], judged: list[Outcome
         )
         if len(pairs) < 4 or float(np.ptp(pairs, axis=0).min()) == 0.0:
             continue
-        table.add(
-            f"{shape}: {earlier} against {name}",
-            float(spearmanr(pairs[:, 0], pairs[:, 1]).statistic),
-            "Spearman",
-            reference=1.0,
-            source=f"{len(pairs)} designs that pass the rules, drawn evenly, none left out",
-        )
+        source = f"{len(pairs)} designs that pass the rules, drawn evenly, none left out"
+        value = float(spearmanr(pairs[:, 0], pairs[:, 1]).statistic)
+        table.add(f"{shape}: {earlier} against {name}", value, "Spearman", 1.0, source)

@@ -3,7 +3,6 @@
 import resource
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator
@@ -70,47 +69,29 @@ def rows(table: Table, *, quick: bool) -> None:
         done = run_study(study, space, folder, kind="sweep", pool=pool)
         seconds = time.perf_counter() - start
         source = f"sweep of {count} candidates whose figures are a closed form"
+        row = f"driver: growth of memory from the tenth batch to row {done.rows}"
+        value = pool.memory_MB[-1] - pool.memory_MB[9]
         table.add(
-            f"driver: growth of memory from the tenth batch to row {done.rows}",
-            pool.memory_MB[-1] - pool.memory_MB[9],
-            "MB",
-            reference=pool.memory_MB[9],
-            source=f"{source}; resident set, batches of 64",
-            target="<= 20",
+            row, value, "MB", pool.memory_MB[9], f"{source}; resident set, batches of 64", "<= 20"
         )
-        table.add(
-            "driver: own time for each candidate",
-            1e3 * seconds / count,
-            "ms",
-            reference=100.0,
-            source=f"{source}; ask, journal, rows and parts",
-            note="0.1 s is what ten designs a second take",
-        )
+        row = "driver: own time for each candidate"
+        note = "0.1 s is what ten designs a second take"
+        value = 1e3 * seconds / count
+        table.add(row, value, "ms", 100.0, f"{source}; ask, journal, rows and parts", note=note)
         size = done.results.stat().st_size
         table.add("results: bytes for each row", size / count, "B", reference="", source="Parquet")
         start = time.perf_counter()
         results = read_results(folder)
         front = results.front()
-        table.add(
-            f"front of {count} rows and three objectives, read from the file",
-            time.perf_counter() - start,
-            "s",
-            reference="",
-            source="wall time",
-            target="<= 5",
-            note=f"{int(front.sum())} rows on the front",
-        )
+        row = f"front of {count} rows and three objectives, read from the file"
+        note = f"{int(front.sum())} rows on the front"
+        table.add(row, time.perf_counter() - start, "s", "", "wall time", "<= 5", note)
         start = time.perf_counter()
         page = write_page(folder)
-        table.add(
-            "page with front, importance and agreement of rungs",
-            time.perf_counter() - start,
-            "s",
-            reference="",
-            source="wall time, figures included",
-            target="<= 10",
-            note=f"{page.stat().st_size / 1e6:.1f} MB, one file",
-        )
+        row = "page with front, importance and agreement of rungs"
+        note = f"{page.stat().st_size / 1e6:.1f} MB, one file"
+        value = time.perf_counter() - start
+        table.add(row, value, "s", "", "wall time, figures included", "<= 10", note)
         _shown(table, page)
         open_bytes = (folder / OPEN).stat().st_size
         assert open_bytes == 0
@@ -132,15 +113,7 @@ def _shown(table: Table, page: Path) -> None:
         return time.perf_counter() - start
 
     opened(empty)
-    table.add(
-        "page: until a browser has drawn it",
-        min(opened(page) for _ in range(3)) - min(opened(empty) for _ in range(3)),
-        "s",
-        reference="",
-        source=f"{Path(browser).name}, headless, beyond an empty page",
-        target="<= 2",
-    )
-
-
-if __name__ == "__main__":
-    rows(Table("study"), quick="--quick" in sys.argv)
+    row = "page: until a browser has drawn it"
+    source = f"{Path(browser).name}, headless, beyond an empty page"
+    value = min(opened(page) for _ in range(3)) - min(opened(empty) for _ in range(3))
+    table.add(row, value, "s", "", source, "<= 2")

@@ -1,8 +1,10 @@
-"""Write docs/verification.md, and the short table of the README, from the committed results.
+"""The short table of the README from the committed results; the long pages on demand.
 
-``python -m benchmarks.tables``; ``--check`` only says whether they are up to date.
+``python -m benchmarks.tables`` writes the README's table; ``--check`` only reports whether it is up
+to date; ``--out FOLDER`` also writes ``verification.md`` and ``api.md`` there.
 """
 
+import argparse
 import json
 import re
 import sys
@@ -12,7 +14,6 @@ from typing import Any
 from benchmarks.harness import RESULTS
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "verification.md"
 README = ROOT / "README.md"
 BEGIN, END = "<!-- figures: made by python -m benchmarks.tables -->", "<!-- end of figures -->"
 INTRODUCTION = """# Verification
@@ -51,7 +52,7 @@ SHORT: tuple[tuple[str, str], ...] = (
     ("decoder", "cylinder60 unit 1, frames: auto, middle heights: samples from which on"),
     ("decoder", "cnn on 598 samples"),
     ("decoder", "rest coordinates from one frame, RMSE, all"),
-    ("stability", "cases over all rooms"),
+    ("stability", "cases over all"),
     ("stability", "wrong"),
     ("tradeoff", "scene fingertip on cylinder60, standard: times cheaper than the whole"),
     ("tradeoff", "scene fingertip on cylinder60, standard: force by its decoder against the whole"),
@@ -116,23 +117,30 @@ def short(results: dict[str, dict[str, Any]]) -> str:
     for name, start in SHORT:
         match = [row for row in results[name]["rows"] if row["case"].startswith(start)]
         if not match:
-            raise LookupError(f"no row of {name} begins with {start!r}; mend SHORT")
+            raise LookupError(f"no row of {name} begins with {start!r}; correct SHORT")
         rows.append(line(match[0]))
     return f"{BEGIN}\n{HEAD}" + "\n".join(rows) + f"\n{END}"
 
 
 def main() -> None:
     """Write or check."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing")
+    parser.add_argument("--out", type=Path, help="folder for verification.md and api.md")
+    given = parser.parse_args()
     results = read()
     old = README.read_text()
     pattern = re.compile(re.escape(BEGIN) + ".*" + re.escape(END), re.DOTALL)
-    wanted = {PAGE: page(results), README: pattern.sub(lambda _: short(results), old)}
-    stale = [path for path, text in wanted.items() if not path.exists() or path.read_text() != text]
-    if "--check" in sys.argv:
-        sys.exit(f"out of date: {', '.join(map(str, stale))}" if stale else 0)
-    for path in stale:
-        path.write_text(wanted[path])
-        print("wrote", path)
+    new = pattern.sub(lambda _: short(results), old)
+    if given.check:
+        sys.exit(f"out of date: {README}" if new != old else 0)
+    README.write_text(new)
+    if given.out:
+        from benchmarks import api_docs
+
+        given.out.mkdir(parents=True, exist_ok=True)
+        (given.out / "verification.md").write_text(page(results), encoding="utf-8")
+        (given.out / "api.md").write_text(api_docs.page(), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 ``python -m benchmarks.tradeoff [--quick] [--parts costs,fronts,presets,tolerance,budget,…]``
 
-Measured points lie in ``$PHYTAC_DATA/tradeoff``: a run that was killed goes on where it was.
+Measured points lie in ``$PHYTAC_DATA/tradeoff``: a killed run resumes.
 """
 
 from collections.abc import Callable
@@ -27,14 +27,8 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "tolerance": partial(tradeoff_tolerance.add_rows, quick=quick),
         "budget": partial(tradeoff_budget.add_rows, quick=quick),
         "scenes": partial(tradeoff_scenes.add_rows, quick=quick),
-        "auto": partial(tradeoff_tolerance.add_auto, quick=quick),
     }
 
 
-def main() -> None:
-    """Run all parts, or those named."""
-    run_parts("tradeoff", parts, __doc__ or "")
-
-
 if __name__ == "__main__":
-    main()
+    run_parts("tradeoff", parts, __doc__ or "")

@@ -75,23 +75,16 @@ def add_rows(table: Table, *, quick: bool) -> None:
     if not done:
         return
     ratio = np.array([run["seconds"] / run["budget"] for run in done])
-    table.add(
-        f"budgets of {BUDGETS_s[0]:g} to {BUDGETS_s[-1]:g} s: builds done within 1.2 times theirs",
-        100.0 * float(np.mean(ratio <= OVER)),
-        "%",
-        reference=100.0,
-        source=f"{len(done)} builds of random designs, empty cache",
-        target=f">= {MET:g}",
-        note=f"from {ratio.min():.2f} to {ratio.max():.2f} times the budget, median "
+    row = f"budgets of {BUDGETS_s[0]:g} to {BUDGETS_s[-1]:g} s: builds done within 1.2 times theirs"
+    source = f"{len(done)} builds of random designs, empty cache"
+    note = (
+        f"from {ratio.min():.2f} to {ratio.max():.2f} times the budget, median "
         f"{float(np.median(ratio)):.2f}; {refused} refused beforehand as too short"
-        + (f"; {len(failed)} could not be built: {failed[0][:120]}" if failed else ""),
+        + (f"; {len(failed)} could not be built: {failed[0][:120]}" if failed else "")
     )
+    table.add(row, 100.0 * float(np.mean(ratio <= OVER)), "%", 100.0, source, f">= {MET:g}", note)
     first = np.array([run["seconds"] / run["predicted"] for run in done])
-    table.add(
-        "budgets: seconds taken over those of the first plan, median distance from 1",
-        100.0 * float(np.median(np.abs(first - 1.0))),
-        "%",
-        reference=0.0,
-        source="cost model, before anything ran",
-        note=f"from {first.min():.2f} to {first.max():.2f}",
-    )
+    row = "budgets: seconds taken over those of the first plan, median distance from 1"
+    source = "cost model, before anything ran"
+    note = f"from {first.min():.2f} to {first.max():.2f}"
+    table.add(row, 100.0 * float(np.median(np.abs(first - 1.0))), "%", 0.0, source, note=note)

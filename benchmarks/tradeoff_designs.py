@@ -21,7 +21,7 @@ TRIES = 30
 
 
 def random_designs(count: int, seed: int) -> Iterator[Design]:
-    """Designs drawn in turn from all families; what :func:`check_design` refuses is drawn anew."""
+    """Designs drawn in turn from all families; what :func:`check_design` refuses is drawn again."""
     for number in range(count):
         rng = np.random.default_rng([seed, number])
         for _ in range(TRIES):

@@ -38,15 +38,12 @@ def add_rows(table: Table, *, quick: bool) -> None:
         fronts[name] = done.joint
         for quantity in ("force", "visibility"):
             at = knee(done.joint, quantity)
-            table.add(
-                f"{name}: front of {quantity}: knee",
-                at.seconds,
-                "s",
-                reference="-",
-                source=f"{len(done.joint)} joint settings",
-                note=f"error {100.0 * at.errors[quantity]:.3g} %; "
-                + ", ".join(f"{k} {v}" for k, v in at.settings.items()),
+            row = f"{name}: front of {quantity}: knee"
+            source = f"{len(done.joint)} joint settings"
+            note = f"error {100.0 * at.errors[quantity]:.3g} %; " + ", ".join(
+                f"{k} {v}" for k, v in at.settings.items()
             )
+            table.add(row, at.seconds, "s", "-", source, note=note)
     if not quick:
         FRONTS.write_text(json.dumps(compact(fronts), separators=(",", ":")) + "\n")
 
@@ -142,22 +139,14 @@ def add_presets(table: Table, *, quick: bool) -> None:
         found = presets_of(points)
         for name, point in found.items():
             errors = "; ".join(f"{q} {100.0 * e:.3g} %" for q, e in point.errors.items())
-            table.add(
-                f"{design}, {name}: whole build, sum of stages",
-                point.seconds,
-                "s",
-                reference="-",
-                source="each stage in a process of its own",
-                note=f"errors: {errors}; peak {point.peak_MB:.0f} MB",
-            )
-            table.add(
-                f"{design}, {name}: time saved by a setting that is worse in nothing",
-                100.0 * beaten_by(point, points),
-                "%",
-                reference=point.seconds,
-                source=f"{len(points)} joint settings; reference: its own seconds",
-                target=f"<= {100.0 * DOMINATED:g}",
-            )
+            row = f"{design}, {name}: whole build, sum of stages"
+            source = "each stage in a process of its own"
+            note = f"errors: {errors}; peak {point.peak_MB:.0f} MB"
+            table.add(row, point.seconds, "s", "-", source, note=note)
+            row = f"{design}, {name}: time saved by a setting that is worse in nothing"
+            source = f"{len(points)} joint settings; reference: its own seconds"
+            value = 100.0 * beaten_by(point, points)
+            table.add(row, value, "%", point.seconds, source, f"<= {100.0 * DOMINATED:g}")
         if not quick:
             picture = joint_fronts(design, points, found)
             (PICTURES / f"tradeoff-front-{design}.png").write_bytes(picture)

@@ -103,35 +103,21 @@ def add_rows(table: Table, *, quick: bool) -> None:
 
 
 def _add_costs(table: Table, label: str, cost: Cost, whole: Cost, *, one: bool) -> None:
-    table.add(
-        f"{label}: times cheaper than the whole sensor, processor time",
-        whole.cpu_s / cost.cpu_s,
-        "ratio",
-        reference=round(whole.cpu_s, 1),
-        source=f"the whole sensor, s of all stages; the scene takes {cost.cpu_s:.1f} s",
-        target=">= 10" if one else None,
-    )
+    row = f"{label}: times cheaper than the whole sensor, processor time"
+    source = f"the whole sensor, s of all stages; the scene takes {cost.cpu_s:.1f} s"
+    value = whole.cpu_s / cost.cpu_s
+    table.add(row, value, "ratio", round(whole.cpu_s, 1), source, ">= 10" if one else None)
     shared = [name for name in cost.stages if name in whole.stages]
+    row = f"{label}: times cheaper than the same stages of the whole sensor, processor time"
+    source = "these stages, of all of the surface, s"
+    value = sum(whole.stages[name]["cpu_s"] for name in shared) / cost.cpu_s
     table.add(
-        f"{label}: times cheaper than the same stages of the whole sensor, processor time",
-        sum(whole.stages[name]["cpu_s"] for name in shared) / cost.cpu_s,
-        "ratio",
-        reference=round(sum(whole.stages[name]["cpu_s"] for name in shared), 1),
-        source="these stages, of all of the surface, s",
+        row, value, "ratio", round(sum(whole.stages[name]["cpu_s"] for name in shared), 1), source
     )
+    row = f"{label}: wall time, one stage after the other"
+    table.add(row, cost.wall_s, "s", round(whole.wall_s, 1), "the whole sensor, s")
     table.add(
-        f"{label}: wall time, one stage after the other",
-        cost.wall_s,
-        "s",
-        reference=round(whole.wall_s, 1),
-        source="the whole sensor, s",
-    )
-    table.add(
-        f"{label}: peak memory",
-        cost.peak_MB,
-        "MB",
-        reference=round(whole.peak_MB, 0),
-        source="the whole sensor, MB",
+        f"{label}: peak memory", cost.peak_MB, "MB", round(whole.peak_MB, 0), "the whole sensor, MB"
     )
 
 
@@ -174,37 +160,26 @@ def _add_forces(table: Table, label: str, context: Context, whole: Cost, *, pres
     judged = np.isfinite(ours) & np.isfinite(theirs)
     apart = np.abs((ours - theirs) / (1.0 + theirs))[judged]
     where = f"{int(judged.sum())} presses in the regions, large displacement, finer mesh, no noise"
-    table.add(
-        f"{label}: force by its decoder against the whole sensor's, greatest difference",
-        100.0 * float(apart.max()),
-        "%",
-        reference=100.0 * float(np.median(apart)),
-        source=f"reference: median; {where}",
-        target="<= 1",
-    )
-    table.add(
-        f"{label}: force by its decoder against the truth, median error",
-        100.0 * float(np.median(np.abs(ours[judged]))),
-        "%",
-        reference=100.0 * float(np.median(np.abs(theirs[judged]))),
-        source=f"the whole sensor's decoder; {where}",
-    )
+    row = f"{label}: force by its decoder against the whole sensor's, greatest difference"
+    source = f"reference: median; {where}"
+    table.add(row, 100.0 * float(apart.max()), "%", 100.0 * float(np.median(apart)), source, "<= 1")
+    row = f"{label}: force by its decoder against the truth, median error"
+    source = f"the whole sensor's decoder; {where}"
+    value = 100.0 * float(np.median(np.abs(ours[judged])))
+    table.add(row, value, "%", 100.0 * float(np.median(np.abs(theirs[judged]))), source)
     named = load_scene(context.scene.name if context.scene else "")
     design = load_design(context.design.name)
     plan = plan_scene(design, named, accuracy=context.accuracy, speed=1.0)
-    table.add(
-        f"{label}: worst error of a force",
-        100.0 * float(np.abs(ours[judged]).max()),
-        "%",
-        reference=100.0 * plan.error["force"],
-        source=f"predicted by the plan; {where}",
-        target=f"<= {100.0 * plan.resolved.scene.error_allowed:g}",
-    )
+    row = f"{label}: worst error of a force"
+    source = f"predicted by the plan; {where}"
+    value = 100.0 * float(np.abs(ours[judged]).max())
+    target = f"<= {100.0 * plan.resolved.scene.error_allowed:g}"
+    table.add(row, value, "%", 100.0 * plan.error["force"], source, target)
 
 
 def _add_outside(table: Table, label: str, resolved: Resolved, cost: Cost, whole: Cost) -> None:
     """Single contacts off the receptors in play: whether their forces are doubted."""
-    bundle, told, outside = _bundle(cost.folders), 0, 0
+    bundle, doubted, outside = _bundle(cost.folders), 0, 0
     with np.load(whole.folders["twin"] / "arrays.npz") as data:
         arrays = {name: data[name] for name in data.files}
     for name in ("test", "anywhere"):
@@ -213,15 +188,10 @@ def _add_outside(table: Table, label: str, resolved: Resolved, cost: Cost, whole
                 continue
             outside += 1
             forces = one.forces_N(bundle, "auto")
-            told += bool(one.warnings(bundle, forces, estimator="auto"))
-    table.add(
-        f"{label}: contacts that trip only switches out of play, doubted",
-        100.0 * told / outside,
-        "%",
-        reference=outside,
-        source="contacts of the whole sensor's simulated data, one at a time",
-        target=">= 100",
-    )
+            doubted += bool(one.warnings(bundle, forces, estimator="auto"))
+    row = f"{label}: contacts that trip only switches out of play, doubted"
+    source = "contacts of the whole sensor's simulated data, one at a time"
+    table.add(row, 100.0 * doubted / outside, "%", outside, source, ">= 100")
 
 
 def singles(data: Dataset) -> list[Measured]:
@@ -251,36 +221,23 @@ def _facts(folders: dict[str, Path], stage: str) -> dict[str, Any]:
 def _add_occlusion(table: Table, label: str, context: Context, whole: Cost) -> None:
     """Figures of visibility against those of the whole build."""
     mine, full = (_facts(folders, "views") for folders in both(context, whole))
-    table.add(
-        f"{label}: markers hidden or fused at rest, against the whole build's",
-        abs(sum(mine["visibility"][k] - full["visibility"][k] for k in ("occluded", "fused"))),
-        "markers",
-        reference=full["visibility"]["occluded"] + full["visibility"]["fused"],
-        source="the whole build",
-        target="== 0",
-    )
+    row = f"{label}: markers hidden or fused at rest, against the whole build's"
+    source = "the whole build"
+    value = abs(sum(mine["visibility"][k] - full["visibility"][k] for k in ("occluded", "fused")))
+    reference = full["visibility"]["occluded"] + full["visibility"]["fused"]
+    table.add(row, value, "markers", reference, source, "== 0")
     mine, full = (_facts(folders, "underload") for folders in both(context, whole))
-    table.add(
-        f"{label}: least gap of a colour under load, difference from the whole build's",
-        abs(mine["least_gap_same_colour_px"] - full["least_gap_same_colour_px"]),
-        "px",
-        reference=full["least_gap_same_colour_px"],
-        source="the whole build",
-        target="<= 0.5",
-    )
+    row = f"{label}: least gap of a colour under load, difference from the whole build's"
+    source = "the whole build"
+    value = abs(mine["least_gap_same_colour_px"] - full["least_gap_same_colour_px"])
+    table.add(row, value, "px", full["least_gap_same_colour_px"], source, "<= 0.5")
 
 
 def _add_fabrication(table: Table, label: str, context: Context, whole: Cost) -> None:
     """The shell against that of the whole build."""
     mine, full = (float(_facts(folders, "shell")["volume_mm3"]) for folders in both(context, whole))
-    table.add(
-        f"{label}: volume of the shell, difference from the whole build's",
-        abs(mine / full - 1.0),
-        "relative",
-        reference=full,
-        source="the whole build, mm3",
-        target="== 0",
-    )
+    row = f"{label}: volume of the shell, difference from the whole build's"
+    table.add(row, abs(mine / full - 1.0), "relative", full, "the whole build, mm3", "== 0")
 
 
 def measure_units() -> None:

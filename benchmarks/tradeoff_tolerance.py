@@ -9,7 +9,6 @@ import numpy as np
 from benchmarks.harness import Table
 from benchmarks.tradeoff_designs import random_designs
 from benchmarks.tradeoff_journal import once
-from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import parse_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
@@ -71,24 +70,20 @@ def add_rows(table: Table, *, quick: bool) -> None:
     for tolerance in TOLERANCES:
         _add_tolerance(table, tolerance, found)
     rising = [_rises(result) for result in found]
-    table.add(
-        f"force tolerance: predicted seconds rise from each tolerance to the next, {count} designs",
-        100.0 * float(np.mean(rising)),
-        "%",
-        reference=100.0,
-        source="own target: a tighter tolerance never costs less",
-        target=">= 100",
+    row = (
+        f"force tolerance: predicted seconds rise from each tolerance to the next, {count} designs"
     )
+    source = "own target: a tighter tolerance never costs less"
+    table.add(row, 100.0 * float(np.mean(rising)), "%", 100.0, source, ">= 100")
     whole = [c for result in found for c in result["choices"].values() if "achieved" in c]
-    table.add(
-        "force tolerance: achieved error over predicted, median of all choices",
-        float(np.median([c["achieved"] / c["predicted"] for c in whole])),
-        "ratio",
-        reference=1.0,
-        source="1 is no safety",
-        note=f"90 % from {np.percentile([c['achieved'] / c['predicted'] for c in whole], 5):.2f} "
-        f"to {np.percentile([c['achieved'] / c['predicted'] for c in whole], 95):.2f}",
+    row = "force tolerance: achieved error over predicted, median of all choices"
+    source = "1 is no safety"
+    note = (
+        f"90 % from {np.percentile([c['achieved'] / c['predicted'] for c in whole], 5):.2f} "
+        f"to {np.percentile([c['achieved'] / c['predicted'] for c in whole], 95):.2f}"
     )
+    value = float(np.median([c["achieved"] / c["predicted"] for c in whole]))
+    table.add(row, value, "ratio", 1.0, source, note=note)
 
 
 def _add_tolerance(table: Table, tolerance: float, found: list[dict[str, Any]]) -> None:
@@ -97,57 +92,28 @@ def _add_tolerance(table: Table, tolerance: float, found: list[dict[str, Any]]) 
     refused = sum("refused" in choice for choice in choices)
     failed = [choice["failed"] for choice in choices if "failed" in choice]
     label = f"force tolerance {100.0 * tolerance:g} %"
-    table.add(
-        f"{label}: designs for which a setting was found",
-        len(chosen),
-        "designs",
-        reference=len(found),
-        source="all that were drawn",
-        note=f"{refused} refused, their best setting being predicted worse"
-        + (f"; {len(failed)} not solved: {failed[0][:120]}" if failed else ""),
+    row = f"{label}: designs for which a setting was found"
+    source = "all that were drawn"
+    note = f"{refused} refused, their best setting being predicted worse" + (
+        f"; {len(failed)} not solved: {failed[0][:120]}" if failed else ""
     )
+    table.add(row, len(chosen), "designs", len(found), source, note=note)
     if not chosen:
         return
     within = [choice["achieved"] <= tolerance for choice in chosen]
-    table.add(
-        f"{label}: of these, achieved error within the tolerance",
-        100.0 * float(np.mean(within)),
-        "%",
-        reference=REFERENCE_IS,
-        source=f"{len(chosen)} random designs of all shapes",
-        target=f">= {WITHIN:g}",
-        note=f"largest {100.0 * max(c['achieved'] for c in chosen):.3g} %, median "
-        f"{100.0 * float(np.median([c['achieved'] for c in chosen])):.3g} %",
+    row = f"{label}: of these, achieved error within the tolerance"
+    source = f"{len(chosen)} random designs of all shapes"
+    note = (
+        f"largest {100.0 * max(c['achieved'] for c in chosen):.3g} %, median "
+        f"{100.0 * float(np.median([c['achieved'] for c in chosen])):.3g} %"
     )
-    table.add(
-        f"{label}: predicted seconds of meshes, tables and presses, median",
-        float(np.median([choice["mechanics_s"] for choice in chosen])),
-        "s",
-        reference="-",
-        source="cost model",
-    )
+    value = 100.0 * float(np.mean(within))
+    table.add(row, value, "%", REFERENCE_IS, source, f">= {WITHIN:g}", note)
+    row = f"{label}: predicted seconds of meshes, tables and presses, median"
+    value = float(np.median([choice["mechanics_s"] for choice in chosen]))
+    table.add(row, value, "s", "-", "cost model")
 
 
 def _rises(result: dict[str, Any]) -> bool:
     spent = [c["seconds"] for c in result["choices"].values() if "seconds" in c]
     return all(b >= 0.999 * a for a, b in pairwise(spent))
-
-
-def add_auto(table: Table, *, quick: bool) -> None:
-    """Hold the figure against the estimator ``auto`` itself, with tables of the presets."""
-    from benchmarks.tradeoff_auto import auto_errors
-
-    cases = [("hemisphere", "draft")]
-    if not quick:
-        cases += [("cylinder60", name) for name in PRESETS]
-    for design, name in cases:
-        figure, read, count = auto_errors(design, PRESETS[name])
-        table.add(
-            f"{design}, {name}: force error by the estimator auto, standard contacts, no noise",
-            100.0 * read,
-            "%",
-            reference=100.0 * figure,
-            source="the figure of --tolerance, which knows the place",
-            note=f"{count} contacts; auto finds place, size and force, and its size takes up part "
-            "of what mesh and theory get wrong",
-        )

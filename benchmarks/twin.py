@@ -6,23 +6,16 @@ solids of the true CAD.
 ``python -m benchmarks.twin [--quick] [--parts a,b]``
 """
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from benchmarks import twin_decoders, twin_detection, twin_engine, twin_theory
+from benchmarks import twin_detection, twin_engine, twin_theory
 from benchmarks.harness import Table, run_parts
-from benchmarks.referee import strip
-from benchmarks.referee.contacts import COUNTS, DATA
+from benchmarks.referee.contacts import COUNTS
 from benchmarks.referee.read import Solved, data_file, read_solved
 from benchmarks.referee.solve import Sensor, sensor
 from phytac_design.design.accuracy import PRESETS
@@ -41,7 +34,7 @@ SOURCE = "CalculiX NLGEOM, quadratic tetrahedra of the CAD (benchmarks/referee)"
 QUICK = 4
 """Contacts of a quick run."""
 AT_N = (5.0, 10.0, 25.0)
-"""Forces at which the gap to linear theory is asked for."""
+"""Forces at which the gap to linear theory is evaluated."""
 LIMIT = 2.0
 RIM_MM = 5.0
 RIM = (
@@ -163,54 +156,30 @@ def shell_rows(table: Table, name: str, *, quick: bool) -> None:
         worst = part[int(np.argmax(errors))]
         head = f"{what}, tip displacement, {group} ({len(part)} contacts)"
         for word, value in (("median", np.median(errors)), ("worst", np.max(errors))):
-            table.add(
-                f"{head}: {word} difference",
-                float(value),
-                "% of peak",
-                reference=0.0,
-                source=SOURCE,
-                target="<= 2",
-                note=RIM if value > LIMIT and rim[worst_tip(worst)] else "",
-            )
+            row = f"{head}: {word} difference"
+            note = RIM if value > LIMIT and rim[worst_tip(worst)] else ""
+            table.add(row, float(value), "% of peak", 0.0, SOURCE, "<= 2", note)
+        row = f"{head}: mean scale of the shell's motion over the referee's, less 1"
         table.add(
-            f"{head}: mean scale of the shell's motion over the referee's, less 1",
-            float(np.mean([bias(one.large_mm, one.item) for one in part])),
-            "%",
-            reference=0.0,
-            source=SOURCE,
+            row, float(np.mean([bias(one.large_mm, one.item) for one in part])), "%", 0.0, SOURCE
         )
     every = np.arange(this.markers.count)
     inner = [gap(one.large_mm, one.item, np.flatnonzero(~rim)) for one in judged]
     for word, value in (("median", np.median(inner)), ("worst", np.max(inner))):
-        table.add(
-            f"{what}, tips {RIM_MM:g} mm from the rims and farther: {word} difference",
-            float(value),
-            "% of peak",
-            reference=0.0,
-            source=SOURCE,
-            target="<= 2",
-        )
+        row = f"{what}, tips {RIM_MM:g} mm from the rims and farther: {word} difference"
+        table.add(row, float(value), "% of peak", 0.0, SOURCE, "<= 2")
     for label, tips_in in (
         ("receptors that the referee models with tube and hole", lambda item: item.kept),
         ("other receptors", lambda item: np.setdiff1d(every, item.kept)),
     ):
         errors = [gap(one.large_mm, one.item, tips_in(one.item)) for one in judged]
-        table.add(
-            f"{what}, tip displacement of {label}: worst difference",
-            float(np.max(errors)),
-            "% of peak",
-            reference=0.0,
-            source=SOURCE,
-        )
-    table.add(
-        f"{name}: contacts solved by the referee",
-        len(solved),
-        "contacts",
-        reference=sum(COUNTS[name]),
-        source="the frozen list",
-        target=f">= {50 if name == 'cylinder60' else 20}",
-        note="" if len(solved) == sum(COUNTS[name]) else "the others are being solved",
-    )
+        row = f"{what}, tip displacement of {label}: worst difference"
+        table.add(row, float(np.max(errors)), "% of peak", 0.0, SOURCE)
+    row = f"{name}: contacts solved by the referee"
+    source = "the frozen list"
+    note = "" if len(solved) == sum(COUNTS[name]) else "the others are being solved"
+    target = f">= {50 if name == 'cylinder60' else 20}"
+    table.add(row, len(solved), "contacts", sum(COUNTS[name]), source, target, note)
 
 
 def linear_rows(table: Table, name: str, *, quick: bool) -> None:
@@ -225,42 +194,18 @@ def linear_rows(table: Table, name: str, *, quick: bool) -> None:
         for one in judge(this, mesh, model, near):
             head = f"{name}: {one.item.largest_N:.4g} N on one patch ({one.item.contact.kind})"
             for label, found in (("linear", one.linear_mm), ("large", one.large_mm)):
-                table.add(
-                    f"{head}: {label} shell, tip displacement, difference",
-                    gap(found, one.item),
-                    "% of peak",
-                    reference=0.0,
-                    source=SOURCE,
+                row = f"{head}: {label} shell, tip displacement, difference"
+                table.add(row, gap(found, one.item), "% of peak", 0.0, SOURCE)
+                row = f"{head}: {label} shell, peak over the referee's, less 1"
+                value = 100.0 * (
+                    float(np.linalg.norm(found, axis=1).max()) / one.item.peak_mm - 1.0
                 )
-                table.add(
-                    f"{head}: {label} shell, peak over the referee's, less 1",
-                    100.0 * (float(np.linalg.norm(found, axis=1).max()) / one.item.peak_mm - 1.0),
-                    "%",
-                    reference=0.0,
-                    source=SOURCE,
-                )
-
-
-def check_rows(table: Table) -> None:
-    """What the referee's own part and mesh cost, as ``benchmarks.referee.check`` measured."""
-    strip.add_rows(table)
-    path = DATA / "checks.json"
-    rows: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["rows"]
-    for row in rows:
-        table.add(
-            f"referee: {row['case']}",
-            row["value"],
-            "% of peak",
-            reference=0.0,
-            source=row["source"],
-            target=row.get("target"),
-            note=row.get("note", ""),
-        )
+                table.add(row, value, "%", 0.0, SOURCE)
 
 
 def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     """Parts of this benchmark."""
-    out: dict[str, Callable[[Table], None]] = {"referee": check_rows}
+    out: dict[str, Callable[[Table], None]] = {}
     for name in COUNTS:
         out[f"shell_{name}"] = partial(shell_rows, name=name, quick=quick)
         out[f"linear_{name}"] = partial(linear_rows, name=name, quick=quick)
@@ -274,9 +219,6 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
             ("kills", twin_engine.kill_rows),
             ("size", twin_engine.size_rows),
             ("shapes", twin_engine.shape_rows),
-            ("extremes", twin_engine.extreme_rows),
-            ("corrupt", twin_engine.corrupt_rows),
-            ("decoders", twin_decoders.add_rows),
         )
     }
     return out

@@ -134,15 +134,13 @@ def faults(table: Table, case: CameraCase) -> None:
                       source="a clean camera", target=">= 1", note=str(error))  # fmt: skip
             continue
         moved = (seen[1] - seen[0]) - (clean[1] - clean[0])
-        table.add(
-            f"{case.design.name}: {name}: change of displacements",
-            rms(moved),
-            "px RMS",
-            reference=0.0,
-            source="a camera without faults or noise",
-            note=f"of centroids at rest {rms(seen[0] - clean[0]):.3f} px RMS; "
-            f"{int(np.isnan(seen[1][:, 0]).sum())} markers lost; {FORCE_N:g} N",
+        row = f"{case.design.name}: {name}: change of displacements"
+        source = "a camera without faults or noise"
+        note = (
+            f"of centroids at rest {rms(seen[0] - clean[0]):.3f} px RMS; "
+            f"{int(np.isnan(seen[1][:, 0]).sum())} markers lost; {FORCE_N:g} N"
         )
+        table.add(row, rms(moved), "px RMS", 0.0, source, note=note)
 
 
 def camera_chain(table: Table, case: CameraCase, *, quick: bool) -> None:
@@ -165,17 +163,14 @@ def camera_chain(table: Table, case: CameraCase, *, quick: bool) -> None:
             rng = np.random.default_rng(k)
             spent.append(timed(partial(expose, chip, camera, exposure, rng=rng))[1])
     extra = float(np.median(spent)) + max(float(np.median(blurred)) - float(np.median(sharp)), 0.0)
-    table.add(
-        f"{design.name} {camera.width_px}x{camera.height_px}: blur, vignetting, noise and JPEG 90",
-        extra,
-        "s of one core",
-        reference=float(np.median(sharp)),
-        source="rendering the sharp frame, 8 samples a pixel",
-        target="<= 0.7",
-        note=f"vignetting, noise, sRGB and JPEG {np.median(spent):.2f} s; blur "
+    row = f"{design.name} {camera.width_px}x{camera.height_px}: blur, vignetting, noise and JPEG 90"
+    source = "rendering the sharp frame, 8 samples a pixel"
+    note = (
+        f"vignetting, noise, sRGB and JPEG {np.median(spent):.2f} s; blur "
         f"{np.median(blurred) - np.median(sharp):.2f} s more than a sharp frame: its samples look "
-        "through points of the lens",
+        "through points of the lens"
     )
+    table.add(row, extra, "s of one core", float(np.median(sharp)), source, "<= 0.7", note)
     many = 32 if quick else 64
     (motion,), (bits,) = case.pressed(1)
     moves, places, images = [], [], []
@@ -191,18 +186,15 @@ def camera_chain(table: Table, case: CameraCase, *, quick: bool) -> None:
         images.append(frames[0][0].astype(np.float64))
     difference = np.abs(images[0] - images[1])
     edge = difference.max(axis=2) > 0.0
-    table.add(
-        f"{design.name}: eight lens points, displacements",
-        rms(moves[0] - moves[1]),
-        "px RMS",
-        reference=0.0,
-        source=f"{many} lens points a pixel: the disc, occlusion and all",
-        target="<= 0.05",
-        note=f"centroids at rest {rms(places[0] - places[1]):.3f} px RMS (most of it stays when "
+    row = f"{design.name}: eight lens points, displacements"
+    source = f"{many} lens points a pixel: the disc, occlusion and all"
+    note = (
+        f"centroids at rest {rms(places[0] - places[1]):.3f} px RMS (most of it stays when "
         f"pressed); {100.0 * np.mean(edge):.1f} % of the pixels differ at all, "
         f"{rms(difference[edge]):.1f} grey levels RMS there, "
-        f"{np.percentile(difference, 99.9):.0f} at the worst of 1000; {FORCE_N:g} N",
+        f"{np.percentile(difference, 99.9):.0f} at the worst of 1000; {FORCE_N:g} N"
     )
+    table.add(row, rms(moves[0] - moves[1]), "px RMS", 0.0, source, "<= 0.05", note)
 
 
 def samples_of_a_pixel(table: Table, case: CameraCase, *, quick: bool) -> None:
@@ -216,16 +208,17 @@ def samples_of_a_pixel(table: Table, case: CameraCase, *, quick: bool) -> None:
             light, seconds = timed(partial(eyes.cameras[0].light, scene))
             scatter = rms(eyes.at_rest.grid_px)
             views, side = sample_views(samples)
-            table.add(
+            row = (
                 f"{label} {camera.width_px}x{camera.height_px}: {samples} samples a pixel, scatter "
-                "of markers over places on the pixels",
-                scatter,
-                "px RMS",
-                reference=0.0,
-                source="a frame moved by parts of a pixel, moved back",
-                target="<= 0.02" if samples == SAMPLES else None,
-                note=f"{seconds:.2f} s of one core to render {light.shape[1]}x{light.shape[0]}; "
-                f"lattices of {side}x{side} through {views} points of the aperture",
+                "of markers over places on the pixels"
+            )
+            source = "a frame moved by parts of a pixel, moved back"
+            note = (
+                f"{seconds:.2f} s of one core to render {light.shape[1]}x{light.shape[0]}; "
+                f"lattices of {side}x{side} through {views} points of the aperture"
+            )
+            table.add(
+                row, scatter, "px RMS", 0.0, source, "<= 0.02" if samples == SAMPLES else None, note
             )
 
 
@@ -262,37 +255,28 @@ def renderers(table: Table, case: CameraCase) -> None:
             near |= np.roll(marks, step, axis=axis) != marks
     far = np.abs(frames[0].astype(float) - frames[1]).max(axis=2) > EDGE_LEVELS
     label = f"{design.name} {camera.width_px}x{camera.height_px}"
-    table.add(
-        f"{label}: pixels away from edges where own renderer and pyrender differ by > 8 levels",
-        100.0 * float(far[~near].mean()),
-        "%",
-        reference=0.0,
-        source="pyrender (OpenGL, EGL), same light",
-        target="<= 0.1",
-        note=f"{100.0 * float(near.mean()):.1f} % of the pixels lie on an edge between parts; of "
+    row = f"{label}: pixels away from edges where own renderer and pyrender differ by > 8 levels"
+    source = "pyrender (OpenGL, EGL), same light"
+    note = (
+        f"{100.0 * float(near.mean()):.1f} % of the pixels lie on an edge between parts; of "
         f"those {100.0 * float(far[near].mean()):.0f} % differ: OpenGL averages its four samples "
-        "after the gamma",
+        "after the gamma"
     )
+    table.add(row, 100.0 * float(far[~near].mean()), "%", 0.0, source, "<= 0.1", note)
     rest = [_positions(case, frame) for frame in frames]
-    table.add(
-        f"{label}: marker centroids, own renderer",
-        rms(rest[0] - rest[2]),
-        "px RMS",
-        reference=rms(rest[1] - rest[2]),
-        source="pyrender; both against 64 samples a pixel",
-        target="<= 0.05",
-        note="the own renderer is taken for frames: it averages linear light as a sensor does, "
+    row = f"{label}: marker centroids, own renderer"
+    source = "pyrender; both against 64 samples a pixel"
+    note = (
+        "the own renderer is taken for frames: it averages linear light as a sensor does, "
         "bends for any lens, blurs with true occlusion, needs no OpenGL, and gives the same bits "
-        "on every machine",
+        "on every machine"
     )
-    table.add(
-        f"{label}: seconds a frame, own renderer (8 samples a pixel)",
-        seconds[0],
-        "s",
-        reference=seconds[1],
-        source="pyrender (4 samples a pixel, a context per frame), same run",
-        note=f"own renderer on {len(os.sched_getaffinity(0))} threads",
-    )
+    value = rms(rest[0] - rest[2])
+    table.add(row, value, "px RMS", rms(rest[1] - rest[2]), source, "<= 0.05", note)
+    row = f"{label}: seconds a frame, own renderer (8 samples a pixel)"
+    source = "pyrender (4 samples a pixel, a context per frame), same run"
+    note = f"own renderer on {len(os.sched_getaffinity(0))} threads"
+    table.add(row, seconds[0], "s", seconds[1], source, note=note)
 
 
 def readable(table: Table, case: CameraCase) -> None:
@@ -310,18 +294,15 @@ def readable(table: Table, case: CameraCase) -> None:
             continue
         lost += int((~matched.found).sum())
         wrong += int(((on != bits) & eyes.nominal.tips.readable).sum())
-    blur = [eye.blur for eye in eyes.cameras]
-    table.add(
-        f"{case.design.name}: markers lost with the default exposure, switches off and on",
-        lost,
-        "markers",
-        reference=2 * case.markers.count,
-        source="twice the markers",
-        target="<= 0",
-        note=why or f"{wrong} readable switches misread; aperture {blur[0].aperture_mm:.2f} mm"
+    blur = [eye.blur for eye in eyes.eyes]
+    row = f"{case.design.name}: markers lost with the default exposure, switches off and on"
+    source = "twice the markers"
+    note = (
+        why or f"{wrong} readable switches misread; aperture {blur[0].aperture_mm:.2f} mm"
         if blur[0]
-        else why,
+        else why
     )
+    table.add(row, lost, "markers", 2 * case.markers.count, source, "<= 0", note)
 
 
 def quarter(design: Design) -> Design:

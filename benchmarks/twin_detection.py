@@ -1,13 +1,10 @@
-"""How the twin sees: points against frames, noise, what a camera's faults do, the renderer.
-
-``python -m benchmarks.twin_detection [--quick]``
-"""
+"""How the twin sees: points against frames, noise, what a camera's faults do, the renderer."""
 
 from functools import partial
 
 import numpy as np
 
-from benchmarks.harness import Table, arguments
+from benchmarks.harness import Table
 from benchmarks.twin_camera import (
     FORCE_N,
     SAMPLES,
@@ -29,7 +26,7 @@ DRAWS = 16
 """Draws of noise that are averaged, to leave that which hangs on the place on the pixels."""
 
 
-def points_and_frames(table: Table, case: CameraCase, count: int) -> None:
+def points_and_frames(table: Table, case: CameraCase, count: int) -> None:  # noqa: PLR0915 - rows
     """Displacements of both kinds of points against noise-free frames; noise; seconds."""
     name, eyes = case.design.name, case.eyes(samples=SAMPLES)
     _, ready = timed(lambda: eyes.status)
@@ -79,45 +76,35 @@ def points_and_frames(table: Table, case: CameraCase, count: int) -> None:
         error = np.array(found[kind]) - np.array(frames)
         for which, pick in (("all markers", np.ones_like(moving)), ("that move", moving)):
             whole, noise = rms(error[pick]), rms(np.array(put_in)[pick])
-            table.add(
-                f"{name}: points ({kind}) against frames, {which}: beyond the noise put in",
-                float(np.sqrt(max(whole**2 - noise**2, 0.0))),
-                "px RMS",
-                reference=0.0,
-                source="frames through the decoder's eyes",
-                target="<= 0.05",
-                note=f"{whole:.3f} px RMS in all, {noise:.3f} of it the marker's place on the "
-                f"pixels, which points have as noise; {loads}",
+            row = f"{name}: points ({kind}) against frames, {which}: beyond the noise put in"
+            source = "frames through the decoder's eyes"
+            note = (
+                f"{whole:.3f} px RMS in all, {noise:.3f} of it the marker's place on the "
+                f"pixels, which points have as noise; {loads}"
             )
-    table.add(
-        f"{name}: shift that changes if the wall in frames stands still",
-        rms(np.array(wall)),
-        "px RMS",
-        reference=0.0,
-        source="frames whose wall follows its receptors",
-        note=f"greatest {np.nanmax(np.abs(np.array(wall))):.2g} px",
-    )
+            value = float(np.sqrt(max(whole**2 - noise**2, 0.0)))
+            table.add(row, value, "px RMS", 0.0, source, "<= 0.05", note)
+    row = f"{name}: shift that changes if the wall in frames stands still"
+    source = "frames whose wall follows its receptors"
+    note = f"greatest {np.nanmax(np.abs(np.array(wall))):.2g} px"
+    table.add(row, rms(np.array(wall)), "px RMS", 0.0, source, note=note)
     rest = eyes.at_rest
     given = case.design.camera.noise_centroid_px
     for what, values in (("noise of a frame", rest.noise_px), ("place on pixels", rest.grid_px)):
-        table.add(
-            f"{name}: centroid error, {what}, median of all markers",
-            float(np.nanmedian(values)),
-            "px",
-            reference=given,
-            source="the design's camera.noise_centroid_px",
-            note=f"{np.nanmin(values):.2g} to {np.nanmax(values):.2g} px, RMS {rms(values):.2g} px",
-        )
-    table.add(
-        f"{name}: a sample by points (paint)",
-        float(np.median(seconds["paint"])),
-        "s of one core",
-        reference=float(np.median(seconds["frame"])) + float(np.median(seconds["read"])),
-        source="a sample by frames: rendered, exposed, read",
-        note=f"points (pixels) {np.median(seconds['pixels']):.2f} s; a frame "
+        row = f"{name}: centroid error, {what}, median of all markers"
+        source = "the design's camera.noise_centroid_px"
+        note = f"{np.nanmin(values):.2g} to {np.nanmax(values):.2g} px, RMS {rms(values):.2g} px"
+        table.add(row, float(np.nanmedian(values)), "px", given, source, note=note)
+    row = f"{name}: a sample by points (paint)"
+    source = "a sample by frames: rendered, exposed, read"
+    note = (
+        f"points (pixels) {np.median(seconds['pixels']):.2f} s; a frame "
         f"{np.median(seconds['frame']):.2f} s, reading it {np.median(seconds['read']):.2f} s; "
-        f"measuring the unit at rest {ready:.1f} s, once",
+        f"measuring the unit at rest {ready:.1f} s, once"
     )
+    value = float(np.median(seconds["paint"]))
+    reference = float(np.median(seconds["frame"])) + float(np.median(seconds["read"]))
+    table.add(row, value, "s of one core", reference, source, note=note)
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
@@ -144,12 +131,3 @@ def add_rows(table: Table, *, quick: bool) -> None:
     two = copy_of(load_design("cylinder60"), camera={"ends": "both"})
     two = two.model_copy(update={"name": "cylinder60 with a camera at both ends"})
     points_and_frames(table, CameraCase.of(two), 2)
-
-
-def main() -> None:
-    """Print the rows."""
-    add_rows(Table("twin_eyes"), quick=arguments(__doc__ or "").quick)
-
-
-if __name__ == "__main__":
-    main()

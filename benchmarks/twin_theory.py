@@ -3,10 +3,6 @@
 Rows of ``twin``. Everything is solved on one core; seconds are of the processor.
 """
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -35,7 +31,6 @@ SAMPLES, FINEST, REFINES = 24, 13, (5, 7, 9)
 NEWTON = {5: 12, 7: 6, 9: 6}
 """Samples solved by Newton's method too, for each mesh."""
 TOLERANCES = (0.1, 0.03, 0.01)
-AT_N = (5.0, 10.0, 25.0)
 PART = 8
 """Contacts of each scenario that touches a part of the wall."""
 PARTS = (
@@ -144,22 +139,13 @@ def error_rows(
     table: Table, head: str, found: SolvedSamples, truth: Sequence[FloatArray], source: str
 ) -> None:
     """Seconds, and median and worst error."""
+    row = f"{head}: processor time a sample"
     table.add(
-        f"{head}: processor time a sample",
-        float(np.mean(found.seconds)),
-        "s",
-        reference="-",
-        source="mean; the shell built and factored before",
+        row, float(np.mean(found.seconds)), "s", "-", "mean; the shell built and factored before"
     )
     off = errors(found.tips_mm, truth)
     for word, value in (("median", np.median(off)), ("worst", np.max(off))):
-        table.add(
-            f"{head}: tips, {word} difference",
-            float(value),
-            "% of peak",
-            reference=0.0,
-            source=source,
-        )
+        table.add(f"{head}: tips, {word} difference", float(value), "% of peak", 0.0, source)
 
 
 def theory_rows(table: Table, *, quick: bool) -> None:
@@ -170,43 +156,28 @@ def theory_rows(table: Table, *, quick: bool) -> None:
     truth = solve_all(this, this.solver(finest, "large"), touches).tips_mm
     source = f"large, refine {finest}"
     name = this.design.name
+    row = f"{name}, theories: samples with several contacts"
+    value = float(np.mean(touches.counts > 1))
+    reference = this.design.training.multi_contact
     table.add(
-        f"{name}, theories: samples with several contacts",
-        float(np.mean(touches.counts > 1)),
-        "share",
-        reference=this.design.training.multi_contact,
-        source="the design's training table; forces and radii likewise",
+        row, value, "share", reference, "the design's training table; forces and radii likewise"
     )
     for refine in refines:
         solver = this.solver(refine, "large")
         head = f"{name}, refine {refine} ({solver.nodes} nodes)"
         large = solve_all(this, solver, touches)
         error_rows(table, f"{head}, large, accelerated", large, truth, source)
-        table.add(
-            f"{head}, large, accelerated: samples that took the guarded way",
-            sum(large.guarded),
-            "samples",
-            reference=0,
-            source=f"of {samples}",
-        )
+        row = f"{head}, large, accelerated: samples that took the guarded way"
+        table.add(row, sum(large.guarded), "samples", 0, f"of {samples}")
         newton = newton_all(this, solver, touches, 3 if quick else NEWTON[refine])
         count = len(newton.tips_mm)
         error_rows(table, f"{head}, large, Newton ({count} samples)", newton, truth, source)
-        table.add(
-            f"{head}, accelerated against Newton: tips, worst difference",
-            float(errors(large.tips_mm, newton.tips_mm).max()),
-            "% of peak",
-            reference=0.0,
-            source=f"Newton's method, {count} samples",
-            target="<= 0.01",
-        )
-        table.add(
-            f"{head}, accelerated against Newton: processor time",
-            float(np.sum(newton.seconds) / np.sum(large.seconds[:count])),
-            "times less",
-            reference=1.0,
-            source=f"the same {count} samples",
-        )
+        row = f"{head}, accelerated against Newton: tips, worst difference"
+        value = float(errors(large.tips_mm, newton.tips_mm).max())
+        table.add(row, value, "% of peak", 0.0, f"Newton's method, {count} samples", "<= 0.01")
+        row = f"{head}, accelerated against Newton: processor time"
+        value = float(np.sum(newton.seconds) / np.sum(large.seconds[:count]))
+        table.add(row, value, "times less", 1.0, f"the same {count} samples")
         solver.displacement = "linear"
         linear = solve_all(this, solver, touches)
         error_rows(table, f"{head}, linear", linear, truth, source)
@@ -216,20 +187,12 @@ def theory_rows(table: Table, *, quick: bool) -> None:
             auto = solve_all(this, solver, touches)
             label = f"{head}, auto at {tolerance:g}"
             error_rows(table, label, auto, truth, source)
+            row = f"{label}: samples solved by linear theory"
+            table.add(row, auto.theory.count("linear") / samples, "share", "-", "the estimate")
+            row = f"{label}: tips, worst difference from large on the same mesh"
+            value = float(errors(auto.tips_mm, large.tips_mm).max())
             table.add(
-                f"{label}: samples solved by linear theory",
-                auto.theory.count("linear") / samples,
-                "share",
-                reference="-",
-                source="the estimate",
-            )
-            table.add(
-                f"{label}: tips, worst difference from large on the same mesh",
-                float(errors(auto.tips_mm, large.tips_mm).max()),
-                "% of peak",
-                reference=0.0,
-                source="large, accelerated",
-                target=f"<= {100.0 * tolerance:g}",
+                row, value, "% of peak", 0.0, "large, accelerated", f"<= {100.0 * tolerance:g}"
             )
 
 
@@ -250,80 +213,25 @@ def local_rows(table: Table, *, quick: bool) -> None:
         local = this.solver(refine, "linear", region=region)
         spent = time.process_time() - start
         head = f"{this.design.name}, refine {refine}, touched: {name} ({len(rows)} contacts)"
-        table.add(
-            f"{head}: nodes of the local mesh",
-            local.nodes / whole.nodes,
-            "of the whole",
-            reference=1.0,
-            source=f"{local.nodes} of {whole.nodes} nodes; made and factored in {spent:.1f} s",
-        )
+        row = f"{head}: nodes of the local mesh"
+        source = f"{local.nodes} of {whole.nodes} nodes; made and factored in {spent:.1f} s"
+        table.add(row, local.nodes / whole.nodes, "of the whole", 1.0, source)
         exact = solve_all(this, truth, touches).tips_mm
         for label, solver in (("local", local), ("fine all over", whole)):
             solver.displacement = "linear"
             off = errors(solve_all(this, solver, touches).tips_mm, exact)
             for word, value in (("median", np.median(off)), ("worst", np.max(off))):
-                table.add(
-                    f"{head}: {label}, tips, {word} error of the mesh",
-                    float(value),
-                    "% of peak",
-                    reference=0.0,
-                    source=f"refine {finest} all over; linear",
-                )
+                row = f"{head}: {label}, tips, {word} error of the mesh"
+                table.add(row, float(value), "% of peak", 0.0, f"refine {finest} all over; linear")
         seconds = []
         for solver in (local, whole):
             solver.displacement = "large"
             seconds.append(float(np.mean(solve_all(this, solver, touches).seconds)))
-        table.add(
-            f"{head}: processor time a sample, local mesh, large",
-            seconds[0],
-            "s",
-            reference=seconds[1],
-            source="fine all over",
-        )
-
-
-def force_rows(table: Table, *, quick: bool) -> None:
-    """Linear theory against large displacements on a receptor in the middle."""
-    this = bench("cylinder40" if quick else "cylinder60")
-    solver = this.solver(5 if quick else 9, "large")
-    (u0, u1), _ = this.surface.domain
-    middle = np.array([(u0 + u1) / 2.0, np.pi])
-    at = this.surface.point(middle[None])
-    place = np.argmin(np.linalg.norm(this.surface.point(this.markers.uv) - at, axis=1))
-    pressed = this.draw(1, most=1)
-    for force in AT_N:
-        one = Touches(
-            **{
-                **vars(pressed),
-                "uv": this.markers.uv[place][None],
-                "force_N": np.array([force]),
-                "radius_mm": np.array([5.0]),
-            }
-        )
-        peaks, tips = [], []
-        for displacement in ("large", "linear"):
-            solver.displacement = displacement
-            tips.append(solve_all(this, solver, one).tips_mm[0])
-            peaks.append(float(np.linalg.norm(tips[-1], axis=1).max()))
-        head = f"{this.design.name}, {force:g} N on a receptor in the middle, patch radius 5 mm"
-        table.add(
-            f"{head}: linear peak over large, less 1",
-            100.0 * (peaks[1] / peaks[0] - 1.0),
-            "%",
-            reference=0.0,
-            source=f"large, the same mesh; peak {peaks[0]:.4f} mm",
-        )
-        table.add(
-            f"{head}: linear, tips, largest difference from large",
-            float(errors([tips[1]], [tips[0]])[0]),
-            "% of peak",
-            reference=0.0,
-            source="large, the same mesh",
-        )
+        row = f"{head}: processor time a sample, local mesh, large"
+        table.add(row, seconds[0], "s", seconds[1], "fine all over")
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
     """All rows of this module."""
     theory_rows(table, quick=quick)
     local_rows(table, quick=quick)
-    force_rows(table, quick=quick)

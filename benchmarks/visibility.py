@@ -12,12 +12,7 @@ from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 from numpy.typing import NDArray
 
-from benchmarks import (
-    visibility_extremes,
-    visibility_growth,
-    visibility_layouts,
-    visibility_lenses,
-)
+from benchmarks import visibility_growth, visibility_layouts, visibility_lenses
 from benchmarks.harness import Table, run_parts
 from benchmarks.visibility_lenses import busy
 from phytac_decoder.camera.camera import Camera
@@ -98,14 +93,17 @@ def compare_with_embree(table: Table, design: Design, repeats: int) -> None:
     ours = rasterise(scene, camera).part
     differs = int((id_map(scene, traced(tree, rays, camera)) != ours).sum())
     label = f"{design.name} {camera.width_px}x{camera.height_px}"
+    row = f"{label}: pixels with the same ID"
+    note = f"{differs} of {ours.size} pixels differ"
+    value = 100.0 * (1.0 - differs / ours.size)
     table.add(
-        f"{label}: pixels with the same ID",
-        100.0 * (1.0 - differs / ours.size),
+        row,
+        value,
         "%",
-        reference=100.0,
-        source="Embree 4 (embreex), one float32 ray per pixel centre",
-        target=">= 99.99",
-        note=f"{differs} of {ours.size} pixels differ",
+        100.0,
+        "Embree 4 (embreex), one float32 ray per pixel centre",
+        ">= 99.99",
+        note,
     )
     works: list[Callable[[], object]] = [
         lambda: rasterise(scene, camera),
@@ -115,35 +113,19 @@ def compare_with_embree(table: Table, design: Design, repeats: int) -> None:
     times = np.array([[timed(work) for work in works] for _ in range(repeats)])
     own, whole, bare = (float(t) for t in np.median(times, axis=0))
     source = "Embree (embreex), tree built before; the z-buffer on all threads"
-    table.add(
-        f"{label}: ID map",
-        own,
-        "s",
-        reference=whole,
-        source=source,
-        target="<= 0.3",
-        note=busy(),
+    table.add(f"{label}: ID map", own, "s", whole, source, "<= 0.3", busy())
+    row = f"{label}: times faster than Embree"
+    note = (
+        "both from scene and camera to an ID map; of Embree's time "
+        f"{whole - bare:.2f} s make the rays (numpy) and look the hits up, {bare:.2f} s trace"
     )
-    table.add(
-        f"{label}: times faster than Embree",
-        whole / own,
-        "ratio",
-        reference=1.0,
-        source=source,
-        target=">= 10",
-        note="both from scene and camera to an ID map; of Embree's time "
-        f"{whole - bare:.2f} s make the rays (numpy) and look the hits up, {bare:.2f} s trace",
+    table.add(row, whole / own, "ratio", 1.0, source, ">= 10", note)
+    row = f"{label}: times faster than Embree's tracing alone"
+    note = (
+        "Embree is given ready-made rays and its hits are not looked up; it spends about "
+        f"0.1 us a ray, the z-buffer is bound by 150 000 triangles and 80 MB of buffers; {busy()}"
     )
-    table.add(
-        f"{label}: times faster than Embree's tracing alone",
-        bare / own,
-        "ratio",
-        reference=1.0,
-        source=source,
-        target=">= 10",
-        note="Embree is given ready-made rays and its hits are not looked up; it spends about "
-        f"0.1 us a ray, the z-buffer is bound by 150 000 triangles and 80 MB of buffers; {busy()}",
-    )
+    table.add(row, bare / own, "ratio", 1.0, source, ">= 10", note)
 
 
 def timed(work: Callable[[], object]) -> float:
@@ -172,28 +154,21 @@ def at_rest(table: Table, design: Design) -> None:
         markers = make_markers(varied, surface)
         seen = check_visibility(varied, surface, markers, rng=np.random.default_rng(0))
         for name, value in seen.summary().items():
-            table.add(
-                f"{varied.name} {kind}: {name}",
-                value,
-                units.get(name, "px"),
-                reference=references.get((kind, name), "none"),
-                source=STUDY if (kind, name) in references else "not published",
-                target=wanted.get(name),
-            )
+            row = f"{varied.name} {kind}: {name}"
+            source = STUDY if (kind, name) in references else "not published"
+            target = wanted.get(name)
+            reference = references.get((kind, name), "none")
+            table.add(row, value, units.get(name, "px"), reference, source, target)
         hidden_rows(table, f"{varied.name} {kind}", seen, markers)
 
 
 def hidden_rows(table: Table, label: str, seen: Visibility, markers: Markers) -> None:
     """Where a layout is worst."""
     worst = int(seen.visible_fraction.argmin())
-    table.add(
-        f"{label}: row of the least visible fraction",
-        int(markers.row[worst]),
-        "row",
-        reference="none",
-        source="not published",
-        note="row 0 is nearest the camera",
-    )
+    row = f"{label}: row of the least visible fraction"
+    source = "not published"
+    note = "row 0 is nearest the camera"
+    table.add(row, int(markers.row[worst]), "row", "none", source, note=note)
 
 
 def maps(table: Table, *, quick: bool) -> None:
@@ -204,27 +179,16 @@ def maps(table: Table, *, quick: bool) -> None:
     at_rest(table, design)
     surface = design.surface()
     density = density_of(surface, make_markers(design, surface))
-    table.add(
-        f"{design.name}: density on a surface {density.surface_class} to the optical axis",
-        density.per_cm2,
-        "1/cm2",
-        reference=1.63,
-        source="paper",
-        target="<= 1.64",
-        note=f"{density.count} markers on {density.area_cm2:.1f} cm2, outer face",
-    )
+    row = f"{design.name}: density on a surface {density.surface_class} to the optical axis"
+    note = f"{density.count} markers on {density.area_cm2:.1f} cm2, outer face"
+    table.add(row, density.per_cm2, "1/cm2", 1.63, "paper", "<= 1.64", note)
     scene, camera, _ = scene_of(design)
     render_frame(scene, camera)
     noise = np.random.default_rng(0)
-    table.add(
-        f"{design.name}: noisy anti-aliased frame",
-        timed(lambda: render_frame(scene, camera, noise_std=2.0, rng=noise)),
-        "s",
-        reference="none",
-        source="own target",
-        target="<= 1.5",
-        note=f"8 samples per pixel; {busy()}",
-    )
+    row = f"{design.name}: noisy anti-aliased frame"
+    note = f"8 samples per pixel; {busy()}"
+    value = timed(lambda: render_frame(scene, camera, noise_std=2.0, rng=noise))
+    table.add(row, value, "s", "none", "own target", "<= 1.5", note)
 
 
 def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
@@ -234,14 +198,8 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         "lenses": partial(visibility_lenses.add_rows, quick=quick),
         "growth": partial(visibility_growth.add_rows, quick=quick),
         "layouts": partial(visibility_layouts.add_rows, quick=quick),
-        "extremes": partial(visibility_extremes.add_rows, quick=quick),
     }
 
 
-def main() -> None:
-    """Run all parts, or those named."""
-    run_parts("visibility", parts, __doc__ or "")
-
-
 if __name__ == "__main__":
-    main()
+    run_parts("visibility", parts, __doc__ or "")

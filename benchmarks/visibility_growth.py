@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from phytac_design.optics.sampled_visibility import sampled_fraction
 from phytac_design.optics.scene import Scene, paint_owner
 from phytac_shapes.arrays import FloatArray
 
-IMAGE = Path(__file__).parents[1] / "docs" / "images" / "visibility_growth.png"
 LATTICES = {368: (23, 16), 1000: (40, 25), 3000: (75, 40), 10_000: (125, 80)}
 """Rows and columns by number of markers."""
 FINER = 5.0
@@ -31,7 +29,7 @@ PATHS: dict[str, Callable[[Scene, Camera], object]] = {
 
 
 def dense(markers: int, *, factor: int) -> Design:
-    """The cylinder with a given number of markers, of a size that finds room."""
+    """The cylinder with a given number of markers, of a size that fits."""
     rows, columns = LATTICES[markers]
     small = min(1.0, 16.0 / columns, 23.0 / rows)
     receptor = {"diameter_outer_mm": 3.0 * small, "diameter_hole_mm": 1.6 * small}
@@ -53,8 +51,8 @@ def costs(work: Callable[[], object], repeats: int) -> tuple[float, float]:
     return float(busy), float(wall)
 
 
-def growth(table: Table, *, factor: int, repeats: int, most: int, image: Path | None) -> None:
-    """Seconds of both paths by number of markers, their exponents and the plot."""
+def growth(table: Table, *, factor: int, repeats: int, most: int) -> None:
+    """Seconds of both paths by number of markers, and their exponents."""
     counts = [n for n in LATTICES if n <= most]
     found: dict[str, list[float]] = {name: [] for name in PATHS}
     for count in counts:
@@ -62,50 +60,21 @@ def growth(table: Table, *, factor: int, repeats: int, most: int, image: Path | 
         for name, path in PATHS.items():
             busy, wall = costs(partial(path, scene, camera), repeats)
             found[name].append(busy)
-            table.add(
-                f"{count} markers: {name}",
-                busy,
-                "s",
-                reference="none",
-                source="own; processor seconds of all threads",
-                note=f"{len(scene.triangles)} triangles, {camera.width_px}x{camera.height_px}; "
-                f"{wall:.3f} s on the clock",
+            row = f"{count} markers: {name}"
+            source = "own; processor seconds of all threads"
+            note = (
+                f"{len(scene.triangles)} triangles, {camera.width_px}x{camera.height_px}; "
+                f"{wall:.3f} s on the clock"
             )
+            table.add(row, busy, "s", "none", source, note=note)
     sizes = [float(count) for count in counts]
     for name, values in found.items():
-        table.add(
-            f"{name}: exponent over {counts[0]} to {counts[-1]} markers",
-            exponent(sizes, values),
-            "-",
-            reference=1.0,
-            source="linear growth",
-            target="<= 1",
-            note="seconds as a power of the number of markers; smaller markers get fewer triangles "
-            "each",
+        row = f"{name}: exponent over {counts[0]} to {counts[-1]} markers"
+        source = "linear growth"
+        note = (
+            "seconds as a power of the number of markers; smaller markers get fewer triangles each"
         )
-    if image is not None:
-        plot(sizes, found, image)
-
-
-def plot(sizes: list[float], found: dict[str, list[float]], path: Path) -> None:
-    """Processor seconds of both paths against the number of markers."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axis = plt.subplots(figsize=(5.6, 4.0), layout="constrained")
-    for (name, values), colour in zip(found.items(), ("#0072b2", "#d55e00"), strict=True):
-        label = f"{name} ∝ n^{exponent(sizes, values):.2f}"
-        axis.plot(sizes, values, "o-", color=colour, label=label)
-    axis.set(
-        xscale="log", yscale="log", xlabel="markers n", ylabel="processor seconds, 2592 x 1944 px"
-    )
-    axis.grid(visible=True, which="both", alpha=0.25)
-    axis.legend(fontsize=9, frameon=False)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+        table.add(row, exponent(sizes, values), "-", 1.0, source, "<= 1", note)
 
 
 def seen(scene: Scene, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -137,37 +106,27 @@ def tessellation(table: Table, label: str, design: Design, repeats: int) -> None
         ("mean error of a centroid", float(np.nanmean(moved)), "px", None),
     ]
     for what, value, unit, target in rows:
-        table.add(
-            f"{label}: polygons within {TOLERANCE_PX:g} px of their circles: {what}",
-            value,
-            unit,
-            reference=0.0,
-            source=source,
-            target=target,
-            note=f"{scene.count} markers, the smallest of {least:.0f} px: there one pixel more on "
-            f"the outline moves the centroid by {0.56 / np.sqrt(least):.2f} px",
+        row = f"{label}: polygons within {TOLERANCE_PX:g} px of their circles: {what}"
+        note = (
+            f"{scene.count} markers, the smallest of {least:.0f} px: there one pixel more on "
+            f"the outline moves the centroid by {0.56 / np.sqrt(least):.2f} px"
         )
+        table.add(row, value, unit, 0.0, source, target, note)
     slow = costs(partial(rasterise, fine, camera), repeats)[0]
     fast = costs(partial(rasterise, scene, camera), repeats)[0]
     for what, saved, was in (
         ("triangles", len(scene.triangles) / len(fine.triangles), len(fine.triangles)),
         ("processor seconds of an ID map", fast / slow, slow),
     ):
-        table.add(
-            f"{label}: {what}, share of those with {FINER:g}x finer polygons",
-            saved,
-            "ratio",
-            reference=was,
-            source=source,
-            target="<= 1",
-        )
+        row = f"{label}: {what}, share of those with {FINER:g}x finer polygons"
+        table.add(row, saved, "ratio", was, source, "<= 1")
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
-    """Growth to 10 000 markers, with its plot, and tessellation."""
+    """Growth to 10 000 markers, and tessellation."""
     factor, repeats = (4, 1) if quick else (1, 3)
     most = 1000 if quick else max(LATTICES)
-    growth(table, factor=factor, repeats=repeats, most=most, image=None if quick else IMAGE)
+    growth(table, factor=factor, repeats=repeats, most=most)
     designs: dict[str, Any] = {
         "cylinder, pinhole": make({}, factor=factor),
         "cylinder, kannala_brandt": make(CAMERAS["kannala_brandt"], factor=factor),

@@ -129,14 +129,16 @@ def add_case(table: Table, case: LayoutCase) -> None:
                 target = DENSE_TARGETS.get(what)
                 if when == force and what.startswith("least"):
                     target = None
+            row = f"{case.label}: {when}: {what}"
+            source = STUDY if reference else "not published"
             table.add(
-                f"{case.label}: {when}: {what}",
+                row,
                 float(value),
                 unit,
-                reference=reference or "none",
-                source=STUDY if reference else "not published",
-                target=target,
-                note=note if when == force else "",
+                reference or "none",
+                source,
+                target,
+                note if when == force else "",
             )
 
 
@@ -163,16 +165,15 @@ def add_heights(table: Table, linear: LayoutCase, sight: LayoutCase) -> None:
     ]
     tallest = [case.context.markers.height_mm.max() for case in (sight, linear)]
     for what, old, new, sign, unit in rows:
-        table.add(
-            f"{name}: {what}",
-            float(sign * (new - old)),
-            unit,
-            reference=float(old),
-            source="linear heights, same run",
-            target="> 0" if what.startswith("least gap") else ">= 0",
-            note=f"under load; now {new:.3g} {unit}; tallest receptor {tallest[0]:.1f} instead of "
-            f"{tallest[1]:.1f} mm",
+        row = f"{name}: {what}"
+        source = "linear heights, same run"
+        note = (
+            f"under load; now {new:.3g} {unit}; tallest receptor {tallest[0]:.1f} instead of "
+            f"{tallest[1]:.1f} mm"
         )
+        value = float(sign * (new - old))
+        target = "> 0" if what.startswith("least gap") else ">= 0"
+        table.add(row, value, unit, float(old), source, target, note)
 
 
 def add_places(table: Table, design: Design, counts: tuple[int, ...]) -> None:
@@ -196,15 +197,14 @@ def add_places(table: Table, design: Design, counts: tuple[int, ...]) -> None:
         )
     last = found[counts[-1]]
     for count, load in found.items():
-        table.add(
-            f"{design.name}: crosstalk found at {count} places",
-            float(load.crosstalk_px.max()),
-            "px",
-            reference=float(last.crosstalk_px.max()),
-            source=f"{len(last.fused)} places, same run",
-            note=f"linear theory times {LINEAR_TIMES:g}; least gaps "
-            f"{load.least_gap_same_px.min():.2f} and {load.least_gap_other_px.min():.2f} px",
+        row = f"{design.name}: crosstalk found at {count} places"
+        source = f"{len(last.fused)} places, same run"
+        note = (
+            f"linear theory times {LINEAR_TIMES:g}; least gaps "
+            f"{load.least_gap_same_px.min():.2f} and {load.least_gap_other_px.min():.2f} px"
         )
+        value = float(load.crosstalk_px.max())
+        table.add(row, value, "px", float(last.crosstalk_px.max()), source, note=note)
 
 
 def add_speed(table: Table, design: Design, repeats: int) -> None:
@@ -233,14 +233,7 @@ def add_speed(table: Table, design: Design, repeats: int) -> None:
     differs += int((glance.alone[:, 0] != alone).sum())
     differs += sum(int((a != b).sum()) for a, b in zip(gaps, plain, strict=True))
     source = "whole ID map, gaps and pixels alone, same run"
-    table.add(
-        f"{label}: figures of markers that differ",
-        differs,
-        "figures",
-        reference=0,
-        source=source,
-        target="== 0",
-    )
+    table.add(f"{label}: figures of markers that differ", differs, "figures", 0, source, "== 0")
     table.add(f"{label}: time", own, "s", reference=whole, source=source, target="<= 0.1")
     table.add(
         f"{label}: times faster", whole / own, "ratio", reference=1.0, source=source, target="> 1"
@@ -263,7 +256,7 @@ all near neighbours apart in colour."""
 
 
 def add_denser(table: Table, base: Design) -> None:
-    """What binds where, as counts grow: rules, room in the picture, crosstalk."""
+    """What binds where, as counts grow: rules, space in the image, crosstalk."""
     for rows, columns, angle, margin, footprint, colours in DENSER:
         layout = {
             "rows": rows,
@@ -287,14 +280,8 @@ def add_bound(table: Table, design: Design) -> None:
         check_design(design)
         case = case_of(label, design, places=PLACES_SCAN, linear=True)
     except DesignError as error:
-        table.add(
-            f"{label}: markers",
-            layout.wanted,
-            "markers",
-            reference="none",
-            source="own scan",
-            note=f"not possible: {error}",
-        )
+        note = f"not possible: {error}"
+        table.add(f"{label}: markers", layout.wanted, "markers", "none", "own scan", note=note)
         return
     rest, load, row = case.rest, case.load, case.context.markers.row
     figures = {
@@ -310,21 +297,18 @@ def add_bound(table: Table, design: Design) -> None:
         "fused under load (sign turned)": (-load.fused.max(), 0, load.least_gap_same_px.argmin()),
     }
     missed = {name: f for name, f in figures.items() if f[0] < f[1]}
-    told = ", ".join(
+    listed = ", ".join(
         f"{name} {float(value):.3g} (asked {asked:g}, row {row[at]})"
         for name, (value, asked, at) in (missed or figures).items()
     )
-    table.add(
-        f"{label}: demands missed",
-        len(missed),
-        "demands",
-        reference=case.context.markers.count,
-        source="markers",
-        note=("misses " if missed else "holds: ")
-        + told
+    note = (
+        ("misses " if missed else "holds: ")
+        + listed
         + f"; tallest receptor {case.context.markers.height_mm.max():.1f} mm; pressed by linear "
-        "theory",
+        "theory"
     )
+    reference = case.context.markers.count
+    table.add(f"{label}: demands missed", len(missed), "demands", reference, "markers", note=note)
 
 
 def add_rows(table: Table, *, quick: bool) -> None:

@@ -228,34 +228,6 @@ def test_bound_is_the_designs_own_and_grows_with_company(judged: Evaluation) -> 
     np.testing.assert_allclose(found.force_N[chosen], direct.force_N, rtol=1e-6)
 
 
-def test_moments_that_are_unknown_only_raise_the_bound(judged: Evaluation) -> None:
-    samples, context = judged.data.samples, judged.context
-    noise = np.full((samples.markers, 2), 0.03)
-    rows = judged.decoded.touch[judged.decoded.tripped]
-    found, twice = (bounds(context, samples, factor * noise) for factor in (1.0, 2.0))
-    assert np.isnan(found.shaped_N[judged.decoded.touch[~judged.decoded.tripped]]).all()
-    assert np.all(twice.shaped_N[rows] > found.shaped_N[rows])
-    assert found.tips_N[rows] == pytest.approx(found.shaped_N[rows])
-    tips = bounds(context, samples, noise, switched_px=0.5)
-    assert np.all(tips.tips_N[rows] > found.shaped_N[rows])
-    from benchmarks.decoder_bounds import _by_moments, _least, _signals
-
-    assert samples.touches is not None
-    chosen = np.isin(np.arange(len(samples.touches.sample)), rows)
-    prior = cell_prior(context.surface.area_mm2(), context.markers.count, 2.0, 4.0)
-    slopes, known = _by_moments(context, samples, chosen, prior)
-    for k in range(len(slopes)):
-        few, all_ = (_least(slopes[[k], :n] / 0.03, known[:n])[0] for n in (3, 6))
-        assert all_ > few
-        # What is known of them without the camera takes the difference away.
-        sure = np.append(known[:3], np.full(3, 1e12))
-        assert _least(slopes[[k]] / 0.03, sure)[0] == pytest.approx(few, rel=1e-6)
-    # Tables say of a newton what the shell says of an even disc.
-    shell = _signals(context, samples, chosen).shift
-    off = np.linalg.norm(slopes[:, 0] - shell, axis=1) / np.linalg.norm(shell, axis=1)
-    assert np.median(off) < 0.1
-
-
 def test_claims_are_matched_by_switch_and_by_place(judged: Evaluation) -> None:
     """Found well, outside its interval, by nobody, with another; and one that is not there."""
     samples, decoded = judged.data.samples, judged.decoded

@@ -36,14 +36,16 @@ def test_rows_of_a_film(built: BuildResult) -> None:
     add_film(table, "small", bundle, [rest, *[pressed] * 5], np.array([0.0, *[total] * 5]))
     rows = {row["case"]: row for row in table.rows}
     assert len(rows) == 11
-    apart = rows["small: auto, gone on against by itself: forces apart, p99"]
+    apart = rows["small: auto, warm-started against by itself: force difference, p99"]
     # The same frame again: as far as a fit goes.
     assert 0.0 <= apart["value"] < 0.3
-    assert "; 4 frames were gone on" in apart["note"]
+    assert "; 4 frames were warm-started" in apart["note"]
     assert rows["small: koi_inverse: a frame, p50"]["value"] > 0.0
     error = rows["small: auto, each frame by itself: error of the sum of forces"]
     assert error["value"] == pytest.approx(
-        rows["small: auto, gone on from the frame before: error of the sum of forces"]["value"],
+        rows["small: auto, warm-started from the frame before: error of the sum of forces"][
+            "value"
+        ],
         rel=1e-2,
     )
     assert error["value"] < 0.3 * total

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from benchmarks import twin
-from benchmarks.referee import check
 from benchmarks.referee.contacts import (
     COUNTS,
     KINDS,
@@ -186,16 +185,7 @@ def test_frozen_data_belong_to_the_contacts_and_converged(name: str) -> None:
 
 def test_data_are_small_enough_to_commit() -> None:
     files = [data_file(name) for name in COUNTS] + [contacts_file(name) for name in COUNTS]
-    files.append(check.FILE)
     assert sum(path.stat().st_size for path in files if path.exists()) < 300_000
-
-
-def test_checks_give_their_rows() -> None:
-    data = check.read_checks()
-    assert data["rows"] == check.rows_of(data["cases"])
-    moved = np.ones((4, 3))
-    found = check.gap(moved + np.array([0.03, 0.0, 0.04]), moved)
-    assert found == pytest.approx(5.0 / np.sqrt(3.0))
 
 
 def test_tips_beside_rims_are_known(grip: Sensor) -> None:

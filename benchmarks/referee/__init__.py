@@ -7,7 +7,7 @@ normal at the centre, as :func:`phytac_design.mechanics.shell.loads.patch_loads`
 rims held; quadratic tetrahedra, large displacements (NLGEOM), the full load reached. Receptors
 within 20 mm of a contact (15 mm where there are several), tubes and holes, are the CAD's; the wall
 farther away is a smeared one (:mod:`phytac_design.mechanics.solid.partial_solid`), and tips there stand
-rigidly on it. ``check`` measures what that and the mesh cost. Pressure acts on the wall's material:
+rigidly on it. Pressure acts on the wall's material:
 holes carry none, while the twin's shell is pressed over them too, which moves the tip of a pressed
 receptor by about half a percent of the peak.
 
@@ -20,9 +20,6 @@ Files
     what is not in ``data/DESIGN.npz`` yet; each contact is written when it is done, so it can be
     killed and started again. Two to ten minutes of one core and 1 to 4 GB for each contact; needs
     Gmsh and ``ccx``. One run for each design at a time: use ``--processes`` for more.
-``check.py``
-    ``python -m benchmarks.referee.check``: the part against the whole sensor as CAD, and finer
-    meshes; writes ``data/checks.json``.
 ``read.py``
     Reads the data and refuses what was changed or belongs to another sensor.
 

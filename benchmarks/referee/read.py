@@ -104,7 +104,7 @@ def read_solved(path: Path, design: Design, markers: Markers) -> list[Solved]:
     if about["sensor"] != sensor_hash(design, markers):
         raise DesignError(
             f"{path.name} was solved for another sensor than {design.name!r} is now: its shape, "
-            "wall, material or receptors differ; solve it anew with benchmarks.referee.solve"
+            "wall, material or receptors differ; solve it again with benchmarks.referee.solve"
         )
     out, first = [], {"ids": 0, "kept": 0}
     for row in about["contacts"]:

@@ -1,9 +1,5 @@
 """Solve the frozen contacts: ``python -m benchmarks.referee.solve --design cylinder60``."""
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import argparse
 import hashlib
 import json
@@ -11,7 +7,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.metadata import version
@@ -50,7 +46,6 @@ SEVERAL = 3
 """Contacts of more patches are solved after all others."""
 REACHES = (1.0, 1.06, 0.94, 1.12)
 """Shares of the region with true receptors that are tried in turn."""
-POLL_S = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +66,7 @@ def sensor(name: str) -> Sensor:
 
 
 def sizes_for(design: Design, contact: Contact) -> PartSizes:
-    """Mesh of a contact: see ``check`` for what it costs in accuracy."""
+    """Mesh of a contact."""
     thickness, receptor = design.wall.thickness_mm, design.receptor
     tube_wall = (receptor.diameter_outer_mm - receptor.diameter_hole_mm) / 2.0
     return PartSizes(
@@ -111,12 +106,7 @@ def script_hash() -> str:
     return total.hexdigest()[:16]
 
 
-def part_of(
-    this: Sensor,
-    contact: Contact,
-    sizes: PartSizes,
-    smear: tuple[float, float] | None = AS_TABLES,
-) -> PartMesh:
+def part_of(this: Sensor, contact: Contact, sizes: PartSizes) -> PartMesh:
     """Mesh for a contact."""
     return part_mesh(
         this.design,
@@ -125,7 +115,7 @@ def part_of(
         contacts_uv=contact.centres,
         radii_mm=np.array(contact.radius_mm),
         sizes=sizes,
-        smear=smear,
+        smear=AS_TABLES,
     )
 
 
@@ -138,13 +128,7 @@ def total_load(this: Sensor, mesh: PartMesh, contact: Contact) -> FloatArray:
 
 
 def solve_contact(
-    name: str,
-    index: int,
-    contact: Contact,
-    sizes: PartSizes | None = None,
-    *,
-    large: bool = True,
-    smear: tuple[float, float] | None = AS_TABLES,
+    name: str, index: int, contact: Contact, sizes: PartSizes | None = None
 ) -> Solved:
     """Solve one contact.
 
@@ -157,7 +141,7 @@ def solve_contact(
     design = this.design
     sizes = sizes_for(design, contact) if sizes is None else sizes
     start = time.perf_counter()
-    mesh = part_of(this, contact, sizes, smear)
+    mesh = part_of(this, contact, sizes)
     load = total_load(this, mesh, contact)
     meshed = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
@@ -168,12 +152,12 @@ def solve_contact(
             poisson=design.material.poisson,
             load=load,
             name=design.name,
-            large=large,
+            large=True,
             first=1.0 if max(contact.force_N) <= NEAR_N else 0.5,
         )
         tables = run_ccx(path)
-        went = asdict(read_convergence(path)) if large else {}
-    if large and abs(went["factor"] - 1.0) > FACTOR_TOL:
+        went = asdict(read_convergence(path))
+    if abs(went["factor"] - 1.0) > FACTOR_TOL:
         raise NumericalError(f"ccx stopped at {went['factor']:.4g} of the load of contact {index}")
     nodes, found = tables[-1]["displacements", "ALL"]
     motion = np.zeros_like(mesh.nodes_mm)
@@ -251,30 +235,14 @@ def keep(name: str, item: Solved) -> int:
     return len(others) + 1
 
 
-def run(name: str, *, limit: int | None, processes: int, minutes: float, pause: Path | None) -> int:
+def run(name: str, *, limit: int | None, processes: int) -> int:
     """Solve what waits; how many failed."""
-    # The dearest last: a part of the set then has all kinds in it, and is soon there.
+    # The most expensive last: a part of the set then has all kinds in it, and is soon there.
     queue = sorted(waiting(name), key=lambda item: len(item[1].uv) > SEVERAL)[:limit]
-    total = len(load_contacts(name))
-    print(f"{name}: {len(queue)} of {total} contacts to solve", flush=True)
-    end = time.monotonic() + 60.0 * minutes
-    failed = 0
-    running: dict[Future[Solved], int] = {}
+    print(f"{name}: {len(queue)} of {len(load_contacts(name))} contacts to solve", flush=True)
     with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
-        while queue or running:
-            late = time.monotonic() > end
-            if late:
-                queue = []
-            held = pause is not None and pause.exists()
-            while queue and len(running) < processes and not held:
-                index, contact = queue.pop(0)
-                running[pool.submit(solve_with_patience, name, index, contact)] = index
-            done = wait(running, timeout=POLL_S, return_when=FIRST_COMPLETED)[0]
-            if not running:
-                time.sleep(POLL_S)
-            for future in done:
-                failed += not _finish(name, future, running.pop(future))
-    return failed
+        futures = {pool.submit(solve_with_patience, name, k, one): k for k, one in queue}
+        return sum(not _finish(name, done, futures[done]) for done in as_completed(futures))
 
 
 def _finish(name: str, future: "Future[Solved]", index: int) -> bool:
@@ -302,17 +270,8 @@ def main() -> int:
     parser.add_argument("--design", default="cylinder60", choices=list(COUNTS))
     parser.add_argument("--limit", type=int, help="solve at most this many")
     parser.add_argument("--processes", type=int, default=1, help="of one core and 1 to 3 GB each")
-    parser.add_argument("--minutes", type=float, default=1e9, help="start none after this time")
-    parser.add_argument("--pause", type=Path, help="start none while this file exists")
     given = parser.parse_args()
-    failed = run(
-        given.design,
-        limit=given.limit,
-        processes=given.processes,
-        minutes=given.minutes,
-        pause=given.pause,
-    )
-    return 1 if failed else 0
+    return 1 if run(given.design, limit=given.limit, processes=given.processes) else 0
 
 
 if __name__ == "__main__":

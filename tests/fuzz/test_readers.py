@@ -9,17 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from benchmarks.page_fuzz import (
-    FuzzCounts,
-    InputFolder,
-    fault_of,
-    input_of,
-    little_memory,
-    read_inputs,
-    run,
-)
+from benchmarks.page_fuzz import InputFolder, fault_of, little_memory, read_inputs
 from benchmarks.page_fuzz_change import json_text, toml_text
-from benchmarks.page_fuzz_readers import READERS, Reader, shipped
+from benchmarks.page_fuzz_readers import READERS, shipped
 from phytac_decoder.estimation.force_regions import load_regions
 from phytac_decoder.io.bundle import load_bundle, save_bundle
 from phytac_decoder.serving.wire_protocol import MessageSplitter
@@ -27,8 +19,8 @@ from phytac_design.design.design_file import load_design
 from phytac_design.design.scene import load_scene
 from phytac_design.simulation.scenario.scenario_file import load_scenario
 from phytac_design.study.search.study_file import load_study
-from phytac_design.study.stability.rooms.readers import bundle
 from phytac_shapes.errors import InputError
+from verification.test_readers import bundle
 
 TABLES = {
     "designs": load_design,
@@ -64,7 +56,7 @@ def test_spoilt_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
     reader, place = READERS[name](), InputFolder(tmp_path)
     tally = read_inputs(name, reader, range(120), place)
     for number in ONCE.get(name, ()):
-        tally.add(read_inputs(name, reader, range(number, number + 1), place))
+        assert read_inputs(name, reader, range(number, number + 1), place).faults == []
     assert tally.faults == []
     assert min(tally.read, tally.refused) >= 5
 
@@ -166,30 +158,3 @@ def test_what_was_slow_once_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> N
     assert (fault, read, len(turns)) == (None, True, 1)
     assert "of processor time" in str(fault_of(slow)[0])
     assert len(turns) == 4
-
-
-def test_a_stopped_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def read(at: Path) -> None:
-        if b"3" in (at / "x").read_bytes():
-            raise KeyError("three")
-
-    numbers: list[int] = []
-
-    def make(rng: Any) -> dict[str, bytes]:
-        numbers.append(1)
-        return {"x": str(rng.randrange(10)).encode()}
-
-    monkeypatch.setitem(READERS, "toy", lambda: Reader(make=make, read=read, weight=1))
-    monkeypatch.setattr("benchmarks.page_fuzz.SLICE", 10)
-    journal = tmp_path / "toy.jsonl"
-    whole = run("toy", 60, None)
-    assert run("toy", 20, journal).inputs == 20
-    with journal.open("a") as file:
-        file.write('{"first": 20, "read": 1')
-    numbers.clear()
-    again = run("toy", 60, journal)
-    assert len(numbers) == 40
-    assert isinstance(again, FuzzCounts)
-    assert again.faults == whole.faults != []
-    assert (again.inputs, again.read) == (60, whole.read)
-    assert input_of("toy", READERS["toy"](), 7) == input_of("toy", READERS["toy"](), 7)

@@ -25,11 +25,11 @@ from phytac_design.simulation.rig_import.log import RowProblems, read_rig_log
 from phytac_design.simulation.scenario.scenario_file import load_scenario
 from phytac_design.studio.files import ProjectFolder
 from phytac_design.study.search.study_file import load_study
-from phytac_design.study.stability.rooms.readers import bundle
 from phytac_design.workflows.design_from_step import patch_changes
 from phytac_shapes.bounded_reader import LETTERS_MAX, joined, read_bytes, read_text, toml_table
 from phytac_shapes.errors import InputError, PhytacError
 from tests.designs import small
+from verification.test_readers import bundle
 
 READ: dict[str, Callable[[Path], Any]] = {
     "design": lambda path: load_design(str(path)),

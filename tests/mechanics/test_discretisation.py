@@ -11,12 +11,12 @@ from phytac_design.mechanics.shell.discretisation import (
     estimate_error,
     sensor_shell,
 )
-from phytac_design.mechanics.shell.free_edge import FreeEdgeShell, free_edge_force, free_edges
-from phytac_design.mechanics.verification import cases
-from phytac_design.mechanics.verification.case_parts import Case, Sides, edge_lines, probed
+from phytac_design.mechanics.shell.free_edge import free_edge_force, free_edges
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 from tests.mechanics.conftest import Prototype
+from verification import shells as cases
+from verification.shells import ShellProblem, Sides, edge_lines, probed
 
 
 def factor(estimate: DiscretisationError, truth: FloatArray) -> float:
@@ -24,7 +24,7 @@ def factor(estimate: DiscretisationError, truth: FloatArray) -> float:
     return float(estimate.error.max() / true)
 
 
-def hyperboloid(n: Sides) -> Case:
+def hyperboloid(n: Sides) -> ShellProblem:
     return cases.hyperboloid_case(n, thickness=0.1)
 
 
@@ -39,7 +39,7 @@ def hyperboloid(n: Sides) -> Case:
     ids=["roof", "hemisphere", "hyperboloid"],
 )
 def test_estimate_is_within_a_factor_of_two_of_a_resolved_mesh(
-    build: Callable[[Sides], Case], width: float, ends: tuple[int, int]
+    build: Callable[[Sides], ShellProblem], width: float, ends: tuple[int, int]
 ) -> None:
     points = build(4).mesh.nodes
 
@@ -79,7 +79,7 @@ def test_torsion_of_a_strip_gains_what_the_exact_torsion_constant_says() -> None
     fixed[cases.at(strip, 0.0, 0.5), 4] = True
     loads = np.zeros((len(strip.nodes), 6))
     loads[cases.at(strip, 1.0, 1.0), 2], loads[cases.at(strip, 1.0, 0.0), 2] = 1.0, -1.0
-    case = Case(
+    case = ShellProblem(
         mesh=strip,
         fixed=fixed,
         loads=loads,

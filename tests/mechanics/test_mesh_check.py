@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from phytac_design.mechanics.meshing.mesh_check import check_directors, check_quads
-from phytac_design.mechanics.verification import cases
 from phytac_shapes.arrays import IntArray
 from phytac_shapes.errors import NumericalError
 from tests.mechanics.conftest import Prototype
+from verification import shells as cases
 
 GRID = cases.patch(lambda a, b: np.column_stack([a, b, 0.2 * a * b]), 3, 2)
 COUNT = len(GRID.nodes)

@@ -19,10 +19,10 @@ from phytac_design.mechanics.large.quasi_newton import LoadCaseSolution, QuasiNe
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
-from phytac_design.mechanics.verification import large_cases
 from phytac_shapes import Surface
 from phytac_shapes.errors import NumericalError
 from tests.designs import small
+from verification import large_shells as large_cases
 
 SURFACE = small().surface()
 MIDDLE = [30.0, np.pi]

@@ -10,8 +10,8 @@ from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Control, Equilibrium, Loading, System
 from phytac_design.mechanics.large.path_tracing import trace_arc, trace_displacement
 from phytac_design.mechanics.shell.solve import ShellModel
-from phytac_design.mechanics.verification import large_cases
 from phytac_shapes.errors import NumericalError
+from verification import large_shells as large_cases
 
 LENGTH = 10.0
 TABLE = 0.01

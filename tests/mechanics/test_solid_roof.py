@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 
 from phytac_design.mechanics.large.newton import Loading
-from phytac_design.mechanics.large.path_tracing import trace_displacement
-from phytac_design.mechanics.verification.large_cases import hinged_roof
-from phytac_design.mechanics.verification.solid_roof import solid_roof
 from phytac_shapes.errors import NumericalError
+from verification.large_shells import hinged_roof
+from verification.solid_roof import solid_roof
 
 SAGS_MM = (6.0, 11.293, 19.5)
 NO_CCX = pytest.mark.skipif(

@@ -7,10 +7,10 @@ import pytest
 
 from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
-from phytac_design.mechanics.verification import cases
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.cylinder import Cylinder
 from phytac_shapes.errors import NumericalError
+from verification import shells as cases
 
 TUBE = chart_mesh(
     Cylinder(diameter_outer_mm=20.0, length_mm=30.0), thickness_mm=0.5, n_along=6, n_around=16

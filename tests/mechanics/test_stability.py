@@ -13,8 +13,8 @@ from phytac_design.mechanics.large.newton import Equilibrium, Loading, System
 from phytac_design.mechanics.large.path_tracing import trace_arc, trace_displacement
 from phytac_design.mechanics.large.stability import negative_pivots, path_deviation
 from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
-from phytac_design.mechanics.verification import large_cases
 from phytac_shapes.errors import NumericalError
+from verification import large_shells as large_cases
 
 LIMIT = 0.7408
 """Limit load of the thick roof at 8 elements a side (its own arc-length path)."""

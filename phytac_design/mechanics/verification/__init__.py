@@ -1,1 +1,0 @@
-"""Published shell problems and closed forms that the solver is judged by."""

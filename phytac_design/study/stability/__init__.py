@@ -1,1 +1,0 @@
-"""The extremes of every room: each case right, refused in words, or wrong."""

@@ -1,0 +1,130 @@
+"""Regressions: faults that the verification cases once found."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phytac_decoder.io.bundle import load_bundle, save_bundle
+from phytac_decoder.serving.wire_protocol import MessageSplitter
+from phytac_design.design.camera_files import read_lens
+from phytac_design.design.design_file import load_design, parse_design
+from phytac_design.design.positions import read_positions
+from phytac_design.mechanics.calibration.measurements import read_measurements
+from phytac_design.mechanics.switch.cases import inflated_sphere
+from phytac_shapes import Grip
+from phytac_shapes.errors import DesignError, InputError, NumericalError
+from verification.designs import base, changed, design_of
+from verification.shells import ring_case
+from verification.test_readers import bundle
+
+
+def test_rays_meet_a_sensor_that_is_long_and_thin() -> None:
+    hair = Grip(diameters_mm=(1.0, 1.0), length_mm=5000.0)
+    start = np.array([[0.5, 0.45, 1000.0], [3.0, -0.2, 4000.0], [0.0, 0.0, 2500.0]])
+    way = np.array([[-1.0, 0.0, 0.0], [-1.0, 0.0, 0.1], [0.0, 1.0, 0.0]])
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    hit = hair.intersect(start, way)
+    ends = start + hit[:, None] * way
+    np.testing.assert_allclose(np.hypot(ends[:, 0], ends[:, 1]), 0.5, atol=1e-9)
+    exact = (0.5 - np.sqrt(0.25 - 0.45**2), (3.0 - np.sqrt(0.25 - 0.04)) * np.sqrt(1.01), 0.5)
+    np.testing.assert_allclose(hit, exact, atol=1e-8)
+
+
+def test_the_flat_map_of_a_jagged_grip_keeps_areas() -> None:
+    saw = Grip(diameters_mm=tuple(40.0 + 0.2 * (-1.0) ** k for k in range(64)), length_mm=120.0)
+    u, step = np.linspace(1.0, 119.0, 397), 1e-4
+    slope = (saw.arc_length_mm(u + step) - saw.arc_length_mm(u - step)) / (2.0 * step)
+    speed = np.linalg.norm(saw.curve(u)[1], axis=1)
+    # At knots, where the third derivative jumps, a difference is a little off by itself.
+    assert np.quantile(np.abs(slope / speed - 1.0), 0.9) < 1e-7
+
+
+@pytest.mark.parametrize(
+    ("table", "field", "value", "says"),
+    [
+        ("print_rules", "wall_min_mm", 10**400, "wall_min_mm: input should be"),
+        ("camera", "stand_off_mm", 1e300, "at most 1e6, or 'fit'"),
+        ("camera", "focal_px", "x" * 10_000, "…"),
+    ],
+    ids=["digits", "distance", "letters"],
+)
+def test_absurd_values_are_rejected_in_few_words(
+    table: str, field: str, value: object, says: str
+) -> None:
+    with pytest.raises(DesignError) as caught:
+        parse_design(changed(base("cylinder"), {table: {field: value}}), "extreme")
+    assert says in str(caught.value)
+    assert len(str(caught.value)) < 400
+
+
+def test_lists_nested_too_deeply_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "deep.toml"
+    path.write_text("[layout]\npositions = " + 2000 * "[" + 2000 * "]")
+    with pytest.raises(DesignError, match="nested too deeply"):
+        load_design(str(path))
+    lens = tmp_path / "deep.yaml"
+    lens.write_text("a: " + 5000 * "[" + 5000 * "]")
+    with pytest.raises(InputError, match="nested too deeply; export it again"):
+        read_lens(lens)
+
+
+@pytest.mark.parametrize("load", [1e-200, 1e200])
+def test_loads_of_any_size_are_pure_scales(load: float) -> None:
+    one, other = ring_case(8), ring_case(8, load=load)
+    size = float(np.abs(one.motion()).max())
+    np.testing.assert_allclose(other.motion() / load, one.motion(), atol=1e-11 * size)
+
+
+def test_what_is_not_finite_is_named() -> None:
+    case = ring_case(8)
+    loads = case.loads.reshape(-1, 1).copy()
+    loads[13] = np.inf
+    with pytest.raises(NumericalError, match="load 0 has inf at node 2; check"):
+        case.model().solve(loads)
+
+
+def test_a_solid_can_be_moved_by_next_to_nothing() -> None:
+    found = inflated_sphere(1.0001)
+    assert found.value == pytest.approx(found.exact, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "says"),
+    [
+        ("networks", [], "not of the kind"),
+        ("cameras", None, "not of the kind"),
+        ("threshold_N", 10**400, "not of the kind"),
+        ("noise_centroid_px", -1.0, "noise_centroid_px must lie within 0"),
+        ("force_max_N", float("nan"), "NaN is no number of JSON"),
+    ],
+    ids=["list", "null", "digits", "negative", "nan"],
+)
+def test_bundles_with_values_of_another_kind_are_refused(
+    tmp_path: Path, field: str, value: object, says: str
+) -> None:
+    save_bundle(bundle(), tmp_path)
+    path = tmp_path / "bundle.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), field: value}))
+    with pytest.raises(InputError, match=says) as caught:
+        load_bundle(tmp_path)
+    assert "rebuild the decoder" in str(caught.value)
+
+
+def test_a_quote_that_is_not_closed_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    path.write_text('u,v\n1.0,"2.0\n3.0,4.0\n')
+    with pytest.raises(DesignError, match="not a CSV file: unexpected end of data"):
+        read_positions(path)
+    design = design_of({"shape": "cylinder"})
+    surface = design.surface()
+    from phytac_design.layout import make_markers
+
+    with pytest.raises(InputError, match="not a CSV file: unexpected end of data"):
+        read_measurements(path, surface, make_markers(design, surface), wall_mm=0.8)
+
+
+def test_garbled_streams_say_what_to_do() -> None:
+    with pytest.raises(InputError, match="read it in the format that phytac serve was given"):
+        MessageSplitter("lines").feed(b"\xff\xfe\n")

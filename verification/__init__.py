@@ -1,0 +1,1 @@
+"""Verification: every subsystem at its extremes, each case right, rejected or failing."""
