@@ -20,7 +20,6 @@ from phytac_design.mechanics.switch.curve import press_bowl, snap_of
 from phytac_design.mechanics.switch.design import SwitchDesign, design_switch
 from phytac_design.mechanics.switch.feasible_range import Feasible, feasible_range
 from phytac_design.mechanics.switch.line_plot import line_plot, write_svg
-from phytac_design.mechanics.switch.report import range_over_modulus
 from phytac_design.mechanics.switch.rubbers import rubber
 from phytac_design.mechanics.switch.space import Space
 from phytac_shapes.errors import DesignError

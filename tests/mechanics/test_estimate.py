@@ -9,7 +9,6 @@ from phytac_design.mechanics.large.linear_error import check_linear
 from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Loading
 from phytac_design.mechanics.shell.solve import ShellModel
-from phytac_shapes.errors import NumericalError
 from tests.mechanics.conftest import Prototype
 from verification import large_shells as large_cases
 
