@@ -41,7 +41,7 @@ import phytac_shapes.surface
 import phytac_shapes.variables
 
 MODULES: dict[str, tuple[ModuleType, ...]] = {
-    "Surfaces": (shapes, phytac_shapes.surface, phytac_shapes.variables),
+    "Surfaces": (phytac_shapes, phytac_shapes.surface, phytac_shapes.variables),
     "Errors": (phytac_shapes.errors,),
     "Designs": (phytac_design.design.design_file, phytac_design.rules.design_review),
     "Markers": (phytac_design.layout.markers, phytac_design.layout.marker_layout),

@@ -99,7 +99,7 @@ def _rest_rows(table: Table, here: UnitDecoder, judged: Evaluation, rest: BoolAr
     decoded, samples = judged.decoded, here.test.samples
     assert samples.shift_px is not None
     # Every sample counts that did not fail; forces on no contact count as elsewhere.
-    free = rest[decoded.judged]
+    free = rest[decoded.evaluated]
     worst = max(float(np.abs(force[free]).max()) for force in decoded.elsewhere_N.values())
     light = samples.light[rest]
     shift = np.sqrt(np.nanmean(np.sum(samples.shift_px[rest] ** 2, axis=2), axis=1))

@@ -18,7 +18,7 @@ from phytac_design.mechanics.switch.bowl import bowl_model
 from phytac_design.mechanics.switch.calculix import ccx_curve
 from phytac_design.mechanics.switch.curve import press_bowl, snap_of
 from phytac_design.mechanics.switch.design import SwitchDesign, design_switch
-from phytac_design.mechanics.switch.feasible_range import Feasible, feasible_range
+from phytac_design.mechanics.switch.feasible_range import FeasibleRange, feasible_range
 from phytac_design.mechanics.switch.line_plot import line_plot, write_svg
 from phytac_design.mechanics.switch.rubbers import rubber
 from phytac_design.mechanics.switch.space import Space
@@ -157,15 +157,15 @@ def switches(table: Table, *, quick: bool) -> None:
         )
 
 
-def _range_rows(table: Table, found: Feasible) -> None:
+def _range_rows(table: Table, found: FeasibleRange) -> None:
     for modulus in (1.0, SOFTER_MPa, 10.0):
         share = modulus / found.modulus_MPa
         low, high = share * found.min_N, share * found.max_N
         for word, value in (("smallest", low), ("largest", high)):
             row = f"{word} threshold that fits at {modulus:g} MPa"
             source = (
-                f"footprint 4.6 mm, hole 1.6, red 1.2, walls {found.least_wall_mm:.2f} to "
-                f"{found.most_wall_mm:.2f} mm"
+                f"footprint 4.6 mm, hole 1.6, red 1.2, walls {found.min_wall_mm:.2f} to "
+                f"{found.max_wall_mm:.2f} mm"
             )
             table.add(row, float(value), "N", "-", source)
 

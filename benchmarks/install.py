@@ -168,6 +168,11 @@ def serves(env: Environment, _: Path) -> str:
         process.communicate()
 
 
+def shows_help(env: Environment, _: Path) -> str:
+    """Print the help."""
+    return env.phytac("--help")
+
+
 PROMISES: dict[str, tuple[tuple[str, Callable[[Environment, Path], str]], ...]] = {
     "": (("decodes a frame", decodes), ("other commands name the extra", refuses)),
     "design": (("draft build to manifest", builds),),
@@ -194,7 +199,7 @@ def measure(
     with tempfile.TemporaryDirectory() as folder:
         requirement = f"{wheel}[{extra}]" if extra else str(wheel)
         env = Environment(Path(folder), python, requirement, torch=given.torch, lowest=given.lowest)
-        for what, check in (("phytac --help", lambda e, _: e.phytac("--help")), *PROMISES[extra]):
+        for what, check in (("phytac --help", shows_help), *PROMISES[extra]):
             failure = check(env, built)
             table.add(
                 f"{name}: {what}, failures", int(bool(failure)), "", 0, SOURCE, "== 0", failure

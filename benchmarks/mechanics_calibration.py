@@ -189,7 +189,7 @@ def _ease(per_newton: FloatArray) -> float:
 
 
 def _fit(
-    response: ResponseModel, data: Measurements, start: Parameters, fixed: tuple[Name, ...]
+    response: ResponseModel, data: Measurements, start: ShellParameters, fixed: tuple[Name, ...]
 ) -> Calibration:
     return calibrate(
         response,

@@ -44,26 +44,6 @@ def python(*arguments: str) -> str:
     return run.stdout
 
 
-def pardiso(table: Table, model: ShellModel, superlu_s: float) -> None:
-    """Add factorisation by PARDISO against SuperLU, where it is installed."""
-    if find_spec("pypardiso") is None:
-        print("pypardiso is not installed: comparison left out")
-        return
-    free = np.flatnonzero(~model.fixed.ravel())
-    matrix = model.stiffness[free][:, free]
-    loads = np.random.default_rng(0).normal(size=(len(free), 100))
-    for solver in SOLVERS:
-        seconds = median_of(partial(Factor, matrix, solver=solver), 3)
-        backend = Factor(matrix, solver=solver).backend
-        row = f"speed: {solver}, scaling and factorisation, {len(free)} DOF"
-        source = "SuperLU's factorisation alone in the same run"
-        note = (
-            f"a hundred loads {median_of(partial(backend.solve, loads), 1):.2f}"
-            f" s; MKL_NUM_THREADS {os.environ['MKL_NUM_THREADS']}"
-        )
-        table.add(row, seconds, "s", superlu_s, source, note=note)
-
-
 def _mesh(along: int, around: int) -> ShellMesh:
     surface = Cylinder(diameter_outer_mm=60.0, length_mm=120.0)
     return chart_mesh(surface, thickness_mm=0.8, n_along=along, n_around=around)

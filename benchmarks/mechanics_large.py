@@ -199,39 +199,3 @@ def _bricks(table: Table, *, bricks: int, ours: int) -> None:
                 table.add(row, value, "%", large_cases.ROOF[12.7]["minimum"], source)
 
 
-def _batches(table: Table, *, size_mm: float, count: int) -> None:
-    """Samples over two processes against one, and against two independent batches at once."""
-    design, centre = load_design("cylinder60"), np.array([60.0, np.pi])
-    surface, wall = design.surface(), design.wall.thickness_mm
-    mesh = contact_mesh(
-        surface, thickness_mm=wall, centre_uv=centre, core_mm=12.0, size_mm=size_mm, growth=0.15
-    )
-    material = design.material
-    model = clamped_model(mesh, modulus_MPa=material.modulus_MPa, poisson=material.poisson)
-    unit = patch_loads(mesh, surface, centre[None], FINGERTIP_MM).toarray()
-    loads = unit * np.linspace(5.0, 25.0, count)
-    spans = []
-    start = time.perf_counter()
-    one = solve_batch(model, loads, workers=1)
-    spans.append(time.perf_counter() - start)
-    start = time.perf_counter()
-    two = solve_batch(model, loads, workers=2)
-    spans.append(time.perf_counter() - start)
-    start = time.perf_counter()
-    with ThreadPoolExecutor(2) as pool:
-        list(pool.map(lambda part: solve_batch(model, part, workers=1), (loads[:, ::2],) * 2))
-    spans.append(time.perf_counter() - start)
-    name = f"{count} samples of {int(np.sum(~model.fixed))} DOF"
-    load = f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; start-up included"
-    row = f"large: {name}: seconds of one process over twice those of two"
-    source = "the same batch"
-    note = f"{spans[0]:.2f} s and {spans[1]:.2f} s; {load}"
-    table.add(row, spans[0] / (2.0 * spans[1]), "-", 1.0, source, ">= 0.8", note)
-    row = f"large: {name}: two independent half batches at once, seconds over those of one of two"
-    source = "what the machine gives two processes"
-    table.add(row, spans[2] / spans[1], "-", 1.0, source, ">= 0.9", f"{spans[2]:.2f} s; {load}")
-    pairs = zip(one, two, strict=True)
-    row = f"large: {name}: samples that differ in any bit between one process and two"
-    source = "the same batch"
-    value = sum(not np.array_equal(np.asarray(a.motion), np.asarray(b.motion)) for a, b in pairs)
-    table.add(row, value, "samples", 0, source, "== 0")

@@ -59,23 +59,23 @@ def _pieces(table: Table, name: str, found: Advice) -> None:
     close = [trial for trial in pieces if abs(trial.gain / trial.predicted_gain - 1.0) <= CLOSE]
     far = [trial for trial in pieces if trial not in close]
     row = f"{name}: pieces of advice that helped when applied"
-    note = "; ".join(trial.move.knob.words(trial.move.amount) for trial in pieces)
+    note = "; ".join(trial.words for trial in pieces)
     table.add(row, len(pieces), "pieces", "", SOURCE, ">= 1", note)
     row = f"{name}: of those, gained as predicted within 25 %"
     source = "gain by slopes against gain of the changed design, judged"
-    note = "; ".join(f"{t.move.knob.name}: {t.gain:.3g} for {t.move.gain:.3g}" for t in far)
+    note = "; ".join(f"{t.variable.name}: {t.gain:.3g} for {t.predicted_gain:.3g}" for t in far)
     table.add(row, len(close), "pieces", len(pieces), source, f">= {len(pieces)}", note)
-    best = [trial for trial in pieces if trial.move.goal in FORCES]
+    best = [trial for trial in pieces if trial.goal in FORCES]
     if best:
         top = max(best, key=lambda trial: trial.gain)
         row = f"{name}: best gain of force"
         source = "reference: predicted by slopes"
-        note = f"{top.move.knob.words(top.move.amount)}; costs: {', '.join(top.costs) or 'nothing'}"
-        table.add(row, 100.0 * top.gain, "%", round(100.0 * top.move.gain, 2), source, note=note)
+        note = f"{top.words}; costs: {', '.join(top.costs) or 'nothing'}"
+        table.add(row, 100.0 * top.gain, "%", round(100.0 * top.predicted_gain, 2), source, note=note)
     broke = [trial for trial in pieces if faults_of(trial.achieved) > faults_of(found.figures)]
     row = f"{name}: pieces of advice that break a rule or a margin"
     note = "tried, and no advice: " + (
-        "; ".join(f"{t.move.knob.name}: {t.reason[:60]}" for t in found.tried) or "none"
+        "; ".join(f"{t.variable.name}: {t.reason[:60]}" for t in found.tried) or "none"
     )
     table.add(row, len(broke), "pieces", 0, SOURCE, "<= 0", note)
 

@@ -294,7 +294,7 @@ def readable(table: Table, case: CameraCase) -> None:
             continue
         lost += int((~matched.found).sum())
         wrong += int(((on != bits) & eyes.nominal.tips.readable).sum())
-    blur = [eye.blur for eye in eyes.eyes]
+    blur = [eye.blur for eye in eyes.cameras]
     row = f"{case.design.name}: markers lost with the default exposure, switches off and on"
     source = "twice the markers"
     note = (

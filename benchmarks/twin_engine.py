@@ -17,7 +17,7 @@ from phytac_design.datasets.samples_writer import FILE, TABLE
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.scenario.scenario_file import Scenario, load_scenario, parse_scenario
-from phytac_design.workflows.simulate import SimulationResult, simulate
+from phytac_design.workflows.simulate import JOURNAL_FOLDER, SimulationResult, simulate
 from phytac_shapes.errors import PhytacError
 
 KILLS = 10

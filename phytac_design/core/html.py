@@ -86,7 +86,7 @@ def image(data: bytes, text: str, kind: str = "png", *, name: str = "", extra: s
     return f'<img alt="{escape(text)}"{file}{extra} src="{source}">'
 
 
-def drawing(svg: str, caption: str) -> str:
+def svg_figure(svg: str, caption: str) -> str:
     """Inline SVG that shrinks with the page, and its caption."""
     size = re.search(r'<svg [^>]*?width="([\d.]+)" height="([\d.]+)"', svg)
     if size and "viewBox" not in svg:

@@ -17,6 +17,7 @@ from phytac_design.core.html import (
     number,
     page,
     slug,
+    svg_figure,
     table,
 )
 from phytac_design.report.figure_names import absent_why, name_of, place_of
