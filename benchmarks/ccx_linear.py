@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from phytac_design.mechanics.large.quadratic import QuadraticMesh
 from phytac_shapes.arrays import FloatArray
+from verification.quadratic_shell import QuadraticMesh
 
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "CCX_NPROC_EQUATION_SOLVER", "CCX_NPROC_STIFFNESS"), "1"

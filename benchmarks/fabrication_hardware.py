@@ -24,7 +24,6 @@ from phytac_design.solids.mesh_facts import manifold_facts, trimesh_facts
 from phytac_design.solids.solid_mesh import to_triangles
 from phytac_design.stages.hardware import HARDWARE
 from phytac_design.stages.switch import switches_of
-
 from tests.fabrication.cad_files import read_assembly
 
 MAIN = "cylinder60"

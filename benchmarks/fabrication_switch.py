@@ -13,9 +13,7 @@ import numpy as np
 
 from benchmarks.harness import Table
 from phytac_design.design.design_file import shipped_designs
-from phytac_design.mechanics.switch import cases
 from phytac_design.mechanics.switch.bowl import bowl_model
-from phytac_design.mechanics.switch.calculix import ccx_curve
 from phytac_design.mechanics.switch.curve import press_bowl, snap_of
 from phytac_design.mechanics.switch.design import SwitchDesign, design_switch
 from phytac_design.mechanics.switch.feasible_range import FeasibleRange, feasible_range
@@ -23,6 +21,8 @@ from phytac_design.mechanics.switch.line_plot import line_plot, write_svg
 from phytac_design.mechanics.switch.rubbers import rubber
 from phytac_design.mechanics.switch.space import Space
 from phytac_shapes.errors import DesignError
+from verification import switch_cases
+from verification.bowl_calculix import ccx_curve
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 MESCALL = "Mescall 1966, clamped cap R 4.758 in, t 0.01576, a 0.9, ring load at 0.42 a"
@@ -33,14 +33,14 @@ SOFTER_MPa = 3.5
 def cap(table: Table, *, quick: bool) -> None:
     """Peak, valley and apex load of the published cap; mesh, steps, arc-length, snap-back."""
     cells, steps = ((30, 1), 20) if quick else ((100, 2), 40)
-    found = cases.clamped_cap(cells=cells, steps=steps)
+    found = switch_cases.clamped_cap(cells=cells, steps=steps)
     (_, peak), (_, valley) = found.extremes()
     for name, value, lb, other in (("peak", peak, 74.5, 74.85), ("valley", valley, 37.4, 37.65)):
         row = f"cap, ring load, {name}: error"
         source = f"{MESCALL}; another author {other} lb"
         note = f"{value:.2f} lb, {100.0 * (value / other - 1.0):+.2f} % off the other author"
         table.add(row, 100.0 * abs(value / lb - 1.0), "%", lb, source, "<= 2.0", note)
-    coarse = cases.clamped_cap(cells=(25, 1), steps=steps).extremes()
+    coarse = switch_cases.clamped_cap(cells=(25, 1), steps=steps).extremes()
     row = "cap, ring load: change of peak and valley from 25 elements on"
     source = f"{cells[0]} x {cells[1]} elements"
     table.add(
@@ -51,7 +51,7 @@ def cap(table: Table, *, quick: bool) -> None:
         source,
         "<= 1.0",
     )
-    fewer = cases.clamped_cap(cells=cells, steps=steps // 2).extremes()
+    fewer = switch_cases.clamped_cap(cells=cells, steps=steps // 2).extremes()
     row = "cap, ring load: change of peak and valley with half the steps"
     source = f"{steps} steps"
     table.add(
@@ -62,7 +62,7 @@ def cap(table: Table, *, quick: bool) -> None:
         source,
         "<= 0.1",
     )
-    point = cases.clamped_cap(ring=False, end=0.07, steps=30, cells=(50, 1))
+    point = switch_cases.clamped_cap(ring=False, end=0.07, steps=30, cells=(50, 1))
     loads = np.interp([0.0102, 0.0632], point.apex, point.load)
     row = "cap, apex load: largest error at 0.0102 and 0.0632 in"
     note = f"{loads[0]:.2f} and {loads[1]:.2f} lb"
@@ -78,7 +78,7 @@ def cap(table: Table, *, quick: bool) -> None:
     )
     row = "cap, apex load: least rise of the load per step"
     table.add(row, float(np.diff(point.load).min()), "lb", "monotone", MESCALL, "> 0")
-    thin = cases.clamped_cap(scale=0.3, arc=True, steps=80)
+    thin = switch_cases.clamped_cap(scale=0.3, arc=True, steps=80)
     back = -np.diff(thin.apex)
     row = "thin cap (0.3 t) by arc-length: way that the apex goes back"
     source = "derived here; displacement control fails on it"

@@ -18,8 +18,9 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.engine import cache
 from phytac_design.engine.stage import EXPORT, Context
+from phytac_design.geometry import flat_map
 from phytac_design.optics.density import density_map
-from phytac_design.report import figures, maps
+from phytac_design.report import figures
 from phytac_design.stages.build import build, select_stages
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import NumericalError
@@ -64,7 +65,7 @@ def gallery_image(context: Context) -> ImageArray:
     axes[0, 0].set_axis_off()
     axes[0, 0].set_title(f"{design.name}: the camera's view")
     local = density_map(surface, markers)
-    pieces, dots = (maps.flat_map(surface, uv) for uv in (local.uv, markers.uv))
+    pieces, dots = (flat_map.flat_map(surface, uv) for uv in (local.uv, markers.uv))
     colours = [design.layout.colours[k % len(design.layout.colours)] for k in markers.colour]
     low, high = markers.height_mm.min(), markers.height_mm.max()
     heights = f"{low:.3g} mm" if high - low < FLAT_MM else f"{low:.3g} to {high:.3g} mm"

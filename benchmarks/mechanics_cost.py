@@ -1,7 +1,6 @@
 """Seconds and memory of a linear solution against its size, each size in a process of its own."""
 
 import json
-import os
 import resource
 import subprocess
 import sys
@@ -72,7 +71,6 @@ def solver(table: Table, *, quick: bool) -> None:
         row = f"speed: factorisation, {count} DOF: SciPy default seconds / ours"
         source = "scipy.sparse.linalg.splu, default settings"
         table.add(row, default_s / ours_s, "x", default_s, source, ">= 1", f"ours {ours_s:.3f} s")
-        pardiso(table, model, ours_s)
 
 
 def measure(along: int, around: int) -> dict[str, Any]:

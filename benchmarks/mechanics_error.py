@@ -13,7 +13,6 @@ import numpy as np
 from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_patch, run_ccx
 from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.discretisation import (
     DiscretisationError,
@@ -23,6 +22,7 @@ from phytac_design.mechanics.shell.discretisation import (
 )
 from phytac_shapes.arrays import FloatArray
 from verification import shells as cases
+from verification.quadratic_shell import quadratic_mesh, quadratic_patch, run_ccx
 from verification.shells import ShellProblem, edge_lines, plate_case, probed
 
 BOTH, END = (True, True), (False, True)

@@ -11,18 +11,18 @@ import numpy as np
 
 from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design
-from phytac_design.mechanics.large.contact_mesh import contact_mesh
 from phytac_design.mechanics.large.linear_error import check_linear
 from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Equilibrium, Loading, System
-from phytac_design.mechanics.large.path_tracing import trace_arc, trace_displacement
-from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_patch, run_ccx
 from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 from verification import large_shells as large_cases
+from verification.contact_mesh import contact_mesh
+from verification.path_tracing import trace_arc, trace_displacement
+from verification.quadratic_shell import quadratic_mesh, quadratic_patch, run_ccx
 from verification.solid_roof import solid_roof
 
 FINGERTIP_MM = 6.0
@@ -197,5 +197,3 @@ def _bricks(table: Table, *, bricks: int, ours: int) -> None:
                 source = "Sze, Liu and Lo 2004"
                 value = (1.0 - b / large_cases.ROOF[12.7]["minimum"]) * 100.0
                 table.add(row, value, "%", large_cases.ROOF[12.7]["minimum"], source)
-
-

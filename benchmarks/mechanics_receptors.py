@@ -25,15 +25,15 @@ from phytac_design.mechanics.shell import receptor_stiffness as rc
 from phytac_design.mechanics.shell.compliance import marker_compliance, point_motion
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import clamped_model
-from phytac_design.mechanics.solid.calculix import run_ccx
-from phytac_design.mechanics.solid.cell import Cell, cell_stiffness, ratio
 from phytac_design.mechanics.solid.load import solid_patch_load
 from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes, coarsened, solid_mesh
 from phytac_design.mechanics.solid.solid_writers import write_solid_inp
-from phytac_design.mechanics.solid.tip_motion import tip_means
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import MissingPartError
+from verification.calculix import run_ccx
+from verification.receptor_cell import Cell, cell_stiffness, ratio
+from verification.tip_motion import tip_means
 
 SIZES = SolidSizes(wall_mm=1.6, foot_mm=0.9, tube_mm=1.4, contact_mm=1.2)
 """Mesh of the whole small sensor: about 80 000 nodes."""

@@ -8,11 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import Table
-from phytac_design.mechanics.large.pressure_load import pressure_forces
-from phytac_design.mechanics.large.quadratic import QuadraticMesh, _serendipity, run_ccx
 from phytac_design.mechanics.meshing.locate import locate
-from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_size_mm, node_mesh, plain_mesh
-from phytac_design.mechanics.shell.element import R, S
+from phytac_design.mechanics.meshing.mesh import (
+    R,
+    S,
+    ShellMesh,
+    marker_size_mm,
+    node_mesh,
+    plain_mesh,
+)
 from phytac_design.mechanics.shell.loads import (
     _cell_area,
     curved_points,
@@ -25,6 +29,8 @@ from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.path import Line
 from phytac_shapes.path import Path as Profile
 from phytac_shapes.revolved import PathRevolved
+from verification.pressure_load import pressure_forces
+from verification.quadratic_shell import QuadraticMesh, _serendipity, run_ccx
 
 FINGERTIP_MM = 6.0
 MODULUS_MPa, POISSON, WALL_MM = 2200.0, 0.38, 0.8

@@ -21,12 +21,12 @@ from benchmarks import mechanics_cost
 from benchmarks.ccx_linear import CcxRun, run_linear
 from benchmarks.harness import Table, median_of
 from phytac_design.design.design_file import load_design
-from phytac_design.mechanics.large.contact_mesh import contact_mesh
-from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_patch
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import clamped_model
 from phytac_shapes.arrays import FloatArray
+from verification.contact_mesh import contact_mesh
+from verification.quadratic_shell import quadratic_mesh, quadratic_patch
 
 RADIUS_MM = 6.0
 CENTRE = np.array([60.0, np.pi])

@@ -71,7 +71,9 @@ def _pieces(table: Table, name: str, found: Advice) -> None:
         row = f"{name}: best gain of force"
         source = "reference: predicted by slopes"
         note = f"{top.words}; costs: {', '.join(top.costs) or 'nothing'}"
-        table.add(row, 100.0 * top.gain, "%", round(100.0 * top.predicted_gain, 2), source, note=note)
+        table.add(
+            row, 100.0 * top.gain, "%", round(100.0 * top.predicted_gain, 2), source, note=note
+        )
     broke = [trial for trial in pieces if faults_of(trial.achieved) > faults_of(found.figures)]
     row = f"{name}: pieces of advice that break a rule or a margin"
     note = "tried, and no advice: " + (

@@ -12,11 +12,11 @@ from phytac_design.design.camera_files import read_lens
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.positions import read_positions
 from phytac_design.mechanics.calibration.measurements import read_measurements
-from phytac_design.mechanics.switch.cases import inflated_sphere
 from phytac_shapes import Grip
 from phytac_shapes.errors import DesignError, InputError, NumericalError
 from verification.designs import base, changed, design_of
 from verification.shells import ring_case
+from verification.switch_cases import inflated_sphere
 from verification.test_readers import bundle
 
 

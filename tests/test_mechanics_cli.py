@@ -10,9 +10,9 @@ import pytest
 from phytac_design.design.design_file import to_toml
 from phytac_design.engine.stage import graphics_libraries
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.solid.calculix import run_ccx
 from tests.designs import small
 from tests.test_cli import phytac
+from verification.calculix import run_ccx
 
 SHELL_TOL = 0.03
 """Our element against S4 of CalculiX on the same coarse mesh."""

@@ -10,9 +10,10 @@ import pytest
 
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import Context, write_arrays, write_facts
+from phytac_design.geometry import flat_map
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of
-from phytac_design.report import figure_names, figures, maps, page, scores, sections, verdict
+from phytac_design.report import figure_names, figures, page, scores, sections, verdict
 from phytac_design.report.drawing import Drawing
 from phytac_design.stages.build import BuildResult
 from phytac_design.stages.report import forced_past
@@ -81,8 +82,8 @@ def test_maps_have_the_sense_that_they_state(kind: str) -> None:
     design = drawn(kind, 0)
     surface = design.surface()
     markers = make_markers(design, surface)
-    flat = maps.flat_map(surface, markers.uv)
-    assert maps.family(surface) == FAMILIES[kind]
+    flat = flat_map.flat_map(surface, markers.uv)
+    assert flat_map.family(surface) == FAMILIES[kind]
     assert len(np.unique(flat.points.round(6), axis=0)) == markers.count
     (low, high), places = flat.limits, flat.points
     assert ((places > low) & (places < high)).all()
@@ -102,7 +103,7 @@ def test_a_dome_is_spread_from_its_pole() -> None:
     surface = drawn("hemisphere", 1).surface()
     (u0, u1), _ = surface.domain
     uv = np.array([[u1, 1.0], [u0, 0.0], [u0, np.pi / 2.0], [(u0 + u1) / 2.0, np.pi]])
-    places = maps.flat_map(surface, uv).points
+    places = flat_map.flat_map(surface, uv).points
     length = u1 - u0  # the chart of a dome is the length of its meridian
     expected = [[0.0, 0.0], [length, 0.0], [0.0, length], [-length / 2.0, 0.0]]
     assert places == pytest.approx(np.array(expected), abs=1e-9)
@@ -111,17 +112,17 @@ def test_a_dome_is_spread_from_its_pole() -> None:
 def test_a_plane_is_drawn_from_its_centre_and_a_patch_from_its_corner() -> None:
     plane, patch = (drawn(kind, 2).surface() for kind in ("plane", "patch"))
     middle = plane.domain.mean(axis=1)[None]
-    assert maps.flat_map(plane, middle).points == pytest.approx(np.zeros((1, 2)))
-    assert "from its centre" in maps.flat_map(plane, middle).x_label
+    assert flat_map.flat_map(plane, middle).points == pytest.approx(np.zeros((1, 2)))
+    assert "from its centre" in flat_map.flat_map(plane, middle).x_label
     corner = patch.domain[:, 0][None]
-    assert maps.flat_map(patch, corner).points == pytest.approx(np.zeros((1, 2)))
-    assert "from its corner" in maps.flat_map(patch, corner).x_label
+    assert flat_map.flat_map(patch, corner).points == pytest.approx(np.zeros((1, 2)))
+    assert "from its corner" in flat_map.flat_map(patch, corner).x_label
 
 
 @pytest.mark.parametrize("sides", [(200.0, 40.0), (60.0, 60.0), (30.0, 120.0)])
 def test_the_colour_bar_is_as_tall_as_the_map(sides: tuple[float, float]) -> None:
     places = np.random.default_rng(0).random((50, 2)) * sides
-    flat = maps.FlatMap(
+    flat = flat_map.FlatMap(
         points=places, outline=(), x_label="x", y_label="y", y_down=False, note="flat"
     )
     wide, tall = figures.map_size_in(flat)
@@ -311,7 +312,7 @@ def test_shapes_that_face_the_camera_are_drawn_in_its_picture_too(
     html = Drawing(context).both(values, "Gap", "px", name="gap", marked=values < 2.0, cross=place)
     assert html.count("data:image/png") == maps_drawn
     assert ("Gap; in the camera&#x27;s picture" in html) == (maps_drawn == 2)
-    picture = maps.picture_map(camera.project(context.markers.tip_mm), (864, 648))
+    picture = flat_map.picture_map(camera.project(context.markers.tip_mm), (864, 648))
     wide, tall = figures.map_size_in(picture)
     assert wide / tall == pytest.approx(864 / 648, rel=0.03)
 

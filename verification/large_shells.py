@@ -7,9 +7,9 @@ import numpy as np
 
 from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Equilibrium, Loading
-from phytac_design.mechanics.large.path_tracing import trace_arc, trace_displacement
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import BoolArray, FloatArray
+from verification.path_tracing import trace_arc, trace_displacement
 from verification.shells import (
     CLAMPED,
     SYMMETRY,

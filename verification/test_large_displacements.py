@@ -7,12 +7,13 @@ import numpy as np
 
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.corotational import Configuration, Corotational
-from phytac_design.mechanics.large.load_path import solve_large, trace_displacement
+from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Equilibrium, Loading
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import FloatArray
 from verification.case import Case, Cases, Evidence, Recorder, verify
 from verification.large_shells import ROOF, hinged_roof
+from verification.path_tracing import trace_displacement
 from verification.shells import CLAMPED, SYMMETRY, at, hold, no_support, patch, problem, weights
 
 TURN_STEPS = 8

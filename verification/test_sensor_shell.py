@@ -10,12 +10,6 @@ from typing import Any
 import numpy as np
 
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.large.quadratic import (
-    QuadraticMesh,
-    quadratic_mesh,
-    quadratic_patch,
-    run_ccx,
-)
 from phytac_design.mechanics.meshing.locate import locate
 from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh, plain_mesh
 from phytac_design.mechanics.shell.compliance import marker_compliance
@@ -26,6 +20,7 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from verification.case import Case, Cases, Evidence, Expect, Recorder, verify
 from verification.designs import SHAPES, design_of
+from verification.quadratic_shell import QuadraticMesh, quadratic_mesh, quadratic_patch, run_ccx
 from verification.test_shell import balances
 
 RECIPROCAL = 1e-9

@@ -17,9 +17,10 @@ from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.scenario.instance_scatter import (
     CUT_SD,
     draw_sensor_instance,
-    thickness_factor,
 )
-from phytac_design.simulation.scenario.scenario_file import SensorInstanceSection, parse_scenario
+from phytac_design.simulation.scenario.scenario_file import parse_scenario
+from phytac_design.simulation.scenario.sections import SensorInstanceSection
+from phytac_design.simulation.sensor_instance import thickness_factor
 from phytac_design.workflows.simulate import simulate
 from verification.case import Case, Cases, Evidence, Expect, Recorder, verify
 from verification.designs import SHAPES, design_of, numbers_of

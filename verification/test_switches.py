@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.mechanics.switch import cases as published
 from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.mechanics.switch.curve import press_bowl, snap_of
 from phytac_design.mechanics.switch.materials import Yeoh, bulk_of, neo_hookean
 from phytac_shapes.errors import NumericalError
+from verification import switch_cases as published
 from verification.case import Case, Cases, Evidence, Expect, Recorder, verify
 
 PEAK, PEAK_AT, VALLEY, VALLEY_AT = 74.5, 0.0146, 37.4, 0.069

@@ -6,7 +6,7 @@ Dead patch loads (even pressure along the inward normal at rest, 1 N times the f
 normal at the centre, as :func:`phytac_design.mechanics.shell.loads.patch_loads`) on the shell as printed,
 rims held; quadratic tetrahedra, large displacements (NLGEOM), the full load reached. Receptors
 within 20 mm of a contact (15 mm where there are several), tubes and holes, are the CAD's; the wall
-farther away is a smeared one (:mod:`phytac_design.mechanics.solid.partial_solid`), and tips there stand
+farther away is a smeared one (:mod:`verification.partial_solid`), and tips there stand
 rigidly on it. Pressure acts on the wall's material:
 holes carry none, while the twin's shell is pressed over them too, which moves the tip of a pressed
 receptor by about half a percent of the peak.

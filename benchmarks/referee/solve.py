@@ -23,19 +23,14 @@ from benchmarks.referee.read import Solved, data_file, read_solved, sensor_hash,
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
-from phytac_design.mechanics.solid.calculix import (
-    ccx_version,
-    read_convergence,
-    run_ccx,
-    write_reference_inp,
-)
 from phytac_design.mechanics.solid.load import solid_patch_load
-from phytac_design.mechanics.solid.partial_solid import AS_TABLES, PartMesh, PartSizes, part_mesh
 from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes
-from phytac_design.mechanics.solid.tip_motion import tips_motion, tips_turn
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError, PhytacError
+from verification.calculix import ccx_version, read_convergence, run_ccx, write_reference_inp
+from verification.partial_solid import AS_TABLES, PartMesh, PartSizes, part_mesh
+from verification.tip_motion import tips_motion, tips_turn
 
 RULES = 1
 """Raise it when a change of this script makes solved contacts void."""

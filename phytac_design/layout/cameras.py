@@ -10,7 +10,7 @@ from phytac_decoder.camera.camera import Camera, fit_distance_mm
 from phytac_decoder.camera.lens import Lens, Pinhole
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_span_mm, edge_mm, open_far
-from phytac_design.layout import Markers
+from phytac_design.layout.markers import Markers
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from phytac_design.design.spec import Design
-from phytac_design.layout import Markers
+from phytac_design.layout.markers import Markers
 from phytac_shapes.arrays import FloatArray, IntArray
 
 

@@ -13,7 +13,8 @@ from phytac_decoder.estimation.force_regions import (
 from phytac_decoder.io.bundle import Bundle
 from phytac_design.design.design_file import design_hash, load_design
 from phytac_design.design.spec import Design
-from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.marker_layout import make_markers
+from phytac_design.layout.markers import Markers
 from phytac_shapes import Surface
 from phytac_shapes.errors import DesignError, InputError
 

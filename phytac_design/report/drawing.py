@@ -7,7 +7,8 @@ from typing import Any
 
 from phytac_decoder.pipeline.decode import read_image
 from phytac_design.engine.stage import EXPORT, Context
-from phytac_design.report import figures, maps, page
+from phytac_design.geometry import flat_map
+from phytac_design.report import figures, page
 from phytac_shapes.arrays import BoolArray, FloatArray
 
 MARKS = ("", "_far")
@@ -27,18 +28,18 @@ class Drawing:
         return [paints[index % len(paints)] for index in self.context.markers.colour]
 
     @cached_property
-    def flat(self) -> maps.FlatMap:
+    def flat(self) -> flat_map.FlatMap:
         """Map of the surface."""
-        return maps.flat_map(self.context.surface, self.context.markers.uv)
+        return flat_map.flat_map(self.context.surface, self.context.markers.uv)
 
     @cached_property
-    def picture(self) -> maps.FlatMap | None:
+    def picture(self) -> flat_map.FlatMap | None:
         """Map of the camera's picture, for shapes that face their one camera."""
-        if maps.family(self.context.surface) == "tube":
+        if flat_map.family(self.context.surface) == "tube":
             return None
         camera = self.context.design.camera
         pixels = self.context.arrays("views")["rest_px"]
-        return maps.picture_map(pixels, (camera.width_px, camera.height_px))
+        return flat_map.picture_map(pixels, (camera.width_px, camera.height_px))
 
     def layout_png(self) -> bytes:
         """PNG of the receptors' heights on the surface's map."""
@@ -68,7 +69,11 @@ class Drawing:
         marked : (n,) bool, optional
             Markers to put a red ring around.
         """
-        at = None if cross is None else maps.flat_map(self.context.surface, cross[None]).points[0]
+        at = (
+            None
+            if cross is None
+            else flat_map.flat_map(self.context.surface, cross[None]).points[0]
+        )
         data = figures.value_map(
             self.flat, values, label=label, colours=self.colours, marked=marked, cross=at
         )

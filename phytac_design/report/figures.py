@@ -1,14 +1,14 @@
-"""Figures of the report, as PNG bytes. matplotlib is imported only here."""
+"""Figures of the report, as PNG bytes."""
 
 from collections.abc import Mapping, Sequence
-from io import BytesIO
 from textwrap import wrap
 from typing import Any
 
 import cv2
 import numpy as np
 
-from phytac_design.report.maps import FlatMap
+from phytac_design.core.figures import blank_figure, new_figure, png
+from phytac_design.geometry.flat_map import FlatMap
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 
 INK = {
@@ -18,37 +18,9 @@ INK = {
     "magenta": "#c2189b",
     "cyan": "#0fa3b1",
 }
-DPI = 130
 LEFT_IN, RIGHT_IN, BELOW_IN, ABOVE_IN = 0.85, 1.0, 0.65, 0.15
 BAR_IN, BAR_GAP_IN = 0.16, 0.1
 """Margins of a map, and width and distance of its colour bar, inches."""
-
-
-def png(figure: Any) -> bytes:
-    """PNG of a figure, the same bytes for the same figure; the figure is closed."""
-    import matplotlib.pyplot as plt
-
-    buffer = BytesIO()
-    # Without a fixed date and program the same figure would not give the same bytes.
-    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
-    plt.close(figure)
-    return buffer.getvalue()
-
-
-def new_figure(size: tuple[float, float]) -> Any:
-    """Figure without axes, of a size in inches, drawn off screen; its parts don't overlap."""
-    figure = _figure(size)
-    figure.set_layout_engine("constrained")
-    return figure
-
-
-def _figure(size: tuple[float, float]) -> Any:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt.figure(figsize=size)
 
 
 def map_size_in(flat: FlatMap) -> tuple[float, float]:
@@ -95,7 +67,7 @@ def value_map(
     """
     wide, tall = map_size_in(flat)
     size = LEFT_IN + wide + RIGHT_IN, BELOW_IN + tall + ABOVE_IN
-    figure = _figure(size)
+    figure = blank_figure(size)
 
     def box(left: float, width: float) -> Any:
         rectangle = (left / size[0], BELOW_IN / size[1], width / size[0], tall / size[1])

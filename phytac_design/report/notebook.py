@@ -14,9 +14,9 @@ import numpy as np
 from phytac_design.core.notebook_html import card, figure, map_svg
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
+from phytac_design.geometry.flat_map import flat_map
 from phytac_design.layout.marker_layout import make_markers
 from phytac_design.layout.markers import Markers
-from phytac_design.report.maps import flat_map
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import PhytacError

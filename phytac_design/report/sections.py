@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from phytac_design.engine.stage import EXPORT, Context
+from phytac_design.geometry import flat_map
 from phytac_design.optics.density import density_map
 from phytac_design.optics.separability import check_paints, separability_svg
 from phytac_design.optics.sharpness import DIRECTIONS
-from phytac_design.report import figure_names, figures, maps, page, scores
+from phytac_design.report import figure_names, figures, page, scores
 from phytac_design.report.drawing import MARKS, Drawing, of_camera, photo
 from phytac_design.report.explorer import GAP_PX, explorer_section, softness_um_N
 from phytac_design.report.fabrication_section import fabrication_section
@@ -141,7 +142,7 @@ def camera_section(context: Context, report: Mapping[str, Any], draw: Drawing) -
 
 def lens_section(context: Context, report: Mapping[str, Any]) -> str:
     """Scale, noise and blur of each row, and the depth of field, for every camera."""
-    in_rows, words = context.markers.in_rows, maps.words(context.surface)
+    in_rows, words = context.markers.in_rows, flat_map.words(context.surface)
     short = (words.along_short, words.around_short, "inward")
     columns = {
         "row": "row" if in_rows else "group",
@@ -227,7 +228,7 @@ def under_load_section(context: Context, report: Mapping[str, Any], draw: Drawin
 def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
     """Cramér-Rao bounds."""
     found, arrays = report["resolution"], context.arrays("resolution")
-    words = maps.words(context.surface)
+    words = flat_map.words(context.surface)
     keys = [key for key in BOUND if all(key in row for row in found["bound"].values())]
     head = [BOUND[key].format(along=words.along_short, around=words.around_short) for key in keys]
     order = sorted(found["bound"], key=lambda text: float(text.split()[0]))

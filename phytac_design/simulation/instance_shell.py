@@ -14,8 +14,7 @@ from phytac_design.mechanics.shell.receptor_stiffness import (
 )
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_design.simulation.sample_plan import ChartBox
-from phytac_design.simulation.scenario.instance_scatter import thickness_factor
-from phytac_design.simulation.sensor_instance import SensorInstance
+from phytac_design.simulation.sensor_instance import SensorInstance, thickness_factor
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 

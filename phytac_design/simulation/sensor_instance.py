@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from phytac_decoder.camera.camera import Camera
 from phytac_design.layout import Markers
 from phytac_shapes.arrays import FloatArray
@@ -25,6 +27,17 @@ class ThicknessField:
     mean: float
     waves: FloatArray
     domain: FloatArray
+
+
+def thickness_factor(field: ThicknessField, uv: FloatArray) -> FloatArray:
+    """Thickness over the nominal one at chart positions (m, 2), (m,).
+
+    ``mean · (1 + Σ a cos(2π (cᵤ s + cᵥ t) + φ))`` with s and t the shares of the chart.
+    """
+    low, high = field.domain.T
+    share = (np.asarray(uv, dtype=np.float64) - low) / (high - low)
+    angle = 2.0 * np.pi * share @ field.waves[:, 1:3].T + field.waves[:, 3]
+    return np.asarray(field.mean * (1.0 + np.cos(angle) @ field.waves[:, 0]))
 
 
 @dataclass(frozen=True, kw_only=True)

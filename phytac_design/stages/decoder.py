@@ -11,9 +11,10 @@ from phytac_decoder.estimation.cascade_network import Activation
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import EXPORT, Context, Stage, write_arrays, write_facts
+from phytac_design.layout.heights_along import along_mm, middle_mm
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.dataset import Dataset, decode_points, key_node_data
-from phytac_design.simulation.scene_scope import scope_of
+from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.places import locator_of
 from phytac_design.stages.response import TOUCH, readers_of
 from phytac_shapes.arrays import BoolArray, FloatArray
@@ -27,28 +28,6 @@ ACTIVATIONS: dict[str, Activation] = {"fem_nn": "rectified", "fem_nn_identity": 
 """Networks of the bundle: both readings of the paper's \"linear unit\"."""
 UNUSED_N = 1e4
 """Threshold of switches that a scene's decoder does not use: the largest force of a design."""
-MIDDLE = (0.125, 0.792)
-"""Middle of the sensor as fractions of its length: heights 15 to 95 mm of 120 (paper)."""
-
-
-def along_mm(context: Context, uv: FloatArray) -> FloatArray:
-    """Return the distance of chart positions from the near rim along the unwrapped surface, mm."""
-    low = context.surface.domain[0, 0]
-    flat = context.surface.unwrap(uv)[:, 1]
-    start = np.column_stack([np.full(len(uv), low), uv[:, 1]])
-    return np.asarray(flat - context.surface.unwrap(start)[:, 1])
-
-
-def length_mm(context: Context) -> float:
-    """Return the length of the sensor from rim to rim, along v0, mm."""
-    (_, u1), (v0, _) = context.surface.domain
-    return float(along_mm(context, np.array([[u1, v0]]))[0])
-
-
-def middle_mm(context: Context) -> tuple[float, float]:
-    """Return the bounds of the middle of this sensor, mm."""
-    length = length_mm(context)
-    return MIDDLE[0] * length, MIDDLE[1] * length
 
 
 def untrained_model(context: Context) -> ForceModel:
@@ -227,7 +206,7 @@ def evaluate_estimators(
     arrays: dict[str, FloatArray] = {}
     for name in ("test", "anywhere"):
         held_out = Dataset.from_arrays(twin, name)
-        height = along_mm(context, held_out.contacts.uv)
+        height = along_mm(context.surface, held_out.contacts.uv)
         scores[name] = {}
         for estimator in model.estimators:
             start = time.perf_counter()
@@ -241,7 +220,7 @@ def evaluate_estimators(
                 held_out.contacts,
                 held_out.switching,
                 height_mm=height,
-                middle_mm=middle_mm(context),
+                middle_mm=middle_mm(context.surface),
             ) | {"milliseconds_per_frame": 1e3 * seconds / held_out.contacts.samples}
     return scores, arrays
 

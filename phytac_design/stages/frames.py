@@ -9,10 +9,10 @@ import numpy as np
 
 from phytac_design.design.scene import ALL_AT_ONCE
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
+from phytac_design.layout.heights_along import along_mm, middle_mm
 from phytac_design.simulation.contacts import Contacts, Switching
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
-from phytac_design.simulation.scene_scope import scope_of
-from phytac_design.stages.decoder import along_mm, middle_mm
+from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.response import MECHANICS, truth_model
 from phytac_design.stages.views import write_image
 from phytac_shapes.arrays import FloatArray, ImageArray
@@ -184,10 +184,10 @@ def run(context: Context, folder: Path) -> None:
     pressed = draw_frame_contacts(context)
     tally = decode_all(context, folder, pressed)
     contacts, switching = pressed.contacts, pressed.switching
-    height = along_mm(context, contacts.uv)
+    height = along_mm(context.surface, contacts.uv)
     scores: dict[str, Any] = {
         name: score_contacts(
-            forces, contacts, switching, height_mm=height, middle_mm=middle_mm(context)
+            forces, contacts, switching, height_mm=height, middle_mm=middle_mm(context.surface)
         )
         for name, forces in tally.forces_N.items()
     }

@@ -9,7 +9,7 @@ import numpy as np
 
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.layout.worst_places import SAME_mm, press_places
-from phytac_design.simulation.scene_scope import scope_of
+from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.response import MECHANICS, TOUCH
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 

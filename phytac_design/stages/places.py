@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.layout.thresholds import thresholds_N
-from phytac_design.simulation.scene_scope import scope_of
+from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.response import (
     IMAGE_ARRAYS,
     MECHANICS,

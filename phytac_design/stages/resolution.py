@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
-from phytac_design.simulation.scene_scope import scope_of
+from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.response import MECHANICS, TOUCH, decoder_shell
 from phytac_shapes.arrays import BoolArray, FloatArray
 

@@ -8,7 +8,7 @@ import numpy as np
 from phytac_design.design.scene import ALL_AT_ONCE
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
-from phytac_design.simulation.scene_scope import scope_of
+from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 

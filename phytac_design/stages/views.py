@@ -11,7 +11,7 @@ from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage, export_path, write_arrays, write_facts
 from phytac_design.layout import make_markers
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
-from phytac_design.simulation.scene_scope import scope_of
+from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import DesignError, MissingPartError
 

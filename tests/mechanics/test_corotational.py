@@ -8,9 +8,9 @@ import pytest
 
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.corotational import Configuration, Corotational
-from phytac_design.mechanics.large.pressure_load import pressure_forces
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.errors import NumericalError
+from verification.pressure_load import pressure_forces
 
 NODES = np.array(
     [

@@ -11,11 +11,11 @@ from phytac_design.mechanics.shell.discretisation import (
     estimate_error,
     sensor_shell,
 )
-from phytac_design.mechanics.shell.free_edge import free_edge_force, free_edges
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 from tests.mechanics.conftest import Prototype
 from verification import shells as cases
+from verification.free_edge import FreeEdgeShell, free_edge_force, free_edges
 from verification.shells import ShellProblem, Sides, edge_lines, probed
 
 

@@ -14,7 +14,6 @@ from phytac_design.mechanics.large.element_forces import ElementForces
 from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY, check_linear
 from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Loading
-from phytac_design.mechanics.large.pressure_load import pressure_forces
 from phytac_design.mechanics.large.quasi_newton import LoadCaseSolution, QuasiNewtonSolver
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
@@ -23,6 +22,7 @@ from phytac_shapes import Surface
 from phytac_shapes.errors import NumericalError
 from tests.designs import small
 from verification import large_shells as large_cases
+from verification.pressure_load import pressure_forces
 
 SURFACE = small().surface()
 MIDDLE = [30.0, np.pi]

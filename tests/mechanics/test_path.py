@@ -8,10 +8,10 @@ import pytest
 from phytac_design.mechanics.large import load_path, newton
 from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Control, Equilibrium, Loading, System
-from phytac_design.mechanics.large.path_tracing import trace_arc, trace_displacement
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.errors import NumericalError
 from verification import large_shells as large_cases
+from verification.path_tracing import trace_arc, trace_displacement
 
 LENGTH = 10.0
 TABLE = 0.01

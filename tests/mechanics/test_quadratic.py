@@ -6,21 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phytac_design.mechanics.large.contact_mesh import contact_mesh
 from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Loading
-from phytac_design.mechanics.large.quadratic import (
-    _serendipity,
-    quadratic_mesh,
-    quadratic_patch,
-    run_ccx,
-)
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import clamped_model
 from phytac_shapes import Surface
 from phytac_shapes.errors import DesignError, NumericalError
 from tests.mechanics.conftest import Prototype
+from verification.contact_mesh import contact_mesh
+from verification.quadratic_shell import _serendipity, quadratic_mesh, quadratic_patch, run_ccx
 
 CENTRE = np.array([60.0, np.pi])
 RADIUS = 6.0

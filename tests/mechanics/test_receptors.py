@@ -28,7 +28,6 @@ from phytac_design.mechanics.shell.receptor_stiffness import (
     unknown_receptors,
 )
 from phytac_design.mechanics.shell.solve import clamped_model
-from phytac_design.mechanics.solid.cell import Cell, cell_stiffness, plain, ratio
 from phytac_design.simulation.instance_shell import truth_shell
 from phytac_design.simulation.response import rigid_slope
 from phytac_design.stages.response import RESPONSE, TWIN, run_response
@@ -36,6 +35,7 @@ from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 from tests.designs import changed, small
 from tests.mechanics.conftest import Prototype
+from verification.receptor_cell import Cell, cell_stiffness, plain, ratio
 
 CELL_TOL = 0.015
 """Table, interpolation and mixture against a new cell, as a share of its stiffness."""

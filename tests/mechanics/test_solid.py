@@ -15,7 +15,6 @@ from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import clamped_model
-from phytac_design.mechanics.solid import calculix
 from phytac_design.mechanics.solid import solid_writers as solid_export
 from phytac_design.mechanics.solid import tetrahedra as solid_tets
 from phytac_design.mechanics.solid.load import solid_patch_load
@@ -29,11 +28,12 @@ from phytac_design.mechanics.solid.solid_mesh_tets import (
     solid_mesh,
 )
 from phytac_design.mechanics.solid.tetrahedra import Tetrahedra, jacobian_ratio, shape_tet
-from phytac_design.mechanics.solid.tip_motion import tip_means
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError, MissingPartError, NumericalError
 from tests.designs import changed
+from verification import calculix
+from verification.tip_motion import tip_means
 
 SIZES = SolidSizes(wall_mm=1.5, foot_mm=1.1, tube_mm=1.5, contact_mm=1.1)
 GEOMETRY_TOL = 2e-3

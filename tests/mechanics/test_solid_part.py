@@ -12,23 +12,17 @@ from phytac_design.design.spec import Design
 from phytac_design.engine.stage import graphics_libraries
 from phytac_design.layout import Markers, make_markers
 from phytac_design.mechanics.shell import receptor_stiffness as rc
-from phytac_design.mechanics.solid import calculix
 from phytac_design.mechanics.solid.load import solid_patch_load
-from phytac_design.mechanics.solid.partial_solid import (
-    PartMesh,
-    PartSizes,
-    part_mesh,
-    smeared,
-    subset,
-)
 from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes
 from phytac_design.mechanics.solid.tetrahedra import jacobian_ratio
-from phytac_design.mechanics.solid.tip_motion import tips_motion, tips_turn
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError, NumericalError
 from tests.designs import changed
 from tests.mechanics.test_solid import volume
+from verification import calculix
+from verification.partial_solid import PartMesh, PartSizes, part_mesh, smeared, subset
+from verification.tip_motion import tips_motion, tips_turn
 
 PRESSED, RADIUS_MM = 7, 3.0
 COARSE = SolidSizes(wall_mm=1.5, foot_mm=1.1, tube_mm=1.5, contact_mm=1.1)

@@ -8,6 +8,7 @@ import pytest
 from phytac_design.mechanics.large.newton import Loading
 from phytac_shapes.errors import NumericalError
 from verification.large_shells import hinged_roof
+from verification.path_tracing import trace_displacement
 from verification.solid_roof import solid_roof
 
 SAGS_MM = (6.0, 11.293, 19.5)

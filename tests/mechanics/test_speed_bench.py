@@ -8,9 +8,9 @@ import pytest
 
 from benchmarks import mechanics_cost, mechanics_speed
 from benchmarks.ccx_linear import run_linear
-from phytac_design.mechanics.large.quadratic import quadratic_mesh, quadratic_patch
 from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_shapes import Cylinder
+from verification.quadratic_shell import quadratic_mesh, quadratic_patch
 
 needs_ccx = pytest.mark.skipif(shutil.which("ccx") is None, reason="ccx is not on PATH")
 

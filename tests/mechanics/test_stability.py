@@ -10,11 +10,11 @@ from scipy.sparse.linalg import splu
 from phytac_design.mechanics.large import load_path
 from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Equilibrium, Loading, System
-from phytac_design.mechanics.large.path_tracing import trace_arc, trace_displacement
 from phytac_design.mechanics.large.stability import negative_pivots, path_deviation
 from phytac_design.mechanics.shell.solve import SUPERLU, ShellModel
 from phytac_shapes.errors import NumericalError
 from verification import large_shells as large_cases
+from verification.path_tracing import trace_arc, trace_displacement
 
 LIMIT = 0.7408
 """Limit load of the thick roof at 8 elements a side (its own arc-length path)."""

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from phytac_design.cli.switch_command import switch
 from phytac_design.design.design_file import to_toml
-from phytac_design.mechanics.switch import bowl_check, cases
+from phytac_design.mechanics.switch import bowl_check
 from phytac_design.mechanics.switch import design as inverse
 from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.mechanics.switch.buckling import first_buckling
@@ -28,6 +28,7 @@ from phytac_design.mechanics.switch.switch_inputs import space_of
 from phytac_design.mechanics.switch.tolerance import threshold_spread
 from phytac_shapes.errors import DesignError, InputError, OutputError
 from tests.designs import small
+from verification import switch_cases
 
 TPU = rubber("tpu-8400n")
 SVG = "{http://www.w3.org/2000/svg}"
@@ -103,7 +104,7 @@ def test_tolerance_by_slopes_and_by_sampling(made: SwitchDesign) -> None:
 
 def test_thick_soft_bowls_stay_axisymmetric_and_thin_ones_do_not(made: SwitchDesign) -> None:
     assert made.buckling == {}
-    thin = cases.clamped_cap(scale=0.5, arc=True, steps=40, end=0.02, cells=(30, 1))
+    thin = switch_cases.clamped_cap(scale=0.5, arc=True, steps=40, end=0.02, cells=(30, 1))
     found = first_buckling(thin.model, thin.points, modes=(2, 3))
     stable = first_buckling(thin.model, thin.points[:1], modes=(2, 3))
     falls = int(np.argmax(np.diff(thin.load) < 0.0))

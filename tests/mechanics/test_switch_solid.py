@@ -6,10 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phytac_design.mechanics.switch import cases
 from phytac_design.mechanics.switch.bowl import Bowl, bowl_model
 from phytac_design.mechanics.switch.buckling import CircumferentialModes
-from phytac_design.mechanics.switch.calculix import ccx_curve
 from phytac_design.mechanics.switch.curve import press_bowl, snap_of
 from phytac_design.mechanics.switch.material_fit import uniaxial_stress
 from phytac_design.mechanics.switch.materials import (
@@ -21,11 +19,13 @@ from phytac_design.mechanics.switch.materials import (
 )
 from phytac_design.mechanics.switch.model import AxiModel
 from phytac_design.mechanics.switch.path import PathError
+from verification import switch_cases
+from verification.bowl_calculix import ccx_curve
 
 SOFT = neo_hookean(modulus_MPa=10.0, poisson=0.49)
 BOWL = Bowl(diameter_mm=4.6, depth_mm=1.65, thickness_mm=0.25)
 LAWS = {
-    "linear": cases.StVenantKirchhoff(modulus_MPa=2.0, poisson=0.3),
+    "linear": switch_cases.StVenantKirchhoff(modulus_MPa=2.0, poisson=0.3),
     "neo-hookean": neo_hookean(modulus_MPa=2.0, poisson=0.499),
     "yeoh": Yeoh(coefficients_MPa=(0.4, -0.02, 0.004), bulk_MPa=40.0),
     "ogden": Ogden(
@@ -36,9 +36,9 @@ laws = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 
 
 def ring(material: Material) -> AxiModel:
-    mesh = cases.rectangle(1.0, 2.0, 0.7, (2, 2))
+    mesh = switch_cases.rectangle(1.0, 2.0, 0.7, (2, 2))
     held = np.zeros((len(mesh.nodes_mm), 2), dtype=bool)
-    return AxiModel(mesh=mesh, material=material, held=held, tied=cases.NONE)
+    return AxiModel(mesh=mesh, material=material, held=held, tied=switch_cases.NONE)
 
 
 def strained(model: AxiModel) -> np.ndarray:
@@ -96,13 +96,13 @@ def test_waves_feel_no_rigid_motion(law: Material) -> None:
 
 @pytest.mark.parametrize("poisson", [0.3, 0.49, 0.4999])
 def test_thick_sphere_does_not_lock(poisson: float) -> None:
-    coarse, fine = (cases.thick_sphere(poisson, c).error for c in ((4, 3), (8, 6)))
+    coarse, fine = (switch_cases.thick_sphere(poisson, c).error for c in ((4, 3), (8, 6)))
     assert fine < 1e-4
     assert fine < 0.15 * coarse  # faster than third order
 
 
 def test_inflated_sphere_at_large_strain() -> None:
-    assert cases.inflated_sphere(2.0).error < 5e-4
+    assert switch_cases.inflated_sphere(2.0).error < 5e-4
 
 
 @pytest.mark.parametrize("law", [LAWS["yeoh"], LAWS["ogden"]], ids=["yeoh", "ogden"])
@@ -110,39 +110,39 @@ def test_inflated_sphere_at_large_strain() -> None:
 def test_pulled_bar(law: Yeoh | Ogden, stretch: float) -> None:
     stiff = type(law)(**vars(law) | {"bulk_MPa": bulk_of(law.shear_MPa, 0.4999)})
     exact = float(uniaxial_stress(stiff, np.array([stretch]))[0])
-    assert cases.pulled_bar(stiff, stretch) == pytest.approx(exact, rel=2e-3)
+    assert switch_cases.pulled_bar(stiff, stretch) == pytest.approx(exact, rel=2e-3)
 
 
 def test_neo_hookean_bar_by_hand() -> None:
-    found = cases.pulled_bar(neo_hookean(modulus_MPa=3.0, poisson=0.4999), 2.0)
+    found = switch_cases.pulled_bar(neo_hookean(modulus_MPa=3.0, poisson=0.4999), 2.0)
     assert found == pytest.approx(2.0 - 0.25, rel=1e-3)
 
 
 def test_clamped_plate() -> None:
-    assert cases.clamped_plate().error < 3e-3
+    assert switch_cases.clamped_plate().error < 3e-3
 
 
 @pytest.mark.parametrize("mode", [2, 3])
 def test_squeezed_ring_buckles_with_its_waves(mode: int) -> None:
-    assert cases.squeezed_ring(mode).error < 3e-3
+    assert switch_cases.squeezed_ring(mode).error < 3e-3
 
 
 def test_cap_snaps_as_published() -> None:
-    found = cases.clamped_cap(cells=(50, 1), steps=20)
+    found = switch_cases.clamped_cap(cells=(50, 1), steps=20)
     (_, peak), (_, valley) = found.extremes()
     assert peak == pytest.approx(74.5, rel=0.02)
     assert valley == pytest.approx(37.4, rel=0.02)
     counts = [p.negatives for p in found.points]
     assert set(counts) == {0, 1}
     assert counts[0] == counts[-1] == 0
-    by_arc = cases.clamped_cap(cells=(50, 1), steps=30, arc=True)
+    by_arc = switch_cases.clamped_cap(cells=(50, 1), steps=30, arc=True)
     assert np.interp(0.03, by_arc.apex, by_arc.load) == pytest.approx(
         np.interp(0.03, found.apex, found.load), rel=0.01
     )
 
 
 def test_cap_does_not_snap_under_a_point() -> None:
-    found = cases.clamped_cap(ring=False, end=0.065, steps=24)
+    found = switch_cases.clamped_cap(ring=False, end=0.065, steps=24)
     assert (np.diff(found.load) > 0.0).all()
     assert np.interp([0.0102, 0.0632], found.apex, found.load) == pytest.approx(
         [9.79, 25.7], rel=0.03
@@ -150,7 +150,7 @@ def test_cap_does_not_snap_under_a_point() -> None:
 
 
 def test_thin_cap_snaps_back() -> None:
-    found = cases.clamped_cap(scale=0.3, arc=True, steps=80)
+    found = switch_cases.clamped_cap(scale=0.3, arc=True, steps=80)
     back = -np.diff(found.apex)
     assert back[back > 0.0].sum() > 5e-4  # the apex itself goes back on the way
     assert found.apex[-1] >= 0.09
@@ -158,7 +158,7 @@ def test_thin_cap_snaps_back() -> None:
         left = point.state.force - point.load_factor * found.pattern
         assert np.linalg.norm(left) < 1e-8 * point.state.gross_N
     with pytest.raises(PathError, match="cannot be followed beyond"):
-        cases.clamped_cap(scale=0.3, steps=80)
+        switch_cases.clamped_cap(scale=0.3, steps=80)
 
 
 def test_limit_load_converges_with_mesh_and_steps() -> None:

@@ -13,7 +13,6 @@ from phytac_design.mechanics.shell.footprints import footprint_shares
 from phytac_design.simulation.contacts import JITTER_MM, assign_forces, switch_states
 from phytac_design.simulation.indenters import INDENTERS, Touches
 from phytac_design.simulation.sample_plan import ChartBox, SamplePlan
-from phytac_design.simulation.scenario import draw_plan
 from phytac_design.simulation.scenario.draw_plan import draw_plan
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
 from phytac_design.simulation.scenario.presses import reach_mm

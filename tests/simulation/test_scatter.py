@@ -16,10 +16,9 @@ from phytac_design.simulation.scenario.instance_scatter import (
     _wall,
     cut_normal,
     draw_sensor_instance,
-    thickness_factor,
 )
 from phytac_design.simulation.scenario.sections import SensorInstanceSection
-from phytac_design.simulation.sensor_instance import SensorInstance
+from phytac_design.simulation.sensor_instance import SensorInstance, thickness_factor
 from phytac_shapes.arrays import FloatArray
 from tests.designs import changed
 from tests.test_layout_shapes import designed

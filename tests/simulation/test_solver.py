@@ -29,10 +29,9 @@ from phytac_design.simulation.sample_plan import ChartBox
 from phytac_design.simulation.scenario.contact_box import contact_box
 from phytac_design.simulation.scenario.instance_scatter import (
     draw_sensor_instance,
-    thickness_factor,
 )
 from phytac_design.simulation.scenario.sections import SensorInstanceSection
-from phytac_design.simulation.sensor_instance import SensorInstance
+from phytac_design.simulation.sensor_instance import SensorInstance, thickness_factor
 from phytac_design.simulation.solver import SampleMotion, Solver
 from phytac_shapes.errors import NumericalError
 from tests.designs import small

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from phytac_design.core.html import drawing, figure, page, table
+from phytac_design.core.html import figure, page, svg_figure, table
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.documents.recipe import Recipe
 from phytac_design.fabrication.switch_set import SwitchSet
@@ -118,7 +118,7 @@ def assembly_html(
         (
             "3 Switches: placing",
             switch_table(switches)
-            + drawing(section, "Section through one receptor with its switch.")
+            + svg_figure(section, "Section through one receptor with its switch.")
             + _listed(place),
         ),
         ("4 Camera, light, connectors", _listed(fixture_steps)),

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.shell.element import R, S
+from phytac_design.mechanics.meshing.mesh import R, S, ShellMesh
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import NumericalError

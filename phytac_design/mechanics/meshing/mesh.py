@@ -37,6 +37,10 @@ MIN_ELEMENTS_ACROSS = 8
 MAX_TURN_OVER_MEAN = 1.5
 """A tube bends unevenly where an element turns this much more than the mean element around."""
 
+R = np.array([-1.0, 1.0, 1.0, -1.0])
+S = np.array([-1.0, -1.0, 1.0, 1.0])
+"""Coordinates (r, s) of an element's corners, in the order of its nodes."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ShellMesh:

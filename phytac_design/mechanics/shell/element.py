@@ -24,11 +24,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phytac_design.mechanics.meshing.mesh import R, S
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 
-R = np.array([-1.0, 1.0, 1.0, -1.0])
-S = np.array([-1.0, -1.0, 1.0, 1.0])
 GAUSS = 1.0 / np.sqrt(3.0)
 SHEAR_FACTOR = 5.0 / 6.0
 DRILLING = 1.0

@@ -11,8 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from phytac_design.mechanics.meshing.locate import locate
-from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.shell.element import R, S
+from phytac_design.mechanics.meshing.mesh import R, S, ShellMesh
 from phytac_design.mechanics.shell.pressure_sharing import near_pairs
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray

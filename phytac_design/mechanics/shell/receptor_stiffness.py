@@ -20,8 +20,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
-from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.shell.element import R, S
+from phytac_design.mechanics.meshing.mesh import R, S, ShellMesh
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError

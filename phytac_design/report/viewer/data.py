@@ -42,11 +42,11 @@ from numpy.typing import NDArray
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh, shell_mesh
+from phytac_design.geometry.flat_map import family, flat_map
 from phytac_design.geometry.strips import Mesh
 from phytac_design.layout import Markers
 from phytac_design.optics import paint
 from phytac_design.optics.fixture_bodies import fixture_mesh
-from phytac_design.report.maps import family, flat_map
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 

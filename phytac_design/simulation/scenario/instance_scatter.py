@@ -116,17 +116,6 @@ def cut_normal(rng: np.random.Generator, *shape: int) -> FloatArray:
     return np.asarray(ndtri(low + (1.0 - 2.0 * low) * rng.random(shape)))
 
 
-def thickness_factor(field: ThicknessField, uv: FloatArray) -> FloatArray:
-    """Thickness over the nominal one at chart positions (m, 2), (m,).
-
-    ``mean · (1 + Σ a cos(2π (cᵤ s + cᵥ t) + φ))`` with s and t the shares of the chart.
-    """
-    low, high = field.domain.T
-    share = (np.asarray(uv, dtype=np.float64) - low) / (high - low)
-    angle = 2.0 * np.pi * share @ field.waves[:, 1:3].T + field.waves[:, 3]
-    return np.asarray(field.mean * (1.0 + np.cos(angle) @ field.waves[:, 0]))
-
-
 def _wall(surface: Surface, section: SensorInstanceSection, seed: int) -> ThicknessField:
     """Thickness of one print: a factor of the whole, and long waves of random phase.
 

@@ -13,7 +13,7 @@ from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY, chec
 from phytac_design.mechanics.meshing.mesh import marker_size_mm, plain_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
-from phytac_design.simulation.scene_scope import Scope, windows_of
+from phytac_design.simulation.scenario.scene_scope import Scope, windows_of
 from phytac_design.stages import STAGES
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray

@@ -18,7 +18,7 @@ from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.simulation.contacts import Contacts, Switching, switch_states
 from phytac_design.simulation.indenters import flat_touches
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
-from phytac_design.simulation.scene_scope import scope_of
+from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.build import BuildResult, build
 from phytac_design.stages.response import image_response_of, truth_model
 from phytac_design.study.planning.plan import Plan

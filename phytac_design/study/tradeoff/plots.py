@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from phytac_design.report.figures import new_figure, png
+from phytac_design.core.figures import new_figure, png
 from phytac_design.study.tradeoff.front import Measured, pareto
 from phytac_design.study.tradeoff.settings import QUANTITIES, Setting
 

@@ -10,7 +10,7 @@ from phytac_design.datasets.samples import Samples
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
-from phytac_design.stages.decoder import MIDDLE, along_mm, length_mm
+from phytac_design.layout.heights_along import MIDDLE, along_mm, length_mm
 from phytac_design.training.evaluation.decoded_contacts import DecodedContacts
 from phytac_design.training.training_data import DataSet
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
@@ -46,7 +46,7 @@ def contact_positions(design: Design, uv: FloatArray) -> ContactPositions:
     context = Context(design=design, accuracy=PRESETS["draft"], seed=0)
     low, high = context.surface.domain[1]
     return ContactPositions(
-        along=along_mm(context, uv) / length_mm(context),
+        along=along_mm(context.surface, uv) / length_mm(context.surface),
         around=(uv[:, 1] - low) / (high - low) % 1.0,
     )
 

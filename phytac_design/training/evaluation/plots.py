@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.report.figures import new_figure, png
+from phytac_design.core.figures import new_figure, png
 from phytac_design.training.evaluation.decoded_contacts import DecodedContacts
 
 PAINT = ("#7a7a7a", "#1b6ca8", "#6fb1dd", "#e08a1e", "#b03060", "#2e8b57")

@@ -8,7 +8,7 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.simulation.contacts import draw_contacts
 from phytac_design.simulation.response_tables import rings
-from phytac_design.simulation.scene_scope import MARGIN_SPACINGS, Scope, windows_of
+from phytac_design.simulation.scenario.scene_scope import MARGIN_SPACINGS, Scope, windows_of
 from phytac_shapes.errors import DesignError
 from tests.designs import changed, small
 

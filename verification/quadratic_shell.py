@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from phytac_design.mechanics.meshing.locate import element_uv
-from phytac_design.mechanics.meshing.mesh import ShellMesh
-from phytac_design.mechanics.shell.element import R, S
+from phytac_design.mechanics.meshing.mesh import R, S, ShellMesh
 from phytac_design.mechanics.shell.loads import _cell_area
 from phytac_design.mechanics.shell.mesh_writers import (
     inp_loads,
@@ -19,10 +18,10 @@ from phytac_design.mechanics.shell.mesh_writers import (
     inp_nodes,
     write_lines,
 )
-from phytac_design.mechanics.solid import calculix
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
+from verification import calculix
 
 CELLS = 16
 """Cells along each side of an element in the integration of a patch."""

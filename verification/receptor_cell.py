@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 
 from phytac_design.mechanics.shell.mesh_writers import inp_material, write_lines
-from phytac_design.mechanics.solid.calculix import run_ccx
 from phytac_design.mechanics.solid.solid_writers import inp_solid
 from phytac_design.mechanics.solid.tetrahedra import Tetrahedra, tetrahedra
 from phytac_shapes.arrays import FloatArray, IntArray
+from verification.calculix import run_ccx
 
 CASES = ("ex", "ey", "kx", "ky", "gxy", "kxy")
 """Unit membrane strains and curvatures (1/mm) of the six solves."""

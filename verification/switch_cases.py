@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phytac_design.mechanics.switch import path
-from phytac_design.mechanics.switch.arc_length import ArcLengthControl
 from phytac_design.mechanics.switch.buckling import CircumferentialModes
 from phytac_design.mechanics.switch.materials import (
     Material,
@@ -16,6 +15,7 @@ from phytac_design.mechanics.switch.materials import (
 from phytac_design.mechanics.switch.mesh import AxiMesh, block, join
 from phytac_design.mechanics.switch.model import AxiModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from verification.arc_length import ArcLengthControl
 
 CAP = {"radius": 4.758, "base": 0.9, "thickness": 0.01576, "ring": 0.42}
 """Clamped cap of Mescall (1966), inches; ring load at this share of the base radius."""

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from phytac_design.mechanics.solid.calculix import run_ccx
 from phytac_design.mechanics.switch.bowl import BowlModel
 from phytac_design.mechanics.switch.materials import Material, Ogden, Yeoh
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError
+from verification.calculix import run_ccx
 
 CAX8 = (0, 6, 8, 2, 3, 7, 5, 1)
 """Our local nodes in CalculiX's order: corners, then the middles of the sides."""

@@ -6,10 +6,10 @@ import numpy as np
 
 from phytac_design.layout import Markers
 from phytac_design.mechanics.solid.load import cell_areas, cells, shape_triangle
-from phytac_design.mechanics.solid.partial_solid import PartMesh
 from phytac_design.mechanics.solid.solid_mesh_tets import SolidMesh
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
+from verification.partial_solid import PartMesh
 
 FIT_SIZES = 1.6
 """The wall's motion under a left-out receptor is fitted within this many far sizes."""
