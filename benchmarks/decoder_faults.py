@@ -20,7 +20,7 @@ from benchmarks.decoder_presses import REFINE, SEEN, PressedSensor, scenario_of
 from benchmarks.harness import Table
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
-from phytac_decoder.pipeline.decode import Measured, measure_frame
+from phytac_decoder.pipeline.decode import FrameMeasurement, measure_frame
 from phytac_decoder.pipeline.tracker import Follower
 from phytac_decoder.serving.torn_frames import FRAMES_CHANGED_MIN, TornFrameDetector
 from phytac_design.design.design_file import load_design
@@ -56,7 +56,11 @@ class FaultCounts:
 
 
 def judged(
-    bench: PressedSensor, index: int, sound: Measured, seen: Measured, estimator: str
+    bench: PressedSensor,
+    index: int,
+    sound: FrameMeasurement,
+    seen: FrameMeasurement,
+    estimator: str,
 ) -> tuple[float, float, bool, list[str]]:
     """Relative error of the total, largest of a contact (N), whether wrong, and warnings."""
     bundle, true = bench.bundle, bench.true_N(index)
@@ -220,7 +224,7 @@ def _add_alarm(table: Table, label: str, bench: PressedSensor, estimator: str) -
     for index, motion in enumerate(bench.motion):
         bits = bench.job.plan.switching.bits[index]
         seen = bench.eyes.points(motion, bits, 1.0, np.random.default_rng([SEEN, index]))
-        read = Measured(koi=np.flatnonzero(bits), shift_px=seen.shift_px, found=seen.found)
+        read = FrameMeasurement(koi=np.flatnonzero(bits), shift_px=seen.shift_px, found=seen.found)
         forces = read.forces_N(bench.bundle, estimator)
         said = read.warnings(bench.bundle, forces, estimator=estimator)
         sound = bool(bench.tripped[index])

@@ -16,7 +16,7 @@ from benchmarks.decoder_data import LINEAR, SEED, DataSetSpec, data_set, units
 from benchmarks.decoder_evaluation import train_decoder
 from benchmarks.harness import Table
 from phytac_decoder.io.bundle import Bundle
-from phytac_decoder.pipeline.decode import Measured
+from phytac_decoder.pipeline.decode import FrameMeasurement
 from phytac_decoder.pipeline.frame_reading import Reading, read
 from phytac_design.datasets.samples import Samples
 from phytac_design.design.spec import Design
@@ -97,19 +97,19 @@ def job(design: Design, *, quick: bool) -> Job:
     )
 
 
-def measured(samples: Samples) -> list[Measured]:
+def measured(samples: Samples) -> list[FrameMeasurement]:
     """What the eyes gave of each frame."""
     assert samples.shift_px is not None
     assert samples.bits_read is not None
     return [
-        Measured(koi=np.flatnonzero(bits), shift_px=shift, found=np.isfinite(shift[:, 0]))
+        FrameMeasurement(koi=np.flatnonzero(bits), shift_px=shift, found=np.isfinite(shift[:, 0]))
         for shift, bits in zip(samples.shift_px, samples.bits_read, strict=True)
     ]
 
 
 def decoded(
     bundle: Bundle,
-    frames: Sequence[Measured],
+    frames: Sequence[FrameMeasurement],
     estimator: str,
     *,
     follow: bool,
@@ -156,7 +156,7 @@ def add_rows(table: Table, *, quick: bool) -> None:
 
 
 def add_film(
-    table: Table, head: str, model: Bundle, frames: Sequence[Measured], true_N: FloatArray
+    table: Table, head: str, model: Bundle, frames: Sequence[FrameMeasurement], true_N: FloatArray
 ) -> None:
     """Rows of one decoder; ``true_N`` (frames,) is the sum of all forces."""
     note = (

@@ -19,7 +19,7 @@ from phytac_design.mechanics.switch.design import SwitchDesign, design_switch
 from phytac_design.mechanics.switch.feasible_range import FeasibleRange, feasible_range
 from phytac_design.mechanics.switch.line_plot import line_plot, write_svg
 from phytac_design.mechanics.switch.rubbers import rubber
-from phytac_design.mechanics.switch.space import Space
+from phytac_design.mechanics.switch.space import SwitchSpace
 from phytac_shapes.errors import DesignError
 from verification import switch_cases
 from verification.bowl_calculix import ccx_curve
@@ -129,7 +129,7 @@ def _switch_rows(table: Table, made: SwitchDesign, seconds: float) -> None:
 
 def switches(table: Table, *, quick: bool) -> None:
     """Five switches of one rubber, the published threshold at the assumed modulus, a refusal."""
-    space, hard = Space(), rubber("tpu-8400n")
+    space, hard = SwitchSpace(), rubber("tpu-8400n")
     soft = hard.of_modulus(SOFTER_MPa)
     found = feasible_range(soft, space)
     if found is None:
@@ -170,7 +170,7 @@ def _range_rows(table: Table, found: FeasibleRange) -> None:
             table.add(row, float(value), "N", "-", source)
 
 
-def refusal(table: Table, space: Space) -> None:
+def refusal(table: Table, space: SwitchSpace) -> None:
     """What does not fit names what would: a modulus from the refusal, tried."""
     hard = rubber("tpu-8400n")
     try:

@@ -22,8 +22,8 @@ from phytac_design.mechanics.calibration.calibration_result import (
 )
 from phytac_design.mechanics.calibration.measurements import Measurements
 from phytac_design.mechanics.calibration.probe_response import (
+    ProbeMotion,
     ProbeResponse,
-    Response,
     ResponseModel,
     probe_weights,
 )
@@ -49,12 +49,12 @@ class Table2d:
         self.values = np.array([[r.value for r in row] for row in found])
         self.errors = np.array([[r.mesh_error for r in row] for row in found])
 
-    def __call__(self, thickness_mm: float, poisson: float, with_poisson: bool, /) -> Response:
+    def __call__(self, thickness_mm: float, poisson: float, with_poisson: bool, /) -> ProbeMotion:
         """Interpolate; the derivatives are those of the polynomial."""
         (a, da), (b, db) = (
             _lagrange(nodes, x) for nodes, x in zip(self.grid, (thickness_mm, poisson), strict=True)
         )
-        return Response(
+        return ProbeMotion(
             value=np.einsum("i,j,ijn->n", a, b, self.values, optimize=True),
             thickness_rate=np.einsum("i,j,ijn->n", da, b, self.values, optimize=True),
             poisson_rate=np.einsum("i,j,ijn->n", a, db, self.values, optimize=True)

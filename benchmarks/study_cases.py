@@ -13,7 +13,7 @@ from benchmarks.decoder_data import data_folder
 from phytac_design.core.threads import THREADS
 from phytac_design.engine.cache import code_hash
 from phytac_design.study.search.sampler import sobol
-from phytac_design.study.search.space import Params, Space, make_space
+from phytac_design.study.search.space import DesignSpace, Params, make_space
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.successive_halving import Outcome, evaluate_candidate, spec_of
 
@@ -67,13 +67,13 @@ SPACES: dict[str, dict[str, Any]] = {
 }
 
 
-def study_of(shape: str, **tables: Any) -> tuple[Study, Space]:
+def study_of(shape: str, **tables: Any) -> tuple[Study, DesignSpace]:
     """Study and space of a shape."""
     study = Study.model_validate({"name": f"bench-{shape}", **SPACES[shape], **tables})
     return study, make_space(study, Path())
 
 
-def drawn(study: Study, space: Space, count: int, first: int = 0) -> list[Params]:
+def drawn(study: Study, space: DesignSpace, count: int, first: int = 0) -> list[Params]:
     """Candidates of a space, spread evenly."""
     return [space.params(share) for share in sobol(len(space.axes), study.seed, first, count)]
 
@@ -84,7 +84,7 @@ def one_thread() -> None:
 
 
 def climbed(
-    name: str, study: Study, space: Space, candidates: list[Params], rungs: tuple[str, ...]
+    name: str, study: Study, space: DesignSpace, candidates: list[Params], rungs: tuple[str, ...]
 ) -> Iterator[Outcome]:
     """Outcomes of candidates on given rungs; those at hand from a run before are not made again."""
     folder = data_folder() / "study"

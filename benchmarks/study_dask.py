@@ -25,7 +25,7 @@ from phytac_design.core.parquet_recording import parquet_library
 from phytac_design.core.threads import THREADS
 from phytac_design.study.search.dask_pool import WORKER_ENVIRONMENT, DaskPool
 from phytac_design.study.search.driver import StudyRun, run_study
-from phytac_design.study.search.space import Space
+from phytac_design.study.search.space import DesignSpace
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.successive_halving import (
     Outcome,
@@ -47,7 +47,7 @@ CASES = {"1 local worker": 1, LOCAL: 2, CLUSTER: 2}
 """Workers of each case."""
 
 
-def study_for(count: int) -> tuple[Study, Space]:
+def study_for(count: int) -> tuple[Study, DesignSpace]:
     """The cylinder's space, rules and sampled."""
     return study_of(
         "cylinder",

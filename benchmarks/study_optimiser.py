@@ -11,7 +11,7 @@ from benchmarks.study_cases import THIN, one_thread, study_of
 from phytac_design.engine.cache import code_hash
 from phytac_design.study.search.driver import Kind, run_study
 from phytac_design.study.search.report import Results, read_results
-from phytac_design.study.search.space import Space
+from phytac_design.study.search.space import DesignSpace
 from phytac_design.study.search.study_file import Study
 
 SEEDS = (1, 2, 3)
@@ -30,7 +30,7 @@ PITCH_mm = 7.9
 LENGTH_mm, DIAMETER_mm = 120.0, 60.0
 
 
-def ran(study: Study, space: Space, kind: Kind, name: str) -> Results:
+def ran(study: Study, space: DesignSpace, kind: Kind, name: str) -> Results:
     """Results of a study, from where an earlier run left it."""
     folder = data_folder() / "study" / f"{name}-{code_hash()[:16]}"
     for old in folder.parent.glob(f"{name}-*"):

@@ -7,7 +7,7 @@ from benchmarks.harness import RESULTS, Table
 from benchmarks.tradeoff_journal import folder
 from phytac_design.design.accuracy import PRESETS, Accuracy
 from phytac_design.design.design_file import load_design
-from phytac_design.study.tradeoff.front import Measured, beaten_by, knee
+from phytac_design.study.tradeoff.front import MeasuredSetting, beaten_by, knee
 from phytac_design.study.tradeoff.plots import joint_fronts
 from phytac_design.study.tradeoff.points import accuracy_of
 from phytac_design.study.tradeoff.run import presets_of, tradeoff
@@ -31,7 +31,7 @@ PICTURES = RESULTS.parents[1] / "docs" / "images"
 
 def add_rows(table: Table, *, quick: bool) -> None:
     """Measure the fronts."""
-    fronts: dict[str, list[Measured]] = {}
+    fronts: dict[str, list[MeasuredSetting]] = {}
     for name in DESIGNS[1:2] if quick else DESIGNS:
         out = folder() / name
         done = tradeoff(load_design(name), out, only=("joint",), quick=quick)
@@ -48,7 +48,7 @@ def add_rows(table: Table, *, quick: bool) -> None:
         FRONTS.write_text(json.dumps(compact(fronts), separators=(",", ":")) + "\n")
 
 
-def compact(fronts: dict[str, list[Measured]]) -> dict[str, Any]:
+def compact(fronts: dict[str, list[MeasuredSetting]]) -> dict[str, Any]:
     """Fronts as short JSON: names once, rows of values."""
     return {
         design: {
@@ -69,13 +69,13 @@ def compact(fronts: dict[str, list[Measured]]) -> dict[str, Any]:
     }
 
 
-def committed_fronts() -> dict[str, list[Measured]]:
+def committed_fronts() -> dict[str, list[MeasuredSetting]]:
     """The fronts that are committed."""
     out = {}
     for design, data in json.loads(FRONTS.read_text(encoding="utf-8")).items():
         count = len(data["settings"])
         out[design] = [
-            Measured(
+            MeasuredSetting(
                 settings=dict(zip(data["settings"], row, strict=False)),
                 seconds=row[count],
                 cpu_s=row[count + 1],
@@ -87,14 +87,14 @@ def committed_fronts() -> dict[str, list[Measured]]:
     return out
 
 
-def preset_problems(fronts: dict[str, list[Measured]]) -> list[str]:
+def preset_problems(fronts: dict[str, list[MeasuredSetting]]) -> list[str]:
     """Presets that are not what the fronts say; empty if all are.
 
     ``draft`` and ``standard`` are the cheapest settings, by the seconds of all designs together,
     within :data:`ALLOWED` on every design. ``fine`` has the smallest errors among those that are
     built in :data:`FINE_s`. All but ``draft`` check every printed part.
     """
-    each: dict[Accuracy, list[Measured]] = {}
+    each: dict[Accuracy, list[MeasuredSetting]] = {}
     for points in fronts.values():
         for point in points:
             each.setdefault(accuracy_of(point.settings), []).append(point)

@@ -20,7 +20,7 @@ from benchmarks.decoder_data import data_folder
 from benchmarks.harness import Table, argument_parser
 from benchmarks.tradeoff_costs import write_units
 from phytac_decoder.io.bundle import Bundle, load_bundle
-from phytac_decoder.pipeline.decode import Measured
+from phytac_decoder.pipeline.decode import FrameMeasurement
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design
 from phytac_design.design.scene import load_scene
@@ -194,12 +194,12 @@ def _add_outside(table: Table, label: str, resolved: Resolved, cost: Cost, whole
     table.add(row, 100.0 * doubted / outside, "%", outside, source, ">= 100")
 
 
-def singles(data: Dataset) -> list[Measured]:
+def singles(data: Dataset) -> list[FrameMeasurement]:
     """Samples of a single contact, as eyes that miss nothing measure them."""
     contacts = data.contacts
     alone = np.flatnonzero(contacts.counts[contacts.sample] == 1)
     return [
-        Measured(
+        FrameMeasurement(
             koi=np.flatnonzero(data.switching.bits[sample]),
             shift_px=data.shift_px[sample],
             found=np.ones(data.shift_px.shape[1], dtype=np.bool_),

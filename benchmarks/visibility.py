@@ -23,7 +23,7 @@ from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.optics.density import density_of
 from phytac_design.optics.frame import render_frame
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.scene import Scene, build_scene
+from phytac_design.optics.scene import RenderScene, build_scene
 from phytac_design.optics.visibility import Visibility, check_visibility
 
 CHUNK = 500_000
@@ -47,7 +47,7 @@ def smaller(design: Design, factor: int) -> Design:
     return design.model_copy(update={"camera": camera.model_copy(update=update)})
 
 
-def scene_of(design: Design) -> tuple[Scene, Camera, Markers]:
+def scene_of(design: Design) -> tuple[RenderScene, Camera, Markers]:
     """Scene (every fifth switch on), camera and markers of a design."""
     surface = design.surface()
     markers = make_markers(design, surface)
@@ -58,7 +58,7 @@ def scene_of(design: Design) -> tuple[Scene, Camera, Markers]:
     return scene, camera, markers
 
 
-def embree_tree(scene: Scene) -> rtcore_scene.EmbreeScene:
+def embree_tree(scene: RenderScene) -> rtcore_scene.EmbreeScene:
     """Embree's tree of a scene."""
     tree = rtcore_scene.EmbreeScene()
     TriangleMesh(tree, scene.vertices[scene.triangles].astype(np.float32))
@@ -81,7 +81,7 @@ def traced(
     return np.concatenate(hits).reshape(camera.height_px, camera.width_px)
 
 
-def id_map(scene: Scene, triangle: NDArray[np.int32]) -> NDArray[np.int32]:
+def id_map(scene: RenderScene, triangle: NDArray[np.int32]) -> NDArray[np.int32]:
     """Part code of each pixel from its triangle."""
     return np.where(triangle >= 0, scene.part[np.maximum(triangle, 0)], 0)
 

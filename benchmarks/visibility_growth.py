@@ -16,13 +16,13 @@ from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import TOLERANCE_PX
 from phytac_design.optics.raster import pixels_alone, rasterise
 from phytac_design.optics.sampled_visibility import sampled_fraction
-from phytac_design.optics.scene import Scene, paint_owner
+from phytac_design.optics.scene import RenderScene, paint_owner
 from phytac_shapes.arrays import FloatArray
 
 LATTICES = {368: (23, 16), 1000: (40, 25), 3000: (75, 40), 10_000: (125, 80)}
 """Rows and columns by number of markers."""
 FINER = 5.0
-PATHS: dict[str, Callable[[Scene, Camera], object]] = {
+PATHS: dict[str, Callable[[RenderScene, Camera], object]] = {
     "exact ID map": rasterise,
     "sampled path": sampled_fraction,
 }
@@ -77,7 +77,7 @@ def growth(table: Table, *, factor: int, repeats: int, most: int) -> None:
         table.add(row, exponent(sizes, values), "-", 1.0, source, "<= 1", note)
 
 
-def seen(scene: Scene, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
+def seen(scene: RenderScene, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Visible fraction (n,), centroid (n, 2) and number (n,) of each marker's visible pixels."""
     owner = paint_owner(rasterise(scene, camera).part)
     y, x = np.nonzero(owner >= 0)

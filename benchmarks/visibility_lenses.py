@@ -25,7 +25,7 @@ from phytac_design.optics.distorted_triangles import reach_of
 from phytac_design.optics.raster import pixels_alone, rasterise
 from phytac_design.optics.rays import pixel_rays, ray_grid
 from phytac_design.optics.sampled_visibility import RAYS, sampled_fraction
-from phytac_design.optics.scene import Scene, build_scene, paint_owner
+from phytac_design.optics.scene import RenderScene, build_scene, paint_owner
 from phytac_design.stages.build import copy_of
 from phytac_shapes.arrays import FloatArray
 
@@ -63,7 +63,7 @@ def make(camera: dict[str, Any], *, factor: int = 1, **tables: Any) -> Design:
     return parse_design(data | tables, "benchmark")
 
 
-def scene_at(design: Design, *, finer: float = 1.0) -> tuple[Scene, Camera]:
+def scene_at(design: Design, *, finer: float = 1.0) -> tuple[RenderScene, Camera]:
     """Scene at rest before the design's first camera; polygons ``finer`` than the shipped ones."""
     surface = design.surface()
     markers = make_markers(design, surface)
@@ -75,7 +75,7 @@ def scene_at(design: Design, *, finer: float = 1.0) -> tuple[Scene, Camera]:
 class Rays:
     """Embree on a scene: its tree, and the rays of all pixels that the lens can image."""
 
-    def __init__(self, scene: Scene, camera: Camera) -> None:
+    def __init__(self, scene: RenderScene, camera: Camera) -> None:
         self.tree = rtcore_scene.EmbreeScene()
         TriangleMesh(self.tree, scene.vertices[scene.triangles].astype(np.float32))
         self.scene, self.camera = scene, camera
@@ -167,7 +167,7 @@ def maps(table: Table, name: str, design: Design, repeats: int) -> None:
     table.add(row, whole / first, "ratio", 1.0, source, ">= 10", note)
 
 
-def exact_fraction(scene: Scene, camera: Camera) -> FloatArray:
+def exact_fraction(scene: RenderScene, camera: Camera) -> FloatArray:
     """Visible fraction of every marker from the whole ID map."""
     owner = paint_owner(rasterise(scene, camera).part)
     visible = np.bincount(owner[owner >= 0], minlength=scene.count)
@@ -221,7 +221,7 @@ def shipped(table: Table, name: str) -> None:
         table.add(row, 100.0 * (1.0 - differs / ours.size), "%", 100.0, EMBREE, ">= 99.99", note)
 
 
-def near_exact(table: Table, label: str, scene: Scene, camera: Camera) -> None:
+def near_exact(table: Table, label: str, scene: RenderScene, camera: Camera) -> None:
     """Share of the markers whose sampled fraction is near the exact one."""
     exact, few = exact_fraction(scene, camera), sampled_fraction(scene, camera)
     row = f"{label}: markers whose sampled visible fraction is within 0.02 of the exact"

@@ -6,7 +6,7 @@ import numpy as np
 
 from phytac_design.mechanics.large.stability import path_deviation
 from phytac_design.mechanics.switch.model import AxiModel
-from phytac_design.mechanics.switch.path import Constraint, PathControl, PathPoint, correct
+from phytac_design.mechanics.switch.path import PathConstraint, PathControl, PathPoint, correct
 from phytac_shapes.arrays import FloatArray
 
 
@@ -29,7 +29,9 @@ class ArcLengthControl(PathControl):
         sign = 1.0 if onward @ here.drive >= 0.0 else -1.0
         rate = sign * step / float(np.linalg.norm(here.drive))
         before = rate * here.drive
-        constraint = Constraint(anchor=here.unknowns, normal=before, distance=step, quadratic=True)
+        constraint = PathConstraint(
+            anchor=here.unknowns, normal=before, distance=step, quadratic=True
+        )
         guess = (here.unknowns + before, here.load_factor + rate)
         found = correct(model, load, guess, constraint)
         moved = found.unknowns - here.unknowns

@@ -9,7 +9,7 @@ from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.scene import FIRST_MARKER, Scene, build_scene, paint_owner
+from phytac_design.optics.scene import FIRST_MARKER, RenderScene, build_scene, paint_owner
 from phytac_design.optics.visibility import check_visibility
 from phytac_design.rules.check import check_design
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -25,7 +25,9 @@ SPILL_px = 3
 """Pixels of a marker whose centre lies on an edge so nearly that rounding decides."""
 
 
-def first_hits(scene: Scene, camera: Camera, rays: FloatArray) -> tuple[IntArray, list[set[int]]]:
+def first_hits(
+    scene: RenderScene, camera: Camera, rays: FloatArray
+) -> tuple[IntArray, list[set[int]]]:
     """First part (m,) hit by rays (m, 3) of the camera frame, and all candidates for it.
 
     Möller and Trumbore (1997) against every triangle; no tree, no raster.
@@ -88,7 +90,7 @@ def check_seen(values: Mapping[str, Any], found: Evidence) -> None:
         _sizes(design, seen.visible_px, found)
 
 
-def _rays(scene: Scene, camera: Camera, part: Any, found: Evidence) -> None:
+def _rays(scene: RenderScene, camera: Camera, part: Any, found: Evidence) -> None:
     rng = np.random.default_rng(1)
     height, width = part.shape
     painted = np.argwhere(part >= FIRST_MARKER)

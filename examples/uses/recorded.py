@@ -15,7 +15,7 @@ import numpy as np
 
 from phytac_decoder.estimation.force_regions import Region, load_regions
 from phytac_decoder.io.bundle import Bundle, load_bundle
-from phytac_decoder.pipeline.decode import Measured
+from phytac_decoder.pipeline.decode import FrameMeasurement
 from phytac_decoder.pipeline.frame_reading import Reading
 from phytac_decoder.pipeline.frame_reading import read as read_measured
 from phytac_decoder.serving.csv_recording import Recorder, RegionRecorder
@@ -142,7 +142,7 @@ def decode(sensor: Handle, samples: Samples, *, fps: float) -> list[Message]:
 def read(sensor: Handle, shift_px: FloatArray, bits: BoolArray) -> Reading:
     """Forces from markers and switches, by the decoder."""
     found = np.isfinite(shift_px[:, 0])
-    measured = Measured(koi=np.flatnonzero(bits), shift_px=shift_px, found=found)
+    measured = FrameMeasurement(koi=np.flatnonzero(bits), shift_px=shift_px, found=found)
     return read_measured(sensor.bundle, measured, sensor.estimator)
 
 

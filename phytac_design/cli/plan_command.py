@@ -11,7 +11,7 @@ from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOp
 if TYPE_CHECKING:
     from phytac_design.design.accuracy import Accuracy
     from phytac_design.design.spec import Design
-    from phytac_design.study.planning.plan import Plan
+    from phytac_design.study.planning.plan import BuildPlan
 
 
 def plan(
@@ -87,7 +87,7 @@ def build_scene(
     print_audit(audit, out)
 
 
-def print_plan(made: "Plan") -> None:
+def print_plan(made: "BuildPlan") -> None:
     """Print a plan as a table."""
     scene = made.resolved.scene
     typer.echo(f"{made.resolved.design.name}, scene {scene.name}: {scene.description}".rstrip(": "))

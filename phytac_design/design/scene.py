@@ -32,7 +32,7 @@ ALL_AT_ONCE = 5
 """Maximum number of simultaneous contacts of a build without a scene."""
 
 
-class RegionSection(Section):
+class SceneRegionSection(Section):
     """A part of the surface that contains contact centres, as shares of the chart."""
 
     name: str = Field("", max_length=40)
@@ -93,7 +93,7 @@ class Scene(Section):
     error_allowed: float = Field(0.02, gt=0.0, le=1.0)
     """Accepted relative error of a force."""
     contacts: ContactSection = ContactSection()
-    regions: tuple[RegionSection, ...] = Field((), max_length=REGIONS_MAX)
+    regions: tuple[SceneRegionSection, ...] = Field((), max_length=REGIONS_MAX)
     """Parts of the surface that are touched; none: the whole surface."""
 
     @property
@@ -210,7 +210,10 @@ def _explain(item: Any) -> str:
     where = ".".join(str(part) for part in item["loc"])
     if item["type"] == "extra_forbidden":
         table = [part for part in item["loc"][:-1] if isinstance(part, str)]
-        tables: dict[str, type[Section]] = {"contacts": ContactSection, "regions": RegionSection}
+        tables: dict[str, type[Section]] = {
+            "contacts": ContactSection,
+            "regions": SceneRegionSection,
+        }
         model = tables.get(table[0], Scene) if table else Scene
         known = list(model.model_fields)
         near = get_close_matches(str(item["loc"][-1]), known, n=1)

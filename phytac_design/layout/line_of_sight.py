@@ -40,7 +40,7 @@ LEVELS = 33
 HALVINGS = 8
 """Heights are searched on ``LEVELS`` steps, then the first that clears is halved this often."""
 DEPTH_MIN_mm = 1e-3
-STILL = 0.02
+STATIONARY_SHARE = 0.02
 LOAD_TOL_mm = 0.005
 LOAD_ROUNDS = 12
 
@@ -278,7 +278,7 @@ def _settled(
 
 
 def pressed_markers(markers: Markers, motion: FloatArray) -> Markers:
-    """Feet and axes of markers that move by translations (mm) and small rotations (rad), (n, 6)."""
+    """Bases and axes of markers that move by translations (mm) and small rotations (rad), (n, 6)."""
     shift, turn = motion[:, :3], motion[:, 3:]
     direction = markers.direction + np.cross(turn, markers.direction)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -293,7 +293,7 @@ def clearance_under_load_mm(
 ) -> FloatArray:
     """Least :func:`clearance_mm` (n,) at rest and under each of the motions (p, n, 6).
 
-    Receptors that move by less than ``STILL`` of the most are taken as still.
+    Receptors that move by less than ``STATIONARY_SHARE`` of the most are taken as still.
     """
     eyes = np.atleast_2d(camera_mm)
     nearest = nearest_eye(markers, eyes)
@@ -314,7 +314,7 @@ def _under_load(
     boxes = _box(rest.tubes(every, markers.height_mm))
     for motion in motions:
         size = np.linalg.norm(motion[:, :3], axis=1)
-        moves = size > STILL * size.max()
+        moves = size > STATIONARY_SHARE * size.max()
         now = pressed_markers(markers, np.where(moves[:, None], motion, 0.0))
         after = _box(_Outlines(design, now, eye_mm).tubes(every, markers.height_mm))
         reach = np.maximum(boxes, after)

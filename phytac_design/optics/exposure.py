@@ -23,7 +23,7 @@ from phytac_design.optics.frame import (
     sample_views,
 )
 from phytac_design.optics.paint import to_linear, to_srgb
-from phytac_design.optics.scene import Scene
+from phytac_design.optics.scene import RenderScene
 from phytac_design.optics.sharpness import sharpness
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, ImageArray
@@ -156,7 +156,12 @@ def lens_blur(design: Design, camera: Camera, surface: Surface, markers: Markers
 
 
 def light_on_chip(
-    scene: Scene, camera: Camera, *, light: FloatArray, blur: LensBlur | None, samples: int = 8
+    scene: RenderScene,
+    camera: Camera,
+    *,
+    light: FloatArray,
+    blur: LensBlur | None,
+    samples: int = 8,
 ) -> NDArray[np.float32]:
     """Linear light (h, w, 3), BGR, on the pixels behind the lens.
 

@@ -16,7 +16,7 @@ from phytac_design.optics.light import triangle_light
 from phytac_design.optics.paint import BACKGROUND, to_linear, to_srgb
 from phytac_design.optics.raster import project_scene
 from phytac_design.optics.rays import ray_grid
-from phytac_design.optics.scene import Scene
+from phytac_design.optics.scene import RenderScene
 from phytac_design.optics.zbuffer import View, fill
 from phytac_shapes.arrays import FloatArray, ImageArray
 
@@ -28,7 +28,7 @@ LEVELS = 4096
 
 
 def render_frame(
-    scene: Scene,
+    scene: RenderScene,
     camera: Camera,
     *,
     noise_std: float = 0.0,
@@ -60,7 +60,7 @@ def render_frame(
 
 
 def render_light(
-    scene: Scene,
+    scene: RenderScene,
     camera: Camera,
     *,
     light: FloatArray | None = None,
@@ -105,7 +105,9 @@ def render_light(
     return total
 
 
-def through_lens(scene: Scene, camera: Camera, point_mm: FloatArray, focus_mm: float) -> Scene:
+def through_lens(
+    scene: RenderScene, camera: Camera, point_mm: FloatArray, focus_mm: float
+) -> RenderScene:
     """Scene as it appears through one point (2,) of the aperture, focused at ``focus_mm``.
 
     The ray from a lens point o to P meets the surface of sharp focus where the camera's centre

@@ -19,7 +19,7 @@ from phytac_design.optics.raster import (
     pieces_by_marker,
     project_scene,
 )
-from phytac_design.optics.scene import FIRST_MARKER, SHELL, Scene
+from phytac_design.optics.scene import FIRST_MARKER, SHELL, RenderScene
 from phytac_design.optics.zbuffer import View, fill
 from phytac_shapes.arrays import FloatArray, IntArray
 
@@ -56,7 +56,7 @@ class Watch:
         in truth it moves with its receptors: what dips into it by little is not hidden.
     """
 
-    def __init__(self, scene: Scene, camera: Camera, *, wall_back: float = 0.0) -> None:
+    def __init__(self, scene: RenderScene, camera: Camera, *, wall_back: float = 0.0) -> None:
         self.camera = camera
         self.own = np.flatnonzero(scene.triangle_owner >= 0)
         fixed = scene.triangle_owner < 0
@@ -73,8 +73,8 @@ class Watch:
         self._marker = np.full(shape, -1, dtype=np.int32)
         self._written = np.zeros((0, 4), dtype=np.int64)
 
-    def look(self, scene: Scene) -> Glance:
-        """See the same scene in another pose (of ``Scene.moved``)."""
+    def look(self, scene: RenderScene) -> Glance:
+        """See the same scene in another pose (of ``RenderScene.moved``)."""
         moving = _part_of(scene, self.own)
         view = project_scene(moving, self.camera)
         chosen, starts = pieces_by_marker(moving, view)
@@ -140,7 +140,7 @@ def _fill_all(view: View, owner: NDArray[np.int32], inverse: FloatArray) -> None
     in_bands(band, len(owner))
 
 
-def _part_of(scene: Scene, chosen: IntArray) -> Scene:
+def _part_of(scene: RenderScene, chosen: IntArray) -> RenderScene:
     """Scene of some of the triangles, with all vertices."""
     return replace(scene, triangles=scene.triangles[chosen], part=scene.part[chosen])
 

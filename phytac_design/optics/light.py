@@ -18,7 +18,13 @@ import numpy as np
 from phytac_decoder.camera.camera import Camera
 from phytac_design.optics.paint import BAR, FIXTURE, PAINTS, RESIN, to_linear
 from phytac_design.optics.scene import BAR as BAR_CODE
-from phytac_design.optics.scene import FIRST_FIXTURE, FIRST_MARKER, Scene, paint_owner, red_owner
+from phytac_design.optics.scene import (
+    FIRST_FIXTURE,
+    FIRST_MARKER,
+    RenderScene,
+    paint_owner,
+    red_owner,
+)
 from phytac_shapes.arrays import FloatArray
 
 EVEN, FROM_CAMERA, FROM_AXIS = 0.4, 0.35, 0.25
@@ -62,7 +68,7 @@ class Strip:
         return np.asarray(self.unit_mm * total / distance)
 
 
-def albedo(scene: Scene, paint: FloatArray | None = None) -> FloatArray:
+def albedo(scene: RenderScene, paint: FloatArray | None = None) -> FloatArray:
     """Linear RGB (T, 3) of each triangle's paint.
 
     ``paint`` (colours + 1, 3), if given, multiplies that of the scene's paints and of red (last).
@@ -82,7 +88,11 @@ def albedo(scene: Scene, paint: FloatArray | None = None) -> FloatArray:
 
 
 def triangle_light(
-    scene: Scene, camera: Camera, *, strip: Strip | None = None, paint: FloatArray | None = None
+    scene: RenderScene,
+    camera: Camera,
+    *,
+    strip: Strip | None = None,
+    paint: FloatArray | None = None,
 ) -> FloatArray:
     """Linear RGB (T, 3) that each triangle sends to the camera, both sides alike.
 

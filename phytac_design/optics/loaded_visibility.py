@@ -21,13 +21,13 @@ import numpy as np
 from phytac_decoder.camera.camera import Camera
 from phytac_design.optics.gaps import outline_gaps
 from phytac_design.optics.incremental_renderer import Glance, Watch
-from phytac_design.optics.scene import Scene
+from phytac_design.optics.scene import RenderScene
 from phytac_design.optics.visibility import FRACTION_MIN, PIXELS_MIN
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 FUSED_PX = 2.0
 """Markers of one colour this near (one free pixel or none) count as fused under load."""
-STILL = 0.1
+STATIONARY_SHARE = 0.1
 """A marker that moves by less than this share of the greatest image shift counts as still."""
 WALL_BACK = 0.05
 """Share of the distance by which the wall must be nearer than what it hides, in all poses."""
@@ -90,12 +90,12 @@ class Sight:
         return np.asarray(np.nan_to_num(np.linalg.norm(self.offset_px - rest.offset_px, axis=1)))
 
 
-def sight(scene: Scene, camera: Camera) -> Sight:
+def sight(scene: RenderScene, camera: Camera) -> Sight:
     """Visibility, gaps and centroid offsets of a scene, at rest or moved."""
     return sight_of(Watch(scene, camera).look(scene), scene)
 
 
-def sight_of(seen: Glance, scene: Scene) -> Sight:
+def sight_of(seen: Glance, scene: RenderScene) -> Sight:
     """The same from a glance at the scene."""
     own, other = outline_gaps(seen.pixels, seen.starts, scene.colour)
     visible, alone = seen.visible, seen.alone
@@ -133,7 +133,7 @@ class UnderLoad:
         Least over all presses.
     crosstalk_px, crosstalk_still_px : (n,) float
         Greatest over all presses; and over those that move the marker's own image by less than
-        ``STILL`` of the greatest shift.
+        ``STATIONARY_SHARE`` of the greatest shift.
     """
 
     hidden: IntArray
@@ -177,7 +177,7 @@ class _Presses:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: RenderScene,
         camera: Camera,
         counted: BoolArray,
         pivots_mm: FloatArray,
@@ -217,7 +217,7 @@ class _Presses:
 
 
 def press_all(
-    scene: Scene,
+    scene: RenderScene,
     camera: Camera,
     *,
     pivots_mm: FloatArray,
@@ -254,7 +254,7 @@ def press_all(
     for press, path in enumerate(motions):
         seen = presses.at(path, float(presses.ladder[-1]))
         shift, stray = seen.shift_px(rest), seen.crosstalk_px(rest)
-        still = shift <= STILL * shift.max()
+        still = shift <= STATIONARY_SHARE * shift.max()
         hidden[press], fused[press] = int(seen.hidden.sum()), int(seen.fused.sum())
         per_press["same"][press] = float(seen.gap_same_px.min())
         per_press["other"][press] = float(seen.gap_other_px.min())

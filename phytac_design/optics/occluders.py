@@ -5,7 +5,15 @@ import numpy as np
 from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.optics.raster import Buffers, marker_windows, pieces_by_marker, project_scene
-from phytac_design.optics.scene import BAR, FIRST_FIXTURE, FIRST_MARKER, NONE, RESIN, SHELL, Scene
+from phytac_design.optics.scene import (
+    BAR,
+    FIRST_FIXTURE,
+    FIRST_MARKER,
+    NONE,
+    RESIN,
+    SHELL,
+    RenderScene,
+)
 from phytac_design.optics.zbuffer import fill
 from phytac_shapes.arrays import IntArray
 
@@ -13,7 +21,7 @@ SELF = -1
 
 
 def hiders(
-    scene: Scene, camera: Camera, buffers: Buffers, ids: IntArray, alone_px: IntArray
+    scene: RenderScene, camera: Camera, buffers: Buffers, ids: IntArray, alone_px: IntArray
 ) -> IntArray:
     """Part code (k,) of what hides each of the markers ``ids`` (k,) most.
 

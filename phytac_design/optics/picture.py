@@ -16,7 +16,7 @@ from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Pinhole
 from phytac_design.optics.light import triangle_light
 from phytac_design.optics.paint import BACKGROUND
-from phytac_design.optics.scene import Scene
+from phytac_design.optics.scene import RenderScene
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import MissingPartError
 
@@ -29,7 +29,7 @@ GL_TO_CV = np.diag([1.0, -1.0, -1.0])
 """OpenGL's camera looks along -z with y up."""
 
 
-def render_picture(scene: Scene, camera: Camera) -> ImageArray:
+def render_picture(scene: RenderScene, camera: Camera) -> ImageArray:
     """Anti-aliased 8-bit picture (h, w, 3), BGR, in the camera's own pixels.
 
     Raises
@@ -83,7 +83,7 @@ def _pyrender() -> Any:
     return pyrender
 
 
-def _primitive(pyrender: Any, scene: Scene, camera: Camera) -> Any:
+def _primitive(pyrender: Any, scene: RenderScene, camera: Camera) -> Any:
     """All triangles, with corners of their own each in the light that the triangle sends.
 
     Under even white light OpenGL's shader passes the corners' linear colour on to its gamma.
@@ -98,7 +98,7 @@ def _primitive(pyrender: Any, scene: Scene, camera: Camera) -> Any:
     )
 
 
-def _depth_range(scene: Scene, camera: Camera) -> tuple[float, float]:
+def _depth_range(scene: RenderScene, camera: Camera) -> tuple[float, float]:
     """Near and far plane that hold all that lies in front of the camera, mm."""
     depth = camera.to_camera(scene.vertices)[:, 2]
     front = depth[depth > NEAR_LEAST_MM]

@@ -10,7 +10,7 @@ from phytac_decoder.camera.lens import Lens, Pinhole
 from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.optics.clip import clip_near
 from phytac_design.optics.distorted_triangles import bent_view
-from phytac_design.optics.scene import FIRST_MARKER, Scene
+from phytac_design.optics.scene import FIRST_MARKER, RenderScene
 from phytac_design.optics.zbuffer import View, fill
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -34,7 +34,7 @@ class Buffers:
     triangle: NDArray[np.int32]
 
 
-def project_scene(scene: Scene, camera: Camera, *, rays: FloatArray | None = None) -> View:
+def project_scene(scene: RenderScene, camera: Camera, *, rays: FloatArray | None = None) -> View:
     """Bring a scene into the camera: cut at a pinhole's near plane, split for other lenses.
 
     ``rays`` stand for those of all pixels where a lens that bends lines would need them.
@@ -64,7 +64,7 @@ def all_pieces(view: View) -> NDArray[np.int32]:
     return np.arange(len(view.source), dtype=np.int32)
 
 
-def rasterise(scene: Scene, camera: Camera) -> Buffers:
+def rasterise(scene: RenderScene, camera: Camera) -> Buffers:
     """Exact ID map and depth of a scene: one sample per pixel centre, nearest triangle wins.
 
     Of triangles at the very same depth the first in the scene wins, so a run is repeatable.
@@ -107,7 +107,7 @@ def _finish(
 
 
 def points_seen(
-    scene: Scene, camera: Camera, buffers: Buffers, y: IntArray, x: IntArray
+    scene: RenderScene, camera: Camera, buffers: Buffers, y: IntArray, x: IntArray
 ) -> FloatArray:
     """Points (n, 3) mm, sensor frame, that pixels (x, y) see; NaN where they see nothing.
 
@@ -123,7 +123,7 @@ def points_seen(
     return np.asarray(camera.position_mm + distance[:, None] * ray)
 
 
-def pixels_alone(scene: Scene, camera: Camera) -> tuple[IntArray, IntArray]:
+def pixels_alone(scene: RenderScene, camera: Camera) -> tuple[IntArray, IntArray]:
     """Pixels of each marker's paint and red tip if its receptor were the only thing, (n,) each.
 
     The receptor's own tube and tip still hide parts of it. Pixels up to half an image beyond the
@@ -158,7 +158,7 @@ def window_rays(view: View, lens: Lens, window: IntArray) -> View:
     return view._replace(rays=rays.reshape(rows, columns, 3), origin=np.array([left, top]))
 
 
-def pieces_by_marker(scene: Scene, view: View) -> tuple[NDArray[np.int32], IntArray]:
+def pieces_by_marker(scene: RenderScene, view: View) -> tuple[NDArray[np.int32], IntArray]:
     """Pieces marker after marker, and where each marker's start, (n + 1,); fixed parts first."""
     owner = scene.triangle_owner[view.source]
     order = np.argsort(owner, kind="stable").astype(np.int32)

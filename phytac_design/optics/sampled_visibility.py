@@ -16,7 +16,7 @@ from phytac_decoder.camera.lens import Pinhole
 from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.optics.raster import marker_windows, pieces_by_marker, project_scene
 from phytac_design.optics.rays import ray_grid
-from phytac_design.optics.scene import FIRST_MARKER, Scene
+from phytac_design.optics.scene import FIRST_MARKER, RenderScene
 from phytac_design.optics.zbuffer import Grid, View, corner, fill, meets, outline, reach
 from phytac_shapes.arrays import FloatArray, IntArray
 
@@ -39,7 +39,7 @@ class Sampled:
     visible: IntArray
 
 
-def sampled_fraction(scene: Scene, camera: Camera, *, rays: int = RAYS) -> Sampled:
+def sampled_fraction(scene: RenderScene, camera: Camera, *, rays: int = RAYS) -> Sampled:
     """Visible fraction of every marker's paint from about ``rays`` rays through pixel centres.
 
     A marker with fewer pixels than that gets all of them and so its exact fraction; others get

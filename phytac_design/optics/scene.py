@@ -34,7 +34,7 @@ SIDES_MIN = 12
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class RenderScene:
     """A triangle soup in the sensor frame; shapes: V vertices, T triangles, n markers.
 
     Attributes
@@ -71,7 +71,9 @@ class Scene:
         owner: NDArray[np.int32] = self.vertex_owner[self.triangles[:, 0]]
         return owner
 
-    def moved(self, translation: FloatArray, rotation: FloatArray, pivots: FloatArray) -> "Scene":
+    def moved(
+        self, translation: FloatArray, rotation: FloatArray, pivots: FloatArray
+    ) -> "RenderScene":
         """Scene with each receptor moved as a rigid body; shell and bar stay.
 
         ``p' = pivot + R(rotation) (p - pivot) + translation``, with Rodrigues' exact rotation.
@@ -136,7 +138,7 @@ def build_scene(
     *,
     tolerance_mm: FloatArray | float,
     switch_on: BoolArray | None = None,
-) -> Scene:
+) -> RenderScene:
     """Shell, rims, light bar, fixtures and all receptors as triangles.
 
     Parameters
@@ -167,7 +169,7 @@ def build_scene(
     whole = joined([mesh for mesh, _ in fixed] + [mesh for mesh, _, _ in groups])
     codes = [np.full(len(mesh.triangles), code, dtype=np.int32) for mesh, code in fixed]
     owners = [np.full(len(mesh.vertices), -1, dtype=np.int32) for mesh, _ in fixed]
-    return Scene(
+    return RenderScene(
         vertices=whole.vertices,
         triangles=whole.triangles,
         part=np.concatenate([*codes, *(part for _, part, _ in groups)]),

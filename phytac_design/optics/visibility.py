@@ -23,7 +23,7 @@ from phytac_design.optics.scene import (
     NONE,
     RESIN,
     SHELL,
-    Scene,
+    RenderScene,
     build_scene,
     paint_owner,
     red_owner,
@@ -159,8 +159,8 @@ def best_of(each: Sequence[Visibility]) -> tuple[Visibility, IntArray]:
 
 
 def see(
-    rest: Scene,
-    on: Scene,
+    rest: RenderScene,
+    on: RenderScene,
     camera: Camera,
     *,
     noise_std: float,
@@ -270,7 +270,7 @@ def _count(owner: NDArray[np.int32], markers: int) -> IntArray:
 
 
 def _means(
-    buffers: Buffers, marker: NDArray[np.int32], scene: Scene, camera: Camera
+    buffers: Buffers, marker: NDArray[np.int32], scene: RenderScene, camera: Camera
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Visible pixels (n,), their mean (n, 2) px, and the mean (n, 3) mm of what they see."""
     y, x = np.nonzero(marker >= 0)
@@ -284,7 +284,7 @@ def _means(
     return count, means[:, :2], means[:, 2:]
 
 
-def fused_in_frame(frame: ImageArray, marker: NDArray[np.int32], scene: Scene) -> BoolArray:
+def fused_in_frame(frame: ImageArray, marker: NDArray[np.int32], scene: RenderScene) -> BoolArray:
     """Markers that the decoder's segmentation of ``frame`` (BGR) does not tell apart, (n,)."""
     model = ColourModel.from_rgb(paints_of(scene.paints))
     blobs = segment(frame, model, with_labels=True)

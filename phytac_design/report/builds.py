@@ -45,7 +45,7 @@ class Build:
 
 
 @dataclass(frozen=True)
-class Figure:
+class ComparedFigure:
     """One row of the comparison; ``better`` says which value is marked.
 
     ``path`` is that in ``report.json``; ``*`` stands for the report's main estimator, ``?`` marks a
@@ -69,54 +69,56 @@ class Figure:
 
 
 FIGURES = (
-    Figure("markers", "markers", "markers/count", "more"),
-    Figure("density_per_cm2", "density (per cm²)", "markers/density_per_cm2", "more"),
-    Figure("surface", "surface to the optical axis", "markers/surface_class"),
-    Figure("hidden", "hidden markers", "visibility/occluded", "less"),
-    Figure("fused", "fused markers", "visibility/fused", "less"),
-    Figure(
+    ComparedFigure("markers", "markers", "markers/count", "more"),
+    ComparedFigure("density_per_cm2", "density (per cm²)", "markers/density_per_cm2", "more"),
+    ComparedFigure("surface", "surface to the optical axis", "markers/surface_class"),
+    ComparedFigure("hidden", "hidden markers", "visibility/occluded", "less"),
+    ComparedFigure("fused", "fused markers", "visibility/fused", "less"),
+    ComparedFigure(
         "visible_fraction", "smallest visible fraction", "visibility/min_visible_fraction", "more"
     ),
-    Figure("gap_px", "smallest gap to the same colour (px)", "visibility/min_gap_px", "more"),
-    Figure(
+    ComparedFigure(
+        "gap_px", "smallest gap to the same colour (px)", "visibility/min_gap_px", "more"
+    ),
+    ComparedFigure(
         "load_gap_px", "the same under load (px)", "under_load/least_gap_same_colour_px", "more"
     ),
-    Figure(
+    ComparedFigure(
         "first_force_N", "a marker hides or fuses from (N; none: never)", "under_load/first_force_N"
     ),
-    Figure("crosstalk_px", "largest crosstalk (px)", "under_load/crosstalk_px", "less"),
-    Figure(
+    ComparedFigure("crosstalk_px", "largest crosstalk (px)", "under_load/crosstalk_px", "less"),
+    ComparedFigure(
         "bound_10N_median_N",
         "resolution of 10 N, median in the middle (N)",
         "resolution/bound/10 N/force_N_median_middle",
         "less",
     ),
-    Figure(
+    ComparedFigure(
         "bound_10N_worst_N", "the same, worst (N)", "resolution/bound/10 N/force_N_worst", "less"
     ),
-    Figure(
+    ComparedFigure(
         "error_percent",
         "force error, held-out contacts, simulated (%)",
         "decoder/*/relative_error",
         "less",
         100.0,
     ),
-    Figure("error_N", "the same, mean absolute (N)", "decoder/*/mae_N", "less"),
-    Figure(
+    ComparedFigure("error_N", "the same, mean absolute (N)", "decoder/*/mae_N", "less"),
+    ComparedFigure(
         "error_frames_percent",
         "force error through rendered frames (%)",
         "decoder_frames/*/relative_error",
         "less",
         100.0,
     ),
-    Figure("dent_mm", "deepest dent (mm)", "under_load/dent_mm"),
-    Figure("resin_g", "resin, all printed parts (g)", "fabrication/mass_g/resin?", "less"),
-    Figure("rubber_g", "rubber (g)", "fabrication/mass_g/tpu?", "less"),
-    Figure(
+    ComparedFigure("dent_mm", "deepest dent (mm)", "under_load/dent_mm"),
+    ComparedFigure("resin_g", "resin, all printed parts (g)", "fabrication/mass_g/resin?", "less"),
+    ComparedFigure("rubber_g", "rubber (g)", "fabrication/mass_g/tpu?", "less"),
+    ComparedFigure(
         "print_violations", "places that break print rules", "fabrication/print_violations", "less"
     ),
-    Figure("build_s", "time of all stages, when they ran (s)", "timing_s/total"),
-    Figure("press_places", "places pressed", "under_load/presses"),
+    ComparedFigure("build_s", "time of all stages, when they ran (s)", "timing_s/total"),
+    ComparedFigure("press_places", "places pressed", "under_load/presses"),
 )
 
 

@@ -24,14 +24,13 @@ from phytac_design.report.figure_names import absent_why, name_of, place_of
 
 __all__ = [
     "DASH",
-    "Html",
     "STYLE",
+    "Html",
     "cell",
-    "svg_figure",
+    "details",
     "facts",
     "figure",
     "flatten",
-    "details",
     "image",
     "images_of",
     "missing",
@@ -39,6 +38,7 @@ __all__ = [
     "page",
     "side_by_side",
     "slug",
+    "svg_figure",
     "table",
 ]
 

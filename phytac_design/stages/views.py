@@ -17,7 +17,7 @@ from phytac_shapes.errors import DesignError, MissingPartError
 
 if TYPE_CHECKING:
     from phytac_decoder.camera.camera import Camera
-    from phytac_design.optics.scene import Scene
+    from phytac_design.optics.scene import RenderScene
     from phytac_design.optics.visibility import Visibility
     from phytac_design.simulation.expected_image import ExpectedView
 
@@ -119,7 +119,12 @@ def shoot(
 
 
 def write_pictures(
-    context: Context, folder: Path, camera: "Camera", mark: str, rest: "Scene", on: "Scene"
+    context: Context,
+    folder: Path,
+    camera: "Camera",
+    mark: str,
+    rest: "RenderScene",
+    on: "RenderScene",
 ) -> str:
     """Write pictures of a camera at rest and with all switches on, and its ID map; by what."""
     from phytac_design.optics.raster import rasterise

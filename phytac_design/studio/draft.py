@@ -21,7 +21,7 @@ from phytac_design.optics.density import density_map, surface_class
 from phytac_design.optics.frame import render_frame
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.sampled_visibility import sampled_fraction
-from phytac_design.optics.scene import Scene, build_scene, paint_owner
+from phytac_design.optics.scene import RenderScene, build_scene, paint_owner
 from phytac_design.optics.visibility import FRACTION_MIN, heights_face
 from phytac_design.report.viewer.data import Colouring, base_colourings, viewer_data
 from phytac_design.rules.design_review import checkup
@@ -247,7 +247,7 @@ def small_camera(camera: Camera, side_px: int) -> Camera:
     )
 
 
-def _scene(candidate: Candidate, camera: Camera, coarse: float) -> Scene:
+def _scene(candidate: Candidate, camera: Camera, coarse: float) -> RenderScene:
     """Scene of a camera, ``coarse`` times coarser than for a check.
 
     Polygons are never finer than 0.5 % of a receptor's radius, however near the camera.

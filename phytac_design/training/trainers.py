@@ -13,7 +13,7 @@ from phytac_decoder.io.bundle import Bundle
 from phytac_design.datasets.samples import THEORIES
 from phytac_design.training.levenberg_marquardt import train_network
 from phytac_design.training.locator_calibration import calibrate_locator
-from phytac_design.training.training_data import Part
+from phytac_design.training.training_data import SplitPart
 from phytac_shapes.errors import InputError
 
 LINEAR = (THEORIES.index("rest"), THEORIES.index("linear"))
@@ -36,9 +36,9 @@ class TrainingTask:
     """
 
     bundle: Bundle
-    training: Part
-    validation: Part
-    test: Part
+    training: SplitPart
+    validation: SplitPart
+    test: SplitPart
     seed: int
     start: Bundle | None = None
 

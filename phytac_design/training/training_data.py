@@ -66,7 +66,7 @@ class DataSet:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
+class SplitPart:
     """One part of the split data.
 
     Attributes
@@ -190,7 +190,7 @@ def split_data_sets(
     noise_px: float,
     seed: int,
     limit: int | None = None,
-) -> tuple[Part, Part, Part]:
+) -> tuple[SplitPart, SplitPart, SplitPart]:
     """Split all data sets together into training, validation and test; sequences stay together.
 
     Parameters
@@ -238,7 +238,7 @@ def split_data_sets(
     data = data_of(nodes)
     at = np.cumsum([0] + [item.samples.count for item in sets])
     parts = [
-        Part(count=len(index), rows=data.take(index), samples=_points(sets, at, usable[index]))
+        SplitPart(count=len(index), rows=data.take(index), samples=_points(sets, at, usable[index]))
         for index in split_sequences(whole, SHARES, seed=seed)
     ]
     return parts[0], parts[1], parts[2]

@@ -10,7 +10,7 @@ import numpy as np
 
 from phytac_decoder.camera.lens import Lens
 from phytac_decoder.io.bundle import Bundle, load_bundle
-from phytac_decoder.pipeline.decode import Measured
+from phytac_decoder.pipeline.decode import FrameMeasurement
 from phytac_design.datasets.samples import DataSetInfo, Samples, inputs_alone, key_nodes
 from phytac_design.datasets.samples_writer import FRAMES, file_hash, write_samples
 from phytac_design.design.camera_files import read_lens
@@ -266,7 +266,7 @@ def _kept(
     rig: RigSetup,
     log: RigLog,
     touches: Touches,
-    seen: Mapping[int, Measured],
+    seen: Mapping[int, FrameMeasurement],
     times: FloatArray,
     notes: dict[str, Any],
 ) -> Samples:

@@ -21,7 +21,7 @@ from phytac_design.training.result_folder import reserve_folder, write_folder
 from phytac_design.training.trainers import TRAINERS, TrainingTask
 from phytac_design.training.training_data import (
     DataSet,
-    Part,
+    SplitPart,
     bundle_hash,
     check_inputs,
     read_data_sets,
@@ -154,7 +154,7 @@ def _notes(
 
 def run_trainers(
     bundle: Bundle,
-    parts: tuple[Part, Part, Part],
+    parts: tuple[SplitPart, SplitPart, SplitPart],
     seed: int,
     start: Bundle | None,
     progress: Callable[[str], None],
@@ -179,7 +179,7 @@ def run_trainers(
     return bundle, facts
 
 
-def held_out_scores(bundle: Bundle, test: Part) -> dict[str, Any] | None:
+def held_out_scores(bundle: Bundle, test: SplitPart) -> dict[str, Any] | None:
     """Return errors per contact on the test part, by estimator; None without points."""
     if test.samples is None:
         return None

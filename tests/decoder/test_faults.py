@@ -10,7 +10,7 @@ import pytest
 
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle
-from phytac_decoder.pipeline.decode import Measured, measure_frame
+from phytac_decoder.pipeline.decode import FrameMeasurement, measure_frame
 from phytac_decoder.pipeline.fault_detection import FaultDetector
 from phytac_decoder.vision.matching import fill_from_neighbours, match_markers
 from phytac_decoder.vision.segmentation import Blobs
@@ -48,12 +48,12 @@ def motion(forces: dict[int, float]) -> FloatArray:
     return np.asarray((BUNDLE.model.compliance_px @ each).reshape(-1, 2))
 
 
-def read(forces: dict[int, float], koi: tuple[int, ...], *, seed: int = 0) -> Measured:
+def read(forces: dict[int, float], koi: tuple[int, ...], *, seed: int = 0) -> FrameMeasurement:
     shift = motion(forces) + np.random.default_rng(seed).normal(0.0, NOISE_px, (COUNT, 2))
-    return Measured(koi=np.array(koi, dtype=np.int64), shift_px=shift, found=~OFF)
+    return FrameMeasurement(koi=np.array(koi, dtype=np.int64), shift_px=shift, found=~OFF)
 
 
-def told(measured: Measured) -> list[str]:
+def told(measured: FrameMeasurement) -> list[str]:
     forces = measured.forces_N(BUNDLE, "koi_inverse")
     return measured.warnings(BUNDLE, forces, estimator="koi_inverse")
 

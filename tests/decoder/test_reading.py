@@ -13,7 +13,7 @@ from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.force_regions import Region
 from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_decoder.pipeline import frame_reading as reading_module
-from phytac_decoder.pipeline.decode import Measured, measure_frame, read_image
+from phytac_decoder.pipeline.decode import FrameMeasurement, measure_frame, read_image
 from phytac_decoder.pipeline.fault_detection import FaultSettings
 from phytac_decoder.pipeline.frame_reading import Reading, read
 from phytac_decoder.serving.csv_recording import Recorder
@@ -127,14 +127,14 @@ def test_recordings_hold_standard_deviations_where_there_are_any(tmp_path: Path)
 
 
 @pytest.fixture
-def pressed(built: BuildResult) -> tuple[Bundle, Measured]:
+def pressed(built: BuildResult) -> tuple[Bundle, FrameMeasurement]:
     """A sensor's decoder and one of its frames."""
     bundle = load_bundle(built.out / "decoder")
     return bundle, measure_frame(bundle, read_image(built.out / "views" / "frame_pressed.png"))
 
 
 def test_a_frame_is_fitted_once(
-    pressed: tuple[Bundle, Measured], monkeypatch: pytest.MonkeyPatch
+    pressed: tuple[Bundle, FrameMeasurement], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bundle, measured = pressed
     # A switch that is not read: doubts look at what contacts explain.
@@ -160,7 +160,7 @@ def test_a_frame_is_fitted_once(
 
 
 def test_forces_on_unreadable_switches_are_sent(
-    pressed: tuple[Bundle, Measured], monkeypatch: pytest.MonkeyPatch
+    pressed: tuple[Bundle, FrameMeasurement], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bundle, measured = pressed
     unread = int(np.setdiff1d(np.arange(len(measured.found)), measured.koi)[0])
@@ -177,7 +177,7 @@ def test_forces_on_unreadable_switches_are_sent(
 
 
 def test_the_net_force_acts_along_the_surfaces_normals(
-    pressed: tuple[Bundle, Measured], built: BuildResult
+    pressed: tuple[Bundle, FrameMeasurement], built: BuildResult
 ) -> None:
     """With the bundle alone: a stream has no design beside it."""
     bundle, measured = pressed
@@ -191,7 +191,9 @@ def test_the_net_force_acts_along_the_surfaces_normals(
     assert sent["net_force_N"] == pytest.approx(net, abs=1e-3)
 
 
-def test_other_estimators_leave_grouping_to_the_stream(pressed: tuple[Bundle, Measured]) -> None:
+def test_other_estimators_leave_grouping_to_the_stream(
+    pressed: tuple[Bundle, FrameMeasurement],
+) -> None:
     bundle, measured = pressed
     got = read(bundle, measured, "koi_inverse")
     assert got.found is None

@@ -14,7 +14,7 @@ from benchmarks.document_measurements import (
     tick_places_mm,
 )
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.documents.drawing import Disc, Line, svg_text
+from phytac_design.fabrication.documents.drawing import Disc, DrawnLine, svg_text
 from phytac_design.fabrication.documents.paint_map import (
     OVERLAP_mm,
     PaintMap,
@@ -199,7 +199,7 @@ def test_a_large_map_is_split_over_sheets_that_overlap(tmp_path: Path) -> None:
     shift = second.items[0].box[0, 0] - first.items[0].box[0, 0]
     assert first.window is not None
     assert -shift == pytest.approx(float(np.ptp(first.window[:, 0])) - OVERLAP_mm)
-    crosses = [i for i in first.items if isinstance(i, Line) and len(i.points) == 2]
+    crosses = [i for i in first.items if isinstance(i, DrawnLine) and len(i.points) == 2]
     assert len(crosses) >= 3
 
 

@@ -14,7 +14,7 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design
 from phytac_design.design.switch_table import MoldSection
 from phytac_design.engine.stage import Context
-from phytac_design.fabrication.molds.grid import Plan, plan_sets
+from phytac_design.fabrication.molds.grid import PlateLayout, plan_sets
 from phytac_design.fabrication.molds.labels import GLYPHS, label, strokes
 from phytac_design.fabrication.molds.make import MoldSet
 from phytac_design.fabrication.molds.rules import rule_rows
@@ -30,7 +30,7 @@ from tests.fabrication.molds import BOWL, WAYS, molds, switch_set
 Cells = list[tuple[int, int]]
 
 
-def cells_of(plan: Plan) -> Cells:
+def cells_of(plan: PlateLayout) -> Cells:
     taken: Cells = [*plan.keys, plan.title]
     for run in plan.runs:
         taken += [(run.start - 1, run.line), *run.cells]
@@ -61,7 +61,7 @@ def test_every_switch_has_one_cell(counts: tuple[int, ...], limit: tuple[int, in
 
 @pytest.mark.parametrize(("columns", "lines"), [(3, 3), (4, 4), (7, 5), (16, 16)])
 def test_keys_fit_only_one_way_round(columns: int, lines: int) -> None:
-    plan = Plan(columns=columns, lines=lines, runs=())
+    plan = PlateLayout(columns=columns, lines=lines, runs=())
     places = {tuple(place) for place in plan.centre_mm(plan.keys, 2.0).tolist()}
     assert len(places) == 4
     for x, y in ((-1, -1), (-1, 1), (1, -1)):

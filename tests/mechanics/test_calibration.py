@@ -18,8 +18,8 @@ from phytac_design.mechanics.calibration.calibration_noise import (
 from phytac_design.mechanics.calibration.calibration_result import Calibration, ShellParameters
 from phytac_design.mechanics.calibration.measurements import Measurements, read_measurements
 from phytac_design.mechanics.calibration.probe_response import (
+    ProbeMotion,
     ProbeResponse,
-    Response,
     probe_weights,
 )
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
@@ -43,9 +43,9 @@ class Mixture:
     def __init__(self, share: FloatArray) -> None:
         self.share = share
 
-    def __call__(self, t: float, v: float, with_poisson: bool, /) -> Response:
+    def __call__(self, t: float, v: float, with_poisson: bool, /) -> ProbeMotion:
         stretch, bend = self.share / t, (1.0 - self.share) * (1.0 - v * v) / t**3
-        return Response(
+        return ProbeMotion(
             value=10.0 * (stretch + bend),
             thickness_rate=-10.0 * (stretch + 3.0 * bend) / t,
             poisson_rate=-20.0 * v * (1.0 - self.share) / t**3 if with_poisson else None,
@@ -126,7 +126,7 @@ def test_poisson_is_fitted_where_it_can_be_and_held_where_not() -> None:
     class Apart(Mixture):
         """Also rows that depend on ν alone in a way of their own."""
 
-        def __call__(self, t: float, v: float, with_poisson: bool, /) -> Response:
+        def __call__(self, t: float, v: float, with_poisson: bool, /) -> ProbeMotion:
             base = super().__call__(t, v, with_poisson)
             gain, turn = np.ones(400), np.zeros(400)
             gain[::8], turn[::8] = 1.0 - v, -1.0

@@ -23,7 +23,7 @@ from phytac_design.mechanics.switch.material_fit import fit_uniaxial, uniaxial_s
 from phytac_design.mechanics.switch.materials import Ogden, Yeoh, neo_hookean
 from phytac_design.mechanics.switch.report import curve_plot
 from phytac_design.mechanics.switch.rubbers import rubber
-from phytac_design.mechanics.switch.space import Space, Tolerance
+from phytac_design.mechanics.switch.space import SwitchSpace, Tolerance
 from phytac_design.mechanics.switch.switch_inputs import space_of
 from phytac_design.mechanics.switch.tolerance import threshold_spread
 from phytac_shapes.errors import DesignError, InputError, OutputError
@@ -36,7 +36,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 @pytest.fixture(scope="module")
 def made() -> SwitchDesign:
-    return design_switch(0.5, TPU, Space())
+    return design_switch(0.5, TPU, SwitchSpace())
 
 
 def test_switch_meets_its_threshold(made: SwitchDesign) -> None:
@@ -116,7 +116,7 @@ def test_thick_soft_bowls_stay_axisymmetric_and_thin_ones_do_not(made: SwitchDes
 def test_refusal_says_what_would_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bowl_check, "FILLETS", bowl_check.FILLETS[:1])
     with pytest.raises(DesignError, match=r"wall would be .* From .* N fit .* rubber of") as error:
-        design_switch(0.1, TPU, Space())
+        design_switch(0.1, TPU, SwitchSpace())
     low, high = (float(x) for x in str(error.value).split("rubber of ")[1].split()[:3:2])
     assert 0.0 < low < high < 10.0
 
@@ -126,18 +126,18 @@ def test_hopeless_requests_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     known = FeasibleRange(modulus_MPa=10.0, min_N=0.3, max_N=1.2, min_wall_mm=0.2, max_wall_mm=0.35)
     monkeypatch.setattr(inverse, "feasible_range", lambda *_: known)
     with pytest.raises(DesignError, match=r"1000 N does not fit .* no rubber's modulus"):
-        design_switch(1000.0, TPU, Space())
+        design_switch(1000.0, TPU, SwitchSpace())
     monkeypatch.setattr(
         inverse, "feasible_range", lambda _, space: None if space.wall_min_mm > 0.3 else known
     )
     with pytest.raises(DesignError, match=r"No wall of 0.4 mm .* casts thinner"):
-        design_switch(0.5, TPU, Space(wall_min_mm=0.4))
+        design_switch(0.5, TPU, SwitchSpace(wall_min_mm=0.4))
 
 
 @pytest.mark.parametrize("threshold", [0.0, -1.0, float("nan"), float("inf")])
 def test_bad_thresholds_are_refused(threshold: float) -> None:
     with pytest.raises(DesignError, match="positive number of newtons"):
-        design_switch(threshold, TPU, Space())
+        design_switch(threshold, TPU, SwitchSpace())
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_bad_thresholds_are_refused(threshold: float) -> None:
 )
 def test_bad_spaces_are_refused(change: dict[str, float], message: str) -> None:
     with pytest.raises(DesignError, match=message):
-        Space(**change)
+        SwitchSpace(**change)
 
 
 @pytest.mark.parametrize(

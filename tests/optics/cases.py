@@ -6,7 +6,7 @@ from typing import Any
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import camera_of, tolerance_mm
-from phytac_design.optics.scene import Scene, build_scene
+from phytac_design.optics.scene import RenderScene, build_scene
 from phytac_shapes.arrays import BoolArray
 
 FULL = {"width_px": 2592, "height_px": 1944, "focal_px": 970.0}
@@ -32,7 +32,7 @@ class Bench:
         self.markers = make_markers(design, self.surface)
         self.camera = camera_of(design, self.surface)
 
-    def scene(self, switch_on: BoolArray | None = None) -> Scene:
+    def scene(self, switch_on: BoolArray | None = None) -> RenderScene:
         """Scene at rest."""
         return build_scene(
             self.design,

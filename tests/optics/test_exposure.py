@@ -20,7 +20,7 @@ from phytac_design.optics.exposure import (
 from phytac_design.optics.frame import render_light, through_lens
 from phytac_design.optics.light import FALL_OFF_MOST, Strip, albedo, triangle_light
 from phytac_design.optics.paint import to_linear, to_srgb
-from phytac_design.optics.scene import FIRST_MARKER, Scene, paint_owner, red_owner
+from phytac_design.optics.scene import FIRST_MARKER, RenderScene, paint_owner, red_owner
 from phytac_design.optics.sharpness import sharpness
 from phytac_shapes.arrays import FloatArray
 from tests.optics.cases import Bench
@@ -29,7 +29,7 @@ CAMERA = Camera.on_axis(width_px=160, height_px=120, focal_px=100.0, stand_off_m
 BLUR = LensBlur(aperture_mm=2.0, focus_mm=50.0, diffraction_px=0.0)
 
 
-def cards(*depth_mm: float) -> Scene:
+def cards(*depth_mm: float) -> RenderScene:
     """A square of paint on each of some planes, side by side, before the camera."""
     vertices, triangles = [], []
     for k, z in enumerate(depth_mm):
@@ -39,7 +39,7 @@ def cards(*depth_mm: float) -> Scene:
         vertices.append(np.column_stack([square, np.full(4, z)]))
         triangles += [[4 * k, 4 * k + 1, 4 * k + 2], [4 * k, 4 * k + 2, 4 * k + 3]]
     count = len(depth_mm)
-    return Scene(
+    return RenderScene(
         vertices=np.concatenate(vertices),
         triangles=np.array(triangles, dtype=np.int32),
         part=np.repeat(FIRST_MARKER + 2 * np.arange(count), 2).astype(np.int32),

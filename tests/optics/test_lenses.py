@@ -13,7 +13,7 @@ from phytac_design.optics.frame import render_frame
 from phytac_design.optics.picture import render_picture
 from phytac_design.optics.raster import all_pieces, pixels_alone, points_seen, rasterise
 from phytac_design.optics.rays import RAY_ERROR, pixel_rays, ray_grid
-from phytac_design.optics.scene import SHELL, Scene
+from phytac_design.optics.scene import SHELL, RenderScene
 from phytac_design.optics.zbuffer import fill
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import MissingPartError
@@ -29,7 +29,7 @@ def benches() -> dict[str, Bench]:
     return {name: Bench(make_design(camera=table)) for name, table in LENSES.items()}
 
 
-def embree(scene: Scene, camera: Camera) -> tuple[NDArray[np.int32], FloatArray]:
+def embree(scene: RenderScene, camera: Camera) -> tuple[NDArray[np.int32], FloatArray]:
     """First triangle that each pixel's ray meets (-1 for none), and how far away."""
     rtcore_scene = pytest.importorskip("embreex.rtcore_scene")
     from embreex.mesh_construction import TriangleMesh
@@ -46,7 +46,7 @@ def embree(scene: Scene, camera: Camera) -> tuple[NDArray[np.int32], FloatArray]
     return triangle.reshape(x.shape), np.asarray(hit["tfar"]).reshape(x.shape)
 
 
-def parts(scene: Scene, triangle: NDArray[np.int32]) -> NDArray[np.int32]:
+def parts(scene: RenderScene, triangle: NDArray[np.int32]) -> NDArray[np.int32]:
     return np.where(triangle >= 0, scene.part[np.maximum(triangle, 0)], 0)
 
 
@@ -110,7 +110,7 @@ def test_a_triangle_as_large_as_the_view_is_split_enough() -> None:
     lens = KannalaBrandt(
         width_px=300, height_px=300, fx_px=90.0, fy_px=90.0, cx_px=149.5, cy_px=149.5
     )
-    scene = Scene(
+    scene = RenderScene(
         vertices=np.array([[-corner, -corner, 5.0], [corner, -corner, 5.0], [0.0, corner, 5.0]]),
         triangles=np.array([[0, 1, 2]], dtype=np.int32),
         part=np.array([SHELL], dtype=np.int32),

@@ -6,7 +6,7 @@ from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Pinhole
 from phytac_design.optics.clip import NEAR_MM, clip_near
 from phytac_design.optics.raster import pixels_alone, rasterise
-from phytac_design.optics.scene import FIRST_MARKER, SHELL, Scene
+from phytac_design.optics.scene import FIRST_MARKER, SHELL, RenderScene
 from phytac_shapes.arrays import FloatArray
 from tests.optics.cases import Bench
 
@@ -18,12 +18,12 @@ def simple_camera() -> Camera:
     return Camera.on_axis(width_px=101, height_px=81, focal_px=100.0, stand_off_mm=0.0)
 
 
-def soup(*quads: tuple[list[list[float]], int, int]) -> Scene:
+def soup(*quads: tuple[list[list[float]], int, int]) -> RenderScene:
     """Quads (corners (4, 3), part, owner) as a scene of two triangles each."""
     vertices = np.concatenate([np.asarray(corners, float) for corners, _, _ in quads])
     start = 4 * np.arange(len(quads))[:, None, None]
     triangles = (np.array([[0, 1, 2], [0, 2, 3]])[None] + start).reshape(-1, 3)
-    return Scene(
+    return RenderScene(
         vertices=vertices,
         triangles=triangles.astype(np.int32),
         part=np.repeat([part for _, part, _ in quads], 2).astype(np.int32),
@@ -40,7 +40,7 @@ def rectangle(
     return [[x0, y0, z], [x1, y0, far], [x1, y1, far], [x0, y1, z]]
 
 
-def embree_triangles(scene: Scene, camera: Camera) -> tuple[NDArray[np.int32], FloatArray]:
+def embree_triangles(scene: RenderScene, camera: Camera) -> tuple[NDArray[np.int32], FloatArray]:
     rtcore_scene = pytest.importorskip("embreex.rtcore_scene")
     from embreex.mesh_construction import TriangleMesh
 

@@ -11,7 +11,7 @@ from phytac_decoder.camera.camera import Camera
 from phytac_design.design.design_file import load_design
 from phytac_design.optics.raster import pixels_alone, project_scene, rasterise
 from phytac_design.optics.sampled_visibility import Sampled, sampled_fraction
-from phytac_design.optics.scene import FIRST_MARKER, SHELL, Scene, paint_owner
+from phytac_design.optics.scene import FIRST_MARKER, SHELL, RenderScene, paint_owner
 from phytac_design.optics.zbuffer import fill
 from phytac_shapes.arrays import FloatArray, IntArray
 from tests.optics.cases import FULL, Bench, make_design
@@ -24,7 +24,7 @@ SHARE = 0.99
 WIDE = {"model": "kannala_brandt", "focal_px": 620.0, "stand_off_mm": 15.0}
 
 
-def exact_counts(scene: Scene, camera: Camera) -> tuple[IntArray, IntArray]:
+def exact_counts(scene: RenderScene, camera: Camera) -> tuple[IntArray, IntArray]:
     """Pixels of each marker's paint alone, and visible."""
     owner = paint_owner(rasterise(scene, camera).part)
     visible = np.bincount(owner[owner >= 0], minlength=scene.count).astype(np.int64)
@@ -52,7 +52,7 @@ def test_all_rays_give_the_exact_pixels_and_few_are_near(name: str, kind: str) -
     assert share_near(sampled_fraction(scene, case.camera), alone, visible) >= SHARE
 
 
-def grids(few: Sampled, scene: Scene, camera: Camera, step: int) -> NDArray[np.bool_]:
+def grids(few: Sampled, scene: RenderScene, camera: Camera, step: int) -> NDArray[np.bool_]:
     """Markers whose counts are those of one pixel in ``step`` each way of the exact picture."""
     view = project_scene(scene, camera)
     owner = scene.triangle_owner[view.source]
@@ -104,12 +104,12 @@ def test_a_dome() -> None:
     assert share_near(sampled_fraction(scene, case.camera), alone, visible) >= SHARE
 
 
-def quads(*corners: tuple[FloatArray, int, int]) -> Scene:
+def quads(*corners: tuple[FloatArray, int, int]) -> RenderScene:
     """Quads (corners (4, 3), part, owner) as a scene of two markers."""
     count = len(corners)
     start = 4 * np.arange(count)[:, None, None]
     triangles = (np.array([[0, 1, 2], [0, 2, 3]])[None] + start).reshape(-1, 3)
-    return Scene(
+    return RenderScene(
         vertices=np.concatenate([c for c, _, _ in corners]),
         triangles=triangles.astype(np.int32),
         part=np.repeat([part for _, part, _ in corners], 2).astype(np.int32),

@@ -12,12 +12,12 @@ from phytac_design.optics.frame import render_frame
 from phytac_design.optics.loaded_visibility import FUSED_PX, press_all, sight
 from phytac_design.optics.paint import paints_of
 from phytac_design.optics.raster import pixels_alone
-from phytac_design.optics.scene import Scene, build_scene
+from phytac_design.optics.scene import RenderScene, build_scene
 from tests.designs import small
 
 
 @pytest.fixture(scope="module")
-def sensor() -> tuple[Design, Markers, Scene, Camera]:
+def sensor() -> tuple[Design, Markers, RenderScene, Camera]:
     design = small()
     surface = design.surface()
     markers = make_markers(design, surface)
@@ -56,7 +56,7 @@ def over(markers: Markers, camera: Camera, front: int, back: int) -> np.ndarray:
     return np.asarray(eye + min(share, 0.85) * (target - eye) - markers.tip_mm[front])
 
 
-def test_at_rest_like_plain_visibility(sensor: tuple[Design, Markers, Scene, Camera]) -> None:
+def test_at_rest_like_plain_visibility(sensor: tuple[Design, Markers, RenderScene, Camera]) -> None:
     _, markers, scene, camera = sensor
     rest = sight(scene, camera)
     alone = pixels_alone(scene, camera)[0]
@@ -71,7 +71,7 @@ def test_at_rest_like_plain_visibility(sensor: tuple[Design, Markers, Scene, Cam
 
 
 def test_a_marker_in_front_hides_another_and_only_that_one_is_disturbed(
-    sensor: tuple[Design, Markers, Scene, Camera],
+    sensor: tuple[Design, Markers, RenderScene, Camera],
 ) -> None:
     _, markers, scene, camera = sensor
     back = int(np.flatnonzero(markers.row == markers.row.max())[0])
@@ -92,7 +92,7 @@ def test_half_covered_marker_has_crosstalk_though_it_stands_still(side_mm: float
 
 
 def test_first_force_is_found_and_nothing_before(
-    sensor: tuple[Design, Markers, Scene, Camera],
+    sensor: tuple[Design, Markers, RenderScene, Camera],
 ) -> None:
     _, markers, scene, camera = sensor
     same = np.flatnonzero(markers.colour == markers.colour[0])
@@ -127,7 +127,7 @@ def test_first_force_is_found_and_nothing_before(
 
 
 def test_still_markers_are_told_from_moving_ones(
-    sensor: tuple[Design, Markers, Scene, Camera],
+    sensor: tuple[Design, Markers, RenderScene, Camera],
 ) -> None:
     _, markers, scene, camera = sensor
     back = int(np.flatnonzero(markers.row == markers.row.max())[0])
@@ -177,7 +177,7 @@ def side_mm() -> float:
     pytest.fail("never half covered")
 
 
-def half_covered(factor: int, side: float) -> tuple[Scene, Scene, Camera, int]:
+def half_covered(factor: int, side: float) -> tuple[RenderScene, RenderScene, Camera, int]:
     """Scenes at rest and with a marker half covered by one that moved; camera; that marker."""
     design = finer(small(), factor)
     surface = design.surface()
@@ -220,7 +220,7 @@ def test_a_decoder_suffers_what_crosstalk_says(side_mm: float) -> None:
 
 
 def test_worst_press_is_the_tightest_where_nothing_happens(
-    sensor: tuple[Design, Markers, Scene, Camera],
+    sensor: tuple[Design, Markers, RenderScene, Camera],
 ) -> None:
     _, markers, scene, camera = sensor
     one = int(sight(scene, camera).gap_same_px.argmin())

@@ -8,17 +8,17 @@ from phytac_design.layout import Markers
 from phytac_design.optics.gaps import marker_gaps, outline_gaps
 from phytac_design.optics.incremental_renderer import Glance, Watch
 from phytac_design.optics.raster import pixels_alone, rasterise
-from phytac_design.optics.scene import Scene, paint_owner
+from phytac_design.optics.scene import RenderScene, paint_owner
 from tests.optics.cases import Bench, make_design
 from tests.optics.lenses import LENSES
 from tests.optics.test_underload import random_motion
 
 
-def whole_image(scene: Scene, bench: Bench) -> NDArray[np.int32]:
+def whole_image(scene: RenderScene, bench: Bench) -> NDArray[np.int32]:
     return paint_owner(rasterise(scene, bench.camera).part)
 
 
-def same_as_image(glance: Glance, owner: NDArray[np.int32], scene: Scene) -> None:
+def same_as_image(glance: Glance, owner: NDArray[np.int32], scene: RenderScene) -> None:
     y, x = np.nonzero(owner >= 0)
     for column, weights in enumerate((np.ones(len(x)), x, y)):
         sums = np.bincount(owner[y, x], weights=weights, minlength=scene.count)
@@ -130,7 +130,7 @@ def test_a_wall_that_moves_along_hides_nothing_that_dips_into_it(few: Bench) -> 
     assert np.array_equal(Watch(scene, few.camera, wall_back=0.05).look(inside).visible[8], plain)
 
 
-def build_low(few: Bench) -> tuple[Scene, Markers]:
+def build_low(few: Bench) -> tuple[RenderScene, Markers]:
     """The same with receptors that are painted down to the wall."""
     layout = {"rows": 3, "columns": 4, "height_near_mm": 0.5, "height_far_mm": 0.5}
     bench = Bench(make_design(layout=layout, light={"bar_radius_mm": 0.0}))

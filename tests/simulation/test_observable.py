@@ -10,7 +10,7 @@ import pytest
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
-from phytac_decoder.pipeline.decode import Measured, confirmed_switches
+from phytac_decoder.pipeline.decode import FrameMeasurement, confirmed_switches
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_design.simulation.condense import Condensed, condense
 from phytac_design.stages.decoder import limit_facts
@@ -184,17 +184,19 @@ def test_a_doubtful_switch_is_on_only_where_markers_moved() -> None:
     assert np.flatnonzero(confirmed_switches(bundle, seems_on, still)).tolist() == [2]
 
 
-def pressed(bundle: Bundle, forces: dict[int, float], koi: list[int]) -> Measured:
+def pressed(bundle: Bundle, forces: dict[int, float], koi: list[int]) -> FrameMeasurement:
     force = np.zeros(N)
     force[list(forces)] = list(forces.values())
     shift = (bundle.model.compliance_px @ force).reshape(N, 2)
-    return Measured(koi=np.array(koi, dtype=np.int64), shift_px=shift, found=np.ones(N, dtype=bool))
+    return FrameMeasurement(
+        koi=np.array(koi, dtype=np.int64), shift_px=shift, found=np.ones(N, dtype=bool)
+    )
 
 
 def test_frames_warn_of_what_is_missing() -> None:
     bundle = blind(sound(), 8)
 
-    def warned(measured: Measured, **more: str) -> list[str]:
+    def warned(measured: FrameMeasurement, **more: str) -> list[str]:
         forces = measured.forces_N(bundle, "koi_inverse")
         texts = measured.warnings(bundle, forces, **more)
         return [text for text in texts if "camera has moved" not in text]

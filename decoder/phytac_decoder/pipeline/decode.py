@@ -33,7 +33,7 @@ Frames = ImageArray | Sequence[ImageArray]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured:
+class FrameMeasurement:
     """What one frame (of each camera) shows.
 
     Attributes
@@ -241,7 +241,7 @@ def rest_positions(bundle: Bundle, rest_bgr: Frames | None) -> FloatArray:
 
 def measure_frame(
     bundle: Bundle, image_bgr: Frames, *, rest_px: FloatArray | None = None
-) -> Measured:
+) -> FrameMeasurement:
     """Find markers and switches in one frame, or one of each camera.
 
     Parameters
@@ -263,7 +263,7 @@ def measure_frame(
     rest = bundle.rest_px if rest_px is None else rest_px
     moved = np.where(matched.merged[:, None], np.nan, matched.position_px) - rest
     koi, shift = corrected_shift(bundle, switch_on, moved)
-    return Measured(
+    return FrameMeasurement(
         koi=koi,
         shift_px=shift,
         found=matched.found & ~matched.merged,

@@ -7,7 +7,7 @@ import numpy as np
 
 from phytac_decoder.estimation.contact_estimates import ContactDetection, LocatedContact
 from phytac_decoder.io.bundle import Bundle
-from phytac_decoder.pipeline.decode import Measured
+from phytac_decoder.pipeline.decode import FrameMeasurement
 from phytac_shapes.arrays import FloatArray, IntArray
 
 
@@ -78,7 +78,7 @@ def nearest_marker(point_mm: FloatArray, position_mm: FloatArray) -> int:
 
 
 def read(
-    bundle: Bundle, measured: Measured, estimator: str, *, before: Reading | None = None
+    bundle: Bundle, measured: FrameMeasurement, estimator: str, *, before: Reading | None = None
 ) -> Reading:
     """Forces and contacts of one measured frame.
 

@@ -13,13 +13,18 @@ from numpy.typing import NDArray
 
 from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.pipeline.camera_tracker import CameraFollower, Observed
-from phytac_decoder.pipeline.decode import Frames, Measured, corrected_shift, one_frame_per_camera
+from phytac_decoder.pipeline.decode import (
+    FrameMeasurement,
+    Frames,
+    corrected_shift,
+    one_frame_per_camera,
+)
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError
 
 
 @dataclass(frozen=True, kw_only=True)
-class Followed(Measured):
+class Followed(FrameMeasurement):
     """What one frame (of each camera) shows; arrays over n markers.
 
     Attributes

@@ -17,7 +17,7 @@ HAIR_mm = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Line:
+class DrawnLine:
     """Polyline or polygon through points (k, 2); ``dash_mm`` 0 for a full line."""
 
     points: FloatArray
@@ -27,7 +27,7 @@ class Line:
     width_mm: float = HAIR_mm
     dash_mm: float = 0.0
 
-    def moved(self, shift: FloatArray) -> "Line":
+    def moved(self, shift: FloatArray) -> "DrawnLine":
         """Return the same line elsewhere."""
         return replace(self, points=self.points + shift)
 
@@ -80,7 +80,7 @@ class Text:
         return np.stack([self.at - reach, self.at + reach])
 
 
-Item: TypeAlias = Line | Disc | Text
+Item: TypeAlias = DrawnLine | Disc | Text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +108,7 @@ def _attributes(stroke: str, fill: str, width: float, dash: float) -> str:
 
 def svg_item(item: Item) -> str:
     """SVG element of an item."""
-    if isinstance(item, Line):
+    if isinstance(item, DrawnLine):
         points = " ".join(f"{x:.3f},{y:.3f}" for x, y in item.points.tolist())
         kind = "polygon" if item.closed else "polyline"
         style = _attributes(item.stroke, item.fill, item.width_mm, item.dash_mm)

@@ -12,7 +12,7 @@ from phytac_design.fabrication.switch_set import SwitchSet, revolve
 from phytac_design.geometry.triangles import TriangleMesh, copies, merged
 from phytac_design.layout import Markers
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.scene import Scene
+from phytac_design.optics.scene import RenderScene
 from phytac_design.solids.mesh_export import DISPLAY_COLOURS
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
@@ -77,7 +77,7 @@ def picture(bodies: Sequence[Body], *, view: FloatArray = VIEW) -> bytes:
         [np.tile(body.colour, (len(body.mesh.triangles), 1)) for body in bodies]
     ).astype(np.float64)
     camera = _camera(vertices, view)
-    scene = Scene(
+    scene = RenderScene(
         vertices=vertices,
         triangles=triangles,
         part=np.zeros(len(triangles), dtype=np.int32),

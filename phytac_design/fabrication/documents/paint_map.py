@@ -7,8 +7,8 @@ from math import ceil
 import numpy as np
 
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.documents.drawing import Disc, Item, Layer, Line, Page, Text
-from phytac_design.fabrication.documents.unroll import Unrolled, unroll
+from phytac_design.fabrication.documents.drawing import Disc, DrawnLine, Item, Layer, Page, Text
+from phytac_design.fabrication.documents.unroll import UnrolledSurface, unroll
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
 from phytac_design.solids.mesh_export import DISPLAY_COLOURS
@@ -50,7 +50,7 @@ class PaintMap:
     """
 
     design: Design
-    unrolled: Unrolled
+    unrolled: UnrolledSurface
     place_mm: FloatArray
     ghosts: tuple[tuple[int, FloatArray], ...]
     stretch: FloatArray
@@ -105,7 +105,7 @@ def make_map(design: Design, surface: Surface, markers: Markers, switches: Switc
 
 
 def _ghosts(
-    unrolled: Unrolled, surface: Surface, markers: Markers, radius_mm: float
+    unrolled: UnrolledSurface, surface: Surface, markers: Markers, radius_mm: float
 ) -> tuple[tuple[int, FloatArray], ...]:
     """Markers cut by the seam, once more beside the seam's other edge."""
     if not surface.periodic[1]:
@@ -141,11 +141,11 @@ def map_items(drawn: PaintMap, *, inside: bool = False) -> list[Item]:
         return np.stack([high[0] - x if inside else x - low[0], high[1] - y], axis=-1)
 
     out: list[Item] = [
-        Line(points=put(edge), closed=True, stroke="#000000", width_mm=0.18)
+        DrawnLine(points=put(edge), closed=True, stroke="#000000", width_mm=0.18)
         for edge in drawn.unrolled.outline
     ]
     out += [
-        Line(points=put(edge), stroke="#e07000", width_mm=0.35, dash_mm=2.0)
+        DrawnLine(points=put(edge), stroke="#e07000", width_mm=0.35, dash_mm=2.0)
         for edge in drawn.unrolled.seams
     ]
     radius = drawn.design.receptor.diameter_outer_mm / 2.0
@@ -247,7 +247,7 @@ def _joins(
         for place in places[axis]:
             line = np.stack([start, end])
             line[:, axis] = place
-            out.append(Line(points=line, stroke="#555555", width_mm=0.15, dash_mm=1.0))
+            out.append(DrawnLine(points=line, stroke="#555555", width_mm=0.15, dash_mm=1.0))
     middle = (start + end) / 2.0
     xs, ys = places[0] or [float(middle[0])], places[1] or [float(middle[1])]
     for x in xs:
@@ -258,7 +258,7 @@ def _joins(
 
 def _cross(at: FloatArray) -> list[Item]:
     return [
-        Line(points=at + reach, stroke="#000000", width_mm=0.15)
+        DrawnLine(points=at + reach, stroke="#000000", width_mm=0.15)
         for reach in (np.array([[-3.0, 0.0], [3.0, 0.0]]), np.array([[0.0, -3.0], [0.0, 3.0]]))
     ]
 
@@ -316,10 +316,10 @@ def scale_bar(start: FloatArray, length_mm: int, *, upright: bool = False) -> li
     """Bar with a tick at every 10 mm, to the right or upwards."""
     along = np.array([0.0, -1.0]) if upright else np.array([1.0, 0.0])
     aside = np.array([1.0, 0.0]) if upright else np.array([0.0, -1.0])
-    out: list[Item] = [Line(points=np.stack([start, start + length_mm * along]), width_mm=0.2)]
+    out: list[Item] = [DrawnLine(points=np.stack([start, start + length_mm * along]), width_mm=0.2)]
     for tick in range(0, length_mm + 1, TICK_mm):
         foot = start + tick * along
-        out.append(Line(points=np.stack([foot, foot + 2.0 * aside]), width_mm=0.2))
+        out.append(DrawnLine(points=np.stack([foot, foot + 2.0 * aside]), width_mm=0.2))
     if not upright:
         at = start + np.array([float(length_mm), 3.6])
         out.append(Text(at=at, text=f"{length_mm} mm", size_mm=2.6, anchor="end"))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.documents.drawing import Item, Layer, Line, Page, Text, svg_text
+from phytac_design.fabrication.documents.drawing import DrawnLine, Item, Layer, Page, Text, svg_text
 from phytac_design.fabrication.documents.paint_map import INKS
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
@@ -36,7 +36,7 @@ def section_svg(design: Design, markers: Markers, switches: SwitchSet) -> str:
         items.append(_box(side, (hole, outer), (end - band, end), paint))
     stem = profile[-2:]
     points = np.concatenate([profile, profile[::-1] * [-1.0, 1.0]]) * [1.0, -1.0]
-    items.append(Line(points=points, closed=True, fill=RUBBER, width_mm=0.02))
+    items.append(DrawnLine(points=points, closed=True, fill=RUBBER, width_mm=0.02))
     radius, deep = float(stem[0, 0]), -float(stem[0, 1])
     items.append(_box(1.0, (-radius, radius), (deep - 1.0, deep), INKS["red"]))
     shift = np.array([half + 1.0, top + 1.5])
@@ -54,14 +54,18 @@ def section_svg(design: Design, markers: Markers, switches: SwitchSet) -> str:
     return svg_text(page)
 
 
-def _box(side: float, across: tuple[float, float], deep: tuple[float, float], fill: str) -> Line:
+def _box(
+    side: float, across: tuple[float, float], deep: tuple[float, float], fill: str
+) -> DrawnLine:
     (x0, x1), (y0, y1) = across, deep
     points = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]) * [side, 1.0]
-    return Line(points=points, closed=True, fill=fill, width_mm=0.02)
+    return DrawnLine(points=points, closed=True, fill=fill, width_mm=0.02)
 
 
 def _scaled(item: Item) -> Item:
-    if not isinstance(item, Line):
+    if not isinstance(item, DrawnLine):
         return item
     points: FloatArray = item.points * SCALE
-    return Line(points=points, closed=item.closed, stroke=item.stroke, fill=item.fill, width_mm=0.2)
+    return DrawnLine(
+        points=points, closed=item.closed, stroke=item.stroke, fill=item.fill, width_mm=0.2
+    )

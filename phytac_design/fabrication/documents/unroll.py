@@ -37,7 +37,7 @@ FlatMap = Callable[[FloatArray, IntArray], FloatArray]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Unrolled:
+class UnrolledSurface:
     """A surface on paper: x around to the right, y along *upwards*, mm.
 
     Attributes
@@ -78,7 +78,7 @@ class Unrolled:
         return _stretch(self.surface, self.flat, uv, self.piece(uv))
 
 
-def unroll(surface: Surface) -> Unrolled:
+def unroll(surface: Surface) -> UnrolledSurface:
     """Flatten a surface by the method with the least stretch."""
     grid = _grid(surface)
     one = np.zeros(len(grid), dtype=np.int64)
@@ -100,7 +100,9 @@ def unroll(surface: Surface) -> Unrolled:
     return _made(surface, unwrap, "flattened", 1, "pressed flat along its two middle lines")
 
 
-def _made(surface: Surface, flat: FlatMap, kind: MapKind, pieces: int, note: str) -> Unrolled:
+def _made(
+    surface: Surface, flat: FlatMap, kind: MapKind, pieces: int, note: str
+) -> UnrolledSurface:
     (u0, u1), (v0, v1) = surface.domain
     u, width = np.linspace(u0, u1, BORDER), (v1 - v0) / pieces
     outline: list[FloatArray] = []
@@ -117,7 +119,7 @@ def _made(surface: Surface, flat: FlatMap, kind: MapKind, pieces: int, note: str
             seams += [left, right]
     grid = _grid(surface)
     found = _stretch(surface, flat, grid, _piece(surface, grid, pieces))
-    return Unrolled(
+    return UnrolledSurface(
         surface=surface,
         kind=kind,
         pieces=pieces,

@@ -3,7 +3,7 @@
 import numpy as np
 
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part
+from phytac_design.fabrication.hardware.parts import HardwareAssembly, HardwarePart
 from phytac_design.fabrication.hardware.screws import SCREWS, END_mm, Joint, TOUCH_mm
 from phytac_design.fabrication.hardware.solid_nodes import (
     Difference,
@@ -63,8 +63,8 @@ def imu_seat(
     seat = Difference(Union((tray, ears)), (pocket, *joint.passing()))
     imu = block((width, height), top - tray_mm - deep, top - tray_mm - TOUCH_mm, middle)
     parts = (
-        Part("imu_seat", seat, "resin", (0.0, 0.0, -75.0), "tray for the inertial sensor"),
-        Part("imu", imu, "electronics", (0.0, 0.0, -95.0), "inertial sensor, held by tape"),
+        HardwarePart("imu_seat", seat, "resin", (0.0, 0.0, -75.0), "tray for the inertial sensor"),
+        HardwarePart("imu", imu, "electronics", (0.0, 0.0, -95.0), "inertial sensor, held by tape"),
     )
     kit = HardwareAssembly(
         parts=parts, joints=(joint,), clearances_mm={"inertial sensor in tray": clearance}
@@ -158,7 +158,7 @@ def handle(
             block((across, 2.0 * edge), top - deep, top + 1.0, (0.0, -edge)),
         ]
     body = Union((disc(edge, top - thick, top), disc(neck, bottom, top)))
-    part = Part(
+    part = HardwarePart(
         "adapter",
         Difference(body, tuple(tools)),
         "resin",

@@ -13,7 +13,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.camera_unit import SKIN_mm, around_mm
-from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part
+from phytac_design.fabrication.hardware.parts import HardwareAssembly, HardwarePart
 from phytac_design.fabrication.hardware.screws import SCREWS, END_mm, Joint, TOUCH_mm
 from phytac_design.fabrication.hardware.solid_nodes import (
     Difference,
@@ -139,11 +139,11 @@ def bar(
     away = -0.6 * tip_mm - 40.0
     size = f"{strip_width:.1f} x {strip:.1f} mm"
     note = f"core of the light bar; flats for strips of {size}"
-    parts = [Part("bar", body, "resin", (0.0, 0.0, away), note)]
+    parts = [HardwarePart("bar", body, "resin", (0.0, 0.0, away), note)]
     note = f"light strip {size} with polarising film"
     for number, node in enumerate(strips, start=1):
         step = (0.0, 40.0 * (2 * number - 3), away)
-        parts.append(Part(f"light_strip_{number}", node, "light", step, note))
+        parts.append(HardwarePart(f"light_strip_{number}", node, "light", step, note))
     opening = disc(radius + clearance, low_mm - 1.0, tip_mm)
     # Any line out crosses the hole half-way: beside the core, and where the wires pass.
     middle_z = low_mm + 0.5 * plate_mm

@@ -14,7 +14,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.adapters import imu_seat
-from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part
+from phytac_design.fabrication.hardware.parts import HardwareAssembly, HardwarePart
 from phytac_design.fabrication.hardware.screws import SCREWS, Joint, TOUCH_mm, through
 from phytac_design.fabrication.hardware.solid_nodes import (
     Circle,
@@ -126,8 +126,8 @@ def camera_unit(
     )
     node = _camera(design, board, lens, joint)
     parts = [
-        Part(f"cover{label}", cover, "resin", (0.0, 0.0, -45.0), "camera cover"),
-        Part(f"camera{label}", node, "electronics", (0.0, 0.0, -25.0), note),
+        HardwarePart(f"cover{label}", cover, "resin", (0.0, 0.0, -45.0), "camera cover"),
+        HardwarePart(f"camera{label}", node, "electronics", (0.0, 0.0, -25.0), note),
     ]
     removed: list[Node] = [opening, *joint.holding()]
     middle = 0.5 * (front + back)
@@ -141,7 +141,7 @@ def camera_unit(
             f"ring of light, ø{2.0 * (inner + clearance):.1f} to "
             f"ø{2.0 * (outer - clearance):.1f} mm, {hardware.strip_thickness_mm:g} mm thick"
         )
-        parts.append(Part(f"ring_light{label}", light, "light", (0.0, 0.0, 15.0), note))
+        parts.append(HardwarePart(f"ring_light{label}", light, "light", (0.0, 0.0, 15.0), note))
     return CameraUnit(
         front_mm=front,
         back_mm=back,

@@ -20,7 +20,7 @@ COLOURS: dict[str, tuple[float, float, float]] = {
 
 
 @dataclass(frozen=True)
-class Part:
+class HardwarePart:
     """One body of the assembly.
 
     Attributes
@@ -57,7 +57,7 @@ class HardwareAssembly:
     ``openings_mm`` are points in gaps and holes through which light might find a way.
     """
 
-    parts: tuple[Part, ...] = ()
+    parts: tuple[HardwarePart, ...] = ()
     joints: tuple[Joint, ...] = ()
     left_out: dict[str, str] = field(default_factory=dict)
     clearances_mm: dict[str, float] = field(default_factory=dict)
@@ -95,7 +95,7 @@ class HardwareAssembly:
         openings = tuple(point(p, z_mm) for p in self.openings_mm)
         return replace(self, parts=parts, joints=joints, openings_mm=openings)
 
-    def screws(self) -> tuple[Part, ...]:
+    def screws(self) -> tuple[HardwarePart, ...]:
         """Screws of all joints as parts."""
         out = []
         for joint in self.joints:
@@ -104,7 +104,7 @@ class HardwareAssembly:
                 way: FloatArray = -step * np.array(joint.directions[number - 1])
                 x, y, z = (way + np.array(self._step(joint))).tolist()
                 out.append(
-                    Part(
+                    HardwarePart(
                         f"screw_{joint.name}_{number}",
                         Union(bodies),
                         "steel",

@@ -16,7 +16,7 @@ from phytac_design.fabrication.hardware.checks import (
     meets,
     sides_of_joint,
 )
-from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part, screw_name
+from phytac_design.fabrication.hardware.parts import HardwareAssembly, HardwarePart, screw_name
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.geometry.triangles import merged
 from phytac_design.layout import Markers
@@ -166,7 +166,7 @@ def hardware_facts(
 
 def parts_list(kit: HardwareAssembly, solids: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Printed and bought parts with count, material and volume; equal bought ones are one entry."""
-    groups: dict[str, list[Part]] = {}
+    groups: dict[str, list[HardwarePart]] = {}
     for part in kit.parts:
         groups.setdefault(part.name if part.printed else part.note, []).append(part)
     out = []

@@ -16,7 +16,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design, WallSection
 from phytac_design.fabrication.hardware.camera_unit import camera_unit, check_cavity
-from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part
+from phytac_design.fabrication.hardware.parts import HardwareAssembly, HardwarePart
 from phytac_design.fabrication.hardware.screws import SCREWS, END_mm, Joint, TOUCH_mm
 from phytac_design.fabrication.hardware.solid_nodes import (
     Difference,
@@ -122,8 +122,10 @@ def base_and_frame(
     frame: Node = Difference(Union((tongue, cover)), (opening, below, *joint.passing()))
     check_bed(design, (span_mm(outer), span_mm(unit.plate)), high - unit.back_mm, "base")
     parts = (
-        Part("base", base, "resin", (0.0, 0.0, -10.0), "base with camera mount"),
-        Part("frame", frame, "resin", (0.0, 0.0, 25.0), "holds the sheet's rim on the base"),
+        HardwarePart("base", base, "resin", (0.0, 0.0, -10.0), "base with camera mount"),
+        HardwarePart(
+            "frame", frame, "resin", (0.0, 0.0, 25.0), "holds the sheet's rim on the base"
+        ),
     )
     return unit.kit + HardwareAssembly(
         parts=parts, joints=(joint,), clearances_mm={"rim in base": clearance}

@@ -15,7 +15,7 @@ from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.adapters import handle, handle_plate_mm
 from phytac_design.fabrication.hardware.bar import bar, foot_mm, foot_plate_mm
 from phytac_design.fabrication.hardware.camera_unit import camera_unit, check_cavity
-from phytac_design.fabrication.hardware.parts import HardwareAssembly, Part
+from phytac_design.fabrication.hardware.parts import HardwareAssembly, HardwarePart
 from phytac_design.fabrication.hardware.rim_ends import End, rim_places
 from phytac_design.fabrication.hardware.screws import SCREWS, Joint, TOUCH_mm
 from phytac_design.fabrication.hardware.solid_nodes import (
@@ -67,7 +67,7 @@ def mount(
     body = Difference(Union((shaft, plate, *unit.added)), (*unit.removed, *joint.holding()))
     check_bed(design, (span_mm(socket), span_mm(unit.plate)), -unit.back_mm, name)
     note = "camera mount" if surface.periodic[1] and not any(surface.poles) else "base"
-    part = Part(name, body, "resin", (0.0, 0.0, -10.0), note)
+    part = HardwarePart(name, body, "resin", (0.0, 0.0, -10.0), note)
     return unit.kit + HardwareAssembly(
         parts=(part,),
         joints=(joint,),
@@ -116,7 +116,7 @@ def connector(
         body = Difference(body, removed)
         kit = kit + own
     check_bed(design, (span_mm(socket),), -low, name)
-    part = Part(name, body, "resin", (0.0, 0.0, -20.0), "closes the end without a camera")
+    part = HardwarePart(name, body, "resin", (0.0, 0.0, -20.0), "closes the end without a camera")
     return kit + HardwareAssembly(parts=(part,))
 
 

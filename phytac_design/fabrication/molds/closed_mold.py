@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.fabrication.molds.cavity import MoldSizes
-from phytac_design.fabrication.molds.grid import Plan, SwitchKind
+from phytac_design.fabrication.molds.grid import PlateLayout, SwitchKind
 from phytac_design.fabrication.switch_set import revolved_volume_mm3
 from phytac_design.geometry.triangles import TriangleMesh, merged, prisms
 from phytac_design.solids.solid_mesh import box, to_manifold, to_triangles
@@ -69,7 +69,7 @@ def shared_mm3(first: Any, second: Any) -> float:
 
 
 def cavities_of(
-    plan: Plan, sizes: MoldSizes, halves: tuple[Any, Any]
+    plan: PlateLayout, sizes: MoldSizes, halves: tuple[Any, Any]
 ) -> dict[SwitchKind, TriangleMesh]:
     """Cavity of the first switch of each kind, its axis at the origin."""
     # Plates are pressed together by this, so that no film is left where they touch but for
@@ -122,13 +122,13 @@ def fit_of(cavity: TriangleMesh, profile: FloatArray, shrink: float, sides: int)
     )
 
 
-def key_gap_mm(plan: Plan, sizes: MoldSizes, halves: tuple[Any, Any]) -> float:
+def key_gap_mm(plan: PlateLayout, sizes: MoldSizes, halves: tuple[Any, Any]) -> float:
     """Least gap between the keys and their sockets, above their feet."""
     low, high = 0.1 * sizes.key_height_mm, sizes.key_height_mm + sizes.section.key_clearance_mm
     return least_gap_mm(plan.centre_mm(plan.keys, sizes.pitch_mm), (low, high), sizes, halves)
 
 
-def cap_gap_mm(plan: Plan, sizes: MoldSizes, core: Any, cap: Any) -> float:
+def cap_gap_mm(plan: PlateLayout, sizes: MoldSizes, core: Any, cap: Any) -> float:
     """Least gap between the cap's bosses and their troughs."""
     cells = [run.cells[0] for run in plan.runs]
     span = (-sizes.depth_mm, 0.0)

@@ -36,7 +36,7 @@ class Run:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class PlateLayout:
     """Grid of one set of plates.
 
     Attributes
@@ -130,7 +130,7 @@ def _sets(columns: int, lines: int, counts: Sequence[tuple[SwitchKind, int]]) ->
 
 def plan_sets(
     counts: Sequence[tuple[SwitchKind, int]], columns_max: int, lines_max: int
-) -> list[Plan]:
+) -> list[PlateLayout]:
     """Fewest sets that hold all cavities, then the least and squarest grid for them.
 
     Parameters
@@ -155,6 +155,6 @@ def plan_sets(
                 break
     _, made, columns, lines = best
     return [
-        Plan(columns=columns, lines=lines, runs=tuple(runs), number=k + 1, total=len(made))
+        PlateLayout(columns=columns, lines=lines, runs=tuple(runs), number=k + 1, total=len(made))
         for k, runs in enumerate(made)
     ]

@@ -8,7 +8,7 @@ import numpy as np
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.design.switch_table import MoldSection
 from phytac_design.fabrication.molds.cavity import MoldSizes, make_sizes
-from phytac_design.fabrication.molds.grid import LEAST, Plan, plan_sets
+from phytac_design.fabrication.molds.grid import LEAST, PlateLayout, plan_sets
 from phytac_design.fabrication.molds.plates import (
     cap_plate,
     check_troughs,
@@ -21,7 +21,7 @@ from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_shapes.errors import DesignError
 
-Maker = Callable[[Plan, MoldSizes], TriangleMesh]
+Maker = Callable[[PlateLayout, MoldSizes], TriangleMesh]
 MAKERS: dict[str, dict[str, Maker]] = {
     "rigid": {"dome_plate": dome_plate, "core_plate": core_plate, "cap_plate": cap_plate},
     "silicone-master": {"dome_tray": dome_tray, "core_tray": core_tray},
@@ -44,7 +44,7 @@ class MoldSet:
         Name to mesh, in the frame of use (z towards the domes), before the print's shrinkage.
     """
 
-    plan: Plan
+    plan: PlateLayout
     sizes: MoldSizes
     parts: dict[str, TriangleMesh]
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.fabrication.molds.cavity import KEY_SIDES, MoldSizes
-from phytac_design.fabrication.molds.grid import Plan, Run
+from phytac_design.fabrication.molds.grid import PlateLayout, Run
 from phytac_design.fabrication.molds.labels import label
 from phytac_design.fabrication.molds.sheet import Sheet
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -23,7 +23,7 @@ def label_sizes_mm(rules: PrintSection) -> tuple[float, float]:
 class CellGrid:
     """The grid of a plan on a sheet: its corner points at one height, and cells between them."""
 
-    def __init__(self, sheet: Sheet, plan: Plan, sizes: MoldSizes, z_mm: float) -> None:
+    def __init__(self, sheet: Sheet, plan: PlateLayout, sizes: MoldSizes, z_mm: float) -> None:
         self.sheet, self.plan, self.sizes, self.z_mm = sheet, plan, sizes, z_mm
         pitch = sizes.pitch_mm
         x = pitch * (np.arange(plan.columns + 1) - 0.5 * plan.columns)
@@ -114,7 +114,7 @@ class CellGrid:
         return self.sheet.points(np.column_stack([moved, height]))
 
 
-def dome_face(sheet: Sheet, plan: Plan, sizes: MoldSizes) -> tuple[CellGrid, IntArray]:
+def dome_face(sheet: Sheet, plan: PlateLayout, sizes: MoldSizes) -> tuple[CellGrid, IntArray]:
     """Face on the domes' side, seen from below: domes, pinching rings, channels, moat, fence.
 
     Around each bowl a flat ring lies in the parting plane; all else is ``overflow_mm`` higher, so
@@ -145,7 +145,7 @@ def dome_face(sheet: Sheet, plan: Plan, sizes: MoldSizes) -> tuple[CellGrid, Int
 
 
 def core_face(
-    sheet: Sheet, plan: Plan, sizes: MoldSizes, *, vent_level_mm: float | None
+    sheet: Sheet, plan: PlateLayout, sizes: MoldSizes, *, vent_level_mm: float | None
 ) -> tuple[CellGrid, IntArray, dict[tuple[int, int], IntArray]]:
     """Face on the cores' side, seen from above: cores, stem holes, keys.
 

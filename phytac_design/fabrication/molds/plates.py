@@ -18,7 +18,7 @@ In the frame of use z points to the domes, as in a switch.
 import numpy as np
 
 from phytac_design.fabrication.molds.cavity import KEY_SIDES, Cavity, EDGE_mm, MoldSizes
-from phytac_design.fabrication.molds.grid import Plan, Run
+from phytac_design.fabrication.molds.grid import PlateLayout, Run
 from phytac_design.fabrication.molds.mold_faces import CellGrid, core_face, dome_face
 from phytac_design.fabrication.molds.sheet import Sheet
 from phytac_design.geometry.triangles import TriangleMesh
@@ -44,7 +44,7 @@ def dome_edge_mm(sizes: MoldSizes) -> float:
     return dome_away_mm(sizes) + (sizes.top_mm + sizes.section.fence_mm) * draft_of(sizes)
 
 
-def dome_plate(plan: Plan, sizes: MoldSizes) -> TriangleMesh:
+def dome_plate(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
     """Plate above the domes' face, as thick as ``sizes.top_mm`` over the parting plane."""
     sheet, section = Sheet(), sizes.section
     sheet.up = False
@@ -59,7 +59,7 @@ def dome_plate(plan: Plan, sizes: MoldSizes) -> TriangleMesh:
     return sheet.mesh()
 
 
-def core_plate(plan: Plan, sizes: MoldSizes) -> TriangleMesh:
+def core_plate(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
     """Plate below the cores' face; behind each run of stems a trough down to their ends."""
     sheet, depth = Sheet(), sizes.depth_mm
     field, edge, ends = core_face(sheet, plan, sizes, vent_level_mm=None)
@@ -81,7 +81,7 @@ def core_plate(plan: Plan, sizes: MoldSizes) -> TriangleMesh:
     return sheet.mesh()
 
 
-def cap_plate(plan: Plan, sizes: MoldSizes) -> TriangleMesh:
+def cap_plate(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
     """Cap behind the core plate: a boss in each trough, pads with keys, a gap everywhere else."""
     sheet, section = Sheet(), sizes.section
     level = -sizes.depth_mm - section.overflow_mm

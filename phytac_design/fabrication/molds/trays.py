@@ -17,7 +17,7 @@ The trays have the same two faces as the plates of the rigid mold, seen from the
 import numpy as np
 
 from phytac_design.fabrication.molds.cavity import MoldSizes
-from phytac_design.fabrication.molds.grid import Plan
+from phytac_design.fabrication.molds.grid import PlateLayout
 from phytac_design.fabrication.molds.mold_faces import CellGrid, core_face, dome_face
 from phytac_design.fabrication.molds.plates import dome_away_mm, draft_of
 from phytac_design.fabrication.molds.sheet import Sheet
@@ -39,7 +39,7 @@ def tray_edge_mm(sizes: MoldSizes) -> float:
     )
 
 
-def dome_tray(plan: Plan, sizes: MoldSizes) -> TriangleMesh:
+def dome_tray(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
     """Tray below the domes' face."""
     sheet, section = Sheet(), sizes.section
     field, inner = dome_face(sheet, plan, sizes)
@@ -51,7 +51,7 @@ def dome_tray(plan: Plan, sizes: MoldSizes) -> TriangleMesh:
     return sheet.mesh()
 
 
-def core_tray(plan: Plan, sizes: MoldSizes) -> TriangleMesh:
+def core_tray(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
     """Tray above the cores' face, stems down as in use; it is printed stems up."""
     sheet, section = Sheet(), sizes.section
     sheet.up = False

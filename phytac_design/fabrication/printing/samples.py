@@ -20,7 +20,7 @@ AREA_mm2 = 1e-10
 
 
 @dataclass(frozen=True, kw_only=True)
-class Samples:
+class SurfaceSamples:
     """Points on faces: the middle of every triangle, and more on large ones.
 
     Attributes
@@ -38,9 +38,9 @@ class Samples:
     triangle: IntArray
     area_mm2: FloatArray
 
-    def some(self, which: BoolArray | IntArray) -> "Samples":
+    def some(self, which: BoolArray | IntArray) -> "SurfaceSamples":
         """Return those of an index."""
-        return Samples(
+        return SurfaceSamples(
             point_mm=self.point_mm[which],
             normal=self.normal[which],
             triangle=self.triangle[which],
@@ -48,7 +48,7 @@ class Samples:
         )
 
 
-def sample_faces(tree: RayTree, spacing_mm: float) -> Samples:
+def sample_faces(tree: RayTree, spacing_mm: float) -> SurfaceSamples:
     """Points about ``spacing_mm`` apart, at least one on each triangle."""
     real = np.flatnonzero(tree.area_mm2 > AREA_mm2)
     area = tree.area_mm2[real]
@@ -60,7 +60,7 @@ def sample_faces(tree: RayTree, spacing_mm: float) -> Samples:
     share[number == 0] = 1.0 / 3.0
     a, b, c = np.moveaxis(tree.corners[triangle], 1, 0)
     point = a + share[:, :1] * (b - a) + share[:, 1:] * (c - a)
-    return Samples(
+    return SurfaceSamples(
         point_mm=point,
         normal=tree.normal[triangle],
         triangle=triangle,

@@ -12,7 +12,7 @@ import numpy as np
 
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.fabrication.printing.free_walls import free_walls
-from phytac_design.fabrication.printing.samples import Samples, regions
+from phytac_design.fabrication.printing.samples import SurfaceSamples, regions
 from phytac_design.fabrication.printing.violations import Violation, violation
 from phytac_design.geometry.ray_tree import RayTree, START_mm
 from phytac_design.geometry.triangles import frames_along
@@ -44,7 +44,7 @@ class ThinPlaces:
     """
 
     tree: RayTree
-    samples: Samples
+    samples: SurfaceSamples
     width_mm: FloatArray
     side: float
 
@@ -103,7 +103,7 @@ class ThinPlaces:
 
 def check_thickness(
     tree: RayTree,
-    samples: Samples,
+    samples: SurfaceSamples,
     rules: PrintSection,
     *,
     spacing_mm: float,
@@ -156,7 +156,7 @@ def _around(normal: FloatArray, count: int, angle: float = np.pi) -> Iterator[Fl
 
 
 def _thin_places(
-    tree: RayTree, samples: Samples, side: float, limit_mm: float, required_mm: float
+    tree: RayTree, samples: SurfaceSamples, side: float, limit_mm: float, required_mm: float
 ) -> tuple[ThinPlaces, ThinPlaces]:
     """Thin places inward (side -1) or outward (1): narrow both ways, and only one way."""
     # A wall or gap that tapers to nothing within this many times the required width is an edge.

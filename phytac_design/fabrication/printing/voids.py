@@ -23,7 +23,7 @@ COARSE = 2.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Grid:
+class VoxelGrid:
     """Cells of a box around a body.
 
     Attributes
@@ -71,7 +71,7 @@ class Hollow:
         return replace(self, counted=counted)
 
 
-def fill(mesh: TriangleMesh, cell_mm: float, margin_mm: float) -> Grid:
+def fill(mesh: TriangleMesh, cell_mm: float, margin_mm: float) -> VoxelGrid:
     """Cells inside a closed mesh, with a margin of air all around."""
     low = mesh.vertices_mm.min(axis=0) - margin_mm
     # Off the corners of round numbers, so that no column runs along an edge.
@@ -79,7 +79,7 @@ def fill(mesh: TriangleMesh, cell_mm: float, margin_mm: float) -> Grid:
     size = np.ceil((mesh.vertices_mm.max(axis=0) + margin_mm - low) / cell_mm).astype(int) + 1
     turns = np.zeros((size[0], size[1], size[2] + 1), dtype=np.int32)
     _count(np.ascontiguousarray((mesh.corners_mm - low) / cell_mm), turns)
-    return Grid(solid=np.cumsum(turns, axis=2)[:, :, :-1] > 0, low_mm=low, cell_mm=cell_mm)
+    return VoxelGrid(solid=np.cumsum(turns, axis=2)[:, :, :-1] > 0, low_mm=low, cell_mm=cell_mm)
 
 
 @kernel
@@ -159,7 +159,7 @@ def cups(mesh: TriangleMesh, up: FloatArray, rules: PrintSection) -> list[Violat
     return _trapped("cup", grid, hollows, rules, lambda air: air & ~_pools(air), advice)
 
 
-def _grid(mesh: TriangleMesh, rules: PrintSection, *, cells_max: int) -> Grid | None:
+def _grid(mesh: TriangleMesh, rules: PrintSection, *, cells_max: int) -> VoxelGrid | None:
     """Cells of a body with a margin for the drain's ball; None if cells are too coarse for it."""
     drain, cell = rules.drain_min_mm, cell_size_mm(mesh, rules, cells_max)
     return None if drain < COARSE * cell else fill(mesh, cell, drain / 2.0 + 2.0 * cell)
@@ -167,7 +167,7 @@ def _grid(mesh: TriangleMesh, rules: PrintSection, *, cells_max: int) -> Grid | 
 
 def _trapped(
     rule: str,
-    grid: Grid,
+    grid: VoxelGrid,
     hollows: list[Hollow],
     rules: PrintSection,
     reached: Callable[[BoolArray], BoolArray],
@@ -182,7 +182,7 @@ def _trapped(
     return found
 
 
-def _hollows(grid: Grid, label: IntArray, drain_mm: float) -> list[Hollow]:
+def _hollows(grid: VoxelGrid, label: IntArray, drain_mm: float) -> list[Hollow]:
     """Cells that a ball fills whose middle is in a region; 0 is no region."""
     reach = int(np.ceil(drain_mm / 2.0 / grid.cell_mm)) + 2
     found = []
@@ -217,7 +217,7 @@ def _reached(air: BoolArray) -> BoolArray:
 
 
 def _holding(
-    grid: Grid,
+    grid: VoxelGrid,
     hollows: list[Hollow],
     required_mm2: float,
     reached: Callable[[BoolArray], BoolArray],
@@ -259,7 +259,7 @@ def upright(up: FloatArray) -> FloatArray:
     return np.stack([np.cross(second, third), second, third])
 
 
-def _ball_centres(grid: Grid, diameter_mm: float) -> BoolArray:
+def _ball_centres(grid: VoxelGrid, diameter_mm: float) -> BoolArray:
     """Cells in which the middle of a ball can be; the outermost ones are air."""
     # The nearest solid cell's middle is about half a cell inside the body.
     distance = ndimage.distance_transform_edt(~grid.solid) * grid.cell_mm - grid.cell_mm / 2.0

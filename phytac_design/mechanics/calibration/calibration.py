@@ -29,7 +29,7 @@ from phytac_design.mechanics.calibration.calibration_result import (
     Name,
     ShellParameters,
 )
-from phytac_design.mechanics.calibration.probe_response import Response, ResponseModel
+from phytac_design.mechanics.calibration.probe_response import ProbeMotion, ResponseModel
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import InputError, NumericalError
 
@@ -40,7 +40,7 @@ MAX_DISPLACEMENT_OVER_WALL = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrationSettings:
+class ShellCalibrationSettings:
     """Limits of a fit."""
 
     poisson_limit: float = 0.05
@@ -73,7 +73,7 @@ class CalibrationSettings:
     """A step below this is rounding, however small the standard deviation."""
 
 
-SETTINGS = CalibrationSettings()
+SETTINGS = ShellCalibrationSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,7 +167,9 @@ class _Data:
     measured: FloatArray
     press: IntArray
 
-    def model(self, at: FloatArray, with_poisson: bool) -> tuple[FloatArray, FloatArray, Response]:
+    def model(
+        self, at: FloatArray, with_poisson: bool
+    ) -> tuple[FloatArray, FloatArray, ProbeMotion]:
         """Expected displacement (n,), its Jacobian in (ln E, ln t, ν) (n, 3), the response."""
         thickness, per_E = float(np.exp(at[1])), self.force / np.exp(at[0])
         found = self.response(thickness, float(at[2]), with_poisson)

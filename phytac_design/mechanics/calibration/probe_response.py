@@ -33,7 +33,7 @@ ALONG_SAMPLES = 33
 
 
 @dataclass(frozen=True, kw_only=True)
-class Response:
+class ProbeMotion:
     """Inward displacement (n,) at each row's probe for 1 N on its patch and E = 1 MPa.
 
     Attributes
@@ -53,7 +53,7 @@ class Response:
     mesh_error: FloatArray
 
 
-ResponseModel = Callable[[float, float, bool], Response]
+ResponseModel = Callable[[float, float, bool], ProbeMotion]
 """Response for wall (mm), Poisson's ratio, and whether its rate with the latter is wanted."""
 
 
@@ -80,7 +80,7 @@ class ProbeResponse:
     factors: Callable[[ShellMesh], ReceptorStiffness] | None = None
     _kept: dict[int, tuple[Any, IntArray, FloatArray]] = field(default_factory=dict)
 
-    def __call__(self, thickness_mm: float, poisson: float, with_poisson: bool, /) -> Response:
+    def __call__(self, thickness_mm: float, poisson: float, with_poisson: bool, /) -> ProbeMotion:
         """Solve both meshes and extrapolate."""
         counts = mesh_counts(self.surface, self.around)
         coarse = self._on_mesh(counts, thickness_mm, poisson, with_poisson)
@@ -88,7 +88,7 @@ class ProbeResponse:
         fine = self._on_mesh(finer, thickness_mm, poisson, with_poisson)
         error = (fine - coarse) / (MESH_RATIO**2 - 1.0)
         best = fine + error
-        return Response(
+        return ProbeMotion(
             value=best[0],
             thickness_rate=best[1],
             poisson_rate=best[2] if with_poisson else None,

@@ -20,7 +20,7 @@ import numpy as np
 from phytac_design.mechanics.meshing.grid import (
     EDGE_FRACTION,
     MAX_TURN,
-    Grid,
+    QuadGrid,
     limited,
     place,
 )
@@ -51,7 +51,7 @@ class DomeSettings:
 SETTINGS = DomeSettings()
 
 
-def dome_grid(surface: Surface, *, offset_mm: float, size_mm: float) -> Grid:
+def dome_grid(surface: Surface, *, offset_mm: float, size_mm: float) -> QuadGrid:
     """Grid of a surface with one pole, elements of about ``size_mm`` in the mean.
 
     Parameters
@@ -108,7 +108,7 @@ def dome_grid(surface: Surface, *, offset_mm: float, size_mm: float) -> Grid:
     uv[ids[-1], 0] = ends[1]
     uv[distance == 0.0] = ends[0], v0
     name = "BOTTOM" if surface.poles[1] else "TOP"
-    return Grid(uv=uv, quads=np.concatenate([quads, strip]), sets={name: ids[-1].copy()})
+    return QuadGrid(uv=uv, quads=np.concatenate([quads, strip]), sets={name: ids[-1].copy()})
 
 
 def _meridian(

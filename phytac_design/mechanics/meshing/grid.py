@@ -27,7 +27,7 @@ CROSS_LINES = 9
 
 
 @dataclass(frozen=True, kw_only=True)
-class Grid:
+class QuadGrid:
     """Quadrilaterals in the chart.
 
     Attributes
@@ -48,7 +48,7 @@ class Grid:
     around: int | None = None
 
 
-def product_grid(surface: Surface, u: FloatArray, v: FloatArray) -> Grid:
+def product_grid(surface: Surface, u: FloatArray, v: FloatArray) -> QuadGrid:
     """Grid of the lines ``u`` and ``v``; v without its last value where the chart closes."""
     closed = surface.periodic[1]
     if closed:
@@ -58,7 +58,7 @@ def product_grid(surface: Surface, u: FloatArray, v: FloatArray) -> Grid:
     before = ids if closed else ids[:, :-1]
     quads = np.stack([before[:-1], after[:-1], after[1:], before[1:]], axis=-1).reshape(-1, 4)
     sides = {"BOTTOM": ids[0], "TOP": ids[-1], "LEFT": ids[:, 0], "RIGHT": ids[:, -1]}
-    return Grid(
+    return QuadGrid(
         uv=np.column_stack([np.repeat(u, len(v)), np.tile(v, len(u))]),
         quads=quads,
         sets={EDGE_NAMES[edge]: sides[EDGE_NAMES[edge]].copy() for edge in surface.edges()},

@@ -12,7 +12,7 @@ r"""Structured grids of a tube, aligned with a lattice of markers.
 import numpy as np
 
 from phytac_design.layout import Lattice
-from phytac_design.mechanics.meshing.grid import Grid
+from phytac_design.mechanics.meshing.grid import QuadGrid
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
@@ -23,7 +23,7 @@ RIM_REFINE = 2
 """Elements along are this much shorter next to the rims, where clamped edges bend sharply."""
 
 
-def lattice_grid(surface: Surface, lattice: Lattice, refine: int) -> tuple[Grid, IntArray]:
+def lattice_grid(surface: Surface, lattice: Lattice, refine: int) -> tuple[QuadGrid, IntArray]:
     """Grid whose lines hold the markers of a lattice, and the node of each marker.
 
     Parameters
@@ -52,7 +52,7 @@ def lattice_grid(surface: Surface, lattice: Lattice, refine: int) -> tuple[Grid,
     return shifted_grid(surface, u, shift, around), nodes
 
 
-def shifted_grid(surface: Surface, u: FloatArray, shift: FloatArray, around: int) -> Grid:
+def shifted_grid(surface: Surface, u: FloatArray, shift: FloatArray, around: int) -> QuadGrid:
     """Grid of lines at ``u``, each with ``around`` nodes equally spaced from ``shift`` on."""
     v0, v1 = surface.domain[1]
     v = shift[:, None] + (v1 - v0) / around * np.arange(around)
@@ -60,7 +60,7 @@ def shifted_grid(surface: Surface, u: FloatArray, shift: FloatArray, around: int
     after = np.roll(here, -1)
     base = around * np.arange(len(u) - 1)[:, None]
     quads = np.stack([base + here, base + after, base + around + after, base + around + here], -1)
-    return Grid(
+    return QuadGrid(
         uv=np.column_stack([np.repeat(u, around), v0 + np.mod(v - v0, v1 - v0).ravel()]),
         quads=quads.reshape(-1, 4),
         sets={"TOP": (len(u) - 1) * around + here, "BOTTOM": here},

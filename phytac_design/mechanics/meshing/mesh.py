@@ -14,7 +14,7 @@ from phytac_design.mechanics.meshing.dome import dome_grid
 from phytac_design.mechanics.meshing.grid import (
     EDGE_NAMES,
     MAX_TURN,
-    Grid,
+    QuadGrid,
     axis_lines,
     product_grid,
 )
@@ -170,7 +170,7 @@ def node_mesh(
         moved = snap(surface, grid, uv, offset_mm=-thickness_mm / 2.0)
         if moved is not None:
             before = _sides(surface.point(grid.uv, -thickness_mm / 2.0), grid.quads)
-            grid = Grid(uv=moved[0], quads=grid.quads, sets=grid.sets)
+            grid = QuadGrid(uv=moved[0], quads=grid.quads, sets=grid.sets)
             mesh = _shell(surface, grid, thickness_mm, moved[1])
             minimum = float(mesh.scaled_jacobian().min())
             kept = float((_sides(mesh.nodes_mm, grid.quads) / before).min())
@@ -260,7 +260,7 @@ def _grid(
     thickness_mm: float,
     size_mm: float,
     through: tuple[FloatArray, FloatArray] | None = None,
-) -> Grid:
+) -> QuadGrid:
     """Grid of any surface, with lines ``through`` given (u, v) where its lines are straight."""
     offset = -thickness_mm / 2.0
     if any(surface.poles):
@@ -281,7 +281,7 @@ def _product_lines(uv: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     return (uv[u, 0], uv[v, 1]) if len(u) * len(v) == len(uv) else None
 
 
-def _bends_unevenly(surface: Surface, grid: Grid) -> bool:
+def _bends_unevenly(surface: Surface, grid: QuadGrid) -> bool:
     """Whether equal steps around turn some corners too far for one element."""
     normal = surface.normal(grid.uv)
     ahead = normal[np.roll(grid.quads, -1, axis=1)[:, [0, 2]]]
@@ -318,7 +318,7 @@ def _matching(mesh: ShellMesh, markers: Markers) -> ShellMesh:
 
 
 def _shell(
-    surface: Surface, grid: Grid, thickness_mm: float, marker_nodes: IntArray | None = None
+    surface: Surface, grid: QuadGrid, thickness_mm: float, marker_nodes: IntArray | None = None
 ) -> ShellMesh:
     """Put a grid onto the middle face, elements facing outward."""
     empty = np.zeros(0, dtype=np.int64)

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.mechanics.meshing.grid import EDGE_NAMES, Grid
+from phytac_design.mechanics.meshing.grid import EDGE_NAMES, QuadGrid
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -15,7 +15,7 @@ EDGE_TOL = 1e-9
 
 
 def snap(
-    surface: Surface, grid: Grid, marker_uv: FloatArray, *, offset_mm: float
+    surface: Surface, grid: QuadGrid, marker_uv: FloatArray, *, offset_mm: float
 ) -> tuple[FloatArray, IntArray] | None:
     """Chart coordinates (N, 2) with a node on every marker, and that node (n,).
 

@@ -3,7 +3,7 @@
 from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.mechanics.switch.curve import ForceStrokeCurve, Snap, snap_of
 from phytac_design.mechanics.switch.rubbers import Rubber
-from phytac_design.mechanics.switch.space import Space
+from phytac_design.mechanics.switch.space import SwitchSpace
 from phytac_shapes.errors import DesignError
 
 FILLETS = (1.0 / 6.0, 1.0 / 4.0, 1.0 / 3.0, 5.0 / 12.0)
@@ -28,12 +28,12 @@ class UnsuitableBowlError(DesignError):
         self.shallow, self.thin = shallow, thin
 
 
-def fillets(space: Space) -> list[float]:
+def fillets(space: SwitchSpace) -> list[float]:
     """Fillets to try, mm, from sharp to round."""
     return [factor * space.stem_diameter_mm for factor in FILLETS]
 
 
-def bowl_of(space: Space, fillet_mm: float, depth_mm: float, wall_mm: float) -> Bowl:
+def bowl_of(space: SwitchSpace, fillet_mm: float, depth_mm: float, wall_mm: float) -> Bowl:
     """Bowl of a wall, as wide as fits, and as deep as given or as releases from its mold.
 
     Raises
@@ -55,7 +55,7 @@ def bowl_of(space: Space, fillet_mm: float, depth_mm: float, wall_mm: float) -> 
         raise UnsuitableBowlError(str(error)) from None
 
 
-def evaluate_bowl(curve: ForceStrokeCurve, rubber: Rubber, space: Space) -> Snap:
+def evaluate_bowl(curve: ForceStrokeCurve, rubber: Rubber, space: SwitchSpace) -> Snap:
     """Snap of a curve that fits space and rubber.
 
     Raises

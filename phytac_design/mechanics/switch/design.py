@@ -17,7 +17,7 @@ from phytac_design.mechanics.switch.buckling import first_buckling
 from phytac_design.mechanics.switch.curve import ForceStrokeCurve, Snap, press_bowl, snap_of
 from phytac_design.mechanics.switch.feasible_range import feasible_range
 from phytac_design.mechanics.switch.rubbers import Rubber
-from phytac_design.mechanics.switch.space import Space, Tolerance
+from phytac_design.mechanics.switch.space import SwitchSpace, Tolerance
 from phytac_design.mechanics.switch.tolerance import Spread, limit_load, threshold_spread
 from phytac_shapes.errors import DesignError, NumericalError
 
@@ -58,7 +58,7 @@ class SwitchDesign:
     threshold_N: float
     bowl: Bowl
     rubber: Rubber
-    space: Space
+    space: SwitchSpace
     curve: ForceStrokeCurve
     snap: Snap
     buckling: dict[int, float] = field(default_factory=dict)
@@ -77,7 +77,7 @@ class SwitchDesign:
 
 
 def design_switch(
-    threshold_N: float, rubber: Rubber, space: Space, tolerance: Tolerance | None = None
+    threshold_N: float, rubber: Rubber, space: SwitchSpace, tolerance: Tolerance | None = None
 ) -> SwitchDesign:
     """Find wall, depth, diameter and fillets of the bowl whose limit load is the threshold.
 
@@ -131,7 +131,7 @@ def design_switch(
 
 
 def _curve_of(
-    threshold_N: float, rubber: Rubber, space: Space, fillet_mm: float
+    threshold_N: float, rubber: Rubber, space: SwitchSpace, fillet_mm: float
 ) -> ForceStrokeCurve:
     """Curve of the bowl with the threshold as limit load, deep enough for its stroke."""
     depth, wall = space.stroke_mm + EXTRA_DEPTH_mm, 0.0
@@ -161,7 +161,7 @@ def _curve_of(
 def _wall(
     threshold_N: float,
     rubber: Rubber,
-    space: Space,
+    space: SwitchSpace,
     fillet_mm: float,
     depth_mm: float,
     *,
@@ -238,7 +238,7 @@ def _buckling(curve: ForceStrokeCurve, snap: Snap) -> dict[int, float]:
     return at
 
 
-def _refusal(threshold_N: float, rubber: Rubber, space: Space, reasons: list[str]) -> str:
+def _refusal(threshold_N: float, rubber: Rubber, space: SwitchSpace, reasons: list[str]) -> str:
     modulus = rubber.material.modulus_MPa
     intro = (
         f"a switch of {threshold_N:g} N does not fit a bowl {space.diameter_mm:.3g} mm wide of "

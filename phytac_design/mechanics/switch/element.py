@@ -124,7 +124,7 @@ def shear_operator(shape: Geometry, mode: int) -> FloatArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Response:
+class ElementResponse:
     """Stress and stiffness at the Gauss points of all elements.
 
     Attributes
@@ -168,7 +168,7 @@ def _principal(gradient: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray
     return stretch, n, N
 
 
-def respond(shape: Geometry, material: Material, gradient: FloatArray) -> Response | None:
+def respond(shape: Geometry, material: Material, gradient: FloatArray) -> ElementResponse | None:
     """Stress and stiffness at displacement gradients (E, 9, 5); None where one turns inside out."""
     stretch, n, N = _principal(gradient)
     if not (np.isfinite(stretch).all() and (stretch > 0.0).all()):
@@ -193,7 +193,7 @@ def respond(shape: Geometry, material: Material, gradient: FloatArray) -> Respon
     cof = np.empty_like(gradient)
     cof[..., :4] = np.einsum("...i,...ik->...k", cofactor[..., :2], dyad[..., [0, 3], :])
     cof[..., 4] = cofactor[..., 2]
-    return Response(
+    return ElementResponse(
         stretch=stretch,
         energy_Nmm=stored,
         stress=stress,
@@ -254,7 +254,7 @@ def _out_of_plane(
 
 def force_and_stiffness(
     shape: Geometry, material: Material, B: FloatArray, moved: FloatArray
-) -> tuple[FloatArray, FloatArray, Response] | None:
+) -> tuple[FloatArray, FloatArray, ElementResponse] | None:
     """Inner forces (E, 18), tangents (E, 18, 18) and response at DOFs (E, 18).
 
     None where an element turns inside out.
@@ -267,7 +267,9 @@ def force_and_stiffness(
     return force, tangent(shape, material, B, response), response
 
 
-def tangent(shape: Geometry, material: Material, B: FloatArray, response: Response) -> FloatArray:
+def tangent(
+    shape: Geometry, material: Material, B: FloatArray, response: ElementResponse
+) -> FloatArray:
     """Tangents (E, k, k) of the in-plane gradients that ``B`` (E, 9, 5, k) gives."""
     count, _, _, size = B.shape
     weighted = shape.weight_mm3[..., None, None] * (response.stiffness @ B)
@@ -280,7 +282,7 @@ def tangent(shape: Geometry, material: Material, B: FloatArray, response: Respon
     return np.asarray(K)
 
 
-def shear_tangent(shape: Geometry, B: FloatArray, response: Response) -> FloatArray:
+def shear_tangent(shape: Geometry, B: FloatArray, response: ElementResponse) -> FloatArray:
     """Tangents (E, 27, 27) of the gradients that ``shear_operator`` gives."""
     count, _, _, size = B.shape
     weighted = shape.weight_mm3[..., None, None] * (response.stiffness_shear @ B)

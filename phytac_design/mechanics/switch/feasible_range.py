@@ -13,7 +13,7 @@ from phytac_design.mechanics.switch.bowl_check import (
 )
 from phytac_design.mechanics.switch.curve import press_bowl
 from phytac_design.mechanics.switch.rubbers import Rubber
-from phytac_design.mechanics.switch.space import Space
+from phytac_design.mechanics.switch.space import SwitchSpace
 from phytac_shapes.errors import NumericalError
 
 MAX_WALLS = 7
@@ -41,7 +41,7 @@ class FeasibleRange:
     max_wall_mm: float
 
 
-def feasible_range(rubber: Rubber, space: Space) -> FeasibleRange | None:
+def feasible_range(rubber: Rubber, space: SwitchSpace) -> FeasibleRange | None:
     """Range of thresholds that fit; None if no wall does."""
     fits: list[tuple[float, float, float]] = []
     for fillet in fillets(space):
@@ -73,7 +73,7 @@ def feasible_range(rubber: Rubber, space: Space) -> FeasibleRange | None:
 
 
 def _on_fine_mesh(
-    rubber: Rubber, space: Space, fits: list[tuple[float, float, float]]
+    rubber: Rubber, space: SwitchSpace, fits: list[tuple[float, float, float]]
 ) -> tuple[float, float] | None:
     """Largest threshold and its wall: the fine mesh sees creases that the coarse one bears."""
     for _, start, fillet in fits:
@@ -89,7 +89,7 @@ def _on_fine_mesh(
 
 
 def _fits(
-    rubber: Rubber, space: Space, fillet_mm: float, wall_mm: float, *, refine: int = 1
+    rubber: Rubber, space: SwitchSpace, fillet_mm: float, wall_mm: float, *, refine: int = 1
 ) -> float | None:
     """Limit load, N, of the bowl with a wall, if it does."""
     depth = space.stroke_mm + EXTRA_DEPTH_mm

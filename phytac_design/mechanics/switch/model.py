@@ -181,4 +181,4 @@ class State:
     gross_N: float
     reaction_N: FloatArray
     tangent: Any
-    response: element.Response
+    response: element.ElementResponse

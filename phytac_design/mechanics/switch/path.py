@@ -21,7 +21,7 @@ EPS = 4.0 * float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True, kw_only=True)
-class PathSettings:
+class SwitchPathSettings:
     """Tolerances and limits of a path."""
 
     max_iterations: int = 9
@@ -34,7 +34,7 @@ class PathSettings:
     """Share of the longest step at which a path ends: creases of the mesh's own size follow."""
 
 
-SETTINGS = PathSettings()
+SETTINGS = SwitchPathSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +81,7 @@ class PathError(NumericalError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Constraint:
+class PathConstraint:
     """``normal · (q − anchor) = distance``; with ``quadratic``, ‖q − anchor‖² = distance²."""
 
     anchor: FloatArray
@@ -149,7 +149,7 @@ def correct(
     model: AxiModel,
     load: FloatArray,
     guess: tuple[FloatArray, float],
-    constraint: Constraint,
+    constraint: PathConstraint,
 ) -> PathPoint:
     """Equilibrium on a constraint, by Newton's method from a guess of q and λ.
 
@@ -223,7 +223,7 @@ class PathControl:
         normal = np.eye(1, model.count, self.unknown)[0]
         rate = move / float(here.drive[self.unknown])
         before = rate * here.drive
-        constraint = Constraint(anchor=here.unknowns, normal=normal, distance=move)
+        constraint = PathConstraint(anchor=here.unknowns, normal=normal, distance=move)
         guess = (here.unknowns + before, here.load_factor + rate)
         found = correct(model, load, guess, constraint)
         after = move / float(found.drive[self.unknown]) * found.drive

@@ -8,7 +8,7 @@ from phytac_shapes.errors import DesignError
 
 
 @dataclass(frozen=True, kw_only=True)
-class Space:
+class SwitchSpace:
     """Room and rules of one switch.
 
     Attributes

@@ -8,14 +8,14 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.switch.material_fit import TERMS, fit_uniaxial, read_test
 from phytac_design.mechanics.switch.rubbers import Rubber, rubber
-from phytac_design.mechanics.switch.space import Space
+from phytac_design.mechanics.switch.space import SwitchSpace
 from phytac_shapes.errors import DesignError, InputError
 
 TEST_STRAIN_SHARE = 0.6
 """Share of a test's largest strain that a switch may reach again and again."""
 
 
-def space_of(design: Design, *, wall_min_mm: float | None = None) -> Space:
+def space_of(design: Design, *, wall_min_mm: float | None = None) -> SwitchSpace:
     """Space of a design's switches: footprint, hole, tip, stroke, and its closest neighbours.
 
     All bowls have the stem of the longest switch, which leaves its tip by the mold's draft.
@@ -41,7 +41,7 @@ def space_of(design: Design, *, wall_min_mm: float | None = None) -> Space:
     # No bowl is taller than half a sphere.
     tallest = 0.5 * min(switch.footprint_diameter_mm, pitch - design.print_rules.gap_min_mm)
     stem = switch.tip_diameter_mm + taper * (reach + max(tallest, 0.0))
-    return Space(
+    return SwitchSpace(
         footprint_diameter_mm=switch.footprint_diameter_mm,
         hole_diameter_mm=design.receptor.diameter_hole_mm,
         stem_diameter_mm=stem,

@@ -11,7 +11,7 @@ from phytac_design.geometry.flat_map import family
 from phytac_design.layout import Markers
 from phytac_design.optics.frame import render_frame
 from phytac_design.optics.paint import BACKGROUND
-from phytac_design.optics.scene import SHELL, Scene, build_scene
+from phytac_design.optics.scene import SHELL, RenderScene, build_scene
 from phytac_design.report.viewer.data import eye_of
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
@@ -39,7 +39,9 @@ def still_picture(design: Design, surface: Surface, markers: Markers) -> bytes:
     return bytes(cv2.imencode(".png", small)[1])
 
 
-def cut_open(scene: Scene, surface: Surface, markers: Markers, eye: FloatArray) -> Scene:
+def cut_open(
+    scene: RenderScene, surface: Surface, markers: Markers, eye: FloatArray
+) -> RenderScene:
     """Scene of a tube without the wall and the receptors whose outer side faces the eye."""
     if family(surface) != "tube":
         return scene

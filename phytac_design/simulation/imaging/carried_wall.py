@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import boundary_mm
 from phytac_design.layout import Markers
-from phytac_design.optics.scene import SHELL, Scene
+from phytac_design.optics.scene import SHELL, RenderScene
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
@@ -28,7 +28,9 @@ class WallMotion:
         At rest.
     """
 
-    def __init__(self, design: Design, surface: Surface, markers: Markers, scene: Scene) -> None:
+    def __init__(
+        self, design: Design, surface: Surface, markers: Markers, scene: RenderScene
+    ) -> None:
         shell = scene.triangles[scene.part == SHELL]
         self.vertices = np.unique(shell)
         fixed = boundary_mm(surface, -design.wall.thickness_mm / 2.0)
@@ -44,7 +46,7 @@ class WallMotion:
         self.index, self.fixed = index[:, :-1], len(fixed)
         self.arm = points[:, None] - anchors[self.index]
 
-    def moved(self, scene: Scene, motion: FloatArray) -> Scene:
+    def moved(self, scene: RenderScene, motion: FloatArray) -> RenderScene:
         """Scene with its wall moved; receptors stay.
 
         Parameters

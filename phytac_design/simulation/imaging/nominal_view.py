@@ -16,7 +16,7 @@ from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.frame import render_frame
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.scene import Scene, build_scene, red_owner
+from phytac_design.optics.scene import RenderScene, build_scene, red_owner
 from phytac_design.optics.visibility import Visibility, best_of, see
 from phytac_design.simulation.expected_image import ExpectedView, colour_model, measure_expected
 from phytac_design.simulation.imaging.paint_centroids import PaintPoints
@@ -82,7 +82,7 @@ def paint_slope(
     markers: Markers,
     camera: Camera,
     *,
-    rest: Scene,
+    rest: RenderScene,
     seen: Visibility,
 ) -> FloatArray:
     """How each marker's image moves with the wall under it, (n, 2, 6): px per mm, px per rad.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from phytac_decoder.camera.camera import Camera
 from phytac_design.optics.frame import sample_offsets
 from phytac_design.optics.raster import marker_windows, pieces_by_marker, project_scene
-from phytac_design.optics.scene import Scene, paint_owner
+from phytac_design.optics.scene import RenderScene, paint_owner
 from phytac_design.optics.zbuffer import View, fill
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -29,7 +29,9 @@ class TipCover:
         Points that motions are of.
     """
 
-    def __init__(self, rest: Scene, on: Scene, camera: Camera, pivots_mm: FloatArray) -> None:
+    def __init__(
+        self, rest: RenderScene, on: RenderScene, camera: Camera, pivots_mm: FloatArray
+    ) -> None:
         self.scenes, self.camera, self.pivots_mm = (rest, on), camera, pivots_mm
         owner = rest.triangle_owner
         self.order = np.argsort(owner, kind="stable")
@@ -52,7 +54,7 @@ class TipCover:
             out[ids] = np.nan_to_num(after - before)
         return out
 
-    def _centroids(self, scene: Scene, motion: FloatArray, ids: IntArray) -> FloatArray:
+    def _centroids(self, scene: RenderScene, motion: FloatArray, ids: IntArray) -> FloatArray:
         """Centroids (m, 2) px of the paint of receptors ``ids`` (m,), each alone."""
         own = np.concatenate([self.order[self.starts[i] : self.starts[i + 1]] for i in ids])
         vertices, index = np.unique(scene.triangles[own], return_inverse=True)

@@ -12,7 +12,7 @@ from phytac_design.layout import Markers
 from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.optics.exposure import LensBlur, light_on_chip
 from phytac_design.optics.light import Strip, triangle_light
-from phytac_design.optics.scene import Scene, build_scene
+from phytac_design.optics.scene import RenderScene, build_scene
 from phytac_design.simulation.imaging.carried_wall import WallMotion
 from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes import Surface
@@ -49,7 +49,7 @@ class SimulatedCamera:
         )
         self.wall = WallMotion(design, surface, unit.markers, self.rest) if follow else None
 
-    def scene(self, motion: FloatArray, bits: BoolArray, *, follow: bool = True) -> Scene:
+    def scene(self, motion: FloatArray, bits: BoolArray, *, follow: bool = True) -> RenderScene:
         """Scene of one sample; its wall stands still unless it is to ``follow``."""
         out = np.append(bits, False)[self.rest.vertex_owner]  # the last is that of owner -1
         vertices = np.where(out[:, None], self.on.vertices, self.rest.vertices)
@@ -59,7 +59,7 @@ class SimulatedCamera:
         return scene.moved(motion[:, :3], motion[:, 3:], self.pivots_mm)
 
     def light(
-        self, scene: Scene, shift_px: tuple[float, float] = (0.0, 0.0)
+        self, scene: RenderScene, shift_px: tuple[float, float] = (0.0, 0.0)
     ) -> NDArray[np.float32]:
         """Linear light on the chip, which may lie aside."""
         sent = triangle_light(scene, self.camera, strip=self.strip, paint=self.paint)

@@ -10,7 +10,7 @@ from phytac_decoder.io.bundle import Bundle
 from phytac_decoder.pipeline.decode import (
     FOUND_WELL,
     CAMERA_SHIFT_MAX_px,
-    Measured,
+    FrameMeasurement,
     locate_markers,
     measure_frame,
     read_image,
@@ -109,7 +109,7 @@ def measure_samples(
     rest_px: FloatArray | None,
     problems: RowProblems,
     progress: Callable[[str], None],
-) -> dict[int, Measured]:
+) -> dict[int, FrameMeasurement]:
     """What the pictures of some samples show; those that show no sensor are noted.
 
     Parameters
@@ -125,7 +125,7 @@ def measure_samples(
         If the pictures are of another size than the bundle's cameras.
     """
     order = samples[np.argsort(numbers[0, samples], kind="stable")]
-    seen: dict[int, Measured] = {}
+    seen: dict[int, FrameMeasurement] = {}
     for count, sample in enumerate(map(int, order)):
         name = rig.sources[0].names[numbers[0, sample]]
         try:
@@ -146,7 +146,12 @@ def measure_samples(
 
 
 def samples_of(
-    rig: RigSetup, touches: Touches, seen: list[Measured], *, time_s: FloatArray, sequence: IntArray
+    rig: RigSetup,
+    touches: Touches,
+    seen: list[FrameMeasurement],
+    *,
+    time_s: FloatArray,
+    sequence: IntArray,
 ) -> tuple[Samples, str]:
     """Samples of what was pressed and seen, (s,) each, and a doubt about the forces' unit, or "".
 
@@ -198,7 +203,7 @@ def _remarks(
     rig: RigSetup,
     touches: Touches,
     share: FloatArray,
-    seen: list[Measured],
+    seen: list[FrameMeasurement],
     bits: BoolArray,
     switching: Switching,
 ) -> BoolArray:

@@ -16,7 +16,7 @@ from phytac_design.simulation.scenario.sections import (
     CycleSection,
     GripSection,
     ImagingSection,
-    LightSection,
+    LightDriftSection,
     SensorInstanceSection,
     SolveSection,
     TimeSection,
@@ -41,7 +41,7 @@ class Scenario(Section):
     cycle: CycleSection | None = None
     """For kind `cycles` only."""
     time: TimeSection = TimeSection()
-    light: LightSection = LightSection()
+    light: LightDriftSection = LightDriftSection()
     unit: SensorInstanceSection = SensorInstanceSection()
     eyes: ImagingSection = ImagingSection()
     solve: SolveSection = SolveSection()

@@ -16,7 +16,7 @@ from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import DesignError
 
 if TYPE_CHECKING:
-    from phytac_design.design.scene import RegionSection
+    from phytac_design.design.scene import SceneRegionSection
     from phytac_design.engine.stage import Context
 
 MARGIN_SPACINGS = 3.0
@@ -124,7 +124,9 @@ class Scope:
         return min(self.share * whole / max(min(around, whole), 1e-12), 1.0)
 
 
-def windows_of(surface: Surface, regions: "tuple[RegionSection, ...]") -> tuple[ChartWindow, ...]:
+def windows_of(
+    surface: Surface, regions: "tuple[SceneRegionSection, ...]"
+) -> tuple[ChartWindow, ...]:
     """Parts of the chart that regions cover.
 
     Raises

@@ -284,7 +284,7 @@ class TimeSection(Section):
         return self
 
 
-class LightSection(Section):
+class LightDriftSection(Section):
     """How the light drifts."""
 
     drift_share: float = Field(0.0, gt=-1.0, lt=1.0)

@@ -27,7 +27,7 @@ from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import NumericalError
 
 
-class Figure(NamedTuple):
+class EvaluatedFigure(NamedTuple):
     """A figure: unit, whether smaller is better, description, margin, and reported change.
 
     A change must not pass the margin ``limit``; a deterioration by more than ``reported`` (a share
@@ -43,26 +43,32 @@ class Figure(NamedTuple):
 
 # At a gap of 3 px, one free pixel separates a marker from a fused one; a strain of 0.02 is assumed
 # for tough printed resins.
-FIGURES: dict[str, Figure] = {
-    "force_middle_N": Figure("N", True, "bound of force, middle heights, mean", None, 0.01),
-    "force_middle_p90_N": Figure("N", True, "bound of force, middle heights, 90th percentile"),
-    "force_middle_worst_N": Figure("N", True, "bound of force, middle heights, worst"),
-    "force_mean_N": Figure("N", True, "bound of force, full height, mean"),
-    "force_median_N": Figure("N", True, "bound of force, full height, median"),
-    "force_p90_N": Figure("N", True, "bound of force, full height, 90th percentile"),
-    "force_worst_N": Figure("N", True, "bound of force, full height, worst", None, 0.01),
-    "visible_least": Figure("", False, "least visible fraction at rest", None, 0.02),
-    "gap_px": Figure("px", False, "least gap of one colour at rest", 3.0, 0.1),
-    "load_visible_least": Figure("", False, "least visible fraction pressed", None, 0.02),
-    "load_gap_px": Figure("px", False, "least gap of one colour pressed", 3.0, 0.1),
-    "crosstalk_px": Figure("px", True, "largest disturbance of a centroid", 0.1, 0.02),
-    "strain": Figure("", True, "bending strain at the greatest force, closed form", 0.02, 0.05),
-    "occluded": Figure("", True, "hidden markers at rest", 0.0),
-    "fused": Figure("", True, "fused markers at rest", 0.0),
-    "load_hidden": Figure("", True, "hidden markers in the worst press", 0.0),
-    "load_fused": Figure("", True, "fused markers in the worst press", 0.0),
-    "switch_unreadable": Figure("", True, "switches that cannot be read", None, 0.0),
-    "marker_count": Figure("", False, "markers", None, 0.0),
+FIGURES: dict[str, EvaluatedFigure] = {
+    "force_middle_N": EvaluatedFigure(
+        "N", True, "bound of force, middle heights, mean", None, 0.01
+    ),
+    "force_middle_p90_N": EvaluatedFigure(
+        "N", True, "bound of force, middle heights, 90th percentile"
+    ),
+    "force_middle_worst_N": EvaluatedFigure("N", True, "bound of force, middle heights, worst"),
+    "force_mean_N": EvaluatedFigure("N", True, "bound of force, full height, mean"),
+    "force_median_N": EvaluatedFigure("N", True, "bound of force, full height, median"),
+    "force_p90_N": EvaluatedFigure("N", True, "bound of force, full height, 90th percentile"),
+    "force_worst_N": EvaluatedFigure("N", True, "bound of force, full height, worst", None, 0.01),
+    "visible_least": EvaluatedFigure("", False, "least visible fraction at rest", None, 0.02),
+    "gap_px": EvaluatedFigure("px", False, "least gap of one colour at rest", 3.0, 0.1),
+    "load_visible_least": EvaluatedFigure("", False, "least visible fraction pressed", None, 0.02),
+    "load_gap_px": EvaluatedFigure("px", False, "least gap of one colour pressed", 3.0, 0.1),
+    "crosstalk_px": EvaluatedFigure("px", True, "largest disturbance of a centroid", 0.1, 0.02),
+    "strain": EvaluatedFigure(
+        "", True, "bending strain at the greatest force, closed form", 0.02, 0.05
+    ),
+    "occluded": EvaluatedFigure("", True, "hidden markers at rest", 0.0),
+    "fused": EvaluatedFigure("", True, "fused markers at rest", 0.0),
+    "load_hidden": EvaluatedFigure("", True, "hidden markers in the worst press", 0.0),
+    "load_fused": EvaluatedFigure("", True, "fused markers in the worst press", 0.0),
+    "switch_unreadable": EvaluatedFigure("", True, "switches that cannot be read", None, 0.0),
+    "marker_count": EvaluatedFigure("", False, "markers", None, 0.0),
 }
 LIMITS = {name: one.limit for name, one in FIGURES.items() if one.limit is not None}
 FORCES = tuple(name for name in FIGURES if name.startswith("force_"))

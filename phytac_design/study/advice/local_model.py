@@ -38,7 +38,7 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
-class WallMotion:
+class MarkerWallMotion:
     """Motion of the wall under n markers, mm and rad.
 
     Attributes
@@ -61,7 +61,7 @@ class ContactView:
     ----------
     camera_of : (n,) int
         Camera that reads each marker.
-    motion : WallMotion
+    motion : MarkerWallMotion
         Motion of the wall.
     signals, prior : Signals, Prior
         For the bound; columns run over cameras, markers, x and y.
@@ -73,7 +73,7 @@ class ContactView:
     markers: Markers
     cameras: tuple[Camera, ...]
     camera_of: IntArray
-    motion: WallMotion
+    motion: MarkerWallMotion
     signals: ContactSignals
     prior: PositionPrior
     middle: BoolArray
@@ -157,10 +157,10 @@ class LocalModel:
         return out
 
     @cached_property
-    def _base_motion(self) -> WallMotion:
+    def _base_motion(self) -> MarkerWallMotion:
         return self._solve(self.base.design, self.base.surface, self.base.markers)
 
-    def _motion(self, design: Design, surface: Surface, markers: Markers) -> WallMotion:
+    def _motion(self, design: Design, surface: Surface, markers: Markers) -> MarkerWallMotion:
         """Wall motion of a design: reused, scaled by the modulus, or solved."""
         base = self.base.design
         # That short receptors stiffen the wall less is neglected.
@@ -172,9 +172,9 @@ class LocalModel:
             return self._solve(design, surface, markers)
         softer = base.material.modulus_MPa / design.material.modulus_MPa
         motion = self._base_motion
-        return WallMotion(softer * motion.touch, softer * motion.press)
+        return MarkerWallMotion(softer * motion.touch, softer * motion.press)
 
-    def _solve(self, design: Design, surface: Surface, markers: Markers) -> WallMotion:
+    def _solve(self, design: Design, surface: Surface, markers: Markers) -> MarkerWallMotion:
         """Wall motion by finite elements."""
         self.solves += 1
         thickness, training = design.wall.thickness_mm, design.training
@@ -198,7 +198,7 @@ class LocalModel:
         loads = np.hstack([touch[0].toarray(), training.force_max_N * press.toarray()])
         at = np.moveaxis(model.solve(loads).motion[mesh.marker_nodes], 2, 0)
         touches = touch[0].shape[1]
-        return WallMotion(at[:touches], at[touches:])
+        return MarkerWallMotion(at[:touches], at[touches:])
 
 
 def contacts_of(surface: Surface, markers: Markers) -> IntArray:

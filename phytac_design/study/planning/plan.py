@@ -76,7 +76,7 @@ class Row:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class BuildPlan:
     """What a build of a scene will do.
 
     Attributes
@@ -136,7 +136,7 @@ class Plan:
 
 def plan_scene(
     design: Design, scene: Scene, *, accuracy: Accuracy, seed: int = 0, speed: float | None = None
-) -> Plan:
+) -> BuildPlan:
     """Plan the build of a scene; nothing runs but a pilot of less than a second.
 
     Parameters
@@ -179,7 +179,7 @@ def plan_scene(
                 loses=lost_by(name, resolved, counts),
             )
         )
-    return Plan(
+    return BuildPlan(
         resolved=resolved,
         rows=tuple(rows),
         counts=counts,

@@ -21,7 +21,7 @@ from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.build import BuildResult, build
 from phytac_design.stages.response import image_response_of, truth_model
-from phytac_design.study.planning.plan import Plan
+from phytac_design.study.planning.plan import BuildPlan
 from phytac_shapes.arrays import FloatArray
 
 Progress = Callable[[str], None]
@@ -31,7 +31,7 @@ EVEN_STEPS = np.array([0.7548776662466927, 0.5698402909980532])
 
 
 def run_plan(
-    plan: Plan,
+    plan: BuildPlan,
     out: Path,
     *,
     seed: int = 0,
@@ -163,7 +163,7 @@ def force_errors(model: Any, presses: ReferencePresses, estimator: str) -> Float
 
 
 def audit(
-    plan: Plan,
+    plan: BuildPlan,
     context: Context,
     *,
     ran: dict[str, float],
@@ -210,7 +210,7 @@ def audit(
     return out
 
 
-def _counts(plan: Plan, context: Context) -> dict[str, dict[str, float]]:
+def _counts(plan: BuildPlan, context: Context) -> dict[str, dict[str, float]]:
     """Amounts that stages report, beside those planned."""
     reported = {
         "nodes": ("response", "nodes"),

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from phytac_design.study.search.sampler import Search, Sweep
-from phytac_design.study.search.space import Params, Space
+from phytac_design.study.search.space import DesignSpace, Params
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.study_folder import RESULTS, Store
 from phytac_design.study.search.successive_halving import (
@@ -81,7 +81,7 @@ class _ProgressReporter:
 
 def run_study(
     study: Study,
-    space: Space,
+    space: DesignSpace,
     folder: Path,
     *,
     kind: Kind,

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from phytac_design.study.search.measures import best_proxy
-from phytac_design.study.search.space import Axis, Params, Space
+from phytac_design.study.search.space import Axis, DesignSpace, Params
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.successive_halving import OK
 from phytac_shapes.arrays import FloatArray
@@ -39,7 +39,7 @@ class Sweep:
     independent = True
     """Whether candidates do not depend on earlier results."""
 
-    def __init__(self, study: Study, space: Space) -> None:
+    def __init__(self, study: Study, space: DesignSpace) -> None:
         self.study, self.space = study, space
         self.total = study.budget.candidates
         if study.sampling.sweep == "grid":
@@ -96,7 +96,7 @@ class Search:
 
     independent = False
 
-    def __init__(self, study: Study, space: Space, storage: str) -> None:
+    def __init__(self, study: Study, space: DesignSpace, storage: str) -> None:
         if not study.objective:
             raise DesignError(
                 f"{study.name}: no objective to optimise; add [[objective]], or use `phytac sweep`"

@@ -65,7 +65,7 @@ class Axis:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Space:
+class DesignSpace:
     """The designs of a study: base design with fixed fields, variables, name."""
 
     base: dict[str, Any]
@@ -92,7 +92,7 @@ class Space:
         return parse_design(data, f"candidate of {self.name}")
 
 
-def make_space(study: Study, folder: Path, base: Design | None = None) -> Space:
+def make_space(study: Study, folder: Path, base: Design | None = None) -> DesignSpace:
     """Space of a study whose file lies in ``folder``.
 
     Raises
@@ -110,7 +110,7 @@ def make_space(study: Study, folder: Path, base: Design | None = None) -> Space:
         design = parse_design(data, f"{study.name}: design {study.design} with [fixed]")
         data = design.model_dump(mode="json")
     axes = tuple(_axis(design, variable, study.name) for variable in study.variable)
-    return Space(base=data, axes=axes, name=study.name)
+    return DesignSpace(base=data, axes=axes, name=study.name)
 
 
 def _parts(field: str) -> list[str | int]:

@@ -18,7 +18,7 @@ from phytac_design.design.design_file import design_hash, parse_design
 from phytac_design.design.spec import Design
 from phytac_design.engine.cache import code_hash, locked
 from phytac_design.study.search.measures import measures_up_to
-from phytac_design.study.search.space import Params, Space, make_space
+from phytac_design.study.search.space import DesignSpace, Params, make_space
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.successive_halving import Outcome, Task, spec_of
 from phytac_shapes.errors import DesignError, InputError, OutputError, cause_of
@@ -42,7 +42,7 @@ def _writing(folder: Path) -> Iterator[None]:
 class Store:
     """The folder of a study, locked by one process."""
 
-    def __init__(self, folder: Path, study: Study, space: Space, kind: str) -> None:
+    def __init__(self, folder: Path, study: Study, space: DesignSpace, kind: str) -> None:
         self.folder, self.study = folder, study
         self.arrow = parquet_library()
         self.spec = spec_of(study, space)
@@ -93,7 +93,7 @@ class Store:
             partial.write_text(json.dumps(mine, indent=1) + "\n", encoding="utf-8")
             partial.replace(path)
 
-    def _schema(self, space: Space) -> Any:
+    def _schema(self, space: DesignSpace) -> Any:
         """Columns and their types; the same for all rows of a study."""
         text, real, integer = self.arrow.string(), self.arrow.float64(), self.arrow.int64()
         columns = [("trial", integer)]

@@ -23,7 +23,7 @@ from phytac_design.engine.cache import code_hash
 from phytac_design.study.search.fidelity_levels import LEVEL_FUNCTIONS, Candidate
 from phytac_design.study.search.measures import LEVELS, MEASURES, best_proxy
 from phytac_design.study.search.pareto import ranks
-from phytac_design.study.search.space import Params, Space, make_space
+from phytac_design.study.search.space import DesignSpace, Params, make_space
 from phytac_design.study.search.study_file import Study
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError, PhytacError
@@ -86,7 +86,7 @@ class Task:
         return asdict(evaluate_candidate(self.spec, self.params, self.levels))
 
 
-def spec_of(study: Study, space: Space) -> str:
+def spec_of(study: Study, space: DesignSpace) -> str:
     """What a process needs to know of a study, as JSON."""
     data = {"study": study.model_dump(mode="json"), "base": space.base}
     return json.dumps(data, sort_keys=True)
@@ -140,7 +140,7 @@ def keep_memory() -> None:
 
 
 @lru_cache(maxsize=8)
-def load_spec(spec: str) -> tuple[Study, Space]:
+def load_spec(spec: str) -> tuple[Study, DesignSpace]:
     """Study and space of :func:`spec_of`'s text."""
     data = json.loads(spec)
     study = Study.model_validate(data["study"])

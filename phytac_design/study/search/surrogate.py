@@ -50,7 +50,7 @@ class Flat:
     k_v: float
 
 
-class Unrolled:
+class MetricLengths:
     """Lengths along and around a surface from its metric."""
 
     def __init__(self, surface: Surface) -> None:
@@ -218,7 +218,7 @@ def predict(
         modulus=design.material.modulus_MPa,
         poisson=design.material.poisson,
     )
-    unrolled = Unrolled(surface)
+    unrolled = MetricLengths(surface)
     x = unrolled.x_mm(markers.uv)
     along = waves_along(float(unrolled.along[-1]), x)
     order = np.argsort(x, kind="stable")

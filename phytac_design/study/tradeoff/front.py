@@ -7,7 +7,7 @@ from typing import Any
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured:
+class MeasuredSetting:
     """A setting with its cost and errors.
 
     Attributes
@@ -27,16 +27,16 @@ class Measured:
     errors: Mapping[str, float]
 
 
-def pareto(points: Sequence[Measured], quantity: str) -> list[Measured]:
+def pareto(points: Sequence[MeasuredSetting], quantity: str) -> list[MeasuredSetting]:
     """Front in (seconds, error of a quantity), cheapest first."""
-    out: list[Measured] = []
+    out: list[MeasuredSetting] = []
     for point in sorted(points, key=lambda p: (p.seconds, p.errors[quantity])):
         if not out or point.errors[quantity] < out[-1].errors[quantity]:
             out.append(point)
     return out
 
 
-def no_worse(one: Measured, other: Measured) -> bool:
+def no_worse(one: MeasuredSetting, other: MeasuredSetting) -> bool:
     """Whether no error of ``one`` is larger than the other's, and no check of it left out.
 
     What a check (``print_tools``) does not find is in none of the errors.
@@ -47,13 +47,13 @@ def no_worse(one: Measured, other: Measured) -> bool:
     )
 
 
-def beaten_by(point: Measured, points: Sequence[Measured]) -> float:
+def beaten_by(point: MeasuredSetting, points: Sequence[MeasuredSetting]) -> float:
     """Share of a setting's seconds that another saves without a larger error; 0 if none does."""
     rivals = [other.seconds for other in points if no_worse(other, point)]
     return max(0.0, 1.0 - min(rivals, default=point.seconds) / point.seconds)
 
 
-def knee(points: Sequence[Measured], quantity: str) -> Measured:
+def knee(points: Sequence[MeasuredSetting], quantity: str) -> MeasuredSetting:
     """Point of a front farthest below the line between its ends, in logarithms of both."""
     whole = pareto(points, quantity)
     front = [p for p in whole if p.errors[quantity] > 0.0]

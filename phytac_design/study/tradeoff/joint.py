@@ -12,7 +12,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.stages.response import samples_of
-from phytac_design.study.tradeoff.front import Measured
+from phytac_design.study.tradeoff.front import MeasuredSetting
 from phytac_design.study.tradeoff.pilot import visibility_error
 from phytac_design.study.tradeoff.points import Point, Points
 
@@ -52,7 +52,7 @@ SCORE: tuple[Settings, ...] = (
 )
 
 
-def joint_settings(points: Points, *, quick: bool = False) -> list[Measured]:
+def joint_settings(points: Points, *, quick: bool = False) -> list[MeasuredSetting]:
     """Every joint setting of one design, with seconds, memory and errors.
 
     Parameters
@@ -98,7 +98,7 @@ def joint_settings(points: Points, *, quick: bool = False) -> list[Measured]:
             settings |= group[index]
         parts = (fixed, cad[c], mechanics[m], pressed, score[s])
         out.append(
-            Measured(
+            MeasuredSetting(
                 settings=settings,
                 seconds=sum(part["seconds"] for part in parts),
                 cpu_s=sum(part["cpu_s"] for part in parts),

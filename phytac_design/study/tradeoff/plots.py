@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from phytac_design.core.figures import new_figure, png
-from phytac_design.study.tradeoff.front import Measured, pareto
+from phytac_design.study.tradeoff.front import MeasuredSetting, pareto
 from phytac_design.study.tradeoff.settings import QUANTITIES, Setting
 
 BLUE, RED = "#1b6ca8", "#b03060"
@@ -13,7 +13,9 @@ MINIMUM = 1e-5
 COLUMNS = 3
 
 
-def joint_fronts(name: str, points: Sequence[Measured], presets: Mapping[str, Measured]) -> bytes:
+def joint_fronts(
+    name: str, points: Sequence[MeasuredSetting], presets: Mapping[str, MeasuredSetting]
+) -> bytes:
     """Every joint setting, the front of each quantity, and the presets."""
     figure = new_figure((10.0, 7.2))
     for k, quantity in enumerate(QUANTITIES):
@@ -29,7 +31,7 @@ def joint_fronts(name: str, points: Sequence[Measured], presets: Mapping[str, Me
     return png(figure)
 
 
-def setting_fronts(name: str, rows: Sequence[tuple[Setting, Sequence[Measured]]]) -> bytes:
+def setting_fronts(name: str, rows: Sequence[tuple[Setting, Sequence[MeasuredSetting]]]) -> bytes:
     """A panel for each setting: its values, cheapest to finest."""
     down = -(-len(rows) // COLUMNS)
     figure = new_figure((10.0, 2.6 * down))
@@ -45,7 +47,7 @@ def setting_fronts(name: str, rows: Sequence[tuple[Setting, Sequence[Measured]]]
     return png(figure)
 
 
-def _curve(points: Sequence[Measured], quantity: str) -> tuple[list[float], list[float]]:
+def _curve(points: Sequence[MeasuredSetting], quantity: str) -> tuple[list[float], list[float]]:
     seconds = [max(p.seconds, MINIMUM) for p in points]
     return seconds, [max(p.errors[quantity], MINIMUM) for p in points]
 

@@ -11,7 +11,7 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import design_hash
 from phytac_design.design.spec import Design
 from phytac_design.rules.check import check_design
-from phytac_design.study.tradeoff.front import Measured, beaten_by, knee, pareto
+from phytac_design.study.tradeoff.front import MeasuredSetting, beaten_by, knee, pareto
 from phytac_design.study.tradeoff.joint import joint_settings, score_error
 from phytac_design.study.tradeoff.pilot import visibility_error
 from phytac_design.study.tradeoff.points import Point, Points, accuracy_of
@@ -36,11 +36,11 @@ class Tradeoff:
     """
 
     design: Design
-    settings: list[tuple[Setting, list[Measured]]]
-    joint: list[Measured]
+    settings: list[tuple[Setting, list[MeasuredSetting]]]
+    joint: list[MeasuredSetting]
 
     @property
-    def presets(self) -> dict[str, Measured]:
+    def presets(self) -> dict[str, MeasuredSetting]:
         """Presets among the joint settings."""
         return presets_of(self.joint)
 
@@ -99,7 +99,7 @@ class Tradeoff:
         return "\n".join(lines)
 
 
-def presets_of(joint: Sequence[Measured]) -> dict[str, Measured]:
+def presets_of(joint: Sequence[MeasuredSetting]) -> dict[str, MeasuredSetting]:
     """Presets among joint settings."""
     return {
         name: point
@@ -162,7 +162,7 @@ def write(out: Path, done: Tradeoff) -> None:
         (out / "front.png").write_bytes(joint_fronts(name, done.joint, done.presets))
 
 
-def measure_setting(points: Points, setting: Setting) -> list[Measured]:
+def measure_setting(points: Points, setting: Setting) -> list[MeasuredSetting]:
     """Every value of a setting, the others as in ``draft`` (for the force error: ideal)."""
     each: list[dict[str, Any]] = [
         {setting.name: bool(value) if setting.name == "receptors" else value}
@@ -176,7 +176,7 @@ def measure_setting(points: Points, setting: Setting) -> list[Measured]:
         runs = [points.get(Point(kind="use", name=setting.name, settings=one)) for one in each]
         errors = [float(run["error"]) for run in runs]
     return [
-        Measured(
+        MeasuredSetting(
             settings=one,
             seconds=run["seconds"],
             cpu_s=run["cpu_s"],

@@ -13,7 +13,7 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.stages import STAGES
 from phytac_design.study.planning.cost import features, machine_factor, predict, repeats
-from phytac_design.study.planning.plan import Plan, plan_scene
+from phytac_design.study.planning.plan import BuildPlan, plan_scene
 from phytac_design.study.planning.resolve import resolve
 from phytac_design.study.planning.unit_costs import MEMORY_MB, CPU_s
 from phytac_shapes.errors import DesignError
@@ -21,11 +21,11 @@ from tests.designs import changed, small
 from tests.study.planning.scenes import scene
 
 
-def planned(design: Design, wanted: Scene, preset: str = "draft") -> Plan:
+def planned(design: Design, wanted: Scene, preset: str = "draft") -> BuildPlan:
     return plan_scene(design, wanted, accuracy=PRESETS[preset], speed=1.0)
 
 
-def actions(plan: Plan) -> dict[str, str]:
+def actions(plan: BuildPlan) -> dict[str, str]:
     return {row.stage: row.action for row in plan.rows}
 
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from phytac_decoder.io.bundle import Bundle, load_bundle
-from phytac_decoder.pipeline.decode import Measured
+from phytac_decoder.pipeline.decode import FrameMeasurement
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.simulation.dataset import Dataset
 from phytac_design.stages import STAGES
 from phytac_design.stages.build import BuildResult, run_stages, select_stages
 from phytac_design.stages.decoder import tips_in_play
-from phytac_design.study.planning.plan import Plan, plan_scene
+from phytac_design.study.planning.plan import BuildPlan, plan_scene
 from phytac_design.study.planning.run import force_errors, reference_presses, run_plan
 from tests.designs import small
 from tests.study.planning.scenes import scene
@@ -33,12 +33,12 @@ def whole() -> Context:
 
 
 @pytest.fixture(scope="module")
-def planned() -> Plan:
+def planned() -> BuildPlan:
     return plan_scene(small(), scene(), accuracy=PRESETS["draft"], speed=1.0)
 
 
 @pytest.fixture(scope="module")
-def result(planned: Plan, tmp_path_factory: pytest.TempPathFactory) -> BuildResult:
+def result(planned: BuildPlan, tmp_path_factory: pytest.TempPathFactory) -> BuildResult:
     out = tmp_path_factory.mktemp("scene") / "finger"
     return run_plan(planned, out, progress=quiet)[0]
 
@@ -48,7 +48,7 @@ def bundle(result: BuildResult) -> Bundle:
     return load_bundle(result.out / "decoder")
 
 
-def context_on(planned: Plan, whole: Context) -> Context:
+def context_on(planned: BuildPlan, whole: Context) -> Context:
     """The scene's context on what the camera sees of the whole sensor."""
     context = planned.resolved.context()
     context.folders.update(whole.folders)
@@ -71,7 +71,7 @@ def test_only_what_the_scene_needs_runs(result: BuildResult) -> None:
     }
 
 
-def test_tables_are_the_whole_ones(bundle: Bundle, whole: Context, planned: Plan) -> None:
+def test_tables_are_the_whole_ones(bundle: Bundle, whole: Context, planned: BuildPlan) -> None:
     # In linear theory they are the same, place by place.
     assert planned.resolved.accuracy.place_orders == 1
     mine, every = bundle.model.locator, bundle_of(whole).model.locator
@@ -84,7 +84,7 @@ def test_tables_are_the_whole_ones(bundle: Bundle, whole: Context, planned: Plan
 
 
 def test_matrices_are_those_of_receptors_in_play(
-    bundle: Bundle, whole: Context, planned: Plan
+    bundle: Bundle, whole: Context, planned: BuildPlan
 ) -> None:
     played, every = planned.resolved.in_play, bundle_of(whole)
     assert np.allclose(
@@ -98,7 +98,7 @@ def test_matrices_are_those_of_receptors_in_play(
 
 
 def test_forces_in_the_region_are_the_whole_decoders(
-    bundle: Bundle, whole: Context, planned: Plan
+    bundle: Bundle, whole: Context, planned: BuildPlan
 ) -> None:
     presses = reference_presses(context_on(planned, whole), 5)
     assert np.isfinite(presses.shift_px).all()
@@ -111,7 +111,7 @@ def test_forces_in_the_region_are_the_whole_decoders(
         assert np.abs(mine[valid]).max() < 0.5
 
 
-def test_forces_outside_raise_a_warning(bundle: Bundle, whole: Context, planned: Plan) -> None:
+def test_forces_outside_raise_a_warning(bundle: Bundle, whole: Context, planned: BuildPlan) -> None:
     resolved = planned.resolved
     data = Dataset.from_arrays(whole.arrays("twin"), "test")
     contacts = data.contacts
@@ -123,7 +123,7 @@ def test_forces_outside_raise_a_warning(bundle: Bundle, whole: Context, planned:
         if len(koi) == 0 or resolved.in_play[koi].any():
             continue
         outside += 1
-        measured = Measured(
+        measured = FrameMeasurement(
             koi=koi,
             shift_px=data.shift_px[sample],
             found=np.ones(len(resolved.in_play), dtype=np.bool_),
@@ -134,13 +134,15 @@ def test_forces_outside_raise_a_warning(bundle: Bundle, whole: Context, planned:
     assert outside >= 5
 
 
-def test_no_alarm_inside(bundle: Bundle, whole: Context, planned: Plan) -> None:
+def test_no_alarm_inside(bundle: Bundle, whole: Context, planned: BuildPlan) -> None:
     presses = reference_presses(context_on(planned, whole), 5)
     for shift, bits in zip(presses.shift_px, presses.switching.bits, strict=True):
         koi = np.flatnonzero(bits)
         if len(koi) == 0:
             continue
-        measured = Measured(koi=koi, shift_px=shift, found=np.ones(len(bits), dtype=np.bool_))
+        measured = FrameMeasurement(
+            koi=koi, shift_px=shift, found=np.ones(len(bits), dtype=np.bool_)
+        )
         forces = measured.forces_N(bundle, "auto")
         assert measured.warnings(bundle, forces, estimator="auto") == []
 
@@ -155,7 +157,7 @@ def test_blind_tips_out_of_play_never_count() -> None:
     assert tips.threshold_px[1] > max(rest[1], 1.25 * rest[1] + 4.0)
 
 
-def test_audit_stands_beside_the_plan(result: BuildResult, planned: Plan) -> None:
+def test_audit_stands_beside_the_plan(result: BuildResult, planned: BuildPlan) -> None:
     written = json.loads((result.out / "report" / "plan.json").read_text())
     assert written["scene"]["name"] == "finger"
     assert set(written["audit"]["stages"]) == set(result.ran)

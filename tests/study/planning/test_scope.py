@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phytac_design.design.scene import RegionSection
+from phytac_design.design.scene import SceneRegionSection
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.simulation.contacts import draw_contacts
@@ -13,7 +13,7 @@ from phytac_shapes.errors import DesignError
 from tests.designs import changed, small
 
 
-def scope_on(design: Design, *regions: RegionSection) -> Scope:
+def scope_on(design: Design, *regions: SceneRegionSection) -> Scope:
     surface = design.surface()
     return Scope(
         surface=surface,
@@ -23,7 +23,7 @@ def scope_on(design: Design, *regions: RegionSection) -> Scope:
     )
 
 
-SEAM = RegionSection(along=(0.4, 0.6), around=(0.9, 0.1))
+SEAM = SceneRegionSection(along=(0.4, 0.6), around=(0.9, 0.1))
 
 
 def test_share_of_area_and_seam() -> None:
@@ -102,7 +102,7 @@ def test_contacts_are_drawn_inside() -> None:
 
 def test_presses_lie_inside_and_in_one_sector() -> None:
     design = small()
-    around = scope_on(design, RegionSection(along=(0.3, 0.7)))
+    around = scope_on(design, SceneRegionSection(along=(0.3, 0.7)))
     markers = make_markers(design, around.surface)
     gap = np.linspace(3.0, 9.0, markers.count)
     sector = around.presses(around.surface, markers, gap, 24, repeats=True)
@@ -121,7 +121,7 @@ def test_presses_lie_inside_and_in_one_sector() -> None:
     tightest = np.flatnonzero(alone.holds(markers.uv))[0]
     found = alone.presses(alone.surface, markers, gap, 24)
     assert np.abs(found - markers.uv[tightest]).sum(axis=1).min() < 1e-9
-    between = scope_on(design, RegionSection(along=(0.0, 1e-3), around=(0.0, 1e-3)))
+    between = scope_on(design, SceneRegionSection(along=(0.0, 1e-3), around=(0.0, 1e-3)))
     with pytest.raises(DesignError, match="hold no receptor"):
         between.presses(between.surface, markers, gap, 24)
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from phytac_design.study.search.space import Space, make_space
+from phytac_design.study.search.space import DesignSpace, make_space
 from phytac_design.study.search.study_file import Study
 from tests.designs import small
 
@@ -31,6 +31,6 @@ def tiny(**changes: Any) -> Study:
     return Study.model_validate(DATA | changes)
 
 
-def space_of(study: Study) -> Space:
+def space_of(study: Study) -> DesignSpace:
     """Its space, around the small design."""
     return make_space(study, Path(), small())

@@ -9,7 +9,7 @@ from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.study.search.fidelity_levels import Candidate, mechanics, rules, sampled
 from phytac_design.study.search.surrogate import (
     Flat,
-    Unrolled,
+    MetricLengths,
     Wall,
     deflection_under_disc,
     waves_along,
@@ -60,7 +60,7 @@ def test_motion_and_slopes_agree_with_differences() -> None:
 def test_curvatures_and_lengths_of_a_cone_and_a_dome() -> None:
     cone = changed("cone").surface()
     uv = np.array([[np.mean(cone.domain[0]), 1.0]])
-    flat = Unrolled(cone).at(uv)[0]
+    flat = MetricLengths(cone).at(uv)[0]
     slope = 12.0 / 90.0
     radius = 24.0  # halfway from ø60 to ø36
     assert flat.k_u == pytest.approx(0.0, abs=1e-6)
@@ -68,7 +68,7 @@ def test_curvatures_and_lengths_of_a_cone_and_a_dome() -> None:
     assert flat.length == pytest.approx(np.hypot(90.0, 12.0), rel=1e-6)
     dome = changed("hemisphere").surface()
     middle = np.array([np.mean(dome.domain[0]), 1.0])
-    found = Unrolled(dome).at(middle[None])[0]
+    found = MetricLengths(dome).at(middle[None])[0]
     assert (found.k_u, found.k_v) == pytest.approx((0.05, 0.05), rel=1e-4)
 
 
@@ -82,7 +82,7 @@ def test_a_deflection_under_disc_the_cylinder_is_near_finite_elements() -> None:
     load = patch_loads(mesh, surface, markers.uv[[middle]], 5.0).toarray()
     motion = model.solve(load).motion[mesh.marker_nodes][middle, :3, 0]
     exact = -float(motion @ markers.normal[middle])
-    unrolled = Unrolled(surface)
+    unrolled = MetricLengths(surface)
     place = markers.uv[middle]
     x = unrolled.x_mm(place[None])
     dent = deflection_under_disc(WALL, unrolled.at(place[None])[0], float(x[0]), 5.0)

@@ -13,7 +13,7 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import to_toml
 from phytac_design.design.spec import Design
 from phytac_design.study.tradeoff import points as points_module
-from phytac_design.study.tradeoff.front import Measured, beaten_by, knee, pareto
+from phytac_design.study.tradeoff.front import MeasuredSetting, beaten_by, knee, pareto
 from phytac_design.study.tradeoff.joint import CAD, LOAD, LOAD_REFINE, MECHANICS, SCORE
 from phytac_design.study.tradeoff.points import Point, Points, accuracy_of
 from phytac_design.study.tradeoff.run import tradeoff
@@ -22,9 +22,9 @@ from phytac_shapes.errors import DesignError, NumericalError
 from tests.designs import drawn
 
 
-def at(seconds: float, force: float, volume: float = 0.0) -> Measured:
+def at(seconds: float, force: float, volume: float = 0.0) -> MeasuredSetting:
     errors = {"force": force, "volume": volume}
-    return Measured(settings={}, seconds=seconds, cpu_s=seconds, peak_MB=1.0, errors=errors)
+    return MeasuredSetting(settings={}, seconds=seconds, cpu_s=seconds, peak_MB=1.0, errors=errors)
 
 
 def test_front_holds_what_nothing_beats() -> None:
