@@ -15,7 +15,7 @@ from phytac_design.simulation.cramer_rao import (
     cell_prior,
     contact_signals,
 )
-from phytac_design.simulation.response import motion_responses
+from phytac_design.simulation.linear_response import motion_responses
 from phytac_design.training.locator_calibration import pressure_moments
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 

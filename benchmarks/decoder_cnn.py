@@ -25,7 +25,7 @@ from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import camera_of
 from phytac_design.simulation.run.job import Job
-from phytac_design.training.evaluation.scores import Bootstrap
+from phytac_design.training.evaluation.contact_scores import Bootstrap
 from phytac_design.training.levenberg_marquardt import split_samples
 from phytac_shapes.arrays import FloatArray, IntArray
 

@@ -17,10 +17,10 @@ from phytac_design.design.accuracy import Preset
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
 from phytac_design.stages.build import run_stages, select_stages
-from phytac_design.stages.decoder import assemble_bundle, untrained_model
+from phytac_design.stages.decoder_stage import assemble_bundle, untrained_model
+from phytac_design.training.evaluation.contact_scores import Bootstrap, interval_coverage
 from phytac_design.training.evaluation.decoded_contacts import DecodedContacts, decode_contacts
 from phytac_design.training.evaluation.groups import Groups, contact_positions, groups_of
-from phytac_design.training.evaluation.scores import Bootstrap, interval_coverage
 from phytac_design.training.trainers import TRAINERS, TrainingTask
 from phytac_design.training.training_data import DataSet, split_data_sets
 from phytac_design.workflows.train_decoder import MECHANICS

@@ -25,7 +25,7 @@ from phytac_decoder.pipeline.tracker import Follower
 from phytac_decoder.serving.torn_frames import FRAMES_CHANGED_MIN, TornFrameDetector
 from phytac_design.design.design_file import load_design
 from phytac_design.stages.build import copy_of, run_stages, select_stages
-from phytac_design.stages.decoder import untrained_model
+from phytac_design.stages.decoder_stage import untrained_model
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
 

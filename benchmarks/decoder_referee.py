@@ -32,7 +32,7 @@ from phytac_design.design.design_file import design_hash, load_design
 from phytac_design.engine.stage import Context
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.simulation.contacts import Contacts, switch_states
-from phytac_design.stages.response import image_response_of
+from phytac_design.stages.response_stage import image_response_of
 from phytac_design.training.training_data import DataSet
 from phytac_shapes.arrays import FloatArray
 

@@ -29,7 +29,7 @@ from phytac_design.mechanics.shell.compliance import marker_compliance
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.simulation.condense import condense
 from phytac_design.simulation.imaging.imaging_model import ImagingModel
-from phytac_design.simulation.response import rigid_slope
+from phytac_design.simulation.linear_response import rigid_slope
 from phytac_design.stages.build import copy_of
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 

@@ -25,7 +25,7 @@ from phytac_design.design.spec import Design
 from phytac_design.fabrication.calibration_rig.program import make_program
 from phytac_design.fabrication.calibration_rig.regions import Regions, frames_at, make_regions
 from phytac_design.fabrication.calibration_rig.symmetry import find_symmetry
-from phytac_design.fabrication.documents.materials import DENSITY_g_cm3
+from phytac_design.fabrication.documents.densities import DENSITY_g_cm3
 from phytac_design.fabrication.documents.unroll import unroll
 from phytac_design.layout import Markers, make_markers
 from phytac_design.solids.mesh_export import read_stl

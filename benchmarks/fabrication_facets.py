@@ -5,7 +5,7 @@ import numpy as np
 from benchmarks.harness import Table
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.printing.receptors import owners
-from phytac_design.fabrication.printing.samples import sample_faces
+from phytac_design.fabrication.printing.surface_samples import sample_faces
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.layout import Markers
 from phytac_design.solids.solid_mesh import TOLERANCE_mm, shell_manifold, to_triangles

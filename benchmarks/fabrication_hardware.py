@@ -14,16 +14,16 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
-from phytac_design.fabrication.hardware.assembly import make_hardware
-from phytac_design.fabrication.hardware.bodies import hardware_solids
 from phytac_design.fabrication.hardware.by_cad import CadKernel
+from phytac_design.fabrication.hardware.hardware_assembly import make_hardware
+from phytac_design.fabrication.hardware.sensor_solids import hardware_solids
 from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodies
 from phytac_design.rules.check import check_design
 from phytac_design.solids.cad import CadBody, cad_facts
 from phytac_design.solids.mesh_facts import manifold_facts, trimesh_facts
 from phytac_design.solids.solid_mesh import to_triangles
-from phytac_design.stages.hardware import HARDWARE
-from phytac_design.stages.switch import switches_of
+from phytac_design.stages.hardware_stage import HARDWARE
+from phytac_design.stages.switch_stage import switches_of
 from tests.fabrication.cad_files import read_assembly
 
 MAIN = "cylinder60"

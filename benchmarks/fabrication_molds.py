@@ -25,12 +25,12 @@ from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import make_markers
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.switch.design import design_switch
-from phytac_design.mechanics.switch.report import switch_dict
 from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
+from phytac_design.mechanics.switch.switch_report import switch_dict
 from phytac_design.solids.solid_mesh import to_manifold
 from phytac_design.stages.build import copy_of
-from phytac_design.stages.mold import MOLD
-from phytac_design.stages.switch import switches_of
+from phytac_design.stages.mold_stage import MOLD
+from phytac_design.stages.switch_stage import switches_of
 
 WAYS = ("rigid", "silicone-master")
 COARSE = ("--layer-height", "0.3", "--fill-density", "5%")  # fast; takes the same solids

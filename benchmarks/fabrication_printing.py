@@ -11,9 +11,9 @@ import numpy as np
 from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.printing.check import PrintReport, check_shell
 from phytac_design.fabrication.printing.overhang import stand, suggest
 from phytac_design.fabrication.printing.parting import part_shell
+from phytac_design.fabrication.printing.print_checks import PrintReport, check_shell
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import Markers

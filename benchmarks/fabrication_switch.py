@@ -19,7 +19,7 @@ from phytac_design.mechanics.switch.design import SwitchDesign, design_switch
 from phytac_design.mechanics.switch.feasible_range import FeasibleRange, feasible_range
 from phytac_design.mechanics.switch.line_plot import line_plot, write_svg
 from phytac_design.mechanics.switch.rubbers import rubber
-from phytac_design.mechanics.switch.space import SwitchSpace
+from phytac_design.mechanics.switch.switch_space import SwitchSpace
 from phytac_shapes.errors import DesignError
 from verification import switch_cases
 from verification.bowl_calculix import ccx_curve

@@ -20,7 +20,7 @@ from phytac_design.engine import cache
 from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.geometry import flat_map
 from phytac_design.optics.density import density_map
-from phytac_design.report import figures
+from phytac_design.report import report_figures
 from phytac_design.stages.build import build, select_stages
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import NumericalError
@@ -80,8 +80,8 @@ def gallery_image(context: Context) -> ImageArray:
             )
             figure.colorbar(fill, cax=axis.inset_axes(BAR), label=label)
         size = MARKER if values is None else MARKER / 5.0
-        axis.scatter(*dots.points.T, color=[figures.INK[name] for name in colours], s=size)
-        figures.draw_map(axis, dots)
+        axis.scatter(*dots.points.T, color=[report_figures.INK[name] for name in colours], s=size)
+        report_figures.draw_map(axis, dots)
         axis.set_title(title)
 
     draw(axes[0, 1], f"{markers.count} markers, {heights} tall", None)

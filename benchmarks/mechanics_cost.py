@@ -14,10 +14,10 @@ import numpy as np
 
 from benchmarks.harness import Table, median_of
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
-from phytac_design.mechanics.shell.assembly import assemble, make_pattern
-from phytac_design.mechanics.shell.element import element_stiffness
 from phytac_design.mechanics.shell.factor import SUPERLU
+from phytac_design.mechanics.shell.shell_element import element_stiffness
 from phytac_design.mechanics.shell.solve import clamped_model
+from phytac_design.mechanics.shell.sparse_assembly import assemble, make_pattern
 from phytac_shapes import Cylinder
 
 SIZES = ((36, 48), (62, 84), (114, 150), (200, 260), (370, 450))

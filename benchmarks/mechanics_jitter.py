@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks import mechanics_error
 from benchmarks.harness import Table, holds
-from phytac_design.mechanics.shell.element import element_stiffness
+from phytac_design.mechanics.shell.shell_element import element_stiffness
 from phytac_shapes.errors import NumericalError
 from verification import shells as cases
 from verification.shells import ShellProblem, ring_case

@@ -26,8 +26,8 @@ from phytac_design.mechanics.shell.loads import (
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes import Cone, Cuboid, Hemisphere, Patch, Plane, Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
-from phytac_shapes.path import Line
-from phytac_shapes.path import Path as Profile
+from phytac_shapes.plane_curves import Line
+from phytac_shapes.plane_curves import Path as Profile
 from phytac_shapes.revolved import PathRevolved
 from verification.pressure_load import pressure_forces
 from verification.quadratic_shell import QuadraticMesh, _serendipity, run_ccx

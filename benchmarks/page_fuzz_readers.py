@@ -363,7 +363,7 @@ def _regions() -> Reader:
 
 
 def _logs() -> Reader:
-    from phytac_design.simulation.rig_import.log import RowProblems, read_rig_log
+    from phytac_design.simulation.rig_import.rig_log import RowProblems, read_rig_log
 
     bench = (
         b"# step 17, frame 203, 41.250 s\ncontact_marker,patch_radius_mm,force_N,displacement_mm\n"

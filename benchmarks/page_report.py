@@ -11,7 +11,7 @@ from typing import Any
 from benchmarks.harness import Table, median_of
 from benchmarks.page_browser import DESKTOP, PHONE, PageMetrics, chromium, look, paints_s, shown
 from phytac_design.design.design_file import load_design
-from phytac_design.report.builds import read_builds
+from phytac_design.report.built_sensors import read_builds
 from phytac_design.report.compare import compare_page
 from phytac_design.stages.build import BuildResult, build
 

@@ -10,8 +10,8 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design
 from phytac_design.study.advice.advise import Advice, advise
 from phytac_design.study.advice.design_evaluation import FORCES, faults_of
+from phytac_design.study.advice.design_sensitivity import Sensitivity
 from phytac_design.study.advice.refinement import refine
-from phytac_design.study.advice.sensitivity import Sensitivity
 
 DESIGNS = ("cylinder60", "hemisphere", "grip")
 CLOSE = 0.25

@@ -12,8 +12,8 @@ import numpy as np
 from benchmarks.decoder_data import data_folder
 from phytac_design.core.threads import THREADS
 from phytac_design.engine.cache import code_hash
+from phytac_design.study.search.design_space import DesignSpace, Params, make_space
 from phytac_design.study.search.sampler import sobol
-from phytac_design.study.search.space import DesignSpace, Params, make_space
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.successive_halving import Outcome, evaluate_candidate, spec_of
 

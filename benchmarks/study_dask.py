@@ -24,8 +24,8 @@ from benchmarks.study_cases import drawn, one_thread, study_of
 from phytac_design.core.parquet_recording import parquet_library
 from phytac_design.core.threads import THREADS
 from phytac_design.study.search.dask_pool import WORKER_ENVIRONMENT, DaskPool
+from phytac_design.study.search.design_space import DesignSpace
 from phytac_design.study.search.driver import StudyRun, run_study
-from phytac_design.study.search.space import DesignSpace
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.successive_halving import (
     Outcome,

@@ -13,9 +13,9 @@ from phytac_design.engine.cache import code_hash
 from phytac_design.optics.density import density_of
 from phytac_design.stages.build import run_stages, select_stages
 from phytac_design.study.search.dask_pool import DaskPool
+from phytac_design.study.search.design_space import make_space
 from phytac_design.study.search.driver import run_study
-from phytac_design.study.search.report import read_results
-from phytac_design.study.search.space import make_space
+from phytac_design.study.search.search_report import read_results
 from phytac_design.study.search.study_file import Budget, load_study
 from phytac_design.study.search.study_folder import rebuild
 

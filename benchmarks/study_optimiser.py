@@ -9,9 +9,9 @@ from benchmarks.decoder_data import data_folder
 from benchmarks.harness import Table
 from benchmarks.study_cases import THIN, one_thread, study_of
 from phytac_design.engine.cache import code_hash
+from phytac_design.study.search.design_space import DesignSpace
 from phytac_design.study.search.driver import Kind, run_study
-from phytac_design.study.search.report import Results, read_results
-from phytac_design.study.search.space import DesignSpace
+from phytac_design.study.search.search_report import Results, read_results
 from phytac_design.study.search.study_file import Study
 
 SEEDS = (1, 2, 3)

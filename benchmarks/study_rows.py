@@ -14,7 +14,7 @@ from benchmarks.harness import Table
 from benchmarks.study_cases import study_of
 from phytac_design.study.search.driver import run_study
 from phytac_design.study.search.measures import measures_up_to
-from phytac_design.study.search.report import read_results, write_page
+from phytac_design.study.search.search_report import read_results, write_page
 from phytac_design.study.search.study_folder import OPEN
 from phytac_design.study.search.successive_halving import Outcome, SerialPool, Task
 

@@ -14,7 +14,7 @@ from typing import Any
 from phytac_design.engine import cache
 from phytac_design.engine.stage import Context, Stage
 from phytac_design.stages.build import Work
-from phytac_design.study.planning.run import cpu_s, peak_MB
+from phytac_design.study.planning.run_plan import cpu_s, peak_MB
 from phytac_shapes.errors import NumericalError
 
 

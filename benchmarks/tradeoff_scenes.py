@@ -29,7 +29,7 @@ from phytac_design.simulation.dataset import Dataset
 from phytac_design.study.planning.cost import PREDICTED_WITHIN, Amounts, Workload, features, fit
 from phytac_design.study.planning.plan import plan_scene
 from phytac_design.study.planning.resolve import Resolved, resolve
-from phytac_design.study.planning.run import force_errors, reference_presses
+from phytac_design.study.planning.run_plan import force_errors, reference_presses
 
 SHAPES = ("cylinder60", "grip")
 SCENES = ("fingertip", "grip5", "occlusion", "fabrication")

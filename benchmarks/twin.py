@@ -26,8 +26,8 @@ from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.indenters import flat_touches
 from phytac_design.simulation.instance_shell import truth_shell
+from phytac_design.simulation.linear_response import point_motions, turned_points
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
-from phytac_design.simulation.response import point_motions, turned_points
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 SOURCE = "CalculiX NLGEOM, quadratic tetrahedra of the CAD (benchmarks/referee)"

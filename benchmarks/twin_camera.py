@@ -17,17 +17,17 @@ from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.exposure import CLEAN, Exposure, expose, lens_blur, light_on_chip
-from phytac_design.optics.frame import render_frame, sample_views
+from phytac_design.optics.frame_renderer import render_frame, sample_views
 from phytac_design.optics.light import triangle_light
 from phytac_design.optics.picture import render_picture
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.scene import build_scene
+from phytac_design.optics.render_scene import build_scene
 from phytac_design.simulation.contacts import draw_contacts, switch_states
 from phytac_design.simulation.imaging.imaging_model import ImagingModel
 from phytac_design.simulation.imaging.nominal_view import expected_views
 from phytac_design.simulation.instance_shell import truth_shell
-from phytac_design.simulation.response import motion_responses, superpose
-from phytac_design.simulation.scenario.sections import SolveSection
+from phytac_design.simulation.linear_response import motion_responses, superpose
+from phytac_design.simulation.scenario.scenario_sections import SolveSection
 from phytac_design.simulation.sensor_instance import SensorInstance, ThicknessField
 from phytac_design.stages.build import copy_of
 from phytac_shapes import Surface

@@ -18,10 +18,10 @@ from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Loading
 from phytac_design.simulation.contacts import draw_contacts
 from phytac_design.simulation.indenters import Touches, flat_touches
-from phytac_design.simulation.response import point_motions, turned_points
+from phytac_design.simulation.linear_response import point_motions, turned_points
 from phytac_design.simulation.scenario.contact_box import contact_box
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
-from phytac_design.simulation.scenario.sections import SensorInstanceSection
+from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
 from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_design.simulation.solver import Displacement, Solver
 from phytac_shapes import Surface

@@ -21,9 +21,9 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.optics.density import density_of
-from phytac_design.optics.frame import render_frame
+from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.scene import RenderScene, build_scene
+from phytac_design.optics.render_scene import RenderScene, build_scene
 from phytac_design.optics.visibility import Visibility, check_visibility
 
 CHUNK = 500_000

@@ -15,8 +15,8 @@ from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import TOLERANCE_PX
 from phytac_design.optics.raster import pixels_alone, rasterise
+from phytac_design.optics.render_scene import RenderScene, paint_owner
 from phytac_design.optics.sampled_visibility import sampled_fraction
-from phytac_design.optics.scene import RenderScene, paint_owner
 from phytac_shapes.arrays import FloatArray
 
 LATTICES = {368: (23, 16), 1000: (40, 25), 3000: (75, 40), 10_000: (125, 80)}

@@ -17,11 +17,11 @@ from phytac_design.optics.gaps import marker_gaps, outline_gaps
 from phytac_design.optics.incremental_renderer import Watch
 from phytac_design.optics.loaded_visibility import UnderLoad, press_all, sight_of
 from phytac_design.optics.raster import pixels_alone, rasterise
-from phytac_design.optics.scene import build_scene, paint_owner
+from phytac_design.optics.render_scene import build_scene, paint_owner
 from phytac_design.optics.visibility import Visibility, check_visibility
 from phytac_design.rules.check import check_design
 from phytac_design.stages.build import copy_of
-from phytac_design.stages.loaded_views import PressedShell, see_pressed
+from phytac_design.stages.loaded_views_stage import PressedShell, see_pressed
 from phytac_shapes.errors import DesignError
 
 STUDY = "design study of this sensor"

@@ -24,8 +24,8 @@ from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.optics.distorted_triangles import reach_of
 from phytac_design.optics.raster import pixels_alone, rasterise
 from phytac_design.optics.rays import pixel_rays, ray_grid
+from phytac_design.optics.render_scene import RenderScene, build_scene, paint_owner
 from phytac_design.optics.sampled_visibility import RAYS, sampled_fraction
-from phytac_design.optics.scene import RenderScene, build_scene, paint_owner
 from phytac_design.stages.build import copy_of
 from phytac_shapes.arrays import FloatArray
 

@@ -177,7 +177,7 @@ def test_a_spiral_whose_straight_rows_cannot_be_made_is_not_compared(tmp_path: P
     from phytac_design.design.accuracy import PRESETS
     from phytac_design.design.design_file import load_design
     from phytac_design.engine.stage import Context
-    from phytac_design.stages.views import run_compare
+    from phytac_design.stages.views_stage import run_compare
 
     context = Context(design=load_design("cylinder60-dense"), accuracy=PRESETS["draft"], seed=0)
     run_compare(context, tmp_path)
@@ -265,7 +265,7 @@ def test_without_graphics_libraries_only_the_step_is_left_out(
 ) -> None:
     """A machine without libGL: cadquery cannot be imported, pyrender gets no context."""
     from phytac_design.engine import stage
-    from phytac_design.stages import shell, views
+    from phytac_design.stages import shell_stage, views_stage
 
     def absent(*_: object, **__: object) -> None:
         raise MissingPartError("no CAD: libGL.so.1 is missing")
@@ -275,8 +275,8 @@ def test_without_graphics_libraries_only_the_step_is_left_out(
     monkeypatch.setattr("phytac_design.solids.cad.shell_cad", absent)
     monkeypatch.setattr("phytac_design.fabrication.hardware.by_cad.cadquery", absent)
     monkeypatch.setattr("phytac_design.optics.picture.render_picture", absent)
-    assert shell.STEP.graphics
-    assert views.VIEWS.graphics
+    assert shell_stage.STEP.graphics
+    assert views_stage.VIEWS.graphics
     result = build(small(), tmp_path / "x", accuracy="draft", progress=quiet)
     files = {p.relative_to(result.out).as_posix() for p in result.out.rglob("*") if p.is_file()}
     steps = {name for name in CONTRACT if name.endswith(".step")}

@@ -20,10 +20,10 @@ from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
 from phytac_design.simulation.contacts import Contacts, switch_states
 from phytac_design.simulation.instance_shell import truth_shell
-from phytac_design.simulation.response import motion_responses, superpose
+from phytac_design.simulation.linear_response import motion_responses, superpose
 from phytac_design.stages.build import build
-from phytac_design.stages.frames import FrameContacts, render_sample
-from phytac_design.stages.response import cell_radius_mm
+from phytac_design.stages.frames_stage import FrameContacts, render_sample
+from phytac_design.stages.response_stage import cell_radius_mm
 from phytac_shapes import REGISTRY
 from tests.designs import DRAWN, drawn
 

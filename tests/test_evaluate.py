@@ -19,8 +19,8 @@ from phytac_design.datasets.samples import DataSetInfo, Samples
 from phytac_design.datasets.samples_writer import file_hash, write_samples
 from phytac_design.design.design_file import design_hash, to_toml
 from phytac_design.training.evaluation.decoded_contacts import decode_contacts
+from phytac_design.training.evaluation.evaluation_plots import decoded_against_true
 from phytac_design.training.evaluation.groups import ContactPositions, contact_positions, groups_of
-from phytac_design.training.evaluation.plots import decoded_against_true
 from phytac_design.training.join_datasets import join_samples
 from phytac_design.training.training_data import DataSet
 from phytac_design.workflows.evaluate_decoder import TABLE, evaluate

@@ -13,11 +13,18 @@ from phytac_design.engine.stage import Context, write_arrays, write_facts
 from phytac_design.geometry import flat_map
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of
-from phytac_design.report import figure_names, figures, page, scores, sections, verdict
-from phytac_design.report.drawing import Drawing
+from phytac_design.report import (
+    figure_names,
+    page,
+    report_figures,
+    report_sections,
+    score_tables,
+    verdict,
+)
+from phytac_design.report.sensor_drawing import Drawing
 from phytac_design.stages.build import BuildResult
-from phytac_design.stages.report import forced_past
-from phytac_design.stages.views import run_views
+from phytac_design.stages.report_stage import forced_past
+from phytac_design.stages.views_stage import run_views
 from tests.designs import DRAWN, drawn, small
 
 FAMILIES = {
@@ -39,7 +46,7 @@ NO_LIMITS: dict[str, Any] = {
 
 def a_score(error: float = 0.1) -> dict[str, Any]:
     one = {"mae_N": 0.2, "sd_N": 0.3, "relative_error": error, "samples": 9}
-    return one | {group: dict(one) for group in scores.GROUPS}
+    return one | {group: dict(one) for group in score_tables.GROUPS}
 
 
 def a_report(**changes: Any) -> dict[str, Any]:
@@ -125,17 +132,20 @@ def test_the_colour_bar_is_as_tall_as_the_map(sides: tuple[float, float]) -> Non
     flat = flat_map.FlatMap(
         points=places, outline=(), x_label="x", y_label="y", y_down=False, note="flat"
     )
-    wide, tall = figures.map_size_in(flat)
+    wide, tall = report_figures.map_size_in(flat)
     extent = flat.limits[1] - flat.limits[0]
     assert wide / tall == pytest.approx(extent[0] / extent[1], rel=1e-6)
-    data = figures.value_map(flat, places[:, 0], label="mm", colours=["blue"] * 50)
+    data = report_figures.value_map(flat, places[:, 0], label="mm", colours=["blue"] * 50)
     image: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-    top = figures.ABOVE_IN * figures.DPI
-    bottom = top + tall * figures.DPI
-    at = round((figures.LEFT_IN + wide + figures.BAR_GAP_IN + figures.BAR_IN / 2.0) * figures.DPI)
+    top = report_figures.ABOVE_IN * report_figures.DPI
+    bottom = top + tall * report_figures.DPI
+    at = round(
+        (report_figures.LEFT_IN + wide + report_figures.BAR_GAP_IN + report_figures.BAR_IN / 2.0)
+        * report_figures.DPI
+    )
     bar = np.flatnonzero(np.ptp(image[:, at].astype(int), axis=1) > 40)
     assert (bar[0], bar[-1]) == (pytest.approx(top, abs=3), pytest.approx(bottom, abs=3))
-    edge = round(figures.LEFT_IN * figures.DPI)
+    edge = round(report_figures.LEFT_IN * report_figures.DPI)
     frame = np.flatnonzero((image[:, edge - 2 : edge + 3] < 90).all(axis=2).any(axis=1))
     assert frame[0] == pytest.approx(top, abs=3)
     assert bottom - 3 <= frame[-1]
@@ -159,25 +169,25 @@ def test_figures_that_do_not_exist_are_dashes_with_their_reason() -> None:
 
 def test_estimators_that_cannot_be_used_are_marked() -> None:
     table = {name: a_score() for name in ("fem", "koi_inverse")}
-    clean = scores.score_table(table, NO_LIMITS, 40)
+    clean = score_tables.score_table(table, NO_LIMITS, 40)
     assert "†" not in clean
     assert "weak" not in clean
     some = NO_LIMITS | {"fem_unusable_count": 3, "fem_noise_N_median": 7.25}
-    html = scores.score_table(table, some, 40)
+    html = score_tables.score_table(table, some, 40)
     assert ">fem†<" in html
     assert ">koi_inverse<" in html
     assert "At 3 of 40 markers" in html
     assert "7.25 N" in html
     assert "class=weak" not in html  # 3 of 40 are less than a tenth
-    half = scores.score_table(table, some | {"fem_unusable_count": 20}, 40)
+    half = score_tables.score_table(table, some | {"fem_unusable_count": 20}, 40)
     assert '<tr class=weak><th scope="row">fem†<' in half
     assert half.count("class=weak") == 1
-    blind = scores.score_table(table, some | {"force_unreadable": [1, 2, 3, 4]}, 40)
+    blind = score_tables.score_table(table, some | {"force_unreadable": [1, 2, 3, 4]}, 40)
     assert ">fem†‡<" in blind
     assert ">koi_inverse‡<" in blind
     assert blind.count("class=weak") == 2
     table["fem"]["below_5N"]["relative_error"] = float("nan")
-    empty = scores.score_table(table, NO_LIMITS, 40)
+    empty = score_tables.score_table(table, NO_LIMITS, 40)
     assert "<td>–</td>" in empty
     assert "no such contacts" in empty
 
@@ -313,16 +323,16 @@ def test_shapes_that_face_the_camera_are_drawn_in_its_picture_too(
     assert html.count("data:image/png") == maps_drawn
     assert ("Gap; in the camera&#x27;s picture" in html) == (maps_drawn == 2)
     picture = flat_map.picture_map(camera.project(context.markers.tip_mm), (864, 648))
-    wide, tall = figures.map_size_in(picture)
+    wide, tall = report_figures.map_size_in(picture)
     assert wide / tall == pytest.approx(864 / 648, rel=0.03)
 
 
 def test_bars_of_very_unlike_errors_and_of_none_are_drawn() -> None:
     table = {"fem": a_score(900.0), "koi_inverse": a_score(0.05)}
     table["fem"]["below_5N"]["relative_error"] = None
-    assert figures.error_bars(table, {"fem": "†"}).startswith(b"\x89PNG")
+    assert report_figures.error_bars(table, {"fem": "†"}).startswith(b"\x89PNG")
     nothing = {"fem": a_score(float("nan"))}
-    assert figures.error_bars(nothing, {}).startswith(b"\x89PNG")
+    assert report_figures.error_bars(nothing, {}).startswith(b"\x89PNG")
 
 
 def test_records_are_tables_of_their_own() -> None:
@@ -351,7 +361,7 @@ def test_two_cameras_show_both_pictures_and_lenses(tmp_path: Path) -> None:
         "straight": None,
         "camera": {"stand_off_mm": views["stand_off_mm"], "end": "near"},
     }
-    html = sections.camera_section(context, report, Drawing(context))
+    html = report_sections.camera_section(context, report, Drawing(context))
     for end in ("near", "far"):
         for what in ("The camera&#x27;s view at rest", "All switches on", "Exact ID map"):
             assert any(
@@ -359,7 +369,7 @@ def test_two_cameras_show_both_pictures_and_lenses(tmp_path: Path) -> None:
             )
     assert html.count("data:image/jpeg") == 6
     assert "no &lt;rows&gt;" in html
-    lens = sections.lens_section(context, report)
+    lens = report_sections.lens_section(context, report)
     assert "<h3>Near camera</h3>" in lens
     assert "<h3>Far camera</h3>" in lens
     # Each figure under its own heading: facts on disk are sorted by key.

@@ -11,7 +11,7 @@ from phytac_design.geometry.overlaps import distance_mm, tube_overlaps_mm, withi
 from phytac_design.geometry.strips import Mesh, cylinder_mesh
 from phytac_design.layout import make_markers
 from phytac_design.optics.fixture_bodies import fixture_mesh
-from phytac_design.rules.bodies import wall_overlap_mm
+from phytac_design.rules.body_rules import wall_overlap_mm
 from phytac_design.rules.check import check_design
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError

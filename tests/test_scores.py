@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phytac_design.training.evaluation.scores import (
+from phytac_design.training.evaluation.contact_scores import (
     MEDIANS,
     Bootstrap,
     error_summary,
@@ -48,7 +48,7 @@ def test_intervals_of_the_mean_are_those_of_theory() -> None:
 def test_resampled_measures_are_those_of_the_drawn_contacts(
     together: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("phytac_design.training.evaluation.scores.TOGETHER", together)
+    monkeypatch.setattr("phytac_design.training.evaluation.contact_scores.TOGETHER", together)
     rng = np.random.default_rng(1)
     sample = np.sort(rng.integers(0, 12, 40))
     truth = rng.uniform(1.0, 20.0, 40)

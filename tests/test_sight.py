@@ -11,7 +11,7 @@ from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.layout.dents import dent_motions
 from phytac_design.layout.line_of_sight import clearance_under_load_mm, pressed_markers
 from phytac_design.optics.loaded_visibility import sight
-from phytac_design.optics.scene import build_scene
+from phytac_design.optics.render_scene import build_scene
 from phytac_design.optics.visibility import check_visibility
 from phytac_shapes.errors import DesignError
 from tests.designs import changed

@@ -16,9 +16,9 @@ from phytac_design.datasets.samples import Samples, inputs_alone, key_nodes
 from phytac_design.datasets.samples_writer import write_samples
 from phytac_design.design.design_file import design_hash, to_toml
 from phytac_design.engine.stage import Context
-from phytac_design.stages import views
+from phytac_design.stages import views_stage
 from phytac_design.stages.build import run_stages, select_stages
-from phytac_design.stages.decoder import assemble_bundle, untrained_model
+from phytac_design.stages.decoder_stage import assemble_bundle, untrained_model
 from phytac_design.training.join_datasets import join_samples, select_samples
 from phytac_design.training.levenberg_marquardt import (
     CascadeDerivatives,
@@ -49,7 +49,7 @@ def context() -> Context:
     """Views and response of the design; its pictures are not looked at here."""
     blank = np.zeros((324, 432, 3), dtype=np.uint8)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(views, "picture_or_frame", lambda *_: (blank, "none"))
+        patch.setattr(views_stage, "picture_or_frame", lambda *_: (blank, "none"))
         stages = select_stages(MECHANICS)
         options = {"accuracy": "draft", "seed": 0, "force": True, "progress": lambda _: None}
         return run_stages(DESIGN, stages, **options)[0]

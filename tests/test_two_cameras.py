@@ -16,7 +16,7 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
 from phytac_design.stages.build import build
-from phytac_design.stages.frames import FrameContacts, draw_frame_contacts, render_sample
+from phytac_design.stages.frames_stage import FrameContacts, draw_frame_contacts, render_sample
 from phytac_shapes.errors import InputError
 from tests.designs import of_shape
 

@@ -12,7 +12,7 @@ from phytac_design.design.accuracy import PRESETS, Accuracy
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
 from phytac_design.layout.worst_places import press_places
-from phytac_design.stages.loaded_views import (
+from phytac_design.stages.loaded_views_stage import (
     LOAD_STEPS,
     PressedShell,
     load_sentence,

@@ -6,7 +6,12 @@ import numpy as np
 
 from phytac_design.mechanics.large.stability import path_deviation
 from phytac_design.mechanics.switch.model import AxiModel
-from phytac_design.mechanics.switch.path import PathConstraint, PathControl, PathPoint, correct
+from phytac_design.mechanics.switch.switch_path import (
+    PathConstraint,
+    PathControl,
+    PathPoint,
+    correct,
+)
 from phytac_shapes.arrays import FloatArray
 
 

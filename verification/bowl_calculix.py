@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from phytac_design.mechanics.switch.bowl import BowlModel
-from phytac_design.mechanics.switch.materials import Material, Ogden, Yeoh
+from phytac_design.mechanics.switch.hyperelastic import Material, Ogden, Yeoh
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError
 from verification.calculix import run_ccx

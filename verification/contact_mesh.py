@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from phytac_design.mechanics.meshing.grid import product_grid
 from phytac_design.mechanics.meshing.mesh import ShellMesh, _shell
+from phytac_design.mechanics.meshing.quad_grid import product_grid
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError

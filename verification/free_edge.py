@@ -19,7 +19,7 @@ from which the missing share and the twist inside follow. Derived here; first or
 import numpy as np
 
 from phytac_design.mechanics.shell.discretisation import ProbedShell
-from phytac_design.mechanics.shell.element import shape
+from phytac_design.mechanics.shell.shell_element import shape
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from phytac_design.mechanics.large.rotations import cross
-from phytac_design.mechanics.shell.element import GAUSS, shape
+from phytac_design.mechanics.shell.shell_element import GAUSS, shape
 from phytac_shapes.arrays import FloatArray, IntArray
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phytac_design.mechanics.shell.discretisation import ProbedShell
-from phytac_design.mechanics.shell.element import DRILLING, GAUSS, SHEAR_FACTOR, shape
+from phytac_design.mechanics.shell.shell_element import DRILLING, GAUSS, SHEAR_FACTOR, shape
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 

@@ -4,15 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phytac_design.mechanics.switch import path
+from phytac_design.mechanics.switch import switch_path
+from phytac_design.mechanics.switch.bowl_mesh import AxiMesh, block, join
 from phytac_design.mechanics.switch.buckling import CircumferentialModes
-from phytac_design.mechanics.switch.materials import (
-    Material,
-    Yeoh,
-    bulk_of,
-    neo_hookean,
-)
-from phytac_design.mechanics.switch.mesh import AxiMesh, block, join
+from phytac_design.mechanics.switch.hyperelastic import Material, Yeoh, bulk_of, neo_hookean
 from phytac_design.mechanics.switch.model import AxiModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from verification.arc_length import ArcLengthControl
@@ -148,8 +143,8 @@ def inflated_sphere(stretch: float, poisson: float = 0.4999) -> Comparison:
     """Pressure at a large stretch of the inner wall of a thick neo-Hookean sphere, μ = 1 MPa."""
     material = Yeoh(coefficients_MPa=(0.5,), bulk_MPa=bulk_of(1.0, poisson))
     model, load, inner = _sphere(material, (6, 6))
-    control = path.PathControl(unknown=inner, end_mm=stretch - 1.0, steps=8)
-    point = path.trace(model, load, control)[-1]
+    control = switch_path.PathControl(unknown=inner, end_mm=stretch - 1.0, steps=8)
+    point = switch_path.trace(model, load, control)[-1]
     outer = ((stretch**3 + 7.0) / 8.0) ** (1.0 / 3.0)
 
     def part(x: float) -> float:
@@ -169,8 +164,8 @@ def pulled_bar(material: Material, stretch: float) -> float:
     top = model.node_unknown(int(model.tied[0]), 1)
     load = np.zeros(model.count)
     load[top] = np.pi
-    control = path.PathControl(unknown=top, end_mm=stretch - 1.0, steps=8)
-    return path.trace(model, load, control)[-1].load_factor
+    control = switch_path.PathControl(unknown=top, end_mm=stretch - 1.0, steps=8)
+    return switch_path.trace(model, load, control)[-1].load_factor
 
 
 def clamped_plate(cells: int = 20, poisson: float = 0.3) -> Comparison:
@@ -221,8 +216,8 @@ def squeezed_ring(mode: int = 2, cells: tuple[int, int] = (1, 1)) -> Comparison:
     load_at = 0.0
     for _ in range(14):
         way = 0.5 * (low + high)
-        control = path.PathControl(unknown=unknown, end_mm=-way, steps=1)
-        point = path.trace(model, load, control)[-1]
+        control = switch_path.PathControl(unknown=unknown, end_mm=-way, steps=1)
+        point = switch_path.trace(model, load, control)[-1]
         load_at = point.load_factor
         low, high = (low, way) if waves.negatives(point, mode) else (way, high)
     return Comparison(value=load_at, exact=exact)
@@ -237,7 +232,7 @@ class CapPath:
     slope: FloatArray
     pattern: FloatArray
     model: AxiModel
-    points: list[path.PathPoint]
+    points: list[switch_path.PathPoint]
 
     def extremes(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Peak and valley, each as way and load, by the cubic through points and slopes."""
@@ -275,10 +270,10 @@ def clamped_cap(
     load = np.zeros(mesh.nodes_mm.shape)
     load[mesh.at(at, float(np.sqrt(radius**2 - at**2)) - drop), 1] = -1.0
     apex = model.node_unknown(mesh.at(0.0, radius - drop), 1)
-    control = (ArcLengthControl if arc else path.PathControl)(
+    control = (ArcLengthControl if arc else switch_path.PathControl)(
         unknown=apex, end_mm=-end, steps=steps
     )
-    points = path.trace(model, model.reduced(load), control)
+    points = switch_path.trace(model, model.reduced(load), control)
     return CapPath(
         apex=np.array([-p.unknowns[apex] for p in points]),
         load=np.array([p.load_factor for p in points]),

@@ -22,11 +22,11 @@ from phytac_design.design.design_file import to_toml
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.scene import build_scene, paint_owner
+from phytac_design.optics.render_scene import build_scene, paint_owner
 from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
 from phytac_design.stages.build import build
-from phytac_design.stages.decoder import limit_facts
+from phytac_design.stages.decoder_stage import limit_facts
 from verification.case import Case, Cases, Evidence, Recorder, verify
 from verification.designs import SHAPES, base, changed, design_of, scaled
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from phytac_design.mechanics.meshing.mesh_check import check_directors, check_quads
-from phytac_design.mechanics.shell.element import element_stiffness
+from phytac_design.mechanics.shell.shell_element import element_stiffness
 from phytac_design.mechanics.shell.solve import ShellModel, rigid_modes
 from phytac_shapes.arrays import FloatArray
 from verification import shells

@@ -12,14 +12,14 @@ from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
 from phytac_design.simulation.contacts import draw_contacts, switch_states
-from phytac_design.simulation.response import motion_responses, superpose
+from phytac_design.simulation.linear_response import motion_responses, superpose
 from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.scenario.instance_scatter import (
     CUT_SD,
     draw_sensor_instance,
 )
 from phytac_design.simulation.scenario.scenario_file import parse_scenario
-from phytac_design.simulation.scenario.sections import SensorInstanceSection
+from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
 from phytac_design.simulation.sensor_instance import thickness_factor
 from phytac_design.workflows.simulate import simulate
 from verification.case import Case, Cases, Evidence, Expect, Recorder, verify

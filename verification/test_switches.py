@@ -8,7 +8,7 @@ import numpy as np
 
 from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.mechanics.switch.curve import press_bowl, snap_of
-from phytac_design.mechanics.switch.materials import Yeoh, bulk_of, neo_hookean
+from phytac_design.mechanics.switch.hyperelastic import Yeoh, bulk_of, neo_hookean
 from phytac_shapes.errors import NumericalError
 from verification import switch_cases as published
 from verification.case import Case, Cases, Evidence, Expect, Recorder, verify

@@ -9,7 +9,7 @@ from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.scene import FIRST_MARKER, RenderScene, build_scene, paint_owner
+from phytac_design.optics.render_scene import FIRST_MARKER, RenderScene, build_scene, paint_owner
 from phytac_design.optics.visibility import check_visibility
 from phytac_design.rules.check import check_design
 from phytac_shapes.arrays import FloatArray, IntArray

@@ -12,11 +12,11 @@ import numpy as np
 from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
-from phytac_design.optics.frame import render_frame
-from phytac_design.optics.scene import build_scene
+from phytac_design.optics.frame_renderer import render_frame
+from phytac_design.optics.render_scene import build_scene
 from phytac_design.simulation.contacts import Contacts, switch_states
 from phytac_design.simulation.instance_shell import truth_shell
-from phytac_design.simulation.response import motion_responses, superpose
+from phytac_design.simulation.linear_response import motion_responses, superpose
 
 PRESSES = (
     # sample, u mm, v degrees, radius mm, force N

@@ -42,7 +42,7 @@ def plan(
     from phytac_design.design.scene import Scene, load_scene
     from phytac_design.rules.check import check_design
     from phytac_design.study.planning.plan import plan_scene
-    from phytac_design.study.planning.run import run_plan
+    from phytac_design.study.planning.run_plan import run_plan
 
     loaded = load_design(design)
     everything = Scene(name="everything", outputs=("report",))
@@ -76,7 +76,7 @@ def build_scene(
     from phytac_design.core.json_values import finite
     from phytac_design.design.scene import load_scene
     from phytac_design.study.planning.plan import plan_scene
-    from phytac_design.study.planning.run import run_plan
+    from phytac_design.study.planning.run_plan import run_plan
 
     made = plan_scene(design, load_scene(scene), accuracy=accuracy, seed=seed)
     built, audit = run_plan(made, out, seed=seed, force=force, progress=say)

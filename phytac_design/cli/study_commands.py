@@ -85,9 +85,9 @@ def _run(
     *,
     as_json: bool,
 ) -> None:
+    from phytac_design.study.search.design_space import make_space
     from phytac_design.study.search.driver import run_study
-    from phytac_design.study.search.report import read_results, summary, write_page
-    from phytac_design.study.search.space import make_space
+    from phytac_design.study.search.search_report import read_results, summary, write_page
     from phytac_design.study.search.study_file import load_study
     from phytac_shapes.errors import DesignError
 

@@ -43,14 +43,14 @@ def switch(
     from phytac_design.design.design_file import load_design
     from phytac_design.mechanics.switch.design import design_switch
     from phytac_design.mechanics.switch.line_plot import check_svg, write_svg
-    from phytac_design.mechanics.switch.report import (
+    from phytac_design.mechanics.switch.switch_inputs import chosen_rubber, rubber_of, space_of
+    from phytac_design.mechanics.switch.switch_report import (
         curve_plot,
         switch_dict,
         switch_text,
         warnings,
     )
-    from phytac_design.mechanics.switch.space import Tolerance
-    from phytac_design.mechanics.switch.switch_inputs import chosen_rubber, rubber_of, space_of
+    from phytac_design.mechanics.switch.switch_space import Tolerance
 
     if plot:
         check_svg(plot)

@@ -29,7 +29,7 @@ def tradeoff(
     The same command resumes an interrupted run.
     """
     from phytac_design.design.design_file import load_design
-    from phytac_design.study.tradeoff.run import tradeoff as run
+    from phytac_design.study.tradeoff.run_tradeoff import tradeoff as run
 
     loaded = load_design(design)
     target = out or Path("exports") / f"{loaded.name}-tradeoff"

@@ -16,14 +16,14 @@ from phytac_decoder.camera.camera import Camera
 from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
-from phytac_design.optics.frame import (
+from phytac_design.optics.frame_renderer import (
     BAND_ROWS,
     render_light,
     sample_offsets,
     sample_views,
 )
 from phytac_design.optics.paint import to_linear, to_srgb
-from phytac_design.optics.scene import RenderScene
+from phytac_design.optics.render_scene import RenderScene
 from phytac_design.optics.sharpness import sharpness
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, ImageArray

@@ -19,7 +19,7 @@ from phytac_design.optics.raster import (
     pieces_by_marker,
     project_scene,
 )
-from phytac_design.optics.scene import FIRST_MARKER, SHELL, RenderScene
+from phytac_design.optics.render_scene import FIRST_MARKER, SHELL, RenderScene
 from phytac_design.optics.zbuffer import View, fill
 from phytac_shapes.arrays import FloatArray, IntArray
 

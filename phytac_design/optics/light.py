@@ -17,8 +17,8 @@ import numpy as np
 
 from phytac_decoder.camera.camera import Camera
 from phytac_design.optics.paint import BAR, FIXTURE, PAINTS, RESIN, to_linear
-from phytac_design.optics.scene import BAR as BAR_CODE
-from phytac_design.optics.scene import (
+from phytac_design.optics.render_scene import BAR as BAR_CODE
+from phytac_design.optics.render_scene import (
     FIRST_FIXTURE,
     FIRST_MARKER,
     RenderScene,

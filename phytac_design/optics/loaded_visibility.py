@@ -21,7 +21,7 @@ import numpy as np
 from phytac_decoder.camera.camera import Camera
 from phytac_design.optics.gaps import outline_gaps
 from phytac_design.optics.incremental_renderer import Glance, Watch
-from phytac_design.optics.scene import RenderScene
+from phytac_design.optics.render_scene import RenderScene
 from phytac_design.optics.visibility import FRACTION_MIN, PIXELS_MIN
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 

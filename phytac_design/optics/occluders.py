@@ -5,7 +5,7 @@ import numpy as np
 from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.optics.raster import Buffers, marker_windows, pieces_by_marker, project_scene
-from phytac_design.optics.scene import (
+from phytac_design.optics.render_scene import (
     BAR,
     FIRST_FIXTURE,
     FIRST_MARKER,

@@ -16,7 +16,7 @@ from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Pinhole
 from phytac_design.optics.light import triangle_light
 from phytac_design.optics.paint import BACKGROUND
-from phytac_design.optics.scene import RenderScene
+from phytac_design.optics.render_scene import RenderScene
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import MissingPartError
 

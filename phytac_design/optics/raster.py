@@ -10,7 +10,7 @@ from phytac_decoder.camera.lens import Lens, Pinhole
 from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.optics.clip import clip_near
 from phytac_design.optics.distorted_triangles import bent_view
-from phytac_design.optics.scene import FIRST_MARKER, RenderScene
+from phytac_design.optics.render_scene import FIRST_MARKER, RenderScene
 from phytac_design.optics.zbuffer import View, fill
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 

@@ -16,7 +16,7 @@ from phytac_decoder.camera.lens import Pinhole
 from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.optics.raster import marker_windows, pieces_by_marker, project_scene
 from phytac_design.optics.rays import ray_grid
-from phytac_design.optics.scene import FIRST_MARKER, RenderScene
+from phytac_design.optics.render_scene import FIRST_MARKER, RenderScene
 from phytac_design.optics.zbuffer import Grid, View, corner, fill, meets, outline, reach
 from phytac_shapes.arrays import FloatArray, IntArray
 

@@ -12,12 +12,12 @@ from phytac_decoder.vision.switch_detection import RED_RATIO_MIN
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import camera_of, refuse_swallowed, tolerance_mm
-from phytac_design.optics.frame import render_frame
+from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.gaps import marker_gaps
 from phytac_design.optics.occluders import SELF, hider_name, hiders
 from phytac_design.optics.paint import paints_of
 from phytac_design.optics.raster import Buffers, pixels_alone, points_seen, rasterise
-from phytac_design.optics.scene import (
+from phytac_design.optics.render_scene import (
     BAR,
     FIRST_FIXTURE,
     NONE,

@@ -1,14 +1,14 @@
 """Every refusal of a design in one place, before anything is written or computed."""
 
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.hardware.assembly import check_hardware
+from phytac_design.fabrication.hardware.hardware_assembly import check_hardware
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import cameras_of, refuse_swallowed
 from phytac_design.layout.region_chart import design_regions
 from phytac_design.mechanics.switch.switch_inputs import rubber_of
 from phytac_design.optics.separability import check_paints
 from phytac_design.optics.sharpness import sharpness
-from phytac_design.rules.bodies import check_cameras, check_fixtures
+from phytac_design.rules.body_rules import check_cameras, check_fixtures
 from phytac_design.rules.clearance import check_heights, check_reach, check_wall
 from phytac_design.rules.receptor_spacing import check_ends, check_footprints, check_receptor_gaps
 from phytac_design.rules.sizes import check_sizes, check_training

@@ -13,7 +13,7 @@ from phytac_design.layout import Markers
 from phytac_design.layout.cameras import cameras_of, stand_off_mm
 from phytac_design.optics.density import density_of
 from phytac_design.optics.lens_facts import lens_facts
-from phytac_design.optics.scene import BAR, RESIN
+from phytac_design.optics.render_scene import BAR, RESIN
 from phytac_design.optics.separability import check_paints
 from phytac_design.optics.sharpness import sharpness
 from phytac_design.optics.visibility import (

@@ -4,9 +4,9 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.meshing.grid import product_grid
 from phytac_design.mechanics.meshing.local_refinement import thinned_lines
 from phytac_design.mechanics.meshing.mesh import ShellMesh, _shell, chart_mesh, plain_mesh
+from phytac_design.mechanics.meshing.quad_grid import product_grid
 from phytac_design.mechanics.shell.receptor_stiffness import (
     receptor_stiffness,
     sensor_model,

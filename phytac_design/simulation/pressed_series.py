@@ -15,8 +15,8 @@ from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.indenters import flat_touches
+from phytac_design.simulation.linear_response import point_motions, rigid_slope, turned_points
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
-from phytac_design.simulation.response import point_motions, rigid_slope, turned_points
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError

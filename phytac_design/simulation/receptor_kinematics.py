@@ -21,7 +21,7 @@ from scipy.sparse import csr_matrix, identity, kron
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.pressure import tangent_frame
-from phytac_design.simulation.response import motion_probe
+from phytac_design.simulation.linear_response import motion_probe
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 

@@ -18,7 +18,7 @@ from phytac_design.solids.cad_spline import cells_for, spline_edge
 from phytac_shapes import Cone, Cuboid, Cylinder, Grip, Hemisphere, Patch, Plane, Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError, NumericalError
-from phytac_shapes.path import Arc
+from phytac_shapes.plane_curves import Arc
 from phytac_shapes.revolved import PathRevolved, Revolved
 
 AXIS_TOL_mm = 1e-9

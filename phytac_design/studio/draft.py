@@ -18,10 +18,10 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import stand_off_mm, tolerance_mm
 from phytac_design.optics.density import density_map, surface_class
-from phytac_design.optics.frame import render_frame
+from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.raster import rasterise
+from phytac_design.optics.render_scene import RenderScene, build_scene, paint_owner
 from phytac_design.optics.sampled_visibility import sampled_fraction
-from phytac_design.optics.scene import RenderScene, build_scene, paint_owner
 from phytac_design.optics.visibility import FRACTION_MIN, heights_face
 from phytac_design.report.viewer.data import Colouring, base_colourings, viewer_data
 from phytac_design.rules.design_review import checkup

@@ -13,8 +13,8 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.studio.access_control import TIMEOUT_S, Guard
-from phytac_design.studio.app import Studio
 from phytac_design.studio.files import ProjectFolder
+from phytac_design.studio.web_app import Studio
 from phytac_shapes.errors import OutputError
 
 LOOPBACK = "127.0.0.1"

@@ -12,7 +12,7 @@ from phytac_design.core.json_values import finite
 from phytac_design.report.figure_names import NAMES
 from phytac_design.studio.files import walk
 from phytac_design.study.search.measures import MEASURES
-from phytac_design.study.search.report import read_results
+from phytac_design.study.search.search_report import read_results
 from phytac_design.study.search.study_folder import RESULTS, STUDY, read_study, rebuild
 from phytac_shapes.errors import InputError, PhytacError
 

@@ -12,7 +12,9 @@ from phytac_design.core.json_values import finite
 from phytac_design.datasets.samples import STATUSES, THEORIES, Samples
 from phytac_design.design.design_file import design_hash, load_design, shipped_designs
 from phytac_design.design.spec import Design
+from phytac_design.training.evaluation.contact_scores import LEVEL, RESAMPLES, Bootstrap
 from phytac_design.training.evaluation.decoded_contacts import DecodedContacts, decode_contacts
+from phytac_design.training.evaluation.evaluation_plots import draw
 from phytac_design.training.evaluation.groups import (
     KINDS,
     Groups,
@@ -20,8 +22,6 @@ from phytac_design.training.evaluation.groups import (
     groups_of,
     kinds,
 )
-from phytac_design.training.evaluation.plots import draw
-from phytac_design.training.evaluation.scores import LEVEL, RESAMPLES, Bootstrap
 from phytac_design.training.evaluation.tables import contacts_csv, tables_md
 from phytac_design.training.join_datasets import join_samples
 from phytac_design.training.result_folder import reserve_folder, write_folder

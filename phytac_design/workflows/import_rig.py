@@ -19,14 +19,14 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES, encode_png
 from phytac_design.simulation.indenters import Touches
-from phytac_design.simulation.rig_import.contacts import contacts_of, sequences_of
-from phytac_design.simulation.rig_import.frames import (
+from phytac_design.simulation.rig_import.rig_contacts import contacts_of, sequences_of
+from phytac_design.simulation.rig_import.rig_frames import (
     FrameFolder,
     FrameSource,
     match_frames,
     open_source,
 )
-from phytac_design.simulation.rig_import.log import RigLog, RowProblems, read_rig_log
+from phytac_design.simulation.rig_import.rig_log import RigLog, RowProblems, read_rig_log
 from phytac_design.simulation.rig_import.rig_samples import (
     RigSetup,
     measure_samples,

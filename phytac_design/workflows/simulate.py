@@ -33,7 +33,7 @@ from phytac_design.simulation.run.data_set import data_set_info, gather_samples
 from phytac_design.simulation.run.job import Job
 from phytac_design.simulation.solver import Solver
 from phytac_design.stages.build import run_stages, select_stages
-from phytac_design.stages.decoder import untrained_model
+from phytac_design.stages.decoder_stage import untrained_model
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import DesignError, InputError, OutputError
 

@@ -14,9 +14,9 @@ from phytac_design.design.spec import Design
 from phytac_design.layout.region_chart import design_regions
 from phytac_design.rules.check import check_design
 from phytac_design.stages.build import run_stages, select_stages
-from phytac_design.stages.decoder import DECODER, assemble_bundle, untrained_model
+from phytac_design.stages.decoder_stage import DECODER, assemble_bundle, untrained_model
+from phytac_design.training.evaluation.contact_scores import error_summary
 from phytac_design.training.evaluation.decoded_contacts import decode_contacts
-from phytac_design.training.evaluation.scores import error_summary
 from phytac_design.training.result_folder import reserve_folder, write_folder
 from phytac_design.training.trainers import TRAINERS, TrainingTask
 from phytac_design.training.training_data import (

@@ -19,7 +19,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from phytac_shapes.path import Arc, Line, Path
+from phytac_shapes.plane_curves import Arc, Line, Path
 from phytac_shapes.revolved import PathRevolved
 from phytac_shapes.variables import check_variables, choice, variable
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import DesignError
-from phytac_shapes.path import Arc, Line, Path
+from phytac_shapes.plane_curves import Arc, Line, Path
 from phytac_shapes.surface import Surface
 from phytac_shapes.variables import check_variables, choice, variable
 

@@ -5,7 +5,7 @@ from abc import abstractmethod
 import numpy as np
 
 from phytac_shapes.arrays import FloatArray
-from phytac_shapes.path import Arc, Line, Path
+from phytac_shapes.plane_curves import Arc, Line, Path
 from phytac_shapes.surface import Surface
 
 POLE_TOL = 1e-12

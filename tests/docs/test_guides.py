@@ -18,7 +18,7 @@ from phytac_design.design.design_file import load_design
 from phytac_design.design.print_rules_table import PROCESSES
 from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
-from phytac_design.study.search.space import make_space
+from phytac_design.study.search.design_space import make_space
 from phytac_design.study.search.study_file import load_study
 from tests.docs.pages import PAGES, ROOT, blocks, listing
 

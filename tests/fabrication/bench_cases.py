@@ -9,11 +9,11 @@ from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout.thresholds import thresholds_N
-from phytac_design.stages.calibration_rig import KIT
-from phytac_design.stages.documents import BENCH
-from phytac_design.stages.mold import MOLD
-from phytac_design.stages.shell import run_shell
-from phytac_design.stages.switch import switches_of
+from phytac_design.stages.calibration_rig_stage import KIT
+from phytac_design.stages.documents_stage import BENCH
+from phytac_design.stages.mold_stage import MOLD
+from phytac_design.stages.shell_stage import run_shell
+from phytac_design.stages.switch_stage import switches_of
 
 BOWL = {"diameter_mm": 4.6, "depth_mm": 1.77, "thickness_mm": 0.22, "stem_diameter_mm": 1.44}
 BOWL |= {"pad_diameter_mm": 1.44, "pad_height_mm": 0.02, "fillet_mm": 0.24}

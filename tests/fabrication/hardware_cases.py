@@ -9,9 +9,9 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
-from phytac_design.fabrication.hardware.assembly import make_hardware
-from phytac_design.fabrication.hardware.bodies import hardware_solids, sensor_solids
+from phytac_design.fabrication.hardware.hardware_assembly import make_hardware
 from phytac_design.fabrication.hardware.parts import HardwareAssembly
+from phytac_design.fabrication.hardware.sensor_solids import hardware_solids, sensor_solids
 from phytac_design.fabrication.switch_set import SwitchSet, make_switches
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.thresholds import thresholds_N

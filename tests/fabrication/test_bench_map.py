@@ -14,7 +14,6 @@ from benchmarks.document_measurements import (
     tick_places_mm,
 )
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.documents.drawing import Disc, DrawnLine, svg_text
 from phytac_design.fabrication.documents.paint_map import (
     OVERLAP_mm,
     PaintMap,
@@ -24,6 +23,7 @@ from phytac_design.fabrication.documents.paint_map import (
     whole_page,
 )
 from phytac_design.fabrication.documents.pdf import pdf_bytes
+from phytac_design.fabrication.documents.sheet_drawing import Disc, DrawnLine, svg_text
 from phytac_design.fabrication.documents.unroll import unroll
 from phytac_shapes.arrays import FloatArray
 from tests.fabrication.bench_cases import switches

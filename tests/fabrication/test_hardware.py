@@ -4,8 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phytac_design.fabrication.hardware.assembly import check_hardware, make_hardware
-from phytac_design.fabrication.hardware.bodies import SHELL, SWITCHES, hardware_solids
+from phytac_design.fabrication.hardware.assembly_checks import verdict
 from phytac_design.fabrication.hardware.by_mesh import MeshKernel
 from phytac_design.fabrication.hardware.checks import (
     hidden_rays,
@@ -13,8 +12,9 @@ from phytac_design.fabrication.hardware.checks import (
     meets,
     sides_of_joint,
 )
-from phytac_design.fabrication.hardware.report import verdict
+from phytac_design.fabrication.hardware.hardware_assembly import check_hardware, make_hardware
 from phytac_design.fabrication.hardware.screws import SCREWS
+from phytac_design.fabrication.hardware.sensor_solids import SHELL, SWITCHES, hardware_solids
 from phytac_design.fabrication.hardware.solid_nodes import Circle, Difference, Prism, Rod, Union
 from phytac_design.geometry.envelope import edge_mm
 from phytac_design.geometry.ray_tree import RayTree

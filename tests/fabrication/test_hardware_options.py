@@ -6,11 +6,11 @@ import pytest
 from phytac_design.design.hardware_table import BOARDS, HardwareSection
 from phytac_design.design.print_rules_table import PROCESSES
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.hardware.assembly import make_hardware
+from phytac_design.fabrication.hardware.assembly_checks import parts_list, verdict
 from phytac_design.fabrication.hardware.bar import strip_mm
-from phytac_design.fabrication.hardware.bodies import hardware_solids, sensor_solids
-from phytac_design.fabrication.hardware.report import parts_list, verdict
+from phytac_design.fabrication.hardware.hardware_assembly import make_hardware
 from phytac_design.fabrication.hardware.screws import SCREWS
+from phytac_design.fabrication.hardware.sensor_solids import hardware_solids, sensor_solids
 from phytac_design.geometry.triangles import prisms
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of

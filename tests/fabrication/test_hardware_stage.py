@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phytac_design.fabrication.hardware.bodies import exploded_bodies
 from phytac_design.fabrication.hardware.by_cad import CadKernel
+from phytac_design.fabrication.hardware.sensor_solids import exploded_bodies
 from phytac_design.solids.mesh_facts import trimesh_facts
 from phytac_design.solids.solid_mesh import to_manifold
-from phytac_design.stages.hardware import HARDWARE
+from phytac_design.stages.hardware_stage import HARDWARE
 from phytac_shapes.errors import DesignError, MissingPartError, NumericalError
 from tests.fabrication.hardware_cases import case, changed, context
 

@@ -7,10 +7,10 @@ import pytest
 
 from phytac_design.design.spec import WallSection
 from phytac_design.engine.stage import graphics_libraries
-from phytac_design.fabrication.hardware.bodies import switch_mesh
 from phytac_design.fabrication.hardware.by_cad import CadKernel
 from phytac_design.fabrication.hardware.by_mesh import MeshKernel
 from phytac_design.fabrication.hardware.parts import COLOURS
+from phytac_design.fabrication.hardware.sensor_solids import switch_mesh
 from phytac_design.fabrication.hardware.solid_nodes import (
     Circle,
     Difference,
@@ -27,7 +27,7 @@ from phytac_design.fabrication.hardware.solid_nodes import (
 from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodies
 from phytac_design.layout import make_markers
 from phytac_design.solids.cad import cad_facts, write_assembly
-from phytac_design.stages.hardware import HARDWARE
+from phytac_design.stages.hardware_stage import HARDWARE
 from phytac_shapes.errors import OutputError
 from tests.fabrication.cad_files import read_assembly, read_step
 from tests.fabrication.cases import design

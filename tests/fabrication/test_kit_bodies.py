@@ -12,12 +12,16 @@ from pydantic import ValidationError
 
 from phytac_design.design.documents_table import KitSection
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.calibration_rig.bodies import CalibrationKit, kit_bodies, kit_parts
 from phytac_design.fabrication.calibration_rig.grippers import jaw, palm_radius_mm
 from phytac_design.fabrication.calibration_rig.guide import guide_text
 from phytac_design.fabrication.calibration_rig.offset_surface import OffsetSurface
 from phytac_design.fabrication.calibration_rig.program import gcode, make_program
 from phytac_design.fabrication.calibration_rig.regions import Regions, frames_at, make_regions
+from phytac_design.fabrication.calibration_rig.tool_bodies import (
+    CalibrationKit,
+    kit_bodies,
+    kit_parts,
+)
 from phytac_design.fabrication.calibration_rig.tool_solids import bolt_places, tool_height_mm
 from phytac_design.geometry.triangles import TriangleMesh, prisms
 from phytac_design.solids.mesh_export import write_stl

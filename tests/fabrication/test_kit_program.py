@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.document_measurements import Move, in_sensor, read_gcode, tool_axis, tool_x
 from phytac_design.design.design_file import to_toml
-from phytac_design.fabrication.calibration_rig.log import NOTE, log_head
+from phytac_design.fabrication.calibration_rig.log_template import NOTE, log_head
 from phytac_design.fabrication.calibration_rig.program import (
     Program,
     gcode,

@@ -14,14 +14,14 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design
 from phytac_design.design.switch_table import MoldSection
 from phytac_design.engine.stage import Context
-from phytac_design.fabrication.molds.grid import PlateLayout, plan_sets
 from phytac_design.fabrication.molds.labels import GLYPHS, label, strokes
 from phytac_design.fabrication.molds.make import MoldSet
+from phytac_design.fabrication.molds.plate_grid import PlateLayout, plan_sets
 from phytac_design.fabrication.molds.rules import rule_rows
 from phytac_design.fabrication.switch_set import reach_mm
 from phytac_design.solids.solid_mesh import to_manifold, to_triangles
 from phytac_design.stages.build import copy_of
-from phytac_design.stages.mold import MOLD
+from phytac_design.stages.mold_stage import MOLD
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 from tests.fabrication.cases import design

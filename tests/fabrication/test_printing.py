@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from phytac_design.design.print_rules_table import PROCESSES, PrintSection
-from phytac_design.fabrication.printing.check import check_body, check_shell
-from phytac_design.fabrication.printing.drawing import draw_report
 from phytac_design.fabrication.printing.overhang import overhangs, stand, suggest
+from phytac_design.fabrication.printing.print_checks import check_body, check_shell
+from phytac_design.fabrication.printing.print_drawing import draw_report
 from phytac_design.fabrication.printing.receptors import check_receptors
 from phytac_design.fabrication.printing.violations import Violation
 from phytac_design.geometry.ray_tree import RayTree

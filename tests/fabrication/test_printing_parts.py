@@ -21,8 +21,8 @@ from phytac_design.geometry.triangles import prisms
 from phytac_design.solids.mesh_export import read_stl
 from phytac_design.solids.mesh_facts import trimesh_facts
 from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
-from phytac_design.stages.printing import OTHERS, run
-from phytac_design.stages.shell import run_shell
+from phytac_design.stages.printing_stage import OTHERS, run
+from phytac_design.stages.shell_stage import run_shell
 from phytac_shapes.errors import DesignError
 from tests.fabrication.cases import built, design, family_design, shipped
 

@@ -10,7 +10,7 @@ from phytac_design.engine.stage import Context
 from phytac_design.layout import make_markers
 from phytac_design.solids import cad
 from phytac_design.solids.solid_mesh import shell_manifold
-from phytac_design.stages.shell import VOLUME_TOL, FINE_mm, run_step
+from phytac_design.stages.shell_stage import VOLUME_TOL, FINE_mm, run_step
 from phytac_shapes.errors import NumericalError
 from tests.designs import drawn
 

@@ -23,7 +23,7 @@ from phytac_design.design.design_file import to_toml
 from phytac_design.engine import cache
 from phytac_design.stages import build as module
 from phytac_design.stages.build import MANIFEST, OLD_MANIFEST, build
-from phytac_design.stages.views import write_image
+from phytac_design.stages.views_stage import write_image
 from phytac_shapes.errors import OutputError
 from tests.designs import small
 

@@ -20,8 +20,8 @@ from phytac_design.design.fixture_files import read_stl
 from phytac_design.design.positions import read_positions
 from phytac_design.design.scene import load_scene
 from phytac_design.mechanics.switch.material_fit import read_test
-from phytac_design.report.builds import read_builds
-from phytac_design.simulation.rig_import.log import RowProblems, read_rig_log
+from phytac_design.report.built_sensors import read_builds
+from phytac_design.simulation.rig_import.rig_log import RowProblems, read_rig_log
 from phytac_design.simulation.scenario.scenario_file import load_scenario
 from phytac_design.studio.files import ProjectFolder
 from phytac_design.study.search.study_file import load_study

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from phytac_design.mechanics.shell import element
-from phytac_design.mechanics.shell.assembly import assemble, make_pattern
-from phytac_design.mechanics.shell.element import element_stiffness
+from phytac_design.mechanics.shell import shell_element
+from phytac_design.mechanics.shell.shell_element import element_stiffness
 from phytac_design.mechanics.shell.solve import rigid_modes
+from phytac_design.mechanics.shell.sparse_assembly import assemble, make_pattern
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import NumericalError
 from verification import shells as cases
@@ -193,7 +193,7 @@ def test_elements_do_not_depend_on_how_many_are_made_at_once(
     whole = element_stiffness(nodes, plate.quads, plate.normals @ turn.T, poisson=0.3)
     factors = {"modulus_MPa": np.arange(1.0, 21.0), "thickness_mm": 0.1}
     whole_sum = whole.combine(**factors)
-    monkeypatch.setattr(element, "CHUNK", 3)
+    monkeypatch.setattr(shell_element, "CHUNK", 3)
     parts = element_stiffness(nodes, plate.quads, plate.normals @ turn.T, poisson=0.3)
     for name in ("membrane", "bending", "shear"):
         one, other = getattr(whole, name), getattr(parts, name)

@@ -5,7 +5,6 @@ import pytest
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
-from phytac_design.mechanics.meshing.grid import EDGE_NAMES, place
 from phytac_design.mechanics.meshing.mesh import (
     MIN_SCALED_JACOBIAN,
     ShellMesh,
@@ -14,10 +13,11 @@ from phytac_design.mechanics.meshing.mesh import (
     node_mesh,
     plain_mesh,
 )
-from phytac_design.mechanics.shell.assembly import assemble, make_pattern
+from phytac_design.mechanics.meshing.quad_grid import EDGE_NAMES, place
 from phytac_design.mechanics.shell.compliance import column_turn
-from phytac_design.mechanics.shell.element import element_stiffness
+from phytac_design.mechanics.shell.shell_element import element_stiffness
 from phytac_design.mechanics.shell.solve import ShellModel, rigid_modes
+from phytac_design.mechanics.shell.sparse_assembly import assemble, make_pattern
 from phytac_shapes import Cuboid, Hemisphere, Surface
 from phytac_shapes.errors import DesignError
 from tests.mechanics.families import DOMES, FAMILIES, WALL_MM, golden

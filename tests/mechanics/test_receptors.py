@@ -29,8 +29,8 @@ from phytac_design.mechanics.shell.receptor_stiffness import (
 )
 from phytac_design.mechanics.shell.solve import clamped_model
 from phytac_design.simulation.instance_shell import truth_shell
-from phytac_design.simulation.response import rigid_slope
-from phytac_design.stages.response import RESPONSE, TWIN, run_response
+from phytac_design.simulation.linear_response import rigid_slope
+from phytac_design.stages.response_stage import RESPONSE, TWIN, run_response
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 from tests.designs import changed, small

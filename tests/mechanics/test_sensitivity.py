@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
-from phytac_design.mechanics.shell import element
+from phytac_design.mechanics.shell import shell_element
 from phytac_design.mechanics.shell.loads import patch_loads
-from phytac_design.mechanics.shell.sensitivity import (
+from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
+from phytac_design.mechanics.shell.stiffness_sensitivity import (
     StiffnessRates,
     element_poisson_rate,
     motion_rate,
     stiffness_rates,
 )
-from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_shapes import Cylinder
 from phytac_shapes.arrays import FloatArray
 
@@ -56,9 +56,9 @@ def test_element_rate_is_that_of_a_complex_step(
     nodes = part.nodes_mm + np.random.default_rng(1).uniform(-0.5, 0.5, part.nodes_mm.shape)
     part.nodes_mm = nodes  # warped and sheared quads
     rate = element_poisson_rate(part)
-    monkeypatch.setattr(element, "_root_plane_stress", complex_root)
+    monkeypatch.setattr(shell_element, "_root_plane_stress", complex_root)
     step = 1e-30
-    exact: Any = element.element_stiffness(
+    exact: Any = shell_element.element_stiffness(
         nodes,
         grid.quads,
         grid.normals,

@@ -19,12 +19,12 @@ from phytac_design.mechanics.switch.buckling import first_buckling
 from phytac_design.mechanics.switch.curve import press_bowl, snap_of
 from phytac_design.mechanics.switch.design import SwitchDesign, design_switch
 from phytac_design.mechanics.switch.feasible_range import FeasibleRange
+from phytac_design.mechanics.switch.hyperelastic import Ogden, Yeoh, neo_hookean
 from phytac_design.mechanics.switch.material_fit import fit_uniaxial, uniaxial_stress
-from phytac_design.mechanics.switch.materials import Ogden, Yeoh, neo_hookean
-from phytac_design.mechanics.switch.report import curve_plot
 from phytac_design.mechanics.switch.rubbers import rubber
-from phytac_design.mechanics.switch.space import SwitchSpace, Tolerance
 from phytac_design.mechanics.switch.switch_inputs import space_of
+from phytac_design.mechanics.switch.switch_report import curve_plot
+from phytac_design.mechanics.switch.switch_space import SwitchSpace, Tolerance
 from phytac_design.mechanics.switch.tolerance import threshold_spread
 from phytac_shapes.errors import DesignError, InputError, OutputError
 from tests.designs import small

@@ -9,16 +9,10 @@ import pytest
 from phytac_design.mechanics.switch.bowl import Bowl, bowl_model
 from phytac_design.mechanics.switch.buckling import CircumferentialModes
 from phytac_design.mechanics.switch.curve import press_bowl, snap_of
+from phytac_design.mechanics.switch.hyperelastic import Material, Ogden, Yeoh, bulk_of, neo_hookean
 from phytac_design.mechanics.switch.material_fit import uniaxial_stress
-from phytac_design.mechanics.switch.materials import (
-    Material,
-    Ogden,
-    Yeoh,
-    bulk_of,
-    neo_hookean,
-)
 from phytac_design.mechanics.switch.model import AxiModel
-from phytac_design.mechanics.switch.path import PathError
+from phytac_design.mechanics.switch.switch_path import PathError
 from verification import switch_cases
 from verification.bowl_calculix import ccx_curve
 

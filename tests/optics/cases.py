@@ -6,7 +6,7 @@ from typing import Any
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import camera_of, tolerance_mm
-from phytac_design.optics.scene import RenderScene, build_scene
+from phytac_design.optics.render_scene import RenderScene, build_scene
 from phytac_shapes.arrays import BoolArray
 
 FULL = {"width_px": 2592, "height_px": 1944, "focal_px": 970.0}

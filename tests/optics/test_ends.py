@@ -17,12 +17,12 @@ from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
 from phytac_design.layout.cameras import Readers, camera_of, cameras_of, stand_off_mm
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.scene import BAR, RESIN, SHELL
+from phytac_design.optics.render_scene import BAR, RESIN, SHELL
 from phytac_design.optics.visibility import best_of, check_visibility, visibility_advice
 from phytac_design.rules.design_review import checkup
 from phytac_design.stages.build import build
-from phytac_design.stages.resolution import RESOLUTION
-from phytac_design.stages.views import VIEWS
+from phytac_design.stages.resolution_stage import RESOLUTION
+from phytac_design.stages.views_stage import VIEWS
 from phytac_shapes.errors import DesignError
 from tests.optics.cases import Bench, make_design
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from phytac_decoder.camera.lens import KannalaBrandt
-from phytac_design.optics import frame as frame_module
+from phytac_design.optics import frame_renderer as frame_module
 from phytac_design.optics import picture
-from phytac_design.optics.frame import (
+from phytac_design.optics.frame_renderer import (
     add_noise,
     render_frame,
     render_light,
@@ -19,8 +19,8 @@ from phytac_design.optics.light import albedo, triangle_light
 from phytac_design.optics.paint import BACKGROUND, BAR, PAINTS, to_linear, to_srgb
 from phytac_design.optics.picture import render_picture
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.scene import BAR as BAR_CODE
-from phytac_design.optics.scene import paint_owner
+from phytac_design.optics.render_scene import BAR as BAR_CODE
+from phytac_design.optics.render_scene import paint_owner
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import MissingPartError
 from tests.optics.cases import Bench

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from phytac_design.optics.gaps import marker_gaps
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.scene import paint_owner
+from phytac_design.optics.render_scene import paint_owner
 from phytac_shapes.arrays import FloatArray, IntArray
 from tests.optics.cases import Bench
 

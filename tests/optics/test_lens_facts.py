@@ -11,7 +11,7 @@ from phytac_design.core.json_values import finite
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import Context
 from phytac_design.optics.lens_facts import BANDS, lens_facts, row_groups
-from phytac_design.report.sections import lens_section
+from phytac_design.report.report_sections import lens_section
 from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
 from phytac_shapes.errors import DesignError

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from phytac_decoder.camera.camera import Camera, pinhole
 from phytac_decoder.camera.lens import BrownConrady, KannalaBrandt
 from phytac_design.optics.distorted_triangles import bent_view
-from phytac_design.optics.frame import render_frame
+from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.picture import render_picture
 from phytac_design.optics.raster import all_pieces, pixels_alone, points_seen, rasterise
 from phytac_design.optics.rays import RAY_ERROR, pixel_rays, ray_grid
-from phytac_design.optics.scene import SHELL, RenderScene
+from phytac_design.optics.render_scene import SHELL, RenderScene
 from phytac_design.optics.zbuffer import fill
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import MissingPartError

@@ -6,7 +6,7 @@ from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Pinhole
 from phytac_design.optics.clip import NEAR_MM, clip_near
 from phytac_design.optics.raster import pixels_alone, rasterise
-from phytac_design.optics.scene import FIRST_MARKER, SHELL, RenderScene
+from phytac_design.optics.render_scene import FIRST_MARKER, SHELL, RenderScene
 from phytac_shapes.arrays import FloatArray
 from tests.optics.cases import Bench
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from phytac_decoder.camera.camera import Camera
 from phytac_design.design.design_file import load_design
 from phytac_design.optics.raster import pixels_alone, project_scene, rasterise
+from phytac_design.optics.render_scene import FIRST_MARKER, SHELL, RenderScene, paint_owner
 from phytac_design.optics.sampled_visibility import Sampled, sampled_fraction
-from phytac_design.optics.scene import FIRST_MARKER, SHELL, RenderScene, paint_owner
 from phytac_design.optics.zbuffer import fill
 from phytac_shapes.arrays import FloatArray, IntArray
 from tests.optics.cases import FULL, Bench, make_design

@@ -5,7 +5,7 @@ import pytest
 
 from phytac_design.geometry.strips import grid_mesh
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.scene import (
+from phytac_design.optics.render_scene import (
     BAR,
     FIRST_MARKER,
     SHELL,

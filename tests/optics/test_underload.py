@@ -8,11 +8,11 @@ from phytac_decoder.vision.segmentation import ColourModel, segment
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import camera_of, tolerance_mm
-from phytac_design.optics.frame import render_frame
+from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.loaded_visibility import FUSED_PX, press_all, sight
 from phytac_design.optics.paint import paints_of
 from phytac_design.optics.raster import pixels_alone
-from phytac_design.optics.scene import RenderScene, build_scene
+from phytac_design.optics.render_scene import RenderScene, build_scene
 from tests.designs import small
 
 

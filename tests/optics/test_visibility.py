@@ -8,7 +8,7 @@ from phytac_design.design.spec import Design
 from phytac_design.optics.density import density_of
 from phytac_design.optics.gaps import marker_gaps
 from phytac_design.optics.raster import pixels_alone, rasterise
-from phytac_design.optics.scene import paint_owner
+from phytac_design.optics.render_scene import paint_owner
 from phytac_design.optics.visibility import Visibility, check_visibility, fused_markers, see
 from phytac_shapes.arrays import IntArray
 from tests.optics.cases import Bench, make_design

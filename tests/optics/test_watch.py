@@ -8,7 +8,7 @@ from phytac_design.layout import Markers
 from phytac_design.optics.gaps import marker_gaps, outline_gaps
 from phytac_design.optics.incremental_renderer import Glance, Watch
 from phytac_design.optics.raster import pixels_alone, rasterise
-from phytac_design.optics.scene import RenderScene, paint_owner
+from phytac_design.optics.render_scene import RenderScene, paint_owner
 from tests.optics.cases import Bench, make_design
 from tests.optics.lenses import LENSES
 from tests.optics.test_underload import random_motion

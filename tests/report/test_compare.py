@@ -11,7 +11,7 @@ import typer
 from typer.testing import CliRunner
 
 from phytac_design.cli.compare_command import compare
-from phytac_design.report.builds import FIGURES, Build, read_builds
+from phytac_design.report.built_sensors import FIGURES, Build, read_builds
 from phytac_design.report.compare import (
     answers,
     best,

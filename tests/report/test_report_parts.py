@@ -15,12 +15,12 @@ from phytac_decoder.camera.lens import BrownConrady
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import Context, write_arrays, write_facts
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
-from phytac_design.optics.frame import render_frame
+from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.loaded_visibility import UnderLoad
-from phytac_design.optics.scene import build_scene
-from phytac_design.report import changes, explorer, page, press_pictures
+from phytac_design.optics.render_scene import build_scene
+from phytac_design.report import explorer, page, press_pictures, suggested_changes
 from phytac_design.stages.build import BuildResult
-from phytac_design.stages.loaded_views import Presses
+from phytac_design.stages.loaded_views_stage import Presses
 from tests.designs import small
 
 
@@ -215,14 +215,14 @@ def test_what_to_change_is_gathered(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         context.folders[name] = tmp_path / name
         write_facts(tmp_path / name, values)
-    assert changes.changes_of(context, []) == []
+    assert suggested_changes.changes_of(context, []) == []
     write_facts(tmp_path / "underload", {"first_force_N": 12.5})
     hole = violation("hole", "widen the hole", 0.2)
     files = {"shell/shell.stl": {"violations": [*broken, hole]}, "a.stl": {"violations": []}}
     write_facts(tmp_path / "printing", {"files": files})
     spread = {"warnings": ["assumed: x", "the threshold spreads"]}
     write_facts(tmp_path / "switch", {"switches": [spread, spread]})
-    found = changes.changes_of(context, ["2 markers hidden; move the camera back"])
+    found = suggested_changes.changes_of(context, ["2 markers hidden; move the camera back"])
     assert found[0] == "2 markers hidden; move the camera back"
     assert found[1].startswith("from 12.5 N on a marker hides or fuses: ")
     assert found[2].startswith("3 places of shell/shell.stl break the print rule wall")
@@ -231,7 +231,9 @@ def test_what_to_change_is_gathered(tmp_path: Path) -> None:
     assert found[3].endswith(": widen the hole")
     assert found[4:] == ["the threshold spreads"]
     # What the design's own demand says already is not said twice.
-    again = changes.changes_of(context, ["under load markers hide or fuse from 12.5 N on"])
+    again = suggested_changes.changes_of(
+        context, ["under load markers hide or fuse from 12.5 N on"]
+    )
     assert sum("from 12.5 N" in text for text in again) == 1
 
 

@@ -11,7 +11,7 @@ import pytest
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.optics.paint import PAINTS
-from phytac_design.optics.scene import build_scene
+from phytac_design.optics.render_scene import build_scene
 from phytac_design.report.viewer import assets, still
 from phytac_design.report.viewer.data import Colouring, base_colourings, eye_of, viewer_data
 from tests.designs import DRAWN, drawn, small

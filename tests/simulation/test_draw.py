@@ -22,7 +22,7 @@ from phytac_design.simulation.scenario.scenario_file import (
     parse_scenario,
     shipped_scenarios,
 )
-from phytac_design.simulation.scenario.sections import SensorInstanceSection
+from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
 from phytac_design.simulation.scenario.viscoelasticity import (
     Relaxation,
     felt_force,

@@ -9,7 +9,7 @@ from phytac_design.layout import make_markers
 from phytac_design.simulation.indenters import INDENTERS
 from phytac_design.simulation.scenario.draw_plan import draw_plan
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
-from phytac_design.simulation.scenario.sections import SensorInstanceSection
+from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
 from phytac_shapes.errors import DesignError
 from tests.designs import changed
 from tests.simulation.test_draw import AT, plan, scenario, sensor

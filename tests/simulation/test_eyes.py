@@ -12,7 +12,7 @@ from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import Readers, cameras_of, tolerance_mm
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.exposure import Exposure
-from phytac_design.optics.scene import SHELL, build_scene
+from phytac_design.optics.render_scene import SHELL, build_scene
 from phytac_design.optics.visibility import see
 from phytac_design.simulation.contacts import draw_contacts, switch_states
 from phytac_design.simulation.imaging.carried_wall import WallMotion
@@ -24,8 +24,8 @@ from phytac_design.simulation.imaging.imaging_model import (
 from phytac_design.simulation.imaging.nominal_view import expected_views, paint_slope
 from phytac_design.simulation.imaging.pixel_phase import CELL_px, pixel_phase_error
 from phytac_design.simulation.instance_shell import truth_shell
+from phytac_design.simulation.linear_response import motion_responses, rigid_slope, superpose
 from phytac_design.simulation.pressed_series import ImageResponse as Watched
-from phytac_design.simulation.response import motion_responses, rigid_slope, superpose
 from phytac_design.simulation.sensor_instance import SensorInstance, ThicknessField
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError

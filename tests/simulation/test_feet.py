@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from phytac_design.mechanics.meshing.grid import product_grid
 from phytac_design.mechanics.meshing.mesh import ShellMesh, _shell, plain_mesh
+from phytac_design.mechanics.meshing.quad_grid import product_grid
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_shapes import Plane, Surface
 from phytac_shapes.arrays import FloatArray

@@ -13,7 +13,7 @@ from phytac_decoder.io.bundle import Bundle, load_bundle, save_bundle
 from phytac_decoder.pipeline.decode import FrameMeasurement, confirmed_switches
 from phytac_decoder.vision.switch_detection import TipModel
 from phytac_design.simulation.condense import Condensed, condense
-from phytac_design.stages.decoder import limit_facts
+from phytac_design.stages.decoder_stage import limit_facts
 from phytac_shapes.errors import NumericalError
 from tests.decoder.test_forces import N, force_model, make_bundle
 

@@ -16,8 +16,8 @@ from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.indenters import flat_touches
 from phytac_design.simulation.interaction_tables import InteractionSolver, image_curvature
+from phytac_design.simulation.linear_response import turned_points
 from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
-from phytac_design.simulation.response import turned_points
 from phytac_design.simulation.response_tables import (
     TabulatedResponse,
     interpolate_responses,
@@ -26,7 +26,7 @@ from phytac_design.simulation.response_tables import (
     tabulate_responses,
 )
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
-from phytac_design.simulation.scenario.sections import SensorInstanceSection
+from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
 from phytac_design.simulation.solver import Solver
 from phytac_shapes.arrays import BoolArray, FloatArray
 from tests.designs import drawn, of_shape, small

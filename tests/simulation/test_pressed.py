@@ -14,8 +14,8 @@ from phytac_design.mechanics.shell.pressure import indentation_loads
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.simulation.contacts import Contacts
 from phytac_design.simulation.indenters import flat_touches
+from phytac_design.simulation.linear_response import turned_points
 from phytac_design.simulation.pressed_series import LARGE_SOLVED_ABOVE, DiscResponse, ImageResponse
-from phytac_design.simulation.response import turned_points
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 from tests.designs import changed, drawn

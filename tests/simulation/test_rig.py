@@ -21,7 +21,7 @@ from phytac_design.design.design_file import design_hash, load_design
 from phytac_design.layout import make_markers
 from phytac_design.simulation.contacts import Contacts, switch_states
 from phytac_design.simulation.rig_import.rig_samples import REASONS
-from phytac_design.stages import views
+from phytac_design.stages import views_stage
 from phytac_design.stages.build import build
 from phytac_design.training import levenberg_marquardt
 from phytac_design.training.levenberg_marquardt import TrainedNetwork
@@ -60,7 +60,7 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
         rmse_validation_N=0.0,
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(views, "picture_or_frame", lambda *_: (blank, "none"))
+        patch.setattr(views_stage, "picture_or_frame", lambda *_: (blank, "none"))
         patch.setattr(levenberg_marquardt, "train_network", lambda *_, **__: nothing)
         build(DESIGN, out, accuracy="draft", only=["decoder"], progress=lambda _: None)
     return out / "decoder"

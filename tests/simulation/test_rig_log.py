@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from phytac_design.design.design_file import load_design
-from phytac_design.fabrication.calibration_rig.log import log_head
+from phytac_design.fabrication.calibration_rig.log_template import log_head
 from phytac_design.layout import make_markers
 from phytac_design.simulation.indenters import INDENTERS, Touches
-from phytac_design.simulation.rig_import.contacts import contacts_of, sequences_of
-from phytac_design.simulation.rig_import.frames import (
+from phytac_design.simulation.rig_import.rig_contacts import contacts_of, sequences_of
+from phytac_design.simulation.rig_import.rig_frames import (
     FrameFolder,
     FrameSource,
     match_frames,
     open_source,
 )
-from phytac_design.simulation.rig_import.log import RigLog, RowProblems, read_rig_log
+from phytac_design.simulation.rig_import.rig_log import RigLog, RowProblems, read_rig_log
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError
 from tests.designs import drawn

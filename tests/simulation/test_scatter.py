@@ -17,7 +17,7 @@ from phytac_design.simulation.scenario.instance_scatter import (
     cut_normal,
     draw_sensor_instance,
 )
-from phytac_design.simulation.scenario.sections import SensorInstanceSection
+from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
 from phytac_design.simulation.sensor_instance import SensorInstance, thickness_factor
 from phytac_shapes.arrays import FloatArray
 from tests.designs import changed

@@ -10,13 +10,13 @@ from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.compliance import marker_compliance, probe_motion
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import clamped_model
-from phytac_design.simulation import response as response_module
+from phytac_design.simulation import linear_response as response_module
 from phytac_design.simulation.condense import condense
 from phytac_design.simulation.contacts import Contacts, draw_contacts, switch_states
 from phytac_design.simulation.dataset import Dataset, decode_points, key_node_data
 from phytac_design.simulation.force_errors import contact_forces, force_score
 from phytac_design.simulation.instance_shell import truth_shell
-from phytac_design.simulation.response import (
+from phytac_design.simulation.linear_response import (
     motion_responses,
     point_motions,
     rigid_slope,

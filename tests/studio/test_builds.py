@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from phytac_design.studio.studies import studies, study_table
+from phytac_design.study.search.design_space import make_space
 from phytac_design.study.search.driver import run_study
-from phytac_design.study.search.space import make_space
 from phytac_design.study.search.study_file import Study
 from phytac_shapes.errors import InputError
 from tests.studio.place import DESIGN, Client, stand_in
@@ -29,8 +29,8 @@ PATIENCE_S = 60.0
 def program(place: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The stand-in in the place of Python; its mode is a file's text."""
     path = stand_in(place, "short")
-    monkeypatch.setattr("phytac_design.studio.builds.sys.executable", str(path))
-    monkeypatch.setattr("phytac_design.studio.builds.STOP_TIMEOUTS_S", (0.6, 0.6))
+    monkeypatch.setattr("phytac_design.studio.build_process.sys.executable", str(path))
+    monkeypatch.setattr("phytac_design.studio.build_process.STOP_TIMEOUTS_S", (0.6, 0.6))
     for name in ("pid", "child", "ready"):
         (place / name).unlink(missing_ok=True)
     return place
@@ -140,7 +140,7 @@ def test_the_studio_ends_with_its_build(tmp_path: Path) -> None:
     code = (
         "import sys, typer; real = sys.executable\n"
         "from phytac_design.cli.studio_command import studio\n"
-        "import phytac_design.studio.builds as builds\n"
+        "import phytac_design.studio.build_process as builds\n"
         f"sys.executable = {str(path)!r}; builds.STOP_TIMEOUTS_S = (1.0, 1.0)\n"
         "typer.run(studio)"
     )

@@ -249,7 +249,7 @@ def test_a_fault_of_the_program_is_no_traceback(
     def broken(*_: Any, **__: Any) -> None:
         raise ZeroDivisionError("secret detail")
 
-    monkeypatch.setattr("phytac_design.studio.app.studies", broken)
+    monkeypatch.setattr("phytac_design.studio.web_app.studies", broken)
     status, body = client.get("api/studies")
     assert status == 500
     assert "ZeroDivisionError" in body["error"]

@@ -223,7 +223,7 @@ def test_a_build_shows_its_report_shut_off(
     script = "try { parent.studio.model } catch (e) { document.title = e.name }"
     page_text = f"<h1>Report of it</h1><script>{script}</script>"
     program.write_text(program.read_text().replace("<h1>Report of it</h1>", page_text))
-    monkeypatch.setattr("phytac_design.studio.builds.sys.executable", str(program))
+    monkeypatch.setattr("phytac_design.studio.build_process.sys.executable", str(program))
     page = seen.page
     page.get_by_role("button", name="Build", exact=True).click()
     page.locator("#build-state", has_text="is built (draft").wait_for()

@@ -1,9 +1,9 @@
 """README of the calibration rig: purpose of each piece, machine frame, log format."""
 
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.calibration_rig.bodies import CalibrationKit
 from phytac_design.fabrication.calibration_rig.program import Program
 from phytac_design.fabrication.calibration_rig.regions import Regions
+from phytac_design.fabrication.calibration_rig.tool_bodies import CalibrationKit
 from phytac_design.layout import Markers
 
 

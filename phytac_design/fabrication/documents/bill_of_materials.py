@@ -5,7 +5,7 @@ from typing import Any, TypeAlias
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.bill import bill_part, csv_text
-from phytac_design.fabrication.documents.materials import mass_g
+from phytac_design.fabrication.documents.densities import mass_g
 from phytac_design.fabrication.switch_set import SwitchSet, revolved_volume_mm3
 
 Part: TypeAlias = Mapping[str, Any]

@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 
 from phytac_decoder.camera.camera import Camera, pinhole
-from phytac_design.fabrication.hardware.bodies import switch_frames
+from phytac_design.fabrication.hardware.sensor_solids import switch_frames
 from phytac_design.fabrication.switch_set import SwitchSet, revolve
 from phytac_design.geometry.triangles import TriangleMesh, copies, merged
 from phytac_design.layout import Markers
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.scene import RenderScene
+from phytac_design.optics.render_scene import RenderScene
 from phytac_design.solids.mesh_export import DISPLAY_COLOURS
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray

@@ -7,7 +7,14 @@ from math import ceil
 import numpy as np
 
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.documents.drawing import Disc, DrawnLine, Item, Layer, Page, Text
+from phytac_design.fabrication.documents.sheet_drawing import (
+    Disc,
+    DrawnLine,
+    Item,
+    Layer,
+    Page,
+    Text,
+)
 from phytac_design.fabrication.documents.unroll import UnrolledSurface, unroll
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers

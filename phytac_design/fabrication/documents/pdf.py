@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.fabrication.documents.drawing import Disc, Item, Page, Text
+from phytac_design.fabrication.documents.sheet_drawing import Disc, Item, Page, Text
 
 POINTS = 72.0 / 25.4
 """Points per millimetre."""

@@ -3,8 +3,15 @@
 import numpy as np
 
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.documents.drawing import DrawnLine, Item, Layer, Page, Text, svg_text
 from phytac_design.fabrication.documents.paint_map import INKS
+from phytac_design.fabrication.documents.sheet_drawing import (
+    DrawnLine,
+    Item,
+    Layer,
+    Page,
+    Text,
+    svg_text,
+)
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
 from phytac_shapes.arrays import FloatArray

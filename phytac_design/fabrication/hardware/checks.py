@@ -16,7 +16,7 @@ from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.strips import joined
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import Markers
-from phytac_design.optics.scene import FIRST_MARKER, build_scene
+from phytac_design.optics.render_scene import FIRST_MARKER, build_scene
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 

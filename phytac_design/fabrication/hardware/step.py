@@ -3,8 +3,8 @@
 from typing import Any
 
 from phytac_design.design.spec import Design
-from phytac_design.fabrication.hardware.bodies import SHELL, SWITCH_mm, switch_frames
 from phytac_design.fabrication.hardware.parts import COLOURS, HardwareAssembly
+from phytac_design.fabrication.hardware.sensor_solids import SHELL, SWITCH_mm, switch_frames
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
 from phytac_design.solids.cad import CadBody, revolved_cad, shell_cad, wall_cad

@@ -15,8 +15,8 @@ from phytac_design.fabrication.molds.closed_mold import (
     key_gap_mm,
     shared_mm3,
 )
-from phytac_design.fabrication.molds.grid import SwitchKind
 from phytac_design.fabrication.molds.make import MoldSet
+from phytac_design.fabrication.molds.plate_grid import SwitchKind
 from phytac_design.fabrication.molds.plates import dome_away_mm, dome_edge_mm
 from phytac_design.fabrication.molds.release import Bottom, Release, check_release
 from phytac_design.fabrication.switch_set import SwitchSet, revolved_volume_mm3

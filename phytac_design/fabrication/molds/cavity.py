@@ -7,7 +7,7 @@ import numpy as np
 
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.design.switch_table import MoldSection
-from phytac_design.fabrication.molds.grid import SwitchKind
+from phytac_design.fabrication.molds.plate_grid import SwitchKind
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.geometry.triangles import sides_for, widening
 from phytac_shapes.arrays import FloatArray

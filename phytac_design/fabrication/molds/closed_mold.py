@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.fabrication.molds.cavity import MoldSizes
-from phytac_design.fabrication.molds.grid import PlateLayout, SwitchKind
+from phytac_design.fabrication.molds.plate_grid import PlateLayout, SwitchKind
 from phytac_design.fabrication.switch_set import revolved_volume_mm3
 from phytac_design.geometry.triangles import TriangleMesh, merged, prisms
 from phytac_design.solids.solid_mesh import box, to_manifold, to_triangles

@@ -8,7 +8,7 @@ import numpy as np
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.design.switch_table import MoldSection
 from phytac_design.fabrication.molds.cavity import MoldSizes, make_sizes
-from phytac_design.fabrication.molds.grid import LEAST, PlateLayout, plan_sets
+from phytac_design.fabrication.molds.plate_grid import LEAST, PlateLayout, plan_sets
 from phytac_design.fabrication.molds.plates import (
     cap_plate,
     check_troughs,

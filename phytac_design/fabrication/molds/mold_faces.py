@@ -7,8 +7,8 @@ import numpy as np
 
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.fabrication.molds.cavity import KEY_SIDES, MoldSizes
-from phytac_design.fabrication.molds.grid import PlateLayout, Run
 from phytac_design.fabrication.molds.labels import label
+from phytac_design.fabrication.molds.plate_grid import PlateLayout, Run
 from phytac_design.fabrication.molds.sheet import Sheet
 from phytac_shapes.arrays import FloatArray, IntArray
 

@@ -18,8 +18,8 @@ In the frame of use z points to the domes, as in a switch.
 import numpy as np
 
 from phytac_design.fabrication.molds.cavity import KEY_SIDES, Cavity, EDGE_mm, MoldSizes
-from phytac_design.fabrication.molds.grid import PlateLayout, Run
 from phytac_design.fabrication.molds.mold_faces import CellGrid, core_face, dome_face
+from phytac_design.fabrication.molds.plate_grid import PlateLayout, Run
 from phytac_design.fabrication.molds.sheet import Sheet
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_shapes.arrays import FloatArray, IntArray

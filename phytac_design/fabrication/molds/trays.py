@@ -17,8 +17,8 @@ The trays have the same two faces as the plates of the rigid mold, seen from the
 import numpy as np
 
 from phytac_design.fabrication.molds.cavity import MoldSizes
-from phytac_design.fabrication.molds.grid import PlateLayout
 from phytac_design.fabrication.molds.mold_faces import CellGrid, core_face, dome_face
+from phytac_design.fabrication.molds.plate_grid import PlateLayout
 from phytac_design.fabrication.molds.plates import dome_away_mm, draft_of
 from phytac_design.fabrication.molds.sheet import Sheet
 from phytac_design.geometry.triangles import TriangleMesh

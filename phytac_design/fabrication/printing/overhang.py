@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from phytac_design.design.print_rules_table import PrintSection
-from phytac_design.fabrication.printing.samples import patches
+from phytac_design.fabrication.printing.surface_samples import patches
 from phytac_design.fabrication.printing.voids import cups, upright
 from phytac_design.geometry.ray_tree import RayTree, START_mm
 from phytac_design.geometry.triangles import TriangleMesh

@@ -12,7 +12,7 @@ import numpy as np
 
 from phytac_design.design.print_rules_table import PrintSection
 from phytac_design.fabrication.printing.free_walls import free_walls
-from phytac_design.fabrication.printing.samples import SurfaceSamples, regions
+from phytac_design.fabrication.printing.surface_samples import SurfaceSamples, regions
 from phytac_design.fabrication.printing.violations import Violation, violation
 from phytac_design.geometry.ray_tree import RayTree, START_mm
 from phytac_design.geometry.triangles import frames_along

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from phytac_design.core.kernels import kernel
 from phytac_design.design.print_rules_table import PrintSection
-from phytac_design.fabrication.printing.samples import bodies
+from phytac_design.fabrication.printing.surface_samples import bodies
 from phytac_design.fabrication.printing.violations import Violation, violation
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray

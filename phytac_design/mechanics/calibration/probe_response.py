@@ -20,8 +20,8 @@ from phytac_design.mechanics.meshing.locate import locate
 from phytac_design.mechanics.meshing.mesh import ShellMesh, chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.receptor_stiffness import ReceptorStiffness
-from phytac_design.mechanics.shell.sensitivity import motion_rate, stiffness_rates
 from phytac_design.mechanics.shell.solve import clamped_model
+from phytac_design.mechanics.shell.stiffness_sensitivity import motion_rate, stiffness_rates
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from phytac_design.mechanics.large import rotations as rot
-from phytac_design.mechanics.shell.assembly import assemble, make_pattern
 from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_design.mechanics.shell.sparse_assembly import assemble, make_pattern
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import NumericalError
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phytac_design.mechanics.meshing.grid import (
+from phytac_design.mechanics.meshing.quad_grid import (
     EDGE_FRACTION,
     MAX_TURN,
     QuadGrid,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from phytac_design.mechanics.meshing.grid import CROSS_LINES, SAMPLES, limited, place
+from phytac_design.mechanics.meshing.quad_grid import CROSS_LINES, SAMPLES, limited, place
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 

@@ -11,14 +11,14 @@ import numpy as np
 
 from phytac_design.layout import Lattice, Markers
 from phytac_design.mechanics.meshing.dome import dome_grid
-from phytac_design.mechanics.meshing.grid import (
+from phytac_design.mechanics.meshing.lattice_mesh import MATCH_TOL, lattice_grid, shifted_grid
+from phytac_design.mechanics.meshing.quad_grid import (
     EDGE_NAMES,
     MAX_TURN,
     QuadGrid,
     axis_lines,
     product_grid,
 )
-from phytac_design.mechanics.meshing.lattice import MATCH_TOL, lattice_grid, shifted_grid
 from phytac_design.mechanics.meshing.snap import scaled_jacobian, snap
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray

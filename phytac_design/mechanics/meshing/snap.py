@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.mechanics.meshing.grid import EDGE_NAMES, QuadGrid
+from phytac_design.mechanics.meshing.quad_grid import EDGE_NAMES, QuadGrid
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.meshing.mesh_check import check_directors, check_quads
-from phytac_design.mechanics.shell.assembly import assemble, make_pattern
-from phytac_design.mechanics.shell.element import DRILLING, element_stiffness
 from phytac_design.mechanics.shell.factor import SUPERLU, Factor
+from phytac_design.mechanics.shell.shell_element import DRILLING, element_stiffness
+from phytac_design.mechanics.shell.sparse_assembly import assemble, make_pattern
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 

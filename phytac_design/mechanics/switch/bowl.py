@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phytac_design.mechanics.switch.materials import Material
-from phytac_design.mechanics.switch.mesh import AxiMesh, block, join
+from phytac_design.mechanics.switch.bowl_mesh import AxiMesh, block, join
+from phytac_design.mechanics.switch.hyperelastic import Material
 from phytac_design.mechanics.switch.model import AxiModel
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError

@@ -3,7 +3,7 @@
 from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.mechanics.switch.curve import ForceStrokeCurve, Snap, snap_of
 from phytac_design.mechanics.switch.rubbers import Rubber
-from phytac_design.mechanics.switch.space import SwitchSpace
+from phytac_design.mechanics.switch.switch_space import SwitchSpace
 from phytac_shapes.errors import DesignError
 
 FILLETS = (1.0 / 6.0, 1.0 / 4.0, 1.0 / 3.0, 5.0 / 12.0)

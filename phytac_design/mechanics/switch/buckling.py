@@ -12,9 +12,9 @@ import numpy as np
 
 from phytac_design.mechanics.large.stability import negative_pivots
 from phytac_design.mechanics.shell.factor import SUPERLU
-from phytac_design.mechanics.switch import element
+from phytac_design.mechanics.switch import axisymmetric_element
 from phytac_design.mechanics.switch.model import HELD, AxiModel, AxiPattern
-from phytac_design.mechanics.switch.path import PathPoint
+from phytac_design.mechanics.switch.switch_path import PathPoint
 from phytac_shapes.arrays import FloatArray, IntArray
 
 MODES = (1, 2, 3, 4, 5, 6)
@@ -63,9 +63,11 @@ class CircumferentialModes:
         """Sparse tangent for ``mode`` ≥ 1 waves at an equilibrium (over π instead of 2 π)."""
         shape = self.model.geometry
         response = point.state.response
-        blocks = element.tangent(
-            shape, self.model.material, element.strain_operator(shape, mode), response
-        ) + element.shear_tangent(shape, element.shear_operator(shape, mode), response)
+        blocks = axisymmetric_element.tangent(
+            shape, self.model.material, axisymmetric_element.strain_operator(shape, mode), response
+        ) + axisymmetric_element.shear_tangent(
+            shape, axisymmetric_element.shear_operator(shape, mode), response
+        )
         return self._pattern(mode).matrix(0.5 * blocks)
 
     def _pattern(self, mode: int) -> AxiPattern:

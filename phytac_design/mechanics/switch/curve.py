@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.mechanics.switch import path
+from phytac_design.mechanics.switch import switch_path
 from phytac_design.mechanics.switch.bowl import Bowl, BowlModel, bowl_model
-from phytac_design.mechanics.switch.materials import Material
+from phytac_design.mechanics.switch.hyperelastic import Material
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 
@@ -47,7 +47,7 @@ class ForceStrokeCurve:
     strain: FloatArray
     clearance_mm: FloatArray
     negatives: IntArray
-    points: list[path.PathPoint]
+    points: list[switch_path.PathPoint]
     body: BowlModel
     complete: bool
 
@@ -123,11 +123,13 @@ def press_bowl(
         Way of the pad; the depth if not given.
     """
     body = bowl_model(bowl, material, hole_diameter_mm=hole_diameter_mm, refine=refine)
-    control = path.PathControl(unknown=body.pad, end_mm=-(end_mm or bowl.depth_mm), steps=steps)
+    control = switch_path.PathControl(
+        unknown=body.pad, end_mm=-(end_mm or bowl.depth_mm), steps=steps
+    )
     complete = True
     try:
-        points = path.trace(body.model, body.load, control)
-    except path.PathError as error:
+        points = switch_path.trace(body.model, body.load, control)
+    except switch_path.PathError as error:
         points, complete = error.points, False
     if len(points) < 2:
         raise NumericalError(

@@ -17,7 +17,7 @@ from phytac_design.mechanics.switch.buckling import first_buckling
 from phytac_design.mechanics.switch.curve import ForceStrokeCurve, Snap, press_bowl, snap_of
 from phytac_design.mechanics.switch.feasible_range import feasible_range
 from phytac_design.mechanics.switch.rubbers import Rubber
-from phytac_design.mechanics.switch.space import SwitchSpace, Tolerance
+from phytac_design.mechanics.switch.switch_space import SwitchSpace, Tolerance
 from phytac_design.mechanics.switch.tolerance import Spread, limit_load, threshold_spread
 from phytac_shapes.errors import DesignError, NumericalError
 

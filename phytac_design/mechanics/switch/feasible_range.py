@@ -13,7 +13,7 @@ from phytac_design.mechanics.switch.bowl_check import (
 )
 from phytac_design.mechanics.switch.curve import press_bowl
 from phytac_design.mechanics.switch.rubbers import Rubber
-from phytac_design.mechanics.switch.space import SwitchSpace
+from phytac_design.mechanics.switch.switch_space import SwitchSpace
 from phytac_shapes.errors import NumericalError
 
 MAX_WALLS = 7

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from phytac_design.mechanics.switch.materials import Material, Ogden, Yeoh, bulk_of
+from phytac_design.mechanics.switch.hyperelastic import Material, Ogden, Yeoh, bulk_of
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.bounded_reader import read_text
 from phytac_shapes.errors import InputError, cause_of

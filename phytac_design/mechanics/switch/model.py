@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.mechanics.switch import element
-from phytac_design.mechanics.switch.materials import Material
-from phytac_design.mechanics.switch.mesh import AxiMesh
+from phytac_design.mechanics.switch import axisymmetric_element
+from phytac_design.mechanics.switch.bowl_mesh import AxiMesh
+from phytac_design.mechanics.switch.hyperelastic import Material
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 
@@ -77,9 +77,9 @@ class AxiModel:
     tied: IntArray
 
     @cached_property
-    def geometry(self) -> element.Geometry:
+    def geometry(self) -> axisymmetric_element.Geometry:
         """Of all elements."""
-        return element.geometry(self.mesh.nodes_mm, self.mesh.quads)
+        return axisymmetric_element.geometry(self.mesh.nodes_mm, self.mesh.quads)
 
     @cached_property
     def equation(self) -> IntArray:
@@ -112,7 +112,7 @@ class AxiModel:
 
     @cached_property
     def _operator(self) -> FloatArray:
-        return element.strain_operator(self.geometry)
+        return axisymmetric_element.strain_operator(self.geometry)
 
     def full(self, unknowns: FloatArray) -> FloatArray:
         """Displacements (N, 2), mm, of unknowns (n,)."""
@@ -127,7 +127,9 @@ class AxiModel:
     def state(self, unknowns: FloatArray) -> "State | None":
         """Forces and tangent at unknowns (n,); None where an element turns inside out."""
         moved = self.full(unknowns).ravel()[self.element_dofs]
-        found = element.force_and_stiffness(self.geometry, self.material, self._operator, moved)
+        found = axisymmetric_element.force_and_stiffness(
+            self.geometry, self.material, self._operator, moved
+        )
         if found is None:
             return None
         force, stiffness, response = found
@@ -181,4 +183,4 @@ class State:
     gross_N: float
     reaction_N: FloatArray
     tangent: Any
-    response: element.ElementResponse
+    response: axisymmetric_element.ElementResponse

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from phytac_design.mechanics.switch.materials import Material, neo_hookean
+from phytac_design.mechanics.switch.hyperelastic import Material, neo_hookean
 from phytac_shapes.errors import DesignError
 
 

@@ -8,7 +8,7 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.mechanics.switch.material_fit import TERMS, fit_uniaxial, read_test
 from phytac_design.mechanics.switch.rubbers import Rubber, rubber
-from phytac_design.mechanics.switch.space import SwitchSpace
+from phytac_design.mechanics.switch.switch_space import SwitchSpace
 from phytac_shapes.errors import DesignError, InputError
 
 TEST_STRAIN_SHARE = 0.6

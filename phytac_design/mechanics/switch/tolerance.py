@@ -6,8 +6,8 @@ import numpy as np
 
 from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.mechanics.switch.curve import press_bowl, snap_of
-from phytac_design.mechanics.switch.materials import Material
-from phytac_design.mechanics.switch.space import Tolerance
+from phytac_design.mechanics.switch.hyperelastic import Material
+from phytac_design.mechanics.switch.switch_space import Tolerance
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError, NumericalError
 

@@ -9,9 +9,9 @@ from phytac_decoder.camera.camera import Camera, pinhole
 from phytac_design.design.spec import Design
 from phytac_design.geometry.flat_map import family
 from phytac_design.layout import Markers
-from phytac_design.optics.frame import render_frame
+from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.paint import BACKGROUND
-from phytac_design.optics.scene import SHELL, RenderScene, build_scene
+from phytac_design.optics.render_scene import SHELL, RenderScene, build_scene
 from phytac_design.report.viewer.data import eye_of
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray

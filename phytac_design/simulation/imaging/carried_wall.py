@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import boundary_mm
 from phytac_design.layout import Markers
-from phytac_design.optics.scene import SHELL, RenderScene
+from phytac_design.optics.render_scene import SHELL, RenderScene
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 

@@ -14,14 +14,14 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.layout.thresholds import thresholds_N
-from phytac_design.optics.frame import render_frame
+from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.scene import RenderScene, build_scene, red_owner
+from phytac_design.optics.render_scene import RenderScene, build_scene, red_owner
 from phytac_design.optics.visibility import Visibility, best_of, see
 from phytac_design.simulation.expected_image import ExpectedView, colour_model, measure_expected
 from phytac_design.simulation.imaging.paint_centroids import PaintPoints
 from phytac_design.simulation.imaging.virtual_camera import bar_strip
-from phytac_design.simulation.response import rigid_slope
+from phytac_design.simulation.linear_response import rigid_slope
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 

@@ -15,7 +15,7 @@ from phytac_decoder.vision.segmentation import ColourModel
 from phytac_design.layout import Markers
 from phytac_design.optics.light import Strip, triangle_light
 from phytac_design.optics.paint import to_srgb
-from phytac_design.optics.scene import RenderScene, paint_owner
+from phytac_design.optics.render_scene import RenderScene, paint_owner
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 LUMA = np.array([0.299, 0.587, 0.114])

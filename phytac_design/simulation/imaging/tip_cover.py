@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phytac_decoder.camera.camera import Camera
-from phytac_design.optics.frame import sample_offsets
+from phytac_design.optics.frame_renderer import sample_offsets
 from phytac_design.optics.raster import marker_windows, pieces_by_marker, project_scene
-from phytac_design.optics.scene import RenderScene, paint_owner
+from phytac_design.optics.render_scene import RenderScene, paint_owner
 from phytac_design.optics.zbuffer import View, fill
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 

@@ -12,7 +12,7 @@ from phytac_design.layout import Markers
 from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.optics.exposure import LensBlur, light_on_chip
 from phytac_design.optics.light import Strip, triangle_light
-from phytac_design.optics.scene import RenderScene, build_scene
+from phytac_design.optics.render_scene import RenderScene, build_scene
 from phytac_design.simulation.imaging.carried_wall import WallMotion
 from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes import Surface

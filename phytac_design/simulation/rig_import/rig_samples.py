@@ -24,8 +24,8 @@ from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.shell.footprints import footprint_shares
 from phytac_design.simulation.contacts import Switching, assign_forces
 from phytac_design.simulation.indenters import Touches
-from phytac_design.simulation.rig_import.frames import FrameSource
-from phytac_design.simulation.rig_import.log import RigLog, RowProblems
+from phytac_design.simulation.rig_import.rig_frames import FrameSource
+from phytac_design.simulation.rig_import.rig_log import RigLog, RowProblems
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError

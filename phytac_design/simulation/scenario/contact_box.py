@@ -3,7 +3,7 @@
 import numpy as np
 
 from phytac_design.simulation.sample_plan import ChartBox
-from phytac_design.simulation.scenario.placement import ChartWindow
+from phytac_design.simulation.scenario.contact_placement import ChartWindow
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 

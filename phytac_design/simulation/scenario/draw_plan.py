@@ -12,8 +12,8 @@ from phytac_design.simulation.contacts import Switching, assign_forces
 from phytac_design.simulation.indenters import Touches
 from phytac_design.simulation.sample_plan import ChartBox, SamplePlan
 from phytac_design.simulation.scenario.contact_box import contact_box, window_grid
+from phytac_design.simulation.scenario.contact_placement import chart_window
 from phytac_design.simulation.scenario.grips import draw_grips, grip_section, level_forces
-from phytac_design.simulation.scenario.placement import chart_window
 from phytac_design.simulation.scenario.presses import (
     contact_ranges,
     draw_presses,
@@ -24,7 +24,7 @@ from phytac_design.simulation.scenario.presses import (
     select_contacts,
 )
 from phytac_design.simulation.scenario.scenario_file import Scenario
-from phytac_design.simulation.scenario.sections import CycleSection, TimeSection
+from phytac_design.simulation.scenario.scenario_sections import CycleSection, TimeSection
 from phytac_design.simulation.scenario.viscoelasticity import (
     Relaxation,
     felt_cycles,

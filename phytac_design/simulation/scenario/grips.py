@@ -6,11 +6,11 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.simulation.indenters import Touches
-from phytac_design.simulation.scenario.placement import ChartWindow, chart_window
+from phytac_design.simulation.scenario.contact_placement import ChartWindow, chart_window
 from phytac_design.simulation.scenario.presses import ContactRanges, contact_ranges, draw_indenters
 from phytac_design.simulation.scenario.random_streams import RandomStream, random_stream
 from phytac_design.simulation.scenario.scenario_file import Scenario
-from phytac_design.simulation.scenario.sections import GripSection
+from phytac_design.simulation.scenario.scenario_sections import GripSection
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError

@@ -13,7 +13,7 @@ from phytac_design.layout.marker_layout import with_heights
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.contacts import tangent_step
 from phytac_design.simulation.scenario.random_streams import RandomStream, random_stream
-from phytac_design.simulation.scenario.sections import SensorInstanceSection
+from phytac_design.simulation.scenario.scenario_sections import SensorInstanceSection
 from phytac_design.simulation.sensor_instance import SensorInstance, ThicknessField
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray

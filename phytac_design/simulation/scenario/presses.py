@@ -12,7 +12,7 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.simulation.indenters import INDENTERS, Touches
-from phytac_design.simulation.scenario.placement import (
+from phytac_design.simulation.scenario.contact_placement import (
     PlaceSampler,
     jitter_of,
     place_sampler,
@@ -21,7 +21,7 @@ from phytac_design.simulation.scenario.placement import (
 )
 from phytac_design.simulation.scenario.random_streams import RandomStream, random_stream
 from phytac_design.simulation.scenario.scenario_file import Scenario
-from phytac_design.simulation.scenario.sections import LENGTH_RADII, ContactsSection
+from phytac_design.simulation.scenario.scenario_sections import LENGTH_RADII, ContactsSection
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError

@@ -11,7 +11,7 @@ from typing import Any, Literal, Self, Union, get_args, get_origin
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from phytac_design.design.base_table import Section
-from phytac_design.simulation.scenario.sections import (
+from phytac_design.simulation.scenario.scenario_sections import (
     ContactsSection,
     CycleSection,
     GripSection,

@@ -10,7 +10,7 @@ from phytac_design.layout import Markers
 from phytac_design.layout.worst_places import press_places
 from phytac_design.simulation.sample_plan import ChartBox
 from phytac_design.simulation.scenario.contact_box import contact_box, window_grid
-from phytac_design.simulation.scenario.placement import ChartWindow
+from phytac_design.simulation.scenario.contact_placement import ChartWindow
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import DesignError

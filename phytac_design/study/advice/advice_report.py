@@ -8,10 +8,10 @@ from typing import Any
 from phytac_design.core.json_values import finite
 from phytac_design.design.design_file import to_toml
 from phytac_design.study.advice.advise import Advice
-from phytac_design.study.advice.changes import FAULTS, GOALS, RULES, Change
+from phytac_design.study.advice.design_changes import FAULTS, GOALS, RULES, Change
 from phytac_design.study.advice.design_evaluation import FIGURES, FORCES
+from phytac_design.study.advice.design_sensitivity import Sensitivity
 from phytac_design.study.advice.refinement import RefinedDesign
-from phytac_design.study.advice.sensitivity import Sensitivity
 from phytac_design.study.search.surrogate import FORCE_N
 from phytac_shapes.errors import OutputError
 

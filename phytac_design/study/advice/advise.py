@@ -8,7 +8,7 @@ from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import cameras_of, stand_off_mm
 from phytac_design.rules.check import check_design
-from phytac_design.study.advice.changes import (
+from phytac_design.study.advice.design_changes import (
     FAULTLESS,
     RULES,
     Change,
@@ -22,6 +22,7 @@ from phytac_design.study.advice.changes import (
     rank_of,
 )
 from phytac_design.study.advice.design_evaluation import evaluate_design
+from phytac_design.study.advice.design_sensitivity import Sensitivity, sensitivities
 from phytac_design.study.advice.design_variables import ROW, choose, variables_of
 from phytac_design.study.advice.local_model import LocalModel
 from phytac_design.study.advice.repair import repairs, rule_repairs
@@ -34,7 +35,6 @@ from phytac_design.study.advice.rows import (
     rows_of,
     suspects,
 )
-from phytac_design.study.advice.sensitivity import Sensitivity, sensitivities
 from phytac_shapes.errors import DesignError, PhytacError
 
 Progress = Callable[[str], None]

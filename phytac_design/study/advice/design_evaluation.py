@@ -17,9 +17,9 @@ from phytac_design.layout.cameras import cameras_of, stand_off_mm
 from phytac_design.optics.loaded_visibility import FUSED_PX
 from phytac_design.optics.visibility import FRACTION_MIN, best_of
 from phytac_design.rules.check import check_design
-from phytac_design.stages.loaded_views import UNDERLOAD, see_pressed
-from phytac_design.stages.resolution import RESOLUTION, RIM_SHARE
-from phytac_design.stages.views import PICTURES
+from phytac_design.stages.loaded_views_stage import UNDERLOAD, see_pressed
+from phytac_design.stages.resolution_stage import RESOLUTION, RIM_SHARE
+from phytac_design.stages.views_stage import PICTURES
 from phytac_design.study.search.fidelity_levels import views_at_rest
 from phytac_design.study.search.surrogate import FORCE_N, predict
 from phytac_shapes import Surface

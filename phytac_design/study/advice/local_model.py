@@ -27,7 +27,7 @@ from phytac_design.simulation.cramer_rao import (
     cell_prior,
     contact_signals,
 )
-from phytac_design.simulation.response import point_motions
+from phytac_design.simulation.linear_response import point_motions
 from phytac_design.study.advice.design_evaluation import EvaluatedDesign, force_figures, middle_of
 from phytac_design.study.advice.outlines import gaps_px
 from phytac_design.study.advice.paint_transfer import PaintTransfer

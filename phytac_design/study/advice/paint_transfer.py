@@ -10,7 +10,7 @@ import numpy as np
 from phytac_decoder.camera.camera import Camera
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import cameras_of
-from phytac_design.simulation.response import rigid_slope
+from phytac_design.simulation.linear_response import rigid_slope
 from phytac_design.study.advice.design_evaluation import EvaluatedDesign
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray

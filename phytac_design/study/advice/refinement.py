@@ -18,11 +18,11 @@ from scipy.optimize import linprog
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.design.design_file import parse_design
 from phytac_design.design.spec import Design
-from phytac_design.study.advice.changes import broken_margin
+from phytac_design.study.advice.design_changes import broken_margin
 from phytac_design.study.advice.design_evaluation import LIMITS, EvaluatedDesign, evaluate_design
+from phytac_design.study.advice.design_sensitivity import GAPS, Sensitivity, sensitivities
 from phytac_design.study.advice.design_variables import FREE, choose, variables_of
 from phytac_design.study.advice.local_model import LocalModel
-from phytac_design.study.advice.sensitivity import GAPS, Sensitivity, sensitivities
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError, PhytacError
 

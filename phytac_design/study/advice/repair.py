@@ -8,10 +8,10 @@ from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.optics.incremental_renderer import Watch
 from phytac_design.optics.loaded_visibility import FUSED_PX, WALL_BACK, sight_of
-from phytac_design.optics.scene import build_scene
+from phytac_design.optics.render_scene import build_scene
 from phytac_design.optics.visibility import FRACTION_MIN
 from phytac_design.rules.check import check_design
-from phytac_design.study.advice.changes import FAULTS, RULES, Change
+from phytac_design.study.advice.design_changes import FAULTS, RULES, Change
 from phytac_design.study.advice.design_evaluation import LIMITS
 from phytac_design.study.advice.design_variables import COUNT, ROW, DesignVariable
 from phytac_design.study.advice.local_model import LocalModel

@@ -25,7 +25,7 @@ from phytac_design.simulation.instance_shell import MARGIN, truth_mesh
 from phytac_design.simulation.pressed_series import LARGE_SOLVED_ABOVE
 from phytac_design.simulation.response_tables import HIGHER_ORDER_SPACING, place_spacing_mm, rings
 from phytac_design.simulation.scenario.scene_scope import PRESSES_LEAST, Scope
-from phytac_design.stages.response import SCENE_SAMPLES, samples_of
+from phytac_design.stages.response_stage import SCENE_SAMPLES, samples_of
 from phytac_design.study.planning.unit_costs import PROBE_s
 from phytac_shapes import Surface
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from phytac_design.study.search.design_space import DesignSpace, Params
 from phytac_design.study.search.sampler import Search, Sweep
-from phytac_design.study.search.space import DesignSpace, Params
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.study_folder import RESULTS, Store
 from phytac_design.study.search.successive_halving import (

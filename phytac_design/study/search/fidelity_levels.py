@@ -21,15 +21,15 @@ from phytac_decoder.camera.camera import Camera
 from phytac_design.design.accuracy import settings_of
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, write_arrays
-from phytac_design.fabrication.documents.materials import mass_g
+from phytac_design.fabrication.documents.densities import mass_g
 from phytac_design.geometry.envelope import edge_mm
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.density import density_of
 from phytac_design.optics.gaps import outline_gaps
+from phytac_design.optics.render_scene import build_scene
 from phytac_design.optics.sampled_visibility import sampled_fraction
-from phytac_design.optics.scene import build_scene
 from phytac_design.optics.visibility import FRACTION_MIN, Visibility, best_of, check_visibility
 from phytac_design.rules.check import check_design
 from phytac_design.simulation.imaging.nominal_view import paint_slopes
@@ -216,8 +216,8 @@ def exact(candidate: Candidate) -> Measures:
 def switch(candidate: Candidate) -> Measures:
     """Bowls for the design's thresholds, solved; equal ones once in a process."""
     from phytac_design.mechanics.switch.design import design_switch
-    from phytac_design.mechanics.switch.space import Tolerance
     from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
+    from phytac_design.mechanics.switch.switch_space import Tolerance
 
     design = candidate.design
     tolerance = Tolerance(
@@ -248,7 +248,7 @@ def _context(candidate: Candidate, folder: Path) -> Context:
 
 def mechanics(candidate: Candidate) -> Measures:
     """Cramér-Rao bound at every receptor, as the stage ``resolution`` of a build takes it."""
-    from phytac_design.stages.resolution import RESOLUTION
+    from phytac_design.stages.resolution_stage import RESOLUTION
 
     with tempfile.TemporaryDirectory() as name:
         views, out = Path(name) / "views", Path(name) / "resolution"
@@ -267,7 +267,7 @@ def mechanics(candidate: Candidate) -> Measures:
 
 def load(candidate: Candidate) -> Measures:
     """Presses at the greatest force, rendered, as in the stage ``underload`` of a build."""
-    from phytac_design.stages.loaded_views import see_pressed
+    from phytac_design.stages.loaded_views_stage import see_pressed
 
     with tempfile.TemporaryDirectory() as name:
         context = _context(candidate, Path(name))

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
+from phytac_design.study.search.design_space import Axis, DesignSpace, Params
 from phytac_design.study.search.measures import best_proxy
-from phytac_design.study.search.space import Axis, DesignSpace, Params
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.successive_halving import OK
 from phytac_shapes.arrays import FloatArray

@@ -17,8 +17,8 @@ from phytac_design.core.parquet_recording import parquet_library
 from phytac_design.design.design_file import design_hash, parse_design
 from phytac_design.design.spec import Design
 from phytac_design.engine.cache import code_hash, locked
+from phytac_design.study.search.design_space import DesignSpace, Params, make_space
 from phytac_design.study.search.measures import measures_up_to
-from phytac_design.study.search.space import DesignSpace, Params, make_space
 from phytac_design.study.search.study_file import Study
 from phytac_design.study.search.successive_halving import Outcome, Task, spec_of
 from phytac_shapes.errors import DesignError, InputError, OutputError, cause_of

@@ -20,10 +20,10 @@ import numpy as np
 
 from phytac_design.design.design_file import design_hash, parse_design
 from phytac_design.engine.cache import code_hash
+from phytac_design.study.search.design_space import DesignSpace, Params, make_space
 from phytac_design.study.search.fidelity_levels import LEVEL_FUNCTIONS, Candidate
 from phytac_design.study.search.measures import LEVELS, MEASURES, best_proxy
 from phytac_design.study.search.pareto import ranks
-from phytac_design.study.search.space import DesignSpace, Params, make_space
 from phytac_design.study.search.study_file import Study
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError, PhytacError

@@ -45,8 +45,8 @@ def _view(
     from phytac_design.layout import make_markers
     from phytac_design.layout.cameras import cameras_of, tolerance_mm
     from phytac_design.optics.raster import pixels_alone, rasterise
+    from phytac_design.optics.render_scene import build_scene, paint_owner
     from phytac_design.optics.sampled_visibility import sampled_fraction
-    from phytac_design.optics.scene import build_scene, paint_owner
     from phytac_design.simulation.imaging.nominal_view import owner_centroids
 
     surface = design.surface()
@@ -105,8 +105,8 @@ def _displacement(design: Design, value: Literal["linear", "auto", "large"]) -> 
     """Forces fitted to large-displacement shifts with the shifts of a theory."""
     from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
     from phytac_design.simulation.instance_shell import truth_shell
+    from phytac_design.simulation.linear_response import point_motions, turned_points
     from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
-    from phytac_design.simulation.response import point_motions, turned_points
 
     error = ForceError(design)
     mesh, model = truth_shell(design, error.surface, PRESETS["draft"].truth_refine)

@@ -28,11 +28,11 @@ from phytac_design.mechanics.shell.pressure import Holes, indentation_loads, tan
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_design.simulation.instance_shell import truth_shell
+from phytac_design.simulation.linear_response import turned_points
 from phytac_design.simulation.pressed_series import DiscResponse, ImageResponse
 from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
-from phytac_design.simulation.response import turned_points
 from phytac_design.simulation.response_tables import interpolate_responses, place_spacing_mm, rings
-from phytac_design.study.tradeoff.contacts import StandardContacts, standard_contacts
+from phytac_design.study.tradeoff.standard_contacts import StandardContacts, standard_contacts
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import NumericalError
 

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from phytac_design.design.spec import Design
-from phytac_design.stages.response import samples_of
+from phytac_design.stages.response_stage import samples_of
 from phytac_design.study.tradeoff.front import MeasuredSetting
 from phytac_design.study.tradeoff.pilot import visibility_error
 from phytac_design.study.tradeoff.points import Point, Points

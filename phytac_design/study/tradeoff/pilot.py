@@ -22,7 +22,7 @@ from phytac_design.engine.stage import Context
 from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.optics.loaded_visibility import UnderLoad, press_all
-from phytac_design.optics.scene import build_scene
+from phytac_design.optics.render_scene import build_scene
 from phytac_design.solids.solid_mesh import shell_manifold
 from phytac_design.study.tradeoff.force import (
     PILOT_REFINE,

@@ -138,7 +138,7 @@ def prepare(design: Design, point: Point) -> dict[str, Any]:
 
 def measure(design: Design, point: Point) -> dict[str, Any]:
     """Measure a point in this process: its error or facts, seconds, and peak memory in MB."""
-    from phytac_design.study.planning.run import peak_MB
+    from phytac_design.study.planning.run_plan import peak_MB
     from phytac_design.study.tradeoff.choices import use
     from phytac_design.study.tradeoff.force import ForceError, rms
     from phytac_design.study.tradeoff.pilot import ForcePilot

@@ -11,7 +11,7 @@ from phytac_design.rules.check import check_design
 from phytac_design.study.advice import design_evaluation as judging
 from phytac_design.study.advice.advice_report import as_dict, text, write_advice
 from phytac_design.study.advice.advise import Advice, ChangeTester, advise
-from phytac_design.study.advice.changes import (
+from phytac_design.study.advice.design_changes import (
     FAULTS,
     RULES,
     Change,

@@ -11,8 +11,9 @@ from typer.testing import CliRunner
 from phytac_design.cli.advise_command import advise as command
 from phytac_design.design.design_file import load_design, to_toml
 from phytac_design.study.advice import design_evaluation as judging
-from phytac_design.study.advice.changes import broken_margin
+from phytac_design.study.advice.design_changes import broken_margin
 from phytac_design.study.advice.design_evaluation import LIMITS, evaluate_design
+from phytac_design.study.advice.design_sensitivity import SENSITIVE, Sensitivity
 from phytac_design.study.advice.design_variables import DesignVariable
 from phytac_design.study.advice.refinement import (
     LEAST_GAIN,
@@ -21,7 +22,6 @@ from phytac_design.study.advice.refinement import (
     refine,
     step_of,
 )
-from phytac_design.study.advice.sensitivity import SENSITIVE, Sensitivity
 from phytac_shapes.errors import DesignError
 from tests.study.advice.cases import DRAFT, tube, with_long_row
 

@@ -6,11 +6,11 @@ import pytest
 from phytac_design.layout import with_heights
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.study.advice.design_evaluation import evaluate_design
+from phytac_design.study.advice.design_sensitivity import sensitivities
 from phytac_design.study.advice.design_variables import variables_of, with_fields
 from phytac_design.study.advice.local_model import LocalModel, contacts_of
 from phytac_design.study.advice.outlines import gaps_px
 from phytac_design.study.advice.rows import row_sensitivities, rows_of
-from phytac_design.study.advice.sensitivity import sensitivities
 from phytac_design.study.search.fidelity_levels import band_rings
 from phytac_design.study.search.surrogate import FORCE_N
 from tests.designs import of_shape

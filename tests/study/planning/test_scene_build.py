@@ -14,9 +14,9 @@ from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.simulation.dataset import Dataset
 from phytac_design.stages import STAGES
 from phytac_design.stages.build import BuildResult, run_stages, select_stages
-from phytac_design.stages.decoder import tips_in_play
+from phytac_design.stages.decoder_stage import tips_in_play
 from phytac_design.study.planning.plan import BuildPlan, plan_scene
-from phytac_design.study.planning.run import force_errors, reference_presses, run_plan
+from phytac_design.study.planning.run_plan import force_errors, reference_presses, run_plan
 from tests.designs import small
 from tests.study.planning.scenes import scene
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from phytac_design.study.search.space import DesignSpace, make_space
+from phytac_design.study.search.design_space import DesignSpace, make_space
 from phytac_design.study.search.study_file import Study
 from tests.designs import small
 

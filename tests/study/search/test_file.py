@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from phytac_design.study.search.design_space import make_space
 from phytac_design.study.search.measures import LEVELS, MEASURES, best_proxy
-from phytac_design.study.search.space import make_space
 from phytac_design.study.search.study_file import load_study, parse_study, shipped_studies
 from phytac_shapes.errors import DesignError
 from tests.designs import small

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from phytac_design.study.search.driver import run_study
-from phytac_design.study.search.report import (
+from phytac_design.study.search.search_report import (
     Results,
     agreement,
     importance,

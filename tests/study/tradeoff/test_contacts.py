@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phytac_design.layout.arc import by_area
-from phytac_design.study.tradeoff.contacts import rim_points, standard_contacts
+from phytac_design.study.tradeoff.standard_contacts import rim_points, standard_contacts
 from phytac_shapes.errors import DesignError
 from tests.designs import drawn, small
 

@@ -16,7 +16,7 @@ from phytac_design.study.tradeoff import points as points_module
 from phytac_design.study.tradeoff.front import MeasuredSetting, beaten_by, knee, pareto
 from phytac_design.study.tradeoff.joint import CAD, LOAD, LOAD_REFINE, MECHANICS, SCORE
 from phytac_design.study.tradeoff.points import Point, Points, accuracy_of
-from phytac_design.study.tradeoff.run import tradeoff
+from phytac_design.study.tradeoff.run_tradeoff import tradeoff
 from phytac_design.study.tradeoff.settings import QUANTITIES, SETTINGS, setting_named
 from phytac_shapes.errors import DesignError, NumericalError
 from tests.designs import drawn

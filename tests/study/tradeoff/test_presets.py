@@ -5,7 +5,7 @@ import pytest
 from benchmarks.tradeoff_fronts import DESIGNS, DOMINATED, committed_fronts, preset_problems
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.study.tradeoff.front import beaten_by
-from phytac_design.study.tradeoff.run import presets_of
+from phytac_design.study.tradeoff.run_tradeoff import presets_of
 
 
 def test_presets_follow_the_committed_fronts() -> None:

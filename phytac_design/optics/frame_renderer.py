@@ -1,0 +1,249 @@
+"""A camera frame of any lens, without OpenGL: the exact z-buffer, lit, alike on every machine.
+
+Light is linear until the last step: sub-pixels are averaged as a sensor does, then encoded to
+sRGB.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phytac_decoder.camera.camera import Camera
+from phytac_decoder.camera.lens import Perspective, Pinhole
+from phytac_design.core.kernels import in_bands, kernel
+from phytac_design.optics.light import triangle_light
+from phytac_design.optics.paint import BACKGROUND, to_linear, to_srgb
+from phytac_design.optics.raster import project_scene
+from phytac_design.optics.rays import ray_grid
+from phytac_design.optics.render_scene import RenderScene
+from phytac_design.optics.zbuffer import View, fill
+from phytac_shapes.arrays import FloatArray, ImageArray
+
+BAND_ROWS = 128
+VIEWS_LEAST = 6
+"""Lens points at least, where a pixel's samples lie on lattices: fewer make no disc of blur."""
+LEVELS = 4096
+"""Steps of the table that encodes linear light."""
+
+
+def render_frame(
+    scene: RenderScene,
+    camera: Camera,
+    *,
+    noise_std: float = 0.0,
+    rng: np.random.Generator | None = None,
+    samples: int = 8,
+) -> ImageArray:
+    """Anti-aliased 8-bit frame (h, w, 3), BGR.
+
+    Parameters
+    ----------
+    noise_std : float
+        Standard deviation of the sensor noise, grey levels; needs ``rng`` if not 0.
+    samples : int
+        Samples per pixel, see ``sample_views``.
+    """
+    light = render_light(scene, camera, samples=samples)
+    encode = to_srgb(np.arange(LEVELS) / (LEVELS - 1.0)).astype(np.float32)
+    frame = np.zeros(light.shape, dtype=np.uint8)
+
+    def band(first: int, last: int) -> None:
+        _encode(light[first:last], encode, frame[first:last])
+
+    in_bands(band, camera.height_px, band_rows=BAND_ROWS)
+    if noise_std > 0.0:
+        if rng is None:
+            raise ValueError("render_frame: noise_std > 0 needs a random generator; pass rng=...")
+        frame = add_noise(frame, noise_std, rng)
+    return frame
+
+
+def render_light(
+    scene: RenderScene,
+    camera: Camera,
+    *,
+    light: FloatArray | None = None,
+    lens_mm: FloatArray | None = None,
+    focus_mm: float = np.inf,
+    samples: int = 8,
+) -> NDArray[np.float32]:
+    """Linear light (h, w, 3) on the pixels, BGR: the mean over each pixel's area and the lens.
+
+    Parameters
+    ----------
+    light : (T, 3) float, optional
+        Linear RGB that each triangle sends to the camera; ``triangle_light`` by default.
+    lens_mm : (views, 2) float, optional
+        Points of the aperture, camera x and y, that the views (see ``sample_views``) look through;
+        its centre (a lens that is sharp everywhere) by default.
+    focus_mm : float
+        Distance of sharp focus: camera z for lenses that image planes sharply, distance from the
+        camera's centre for wide ones.
+    samples : int
+        Samples per pixel, see ``sample_views``.
+    """
+    sent = triangle_light(scene, camera) if light is None else light
+    # The last row is the background's.
+    rows: NDArray[np.float32] = np.concatenate([sent, to_linear(np.array([BACKGROUND]))])[
+        :, ::-1
+    ].astype(np.float32)
+    total = np.zeros((camera.height_px, camera.width_px, 3), dtype=np.float32)
+    count, side = sample_views(samples)
+    points = np.zeros((count, 2)) if lens_mm is None else lens_mm
+    bent = not isinstance(camera.lens, Pinhole)
+    # A finer image takes all samples of a lattice at once; the rays of a bent one are its pixels'.
+    finer = camera if bent else _finer(camera, side)
+    lattice = sample_lattice(side) if bent else np.zeros((1, 2))
+    view = None
+    for offset, point in zip(sample_offsets(count) / side, points, strict=True):
+        if view is None or lens_mm is not None:
+            view = project_scene(through_lens(scene, camera, point, focus_mm), finer)
+        for place in lattice:
+            _look(view, finer, offset + place, rows, total)
+    total /= np.float32(samples)
+    return total
+
+
+def through_lens(
+    scene: RenderScene, camera: Camera, point_mm: FloatArray, focus_mm: float
+) -> RenderScene:
+    """Scene as it appears through one point (2,) of the aperture, focused at ``focus_mm``.
+
+    The ray from a lens point o to P meets the surface of sharp focus where the camera's centre
+    sees ``P + o (z / focus - 1)``: a shear of space, which keeps planes and depths, and so all that
+    hides what. For a lens that does not image planes sharply z is the distance, and the shear is
+    that of the vertices.
+    """
+    if not np.any(point_mm):
+        return scene
+    seen = camera.to_camera(scene.vertices)
+    flat = isinstance(camera.lens, Perspective)
+    distance = seen[:, 2] if flat else np.linalg.norm(seen, axis=1)
+    across = np.array([*point_mm, 0.0]) @ camera.rotation
+    return replace(
+        scene, vertices=scene.vertices + (distance / focus_mm - 1.0)[:, None] * across[None]
+    )
+
+
+def _finer(camera: Camera, side: int) -> Camera:
+    """The same with ``side`` by ``side`` pixels in place of each."""
+    lens = camera.lens
+    return replace(
+        camera,
+        lens=replace(
+            lens,
+            width_px=side * lens.width_px,
+            height_px=side * lens.height_px,
+            fx_px=side * lens.fx_px,
+            fy_px=side * lens.fy_px,
+            cx_px=side * (lens.cx_px + 0.5) - 0.5,
+            cy_px=side * (lens.cy_px + 0.5) - 0.5,
+        ),
+    )
+
+
+def _look(
+    view: View,
+    camera: Camera,
+    offset: FloatArray,
+    light: NDArray[np.float32],
+    total: NDArray[np.float32],
+) -> None:
+    """Add what every pixel of a camera, as fine as the image or finer, sees to ``total``.
+
+    ``offset`` (2,) is in pixels of ``total``.
+    """
+    side = camera.height_px // len(total)
+    x, y = side * float(offset[0]), side * float(offset[1])
+    low = view.image[:, :, 1].min(axis=1) - view.bulge
+    high = view.image[:, :, 1].max(axis=1) + view.bulge
+
+    def band(first: int, last: int) -> None:
+        top, bottom = side * first, side * last
+        owner = np.full((bottom - top, camera.width_px), -1, dtype=np.int32)
+        here = view
+        if view.rays.shape[0] > 0:
+            rays = ray_grid(camera.lens).rows(first, last, offset)
+            here = view._replace(rays=rays, origin=np.array([0, first]))
+        met = (high >= top - side) & (low <= bottom + side)
+        chosen = np.flatnonzero(met).astype(np.int32)
+        fill(here, chosen, (0, top, 1, x, y), owner, np.zeros(owner.shape))
+        _add(owner, light, side, total[first:last])
+
+    in_bands(band, len(total), band_rows=-(-BAND_ROWS // side))
+
+
+def add_noise(image: ImageArray, std: float, rng: np.random.Generator) -> ImageArray:
+    """Image with independent Gaussian noise of ``std`` grey levels on every channel, rounded."""
+    noise = rng.standard_normal(image.shape, dtype=np.float32)
+    noise *= np.float32(std)
+    noise += image
+    np.rint(noise, out=noise)
+    np.clip(noise, 0.0, 255.0, out=noise)
+    return noise.astype(np.uint8)
+
+
+def sample_offsets(count: int) -> FloatArray:
+    """Offsets (count, 2) of single samples in a pixel, px, in [-0.5, 0.5].
+
+    Every sample has a column and a row of its own (n rooks, rows in the order of the golden
+    ratio's multiples; 4 give the rotated grid): edges along the image's axes, which a square grid
+    moves by half a pixel at once, move by 1 / count.
+    """
+    index = np.arange(count)
+    golden = np.mod((index + 1) * (np.sqrt(5.0) - 1.0) / 2.0, 1.0)
+    return (np.column_stack([index, golden.argsort().argsort()]) + 0.5) / count - 0.5
+
+
+def sample_views(count: int) -> tuple[int, int]:
+    """Views that ``count`` samples per pixel are taken in, and the side of each one's lattice.
+
+    Each view is through another point of the lens and moved by another share of a step of the
+    lattice. Even lattices err less than as many single samples, and cost less.
+    """
+    side = int(np.sqrt(count // VIEWS_LEAST))
+    while side > 1 and count % side**2:
+        side -= 1
+    side = max(side, 1)
+    return count // side**2, side
+
+
+def sample_lattice(side: int) -> FloatArray:
+    """Offsets (side², 2) of an even lattice in a pixel, px."""
+    line = (np.arange(side) + 0.5) / side - 0.5
+    return np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+@kernel
+def _add(
+    owner: NDArray[np.int32],
+    light: NDArray[np.float32],
+    side: int,
+    total: NDArray[np.float32],
+) -> None:
+    """Add the light of each pixel's triangles; ``light[-1]`` is the background's, for index -1."""
+    for row in range(total.shape[0]):
+        for column in range(total.shape[1]):
+            last, times = owner[side * row, side * column], 0
+            for down in range(side):
+                for right in range(side):
+                    t = owner[side * row + down, side * column + right]
+                    if t != last:
+                        for channel in range(3):
+                            total[row, column, channel] += times * light[last, channel]
+                        last, times = t, 0
+                    times += 1
+            for channel in range(3):
+                total[row, column, channel] += times * light[last, channel]
+
+
+@kernel
+def _encode(light: NDArray[np.float32], encode: NDArray[np.float32], frame: ImageArray) -> None:
+    """Write linear light as 8-bit sRGB."""
+    scale = np.float32(len(encode) - 1)
+    for row in range(frame.shape[0]):
+        for column in range(frame.shape[1]):
+            for channel in range(3):
+                level = int(light[row, column, channel] * scale + np.float32(0.5))
+                frame[row, column, channel] = np.uint8(encode[level] + np.float32(0.5))

@@ -1,0 +1,409 @@
+"""Sections of the page."""
+
+from collections.abc import Mapping
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from phytac_design.engine.stage import EXPORT, Context
+from phytac_design.geometry import flat_map
+from phytac_design.optics.density import density_map
+from phytac_design.optics.separability import check_paints, separability_svg
+from phytac_design.optics.sharpness import DIRECTIONS
+from phytac_design.report import figure_names, page, report_figures, score_tables
+from phytac_design.report.explorer import GAP_PX, explorer_section, softness_um_N
+from phytac_design.report.fabrication_section import fabrication_section
+from phytac_design.report.press_pictures import press_pictures, press_slider
+from phytac_design.report.provenance import provenance_section, time_section
+from phytac_design.report.sensor_drawing import MARKS, Drawing, of_camera, photo
+from phytac_design.report.verdict import sentence
+
+PAPER = "paper, on a real sensor: FEM 18 % (49 % below 5 N), FEM-NN 2.3 % and 0.11 N"
+EACH_CAMERA = {
+    "end": "camera",
+    "read": "reads markers",
+    "hidden_most": "most hidden",
+    "fused_most": "most fused",
+    "crosstalk_px": "crosstalk (px)",
+    "greatest_shift_px": "largest shift (px)",
+}
+BOUND = {
+    "force_N_median_middle": "force, median in the middle (N)",
+    "force_N_median": "force, median (N)",
+    "force_N_worst": "force, worst (N)",
+    "force_known_place_N_median": "force at a known place, median (N)",
+    "along_mm_median": "place {along}, median (mm)",
+    "around_mm_median": "place {around}, median (mm)",
+}
+
+SWITCH_ROWS = {
+    "threshold_N": "nominal threshold (N)",
+    "limit_N": "threshold of the bowl (N)",
+    "spread.low_N": "smallest of a batch (N)",
+    "spread.high_N": "largest of a batch (N)",
+    "valley_N": "force once it has snapped (N)",
+    "travel_mm": "travel of the snap (mm)",
+    "visible_mm": "tip shows, when out (mm)",
+    "strain": "largest strain",
+    "bowl.diameter_mm": "bowl: diameter (mm)",
+    "bowl.depth_mm": "bowl: depth (mm)",
+    "bowl.thickness_mm": "bowl: wall (mm)",
+    "bowl.stem_diameter_mm": "bowl: stem diameter (mm)",
+    "rubber.name": "rubber",
+    "rubber.modulus_MPa": "its Young's modulus (MPa)",
+}
+"""Shown of each switch; report.json and the files of the folder ``switch`` hold the rest."""
+
+
+def visibility_table(report: Mapping[str, Any]) -> str:
+    """Visibility at rest: in all, of each of several cameras, and of the straight layout."""
+    columns = {"this layout": report["visibility"]}
+    if len(report["cameras"]) > 1:
+        columns = {"by the better camera": report["visibility"]} | {
+            f"{item['end']} camera alone": item["visibility"] for item in report["cameras"]
+        }
+    if report["straight"]:
+        columns["straight rows, same counts"] = report["straight"]
+    keys = [key for key in report["visibility"] if f"visibility.{key}" not in figure_names.NAMES]
+    known = [path.split(".")[1] for path in figure_names.NAMES if path.startswith("visibility.")]
+    rows = [
+        (
+            figure_names.name_of(f"visibility.{key}"),
+            *(_or_why(f"visibility.{key}", column.get(key)) for column in columns.values()),
+        )
+        for key in [*(key for key in known if key in report["visibility"]), *keys]
+    ]
+    return page.table(("figure", *columns), rows)
+
+
+def _or_why(path: str, value: Any) -> Any:
+    why = figure_names.absent_why(path) if page.missing(value) else ""
+    return f"{page.DASH} ({why})" if why else value
+
+
+def camera_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
+    """Pictures and visibility at rest."""
+    arrays, several = context.arrays("views"), len(report["cameras"]) > 1
+    parts = []
+    for number in range(len(report["cameras"])):
+        mark, whose = MARKS[number], of_camera(report, number)
+        photos = [
+            ("views", f"camera{mark}.png", "The camera's view at rest"),
+            ("views", f"camera{mark}_all_on.png", "All switches on: red tips out"),
+            ("views", f"ids{mark}.png", "Exact ID map: one colour per marker"),
+        ]
+        if number == 0 and report["straight"]:
+            photos.insert(1, ("compare", "straight.png", "The same counts in straight rows"))
+        shown = [photo(context, stage, name, text + whose) for stage, name, text in photos]
+        parts.append(page.side_by_side(*shown))
+    why = context.facts("compare").get("why")
+    if not page.missing(why):
+        parts.append(
+            f"<p>Straight rows of the same counts are not compared: {escape(str(why))}.</p>"
+        )
+    parts += [
+        visibility_table(report),
+        page.side_by_side(
+            draw.both(
+                arrays["visible_fraction"],
+                "Visible fraction of each marker (hidden ones ringed)",
+                "fraction",
+                name="visible_fraction",
+                marked=arrays["occluded"],
+            ),
+            draw.both(
+                np.minimum(arrays["gap_same_colour_px"], GAP_PX),
+                f"Gap to the nearest marker of the same colour ({GAP_PX:g} px and more alike; "
+                "fused ones ringed)",
+                "px",
+                name="gap",
+                marked=arrays["fused"],
+            ),
+        ),
+    ]
+    if several:
+        rows = [
+            (
+                item["end"],
+                item["stand_off_mm"],
+                item["best_for"],
+                *(item["visibility"][key] for key in ("occluded", "fused")),
+            )
+            for item in report["cameras"]
+        ]
+        head = ("camera", "stand-off (mm)", "reads markers", "hidden", "fused")
+        parts.append(page.table(head, rows))
+    # With several cameras the table above has these for each of them.
+    omitted = {"end", "stand_off_mm"} if several else set()
+    rest = {key: value for key, value in report["camera"].items() if key not in omitted}
+    return "".join(parts) + page.facts(rest, "camera")
+
+
+def lens_section(context: Context, report: Mapping[str, Any]) -> str:
+    """Scale, noise and blur of each row, and the depth of field, for every camera."""
+    in_rows, words = context.markers.in_rows, flat_map.words(context.surface)
+    short = (words.along_short, words.around_short, "inward")
+    columns = {
+        "row": "row" if in_rows else "group",
+        "markers": "markers",
+        **{
+            f"mm_per_px_{name}": f"mm per px, {which}"
+            for name, which in zip(DIRECTIONS, short, strict=True)
+        },
+        **{
+            f"noise_{name}_mm": f"noise, {which} (mm)"
+            for name, which in zip(DIRECTIONS, short, strict=True)
+        },
+        "blur_px": "blur (px)",
+    }
+    parts = []
+    for item in report["cameras"]:
+        lens = item["lens"]
+        far = lens["depth_far_mm"]
+        reach = "on" if page.missing(far) else f"to {far:.1f} mm"
+        rows = [[row[key] for key in columns] for row in lens["rows"]]
+        if len(report["cameras"]) > 1:
+            parts.append(f"<h3>{item['end'].capitalize()} camera</h3>")
+        parts.append(
+            f"<p>In focus at {lens['focus_mm']:.1f} mm from the camera; images of points are no "
+            f"wider than a pixel from {lens['depth_near_mm']:.1f} mm {reach}, and at most "
+            f"{lens['max_blur_px']:.2g} px at the markers (thin lens, camera.f_number and "
+            "camera.pixel_um).</p>"
+            + page.details("Each row", page.table([*columns.values()], rows))
+        )
+        if any(page.missing(value) for row in rows for value in row):
+            parts.append(
+                f'<p class="foot">{page.DASH}: such a motion is towards the camera and does not '
+                "show.</p>"
+            )
+    groups = "row" if in_rows else "eighth of the markers, by their place along the sensor"
+    return "".join(parts) + (
+        f'<p class="foot">Medians of each {groups}; the largest blur. Directions: {words.along}, '
+        f"{words.around}, along the normal.</p>"
+    )
+
+
+def under_load_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
+    """Visibility under load."""
+    load, arrays = report["under_load"], context.arrays("underload")
+    pressed, slider = press_pictures(context), ""
+    if pressed is not None:
+        name = context.markers.name(pressed.marker)
+        slider = press_slider(pressed, name, of_camera(report, pressed.camera))
+    first = load["first_place_uv"]
+    cross = None if first is None else np.asarray(first, dtype=np.float64)
+    where = "" if cross is None else "; the cross is where that happens first"
+    shown = {key: load[key] for key in load if key not in {"sentence", "cameras"}}
+    each = load.get("cameras", [])
+    keys = [key for key in EACH_CAMERA if all(key in item for item in each)]
+    by_camera = page.table(
+        [EACH_CAMERA[key] for key in keys], [[item[key] for key in keys] for item in each]
+    )
+    return (
+        f"<p>{escape(load['sentence'])}</p>"
+        + slider
+        + page.side_by_side(
+            draw.both(
+                arrays["crosstalk_px"],
+                "Crosstalk: largest shift of a centroid that is not its marker's own motion",
+                "px",
+                name="crosstalk",
+                cross=cross,
+            ),
+            draw.both(
+                np.minimum(arrays["least_gap_same_px"], GAP_PX),
+                f"Smallest gap to a marker of the same colour under any press ({GAP_PX:g} px and "
+                f"more alike{where})",
+                "px",
+                name="gap_under_load",
+                cross=cross,
+            ),
+        )
+        + (by_camera if each else "")
+        + page.facts(shown, "under_load")
+    )
+
+
+def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
+    """Cramér-Rao bounds."""
+    found, arrays = report["resolution"], context.arrays("resolution")
+    words = flat_map.words(context.surface)
+    keys = [key for key in BOUND if all(key in row for row in found["bound"].values())]
+    head = [BOUND[key].format(along=words.along_short, around=words.around_short) for key in keys]
+    order = sorted(found["bound"], key=lambda text: float(text.split()[0]))
+    rows = [(force, *(found["bound"][force][key] for key in keys)) for force in order]
+    return (
+        "<p>Cramér-Rao bound of a single contact, its position and size unknown but for the "
+        "stated prior: no unbiased estimator is better on average. Smallest standard "
+        "deviations:</p>"
+        + page.table(("contact of", *head), rows)
+        + page.side_by_side(
+            draw.on_surface(
+                arrays["force_N_10"],
+                "Smallest standard deviation of a force of 10 N",
+                "N",
+                name="resolution_force",
+            ),
+            draw.on_surface(
+                arrays["along_mm_10"],
+                f"Smallest standard deviation of its position {words.along}",
+                "mm",
+                name="resolution_along",
+            ),
+        )
+        + page.facts({key: found[key] for key in found if key != "bound"}, "resolution")
+    )
+
+
+def markers_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
+    """Density and paints."""
+    return page.side_by_side(
+        draw.on_surface(
+            density_map(context.surface, context.markers).per_cm2,
+            "Local density: markers around each one over their area",
+            "per cm²",
+            name="density",
+        ),
+        page.svg_figure(
+            separability_svg(check_paints(context.design)),
+            "The paints under the light: three standard deviations of one pixel, and the "
+            "decoder's borders",
+        ),
+    ) + page.facts(report["markers"], "markers")
+
+
+def mechanics_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
+    """Softness at each receptor, the wall's motion under the shown press, figures."""
+    load = report["under_load"]
+    kept = context.arrays("underload")
+    maps = [
+        draw.on_surface(
+            softness_um_N(context),
+            "Softness: inward motion of each marker under 1 N on its own cell",
+            "µm/N",
+            name="softness",
+        )
+    ]
+    if len(kept["shown_uv"]):
+        inward = -np.einsum("ni,ni->n", kept["shown_motion"][0][:, :3], context.markers.normal)
+        maps.append(
+            draw.on_surface(
+                inward,
+                f"Inward motion of the wall, pressed with {load['force_N']:g} N where the cross is",
+                "mm",
+                name="motion",
+                cross=kept["shown_uv"][0],
+            )
+        )
+    figures = {
+        "how the wall's motion was found": load["theory"],
+        "deepest dent (mm)": load["dent_mm"],
+        "receptors stiffen the wall": report["response"]["receptors"],
+        "nodes of the decoder's mesh": report["response"]["nodes"],
+        "condition number of its compliance": report["condition_compliance"],
+        "smallest image shift of a marker for inward motion (px/mm)": report["response"][
+            "sensitivity_px_mm_least"
+        ],
+        "its median (px/mm)": report["response"]["sensitivity_px_mm_median"],
+    }
+    unknown = report["response"]["receptors_unknown"]
+    note = f'<p class="foot">The wall is taken as plain: {unknown}.</p>' if unknown else ""
+    return (
+        page.side_by_side(*maps)
+        + page.table(("figure", "value"), list(figures.items()))
+        + note
+        + "<h3>Mesh for other solvers, and the printed shell</h3>"
+        + page.side_by_side(
+            page.facts(report["mesh"], "mesh"), page.facts(report["shell"], "shell")
+        )
+    )
+
+
+def switch_section(context: Context, report: Mapping[str, Any]) -> str:
+    """Bowls side by side, their force curves, warnings, and the visibility of the tips."""
+    made = [page.flatten(item) for item in report["switch"]["switches"]]
+    keys = [key for key in SWITCH_ROWS if any(key in item for item in made)]
+    head = ("switch", *(f"{page.number(item['threshold_N'])} N" for item in made))
+    rows = [(SWITCH_ROWS[key], *(item.get(key) for item in made)) for key in keys]
+    warnings = dict.fromkeys(text for item in made for text in item.get("warnings", ()))
+    curves = sorted((context.folders["switch"] / EXPORT / "switch").glob("*.svg"))
+    left_out = {"switches", "refused"}  # shown above, and in the verdict
+    red = {key: value for key, value in report["switch"].items() if key not in left_out}
+    return (
+        page.table(head, rows)
+        + "".join(f'<p class="foot">{escape(sentence(text))}</p>' for text in warnings)
+        + page.side_by_side(
+            *(
+                page.svg_figure(path.read_text(encoding="utf-8"), f"Force over stroke: {path.stem}")
+                for path in curves
+            )
+        )
+        + page.facts(red, "switch")
+    )
+
+
+def frames_section(context: Context, report: Mapping[str, Any], table: str) -> str:
+    """Decoding of rendered frames."""
+    captions = {"rest": "Frame of the unloaded sensor", "pressed": "A decoded frame under load"}
+    shown = [
+        photo(
+            context,
+            "frames",
+            f"frame_{what}{MARKS[number]}.png",
+            caption + of_camera(report, number),
+        )
+        for number in range(len(report["cameras"]))
+        for what, caption in captions.items()
+    ]
+    return (
+        f"{table}<p>({page.number(PAPER)}.)</p>"
+        + page.side_by_side(*shown)
+        + page.facts(report["frames"], "frames")
+    )
+
+
+def sections_of(context: Context, report: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Headings and HTML, in order."""
+    draw = Drawing(context)
+    limits, count = report["limit_figures"], report["markers"]["count"]
+
+    def table(key: str) -> str:
+        return score_tables.score_table(report[key], limits, count)
+
+    marks = score_tables.marks_of(limits, list(report["decoder"]))
+    learnt = page.flatten({"training": report["training"], "twin": report["twin"]})
+    return [
+        ("Shell and markers", explorer_section(context, draw.layout_png())),
+        ("Camera", camera_section(context, report, draw)),
+        ("Under load", under_load_section(context, report, draw)),
+        ("Lens", lens_section(context, report)),
+        ("Predicted resolution", resolution_section(context, report, draw)),
+        ("Markers and paints", markers_section(context, report, draw)),
+        ("Mechanics", mechanics_section(context, report, draw)),
+        ("Switches", switch_section(context, report)),
+        ("Molds, fixtures and print rules", fabrication_section(context, report)),
+        ("Decoder: rendered frames", frames_section(context, report, table("decoder_frames"))),
+        (
+            "Decoder: held-out contacts",
+            table("decoder")
+            + f"<p>({page.number(PAPER)}.)</p>"
+            + page.figure(
+                report_figures.error_bars(report["decoder"], marks),
+                "Relative error of the estimators, contacts on receptors",
+                name="estimators.png",
+            )
+            + "<p>Contacts anywhere on the surface, between receptors too:</p>"
+            + table("decoder_anywhere")
+            + "<p>Contacts that trip no switch cannot be decoded and are counted apart.</p>"
+            + page.facts(learnt),
+        ),
+        (
+            "Assumptions",
+            "<p>Not stated by the paper; set these to your own parts. Names as in the design "
+            "file.</p>"
+            + page.details("All of them", page.facts(report["assumptions"], "assumptions")),
+        ),
+        ("Time and plan", time_section(context, report)),
+        ("Provenance", provenance_section(context, report)),
+    ]

@@ -1,0 +1,66 @@
+"""Calibration kit: indenters, grippers, seats and jigs that fit the shape, and motion programs."""
+
+from pathlib import Path
+from typing import Any
+
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts
+from phytac_design.stages.response_stage import TOUCH
+from phytac_design.stages.switch_stage import switches_of, without_switches
+
+
+def run(context: Context, folder: Path) -> None:
+    """Write ``kit/…`` and the facts: parts, regions, tools."""
+    from phytac_design.fabrication.calibration_rig.guide import guide_text
+    from phytac_design.fabrication.calibration_rig.log_template import log_head
+    from phytac_design.fabrication.calibration_rig.program import gcode, make_program, program_csv
+    from phytac_design.fabrication.calibration_rig.regions import make_regions
+    from phytac_design.fabrication.calibration_rig.tool_bodies import kit_bodies, kit_parts
+    from phytac_design.solids.mesh_export import write_stl
+    from phytac_design.solids.solid_mesh import stl_triangles
+
+    if without_switches(context, folder):
+        return
+    design, surface, markers = context.design, context.surface, context.markers
+    regions = make_regions(design, surface, markers)
+    switches = switches_of(context)
+    bowl = max(float(switches.profile(kind)[:, 1].max()) for kind in switches.kinds)
+    kit = kit_bodies(
+        design,
+        surface,
+        markers,
+        regions,
+        bowl_mm=bowl,
+        tolerance_mm=context.accuracy.cad_tolerance_mm,
+    )
+    for piece in kit.pieces:
+        write_stl(stl_triangles(piece.body), export_path(folder, f"kit/{piece.name}.stl"))
+
+    def write(name: str, text: str) -> None:
+        export_path(folder, f"kit/{name}").write_text(text, encoding="utf-8")
+
+    program = make_program(design, surface, markers, regions, bowl_mm=bowl)
+    write("program.csv", program_csv(program, markers))
+    write("shell.gcode", gcode(program, "shell", name=design.name))
+    write("decoder.gcode", gcode(program, "decoder", name=design.name))
+    write("calibration_log.csv", log_head(design.name))
+    write("README.md", guide_text(design, markers, regions, program, kit))
+    facts: dict[str, Any] = {
+        "parts": kit_parts(design, kit),
+        "regions": len(regions.marker),
+        "regions_too_near_a_rim": len(regions.too_near),
+        "markers": markers.count,
+        "turns": regions.symmetry.turns,
+        "mirrors": regions.symmetry.mirrors,
+        "indenters": len(regions.faces),
+        "left_out": kit.left_out,
+    }
+    write_facts(folder, facts)
+
+
+KIT = Stage(
+    name="kit",
+    reads=("name", "markers", "wall", "receptor", "switch", "training.force_min_N", *TOUCH, "kit"),
+    knobs=("cad_tolerance_mm",),
+    needs=("switch",),
+    run=run,
+)

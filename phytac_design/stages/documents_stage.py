@@ -1,0 +1,147 @@
+"""Documents for the workbench: paint map, switch placement, bill, recipe, assembly sheet."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
+from phytac_design.stages.switch_stage import switches_of, without_switches
+
+READS = (
+    "name",
+    "description",
+    "markers",
+    "cameras",
+    "bodies",
+    "camera.pixel_um",
+    "switch",
+    "mold",
+    "bench",
+    "hardware",
+    "print_rules",
+)
+LISTS = ("mold", "hardware", "kit")
+"""Stages whose facts list parts."""
+
+
+def run(context: Context, folder: Path) -> None:
+    """Write ``bench/…`` and the facts: map, bill, recipe."""
+    from phytac_design.fabrication.documents import bill_of_materials as bill
+    from phytac_design.fabrication.documents.assembly_page import assembly_html
+    from phytac_design.fabrication.documents.fixture_steps import fixture_steps
+    from phytac_design.fabrication.documents.paint_map import make_map, paper_pages, whole_page
+    from phytac_design.fabrication.documents.pdf import pdf_bytes
+    from phytac_design.fabrication.documents.recipe import make_recipe, recipe_steps, recipe_text
+    from phytac_design.fabrication.documents.section_view import section_svg
+    from phytac_design.fabrication.documents.sheet_drawing import svg_text
+    from phytac_design.fabrication.documents.switch_placement import placement_csv
+
+    if without_switches(context, folder):
+        return
+    design, surface, markers = context.design, context.surface, context.markers
+    switches = switches_of(context)
+
+    def write(name: str, text: str) -> None:
+        export_path(folder, f"bench/{name}").write_text(text, encoding="utf-8")
+
+    drawn = make_map(design, surface, markers, switches)
+    write("paint_map.svg", svg_text(whole_page(drawn)))
+    write("paint_map_inside.svg", svg_text(whole_page(drawn, inside=True)))
+    pages = paper_pages(drawn)
+    pdf = pdf_bytes(pages, title=f"{design.name}: paint map")
+    export_path(folder, "bench/paint_map.pdf").write_bytes(pdf)
+    write("switch_placement.csv", placement_csv(surface, markers, switches, drawn))
+
+    lists, hardware = parts_of(context), context.facts("hardware")
+    shell_volume = float(context.facts("shell")["volume_mm3"])
+    rows = bill.bill_rows(
+        [
+            *bill.shell_parts(design, shell_volume, context.facts("printing")["pieces"]),
+            *bill.switch_parts(switches),
+            *bill.optics_parts(design, listed=bool(lists["hardware"])),
+            *(part for parts in lists.values() for part in parts),
+        ]
+    )
+    write("bill_of_materials.csv", bill.bill_csv(rows))
+    recipe = make_recipe(design, rubber_mm3(rows), _volume_mm3(rows, "silicone"))
+    write("casting.md", recipe_text(design, recipe))
+    context.progress("bench: assembly sheet")
+    sheet = assembly_html(
+        design,
+        switches,
+        recipe,
+        bill=rows,
+        steps=recipe_steps(design, recipe),
+        fixture_steps=fixture_steps(design, hardware),
+        pictures=pictures(context),
+        section=section_svg(design, markers, switches),
+    )
+    write("assembly.html", sheet)
+    masses = {name: bill.total_mass_g(rows, name) for name in ("resin", "tpu", "silicone")}
+    write_facts(
+        folder,
+        {
+            "bill": rows,
+            "mass_g": masses,
+            "recipe": asdict(recipe),
+            "map": {
+                "kind": drawn.unrolled.kind,
+                "pieces": drawn.unrolled.pieces,
+                "scale_least": float(drawn.unrolled.stretch[0]),
+                "scale_most": float(drawn.unrolled.stretch[1]),
+                "sheets": len(pages),
+            },
+        },
+    )
+
+
+def parts_of(context: Context) -> dict[str, list[dict[str, Any]]]:
+    """Parts lists of the other stages, by stage."""
+    return {name: context.facts(name)["parts"] for name in LISTS}
+
+
+def _volume_mm3(rows: list[dict[str, Any]], material: str) -> float:
+    return float(sum(r["count"] * r["volume_mm3"] for r in rows if r["material"] == material))
+
+
+def rubber_mm3(rows: list[dict[str, Any]]) -> float:
+    """Rubber of all parts that are cast."""
+    return _volume_mm3(rows, "tpu")
+
+
+def pictures(context: Context) -> dict[str, bytes]:
+    """Exploded pictures by caption."""
+    pull_mm = 16.0  # how far the exploded picture pulls the switches out
+    from phytac_design.fabrication.documents.exploded import (
+        Body,
+        part_colour,
+        picture,
+        switch_bodies,
+    )
+    from phytac_design.fabrication.hardware.sensor_solids import exploded_bodies
+    from phytac_design.solids.mesh_export import DISPLAY_COLOURS, read_stl
+
+    design, surface, markers = context.design, context.surface, context.markers
+    out = {}
+    if "hardware_left_out" not in context.facts("hardware"):
+        tolerance = context.accuracy.cad_tolerance_mm
+        parts = exploded_bodies(design, surface, markers, tolerance_mm=tolerance)
+        bodies = [
+            Body(mesh=mesh.moved(shift), colour=part_colour(name))
+            for name, (mesh, shift) in parts.items()
+        ]
+        out["Shell, camera, light and their holders, pulled apart."] = picture(bodies)
+    stl = context.folders["shell"] / EXPORT / "shell/shell.stl"
+    shell = Body(mesh=read_stl(stl), colour=DISPLAY_COLOURS["resin"][:3])
+    switches = switch_bodies(surface, markers, switches_of(context), pull_mm)
+    out[f"Shell and {markers.count} switches, pulled out."] = picture([shell, *switches])
+    return out
+
+
+BENCH = Stage(
+    name="bench",
+    reads=READS,
+    knobs=("cad_tolerance_mm",),
+    needs=("shell", "switch", "printing", *LISTS),
+    run=run,
+)

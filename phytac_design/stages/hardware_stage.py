@@ -1,0 +1,146 @@
+"""Camera mount, cover, light bar, connector or frame: printable files and the whole assembly."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from phytac_design.design.hardware_table import HardwareSection
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts
+from phytac_design.stages.switch_stage import refusal, switches_of
+from phytac_shapes.errors import CadKernelError, DesignError, MissingPartError, NumericalError
+
+if TYPE_CHECKING:
+    from phytac_design.fabrication.hardware.parts import HardwareAssembly
+
+READS = (
+    "name", "markers", "cameras", "bodies", "camera.pixel_um", "switch", "print_rules", "hardware"
+)  # fmt: skip
+
+
+def run(context: Context, folder: Path) -> None:
+    """Write ``fixtures/….stl`` and ``.step`` of printed parts and ``fixtures/assembly.step``.
+
+    Default hardware that cannot be made never stops a build: it is left out, and the facts give
+    the reason.
+
+    Raises
+    ------
+    DesignError
+        If the design's own hardware does not fit, collides, hides markers or lets light in.
+    """
+    if open_holes := refusal(context):
+        why = f"without its switches the sensor's holes are open ({open_holes})"
+        context.progress(f"hardware: left out ({why})")
+        write_facts(folder, {"hardware_left_out": why, "parts": []})
+        return
+    try:
+        kit, solids, facts = _checked(context)
+    except DesignError as error:
+        if context.design.hardware != HardwareSection():
+            raise
+        context.progress(f"hardware: left out ({error})")
+        write_facts(folder, {"hardware_left_out": str(error), "parts": []})
+        return
+    if not kit.parts:
+        write_facts(folder, {"hardware_left_out": kit.left_out["hardware"], "parts": []})
+        return
+    # Both kernels must agree before the first file is written.
+    try:
+        shapes = _cad(context, kit, solids)
+    except MissingPartError as error:
+        context.progress(f"hardware: STEP left out ({error})")
+        facts["step_left_out"] = str(error)
+        shapes = {}
+    from phytac_design.solids.mesh_export import write_stl
+    from phytac_design.solids.solid_mesh import to_triangles
+
+    for part in kit.parts:
+        if part.printed:
+            path = export_path(folder, f"fixtures/{part.name}.stl")
+            write_stl(to_triangles(solids[part.name]), path)
+    if shapes:
+        facts["step"] = _write_step(context, kit, shapes, folder)
+    write_facts(folder, facts)
+
+
+def _checked(context: Context) -> tuple["HardwareAssembly", dict[str, Any], dict[str, Any]]:
+    """Kit, its solids with shell and switches, and facts; rejected unless all checks pass."""
+    from phytac_design.fabrication.hardware.assembly_checks import hardware_facts, verdict
+    from phytac_design.fabrication.hardware.hardware_assembly import make_hardware
+    from phytac_design.fabrication.hardware.sensor_solids import hardware_solids, sensor_solids
+    from phytac_design.layout.cameras import cameras_of
+
+    design, surface, markers = context.design, context.surface, context.markers
+    kit = make_hardware(design, surface)
+    if not kit.parts:
+        return kit, {}, {}
+    switches = switches_of(context)
+    tolerance = context.accuracy.cad_tolerance_mm
+    solids = sensor_solids(design, surface, markers, switches, tolerance_mm=tolerance)
+    solids |= hardware_solids(design, surface, kit, tolerance_mm=tolerance)
+    cameras = list(cameras_of(design, surface))
+    found = verdict(design, surface, markers, switches, cameras, kit, solids)
+    found.raise_failure()
+    return kit, solids, hardware_facts(design, kit, found, solids)
+
+
+def _cad(context: Context, kit: "HardwareAssembly", solids: dict[str, Any]) -> dict[str, Any]:
+    """CAD of all parts by name, each compared with its mesh."""
+    # Largest relative difference of the two kernels' volumes that a build accepts.
+    volume_tol = 1e-3
+    from phytac_design.fabrication.hardware.by_cad import CadKernel
+    from phytac_design.solids.cad import cad_facts
+
+    kernel = CadKernel(context.surface)
+    shapes = {}
+    for part in kit.parts:
+        shape = kernel.solid(part.node)
+        facts, volume = cad_facts(shape), float(solids[part.name].volume())
+        difference = abs(volume / facts.volume_mm3 - 1.0)
+        if not facts.valid or difference > volume_tol:
+            raise NumericalError(
+                f"the CAD of {part.name} is not sound: valid {facts.valid}, "
+                f"{facts.volume_mm3:.1f} mm³ against {volume:.1f} mm³ of the printed mesh; please "
+                "report this design"
+            )
+        shapes[part.name] = shape
+    return shapes
+
+
+def _write_step(
+    context: Context, kit: "HardwareAssembly", shapes: dict[str, Any], folder: Path
+) -> dict[str, Any]:
+    """Write each printed part and the assembly; return what it contains."""
+    # From this tolerance on, the STEP assembly holds the whole shell and all switches.
+    whole_mm = 0.02
+    from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodies, wall_body
+    from phytac_design.solids.cad import write_assembly, write_step
+
+    design, surface, markers = context.design, context.surface, context.markers
+    for part in kit.parts:
+        if part.printed:
+            path = export_path(folder, f"fixtures/{part.name}.step")
+            write_step(shapes[part.name], path, name=part.name)
+    whole = context.accuracy.cad_tolerance_mm <= whole_mm
+    bodies = hardware_bodies(kit, shapes)
+    if whole:
+        context.progress("hardware: STEP of the whole sensor")
+        try:
+            sensor = sensor_bodies(design, surface, markers, switches_of(context))
+        except CadKernelError as error:
+            context.progress(f"hardware: the assembly holds the wall without receptors ({error})")
+            whole = False
+    if not whole:
+        sensor = [wall_body(design, surface)]
+    bodies = sensor + bodies
+    write_assembly(bodies, export_path(folder, "fixtures/assembly.step"), name=design.name)
+    return {"bodies": len(bodies), "shell_with_receptors_and_switches": whole}
+
+
+HARDWARE = Stage(
+    name="hardware",
+    reads=READS,
+    knobs=("cad_tolerance_mm",),
+    needs=("switch",),
+    graphics=True,
+    run=run,
+)

@@ -1,0 +1,137 @@
+"""Molds for the design's switches: plates or trays as STL, checked before they are written."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts
+from phytac_design.fabrication.bill import bill_part, csv_text
+from phytac_design.stages.switch_stage import switches_of, without_switches
+
+if TYPE_CHECKING:
+    from phytac_design.fabrication.molds.make import MoldSet
+    from phytac_design.fabrication.switch_set import SwitchSet
+
+NAMES = {
+    "dome_plate": "mold, dome plate",
+    "core_plate": "mold, core plate",
+    "cap_plate": "mold, cap",
+    "dome_tray": "mold, master tray of the domes",
+    "core_tray": "mold, master tray of the stems",
+}
+
+
+def run(context: Context, folder: Path) -> None:
+    """Write ``mold/*.stl`` and ``mold/cavities.csv``, and the mold's facts."""
+    from phytac_design.fabrication.molds.audit import (
+        audit_facts,
+        audit_set,
+        check_mold,
+        fine_sections,
+        volumes_mm3,
+    )
+    from phytac_design.fabrication.molds.make import make_molds
+    from phytac_design.fabrication.molds.rules import rule_rows
+    from phytac_design.solids.mesh_export import stl_bytes
+
+    if without_switches(context, folder):
+        return
+    design, switches = context.design, switches_of(context)
+    section = design.mold
+    made = make_molds(
+        section,
+        design.print_rules,
+        switches,
+        tolerance_mm=context.accuracy.cad_tolerance_mm,
+    )
+    fine = fine_sections(switches)
+    sets, poured, files = [], [], {}
+    for each in made:
+        context.progress(f"mold: set {each.plan.number} of {each.plan.total}")
+        audit = audit_set(each, fine)
+        check_mold(each, audit)
+        sets.append(audit_facts(each, audit))
+        poured.append(volumes_mm3(each, audit, fine))
+        for name in each.parts:
+            files[f"mold/{name}_{each.plan.number}.stl"] = stl_bytes(each.printed(name))
+    for file, data in files.items():
+        export_path(folder, file).write_bytes(data)
+    export_path(folder, "mold/cavities.csv").write_text(_table(made, switches), encoding="utf-8")
+    total = {key: sum(each[key] for each in poured) for key in poured[0]}
+    plates = [plate for each in sets for plate in each["plates"].values()]
+    write_facts(
+        folder,
+        {
+            "way": section.way,
+            "sets": sets,
+            "cavities": sum(each.plan.cavities for each in made),
+            "pitch_mm": made[0].sizes.pitch_mm,
+            "largest_mm": max(max(plate["size_mm"]) for plate in plates),
+            "poured_mm3": total,
+            "undercut_rays": sum(plate["undercut_rays"] for plate in plates),
+            "least_draft_deg": min(plate["least_draft_deg"] for plate in plates),
+            "shared_mm3": max(each["shared_mm3"] for each in sets),
+            "volume_error": max(each["volume_error"] for each in sets),
+            "hausdorff_mm": max(each["hausdorff_mm"] for each in sets),
+            "print_rules": rule_rows(made[0].sizes),
+            "parts": _parts(sets, poured),
+        },
+    )
+
+
+def _table(made: "list[MoldSet]", switches: "SwitchSet") -> str:
+    """CSV of the cavities of each kind of switch."""
+    rows = [
+        [
+            each.plan.number,
+            item.line + 1,
+            item.start + 1,
+            item.count,
+            each.sizes.labels[item.kind],
+            f"{switches.lengths_mm[item.kind[1]]:.1f}",
+            f"{switches.threshold_N[item.kind[0]]:g}",
+        ]
+        for each in made
+        for item in each.plan.runs
+    ]
+    columns = ("set", "line", "first", "count", "label", "length_mm", "threshold_N")
+    return csv_text(columns, rows)
+
+
+def _parts(sets: list[dict[str, Any]], poured: list[dict[str, float]]) -> list[dict[str, Any]]:
+    """Parts list: plates, silicone, and surplus rubber; the bench lists the switches."""
+    found = []
+    for facts, volumes in zip(sets, poured, strict=True):
+        number = facts["set"]
+        suffix = "" if len(sets) == 1 else f" {number}"
+        found += [
+            bill_part(
+                f"{NAMES[name]}{suffix}",
+                file=f"mold/{name}_{number}.stl",
+                volume_mm3=plate["volume_mm3"],
+                note="printed once",
+            )
+            for name, plate in facts["plates"].items()
+        ]
+        found += [
+            bill_part(
+                f"mold, silicone {half} half{suffix}",
+                material="silicone",
+                volume_mm3=volumes[f"silicone_{half}"],
+                note="cast",
+            )
+            for half in ("dome", "core")
+            if f"silicone_{half}" in volumes
+        ]
+        over = volumes["rubber"] - volumes["switches"]
+        part = f"rubber that runs over{suffix}"
+        found.append(bill_part(part, material="tpu", volume_mm3=over, note="each casting"))
+    return found
+
+
+MOLD = Stage(
+    name="mold",
+    reads=("tubes", "switch", "mold", "print_rules"),
+    knobs=("cad_tolerance_mm",),
+    needs=("switch",),
+    run=run,
+)

@@ -1,0 +1,103 @@
+"""What a contact at any place does to the markers' images: tables for the estimator ``auto``."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
+from phytac_design.layout.thresholds import thresholds_N
+from phytac_design.simulation.scenario.scene_scope import scope_of
+from phytac_design.stages.response_stage import (
+    IMAGE_ARRAYS,
+    MECHANICS,
+    TOUCH,
+    decoder_shell,
+    image_response_of,
+)
+
+if TYPE_CHECKING:
+    from phytac_decoder.estimation.locator import ContactLocator
+
+NOISE_FACTOR = 1.4
+"""Noise of measured shifts over that of a centroid: they are differences of two."""
+
+
+def run_places(context: Context, folder: Path) -> None:
+    """Tabulate linear and large-displacement shifts over the surface."""
+    from phytac_decoder.io.bundle_locator import response_arrays
+    from phytac_design.simulation.response_tables import place_spacing_mm, tabulate_responses
+
+    design, surface, markers = context.design, context.surface, context.markers
+    training, accuracy, scope = design.training, context.accuracy, scope_of(context)
+    mesh, model, _ = decoder_shell(context)
+    radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
+    done = tabulate_responses(
+        design,
+        surface,
+        markers,
+        mesh=mesh,
+        model=model,
+        see=image_response_of(context),
+        spacing_mm=place_spacing_mm(surface, accuracy.place_share, radius),
+        orders=accuracy.place_orders,
+        near=scope.near if scope else None,
+        progress=context.progress,
+    )
+    places = done.places
+    write_arrays(folder, response_arrays(places))
+    write_facts(
+        folder,
+        {
+            "places": len(places.point_mm),
+            "solves": done.solves,
+            "bent": done.bent,
+            "large": done.large,
+            "unsure": done.unsure,
+            "orders": places.orders,
+            "pairs": len(places.pairs.grid.point_mm) if places.pairs else 0,
+            "walls": [round(give, 6) for give in done.give],
+            "radius_mm": places.radius_mm,
+            **({"top_N": places.top_N} if places.orders > 1 else {}),
+            "spacing_mm": places.spacing_mm,
+        },
+    )
+
+
+def locator_of(context: Context) -> "ContactLocator":
+    """The estimator ``auto`` by design alone: no sample of the sensor has been seen."""
+    from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
+    from phytac_decoder.estimation.locator import ContactLocator
+    from phytac_decoder.io.bundle_locator import response_from_arrays
+    from phytac_design.simulation.cramer_rao import cell_prior
+
+    design, surface, markers = context.design, context.surface, context.markers
+    training = design.training
+    arrays, facts = context.arrays("places"), context.facts("places")
+    prior = cell_prior(
+        surface.area_mm2(),
+        markers.count,
+        training.patch_radius_min_mm,
+        training.patch_radius_max_mm,
+    )
+    radius = float(facts["radius_mm"])
+    # A disc's second moment is a quarter of its squared radius.
+    spread = radius / 2.0 * prior.radius_mm
+    return ContactLocator(
+        places=response_from_arrays(arrays, radius, float(facts.get("top_N", "inf"))),
+        position_mm=surface.point(markers.uv),
+        neighbours=markers.neighbours,
+        footprint_mm=design.switch.footprint_diameter_mm / 2.0,
+        threshold_N=thresholds_N(design, markers),
+        prior=ContactPrior(place_mm=prior.place_mm, moments_sd_mm2=(spread, spread / 2.0, spread)),
+        noise=ShiftNoise(centroid_px=NOISE_FACTOR * design.camera.noise_centroid_px),
+    )
+
+
+PLACES = Stage(
+    name="places",
+    reads=(*MECHANICS, *TOUCH),
+    knobs=("refine", "receptors", "place_share", "place_orders"),
+    needs=("views",),
+    uses=IMAGE_ARRAYS,
+    scene=("regions", "reach_mm"),
+    run=run_places,
+)

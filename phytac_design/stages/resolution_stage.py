@@ -1,0 +1,107 @@
+"""How well a contact can be read at all: the Cramér-Rao bound at every receptor."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
+from phytac_design.simulation.scenario.scene_scope import scope_of
+from phytac_design.stages.response_stage import MECHANICS, TOUCH, decoder_shell
+from phytac_shapes.arrays import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from phytac_design.simulation.cramer_rao import CramerRaoBound
+
+FORCES_N = (1.0, 5.0, 10.0, 25.0)
+"""Forces at which the bound is stated, besides the design's greatest."""
+RIM_SHARE = 0.125
+"""Share of the height next to each rim that is reported apart (15-105 mm of 120)."""
+
+
+def _medians(bound: "CramerRaoBound", middle: BoolArray) -> dict[str, float]:
+    """Figures over all receptors, and over those (n,) in the middle of the sensor."""
+    return {
+        "force_N_median_middle": float(np.median(bound.force_N[middle])),
+        "force_N_median": float(np.median(bound.force_N)),
+        "force_N_worst": float(bound.force_N.max()),
+        "force_known_place_N_median": float(np.median(bound.force_known_N)),
+        "along_mm_median": float(np.median(bound.along_mm)),
+        "around_mm_median": float(np.median(bound.around_mm)),
+    }
+
+
+def run_resolution(context: Context, folder: Path) -> None:
+    """Cramér-Rao bound of force and place at every receptor."""
+    from phytac_design.simulation.cramer_rao import ContactSignals, cell_prior, contact_signals
+    from phytac_design.simulation.linear_response import motion_responses
+
+    design, surface, markers = context.design, context.surface, context.markers
+    training = design.training
+    mesh, model, _ = decoder_shell(context)
+    views = context.arrays("views")
+    # A marker that a camera does not see has no information through it.
+    slopes = np.where(views["seen_by"][:, :, None, None], views["paint_slopes"], 0.0)
+
+    def shifts(uv: FloatArray, radius_mm: FloatArray) -> FloatArray:
+        motion = motion_responses(model, mesh, surface, markers, uv=uv, radius_mm=radius_mm)
+        return np.concatenate(
+            [np.einsum("nij,cnj->cni", slope, motion) for slope in slopes], axis=1
+        )
+
+    radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
+    scope = scope_of(context)
+    chosen = np.arange(markers.count)
+    if scope is not None:
+        chosen = np.flatnonzero(scope.in_play(markers))
+    signals = contact_signals(surface, shifts, uv=markers.uv[chosen], radius_mm=radius)
+    prior = cell_prior(
+        surface.area_mm2(),
+        markers.count,
+        training.patch_radius_min_mm,
+        training.patch_radius_max_mm,
+    )
+    noise = design.camera.noise_centroid_px
+    along = surface.unwrap(markers.uv)[:, 1]
+    place = ((along - along.min()) / max(float(np.ptp(along)), 1e-9))[chosen]
+    middle = (place > RIM_SHARE) & (place < 1.0 - RIM_SHARE)
+    middle = middle if middle.any() else np.ones_like(middle)  # one row, or one marker
+    arrays: dict[str, Any] = {}
+    table: dict[str, Any] = {}
+    # What the decoder makes use of: each marker through the one camera that reads it.
+    read = np.repeat((views["camera"] == np.arange(len(slopes))[:, None]).ravel(), 2)
+    as_read = ContactSignals(shift=signals.shift[:, read], slopes=signals.slopes[:, read])
+    table_read: dict[str, Any] = {}
+    for force in sorted({*FORCES_N, training.force_max_N}):
+        bound = signals.bound(force, noise_px=noise, prior=prior)
+        for key, value in asdict(bound).items():
+            # A scene knows nothing of receptors that are not in play.
+            arrays[f"{key}_{force:g}"] = np.full(markers.count, np.nan)
+            arrays[f"{key}_{force:g}"][chosen] = value
+        table[f"{force:g} N"] = _medians(bound, middle)
+        table_read[f"{force:g} N"] = _medians(
+            as_read.bound(force, noise_px=noise, prior=prior), middle
+        )
+    write_arrays(folder, arrays)
+    facts = {
+        "bound": table,
+        **({"bound_as_read": table_read} if len(slopes) > 1 else {}),
+        "cameras": len(slopes),
+        "noise_px": noise,
+        "radius_mm": radius,
+        "prior_place_mm": prior.place_mm,
+        "prior_radius_mm": prior.radius_mm,
+    }
+    write_facts(folder, facts)
+
+
+RESOLUTION = Stage(
+    name="resolution",
+    reads=(*MECHANICS, "camera.noise_centroid_px", *TOUCH),
+    knobs=("refine", "receptors"),
+    needs=("views",),
+    uses={"views": ("paint_slopes", "seen_by", "camera")},
+    scene=("regions", "reach_mm"),
+    run=run_resolution,
+)

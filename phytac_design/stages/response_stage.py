@@ -1,0 +1,253 @@
+"""The decoder's own mechanics (response) and, on another mesh, simulated data (stage twin)."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from phytac_design.design.scene import ALL_AT_ONCE
+from phytac_design.design.spec import Design
+from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
+from phytac_design.simulation.scenario.scene_scope import scope_of
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
+
+if TYPE_CHECKING:
+    from phytac_design.layout.cameras import Readers
+    from phytac_design.mechanics.meshing.mesh import ShellMesh
+    from phytac_design.mechanics.shell.solve import ShellModel
+    from phytac_design.simulation.pressed_series import ImageResponse
+
+MECHANICS = ("tubes", "cameras", "stiffness")
+TOUCH = ("training.force_max_N", "training.patch_radius_min_mm", "training.patch_radius_max_mm")
+IMAGE_ARRAYS = {"views": ("paint_point_mm", "paint_slope", "camera")}
+"""Where the paint is, how its image moves with the wall, and which camera reads it: all that
+mechanics asks of the pictures."""
+SCENE_SAMPLES = {"test": 24, "anywhere": 12}
+"""Samples of a scene that trains nothing, for evaluation."""
+
+
+def arms_mm(context: Context) -> FloatArray:
+    """From each marker's place on the middle face to the paint that its camera sees, (n, 3)."""
+    return np.asarray(context.arrays("views")["paint_point_mm"] - context.markers.mid_mm)
+
+
+def readers_of(context: Context) -> "Readers":
+    """The cameras, each marker read through the one that sees it best (of the stage ``views``)."""
+    from phytac_design.layout.cameras import Readers, cameras_of
+
+    cameras = cameras_of(context.design, context.surface)
+    return Readers(cameras=cameras, read_by=context.arrays("views")["camera"])
+
+
+def image_response_of(context: Context) -> "ImageResponse":
+    """What the cameras see of motion (of the stage ``views``)."""
+    from phytac_design.simulation.pressed_series import ImageResponse
+
+    slope = context.arrays("views")["paint_slope"]
+    return ImageResponse(readers_of(context), context.markers.mid_mm, arms_mm(context), slope)
+
+
+def decoder_shell(context: Context) -> "tuple[ShellMesh, ShellModel, bool]":
+    """Mesh and model of the decoder's own shell, and whether it has its receptors' stiffness."""
+    from phytac_design.mechanics.meshing.mesh import marker_mesh
+    from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
+
+    design, markers = context.design, context.markers
+    mesh = marker_mesh(
+        context.surface,
+        markers,
+        thickness_mm=design.wall.thickness_mm,
+        refine=context.accuracy.refine,
+    )
+    receptors = context.accuracy.receptors and not unknown_receptors(design)
+    return mesh, sensor_model(design, markers, mesh, receptors=receptors), receptors
+
+
+def cell_radius_mm(context: Context) -> float:
+    """Radius of the disc that has the area of one marker's cell.
+
+    The decoder lets each receptor carry the force on its own cell, as a node of the paper's mesh
+    carries the load of the elements around it. How far a force spreads matters: a wall this thin
+    dents half as much again under a switch's footprint (radius 2.3 mm) as under a cell (4.4 mm),
+    and the estimators err accordingly.
+    """
+    area = context.surface.area_mm2() / context.markers.count
+    return float(np.sqrt(area / np.pi))
+
+
+def run_response(context: Context, folder: Path) -> None:
+    """Condense the decoder's mesh to what each marker's camera sees of it.
+
+    In a scene only forces on receptors in play are: to the others the matrices give no force.
+    """
+    from phytac_design.mechanics.shell.receptor_stiffness import unknown_receptors
+    from phytac_design.simulation.linear_response import condense_pressed, pressed_motion
+
+    surface, markers = context.surface, context.markers
+    unknown = unknown_receptors(context.design)
+    if context.accuracy.receptors and unknown:
+        context.progress(f"response: the wall is taken as plain: {unknown}")
+    mesh, model, receptors = decoder_shell(context)
+    scope = scope_of(context)
+    pressed = np.arange(markers.count)
+    if scope is not None:
+        pressed = np.flatnonzero(scope.in_play(markers))
+    motion = pressed_motion(
+        model, mesh, surface, markers, pressed=pressed, radius_mm=cell_radius_mm(context)
+    )
+    condensed = condense_pressed(
+        context.arrays("views")["paint_slope"],
+        normal=markers.normal,
+        motion=motion,
+        pressed=pressed,
+    )
+    write_arrays(
+        folder,
+        {
+            "shift_to_mm": condensed.shift_to_mm,
+            "compliance_px": condensed.compliance_px,
+            "stiffness": condensed.stiffness,
+            "sensitivity_px_mm": condensed.sensitivity_px_mm,
+        },
+    )
+    write_facts(
+        folder,
+        {
+            "nodes": len(mesh.nodes_mm),
+            "condition": condensed.condition,
+            "sensitivity_px_mm_least": float(condensed.sensitivity_px_mm[pressed].min()),
+            "sensitivity_px_mm_median": float(np.median(condensed.sensitivity_px_mm[pressed])),
+            "receptors": receptors,
+            "receptors_unknown": unknown,
+        },
+    )
+
+
+def run_twin(context: Context, folder: Path) -> None:
+    """Draw contacts, solve them on the finer mesh, project and add noise."""
+    from phytac_design.mechanics.shell.receptor_stiffness import unknown_receptors
+    from phytac_design.simulation.contacts import draw_contacts, switch_states
+    from phytac_design.simulation.dataset import Dataset
+    from phytac_design.simulation.linear_response import motion_responses, superpose
+
+    design, surface, markers = context.design, context.surface, context.markers
+    rng = np.random.default_rng([context.seed, 1])
+    count = samples_of(design, context.accuracy.sample_share)
+    if context.scene is not None and not context.scene.samples:
+        count = dict(SCENE_SAMPLES)
+    scope = scope_of(context)
+    drawn = {
+        name: draw_contacts(
+            design,
+            surface,
+            markers,
+            samples=samples,
+            rng=rng,
+            placement="anywhere" if name == "anywhere" else "receptor",
+            most=context.scene.at_once if context.scene else ALL_AT_ONCE,
+            inside=scope.holds if scope else None,
+        )
+        for name, samples in count.items()
+    }
+    mesh, model = truth_model(context)
+    responses = motion_responses(
+        model,
+        mesh,
+        surface,
+        markers,
+        uv=np.concatenate([item.uv for item in drawn.values()]),
+        radius_mm=np.concatenate([item.radius_mm for item in drawn.values()]),
+        progress=context.progress,
+    )
+    dent = deepest_dent_mm(context, responses, np.concatenate([i.force_N for i in drawn.values()]))
+    see = image_response_of(context)
+    arrays: dict[str, Any] = {}
+    start = 0
+    for name, item in drawn.items():
+        end = start + len(item.force_N)
+        shift = see.shift(superpose(responses[start:end], item), linear=True)
+        start = end
+        noise = rng.normal(0.0, design.camera.noise_centroid_px, shift.shape)
+        switching = switch_states(design, surface, markers, item)
+        arrays |= Dataset(contacts=item, switching=switching, shift_px=shift + noise).arrays(name)
+    write_arrays(folder, arrays)
+    wall = "plain shell" if unknown_receptors(design) else "shell with receptors"
+    write_facts(
+        folder,
+        {
+            "model": f"linear {wall} on a finer, non-nested mesh; simulated",
+            "nodes": len(mesh.nodes_mm),
+            "samples": count,
+            "dent_mm_largest": dent,
+            "contacts": {name: len(item.force_N) for name, item in drawn.items()},
+            "tripped_no_switch": {name: int((~arrays[f"{name}.tripped"]).sum()) for name in drawn},
+        },
+    )
+
+
+def truth_model(context: Context) -> "tuple[ShellMesh, ShellModel]":
+    """Mesh and model of the simulated sensor; in a scene fine in its regions alone."""
+    from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
+    from phytac_design.simulation.instance_shell import local_mesh, truth_mesh, truth_shell
+
+    design, surface, scope = context.design, context.surface, scope_of(context)
+    refine = context.accuracy.truth_refine
+    if scope is None:
+        return truth_shell(design, surface, refine)
+    mesh = local_mesh(design, surface, truth_mesh(design, surface, refine), scope.touched)
+    receptors = not unknown_receptors(design)
+    return mesh, sensor_model(design, context.markers, mesh, receptors=receptors)
+
+
+def deepest_dent_mm(context: Context, responses: FloatArray, force_N: FloatArray) -> float:
+    """Largest motion of a marker under any one contact, by linear theory, mm.
+
+    Raises
+    ------
+    DesignError
+        If it is larger than the sensor: the forces are not for this wall.
+    """
+    per_N = np.linalg.norm(responses[..., :3], axis=2).max(axis=1)
+    dent = float((per_N * force_N).max(initial=0.0))
+    size = float(np.sort(np.ptp(context.surface.bounds_mm(), axis=0))[1]) / 2.0
+    if dent > size:
+        most = context.design.training.force_max_N
+        raise DesignError(
+            f"contacts of up to {most:g} N are too strong for this wall: they would press it in "
+            f"by {dent:.3g} mm, and the sensor is {size:.3g} mm from its middle to its side; lower "
+            f"training.force_max_N (a tenth of that depth is {0.1 * most * size / dent:.2g} N) or "
+            "raise wall.thickness_mm"
+        )
+    return dent
+
+
+def samples_of(design: Design, share: float) -> dict[str, int]:
+    """Samples of each set."""
+    test = max(round(share * design.training.samples_test), 10)
+    return {
+        "train": max(round(share * design.training.samples), 20),
+        "test": test,
+        "anywhere": max(test // 2, 10),
+    }
+
+
+RESPONSE = Stage(
+    name="response",
+    reads=MECHANICS,
+    knobs=("refine", "receptors"),
+    needs=("views",),
+    uses=IMAGE_ARRAYS,
+    scene=("regions", "reach_mm"),
+    run=run_response,
+)
+TWIN = Stage(
+    name="twin",
+    reads=(*MECHANICS, "trips", "training", "camera.noise_centroid_px"),
+    knobs=("truth_refine", "sample_share"),
+    needs=("views",),
+    uses=IMAGE_ARRAYS,
+    seeded=True,
+    scene=("regions", "reach_mm", "at_once", "samples"),
+    run=run_twin,
+)

@@ -1,0 +1,143 @@
+"""The design's threshold switches: one bowl for each threshold, solved and fitted."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phytac_decoder.vision.switch_detection import RED_RATIO_MIN, RED_AREA_MIN_px
+from phytac_design.core.json_values import finite
+from phytac_design.engine.stage import Context, Stage, export_path, write_facts
+from phytac_design.fabrication.switch_set import SwitchSet, make_switches, revolved_volume_mm3
+from phytac_design.layout.thresholds import thresholds_N
+from phytac_shapes.arrays import FloatArray
+from phytac_shapes.errors import DesignError
+
+RED = {"views": ("tip_red_rest_px", "tip_red_on_px")}
+READS = ("tubes", "cameras", "wall", "receptor", "switch", "mold", "print_rules")
+
+
+def run(context: Context, folder: Path) -> None:
+    """Write ``switch/switches.json``, and a curve (JSON and SVG) for each threshold.
+
+    A switch that does not fit is recorded with its reason: the stage's gate stops the build, and
+    with ``--force`` the sensor is built without its switches.
+    """
+    try:
+        made = design_switches(context, folder)
+    except DesignError as error:
+        context.progress(f"switch: {error}")
+        write_facts(folder, {"refused": str(error), "switches": [], "red": {}, "parts": []})
+        return
+    switches = _set_of(context, made)
+    parts = [
+        {
+            "part": f"switch {switches.label(kind)}",
+            "file": "",
+            "count": len(switches.markers_of(kind)),
+            "material": "tpu",
+            "volume_mm3": revolved_volume_mm3(switches.profile(kind)),
+            "note": f"{float(switches.lengths_mm[kind[1]]):.1f} mm from the outer face to the tip",
+        }
+        for kind in switches.kinds
+    ]
+    facts = {"refused": "", "switches": made, "red": red_of(context), "parts": parts}
+    text = json.dumps(finite(facts), indent=1, ensure_ascii=False)
+    export_path(folder, "switch/switches.json").write_text(text + "\n", encoding="utf-8")
+    write_facts(folder, facts)
+
+
+def design_switches(context: Context, folder: Path) -> list[dict[str, Any]]:
+    """Design one bowl for each threshold, write its curve, and return its facts without it.
+
+    Raises
+    ------
+    DesignError
+        If one does not fit the space or has no data for its rubber.
+    """
+    from phytac_design.mechanics.switch.design import design_switch
+    from phytac_design.mechanics.switch.line_plot import write_svg
+    from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
+    from phytac_design.mechanics.switch.switch_report import curve_plot, switch_dict
+    from phytac_design.mechanics.switch.switch_space import Tolerance
+
+    design, switch = context.design, context.design.switch
+    rubber, space = rubber_of(design), space_of(design)
+    tolerance = Tolerance(thickness_mm=switch.wall_tolerance_mm, modulus=switch.modulus_tolerance)
+    found = []
+    for threshold in np.unique(thresholds_N(design, context.markers)):
+        context.progress(f"switch: bowl for {threshold:g} N")
+        found.append(design_switch(float(threshold), rubber, space, tolerance))
+    for made in found:
+        name = f"switch/switch_{made.threshold_N:g}N"
+        text = json.dumps(switch_dict(made), indent=1, ensure_ascii=False)
+        export_path(folder, f"{name}.json").write_text(text + "\n", encoding="utf-8")
+        write_svg(export_path(folder, f"{name}.svg"), curve_plot(made))
+    return [
+        {key: value for key, value in switch_dict(made).items() if key != "curve"} for made in found
+    ]
+
+
+def refusal(context: Context) -> str:
+    """Why the design's switches cannot be made; "" if they can."""
+    return str(context.facts("switch").get("refused", ""))
+
+
+def red_of(context: Context) -> dict[str, Any]:
+    """Red pixels of the tips in the camera against the decoder's minimum, at the weakest switch.
+
+    The image uses the design's stroke; the bowls' own stroke is at least that.
+    """
+    views = context.arrays("views")
+    rest, out = views["tip_red_rest_px"], views["tip_red_on_px"]
+    needed = RED_RATIO_MIN * rest + RED_AREA_MIN_px
+    worst = int(np.argmin(out - needed))
+    far = int(
+        np.argmax(np.linalg.norm(context.markers.tip_mm - _camera_position_mm(context), axis=1))
+    )
+    return {
+        "worst_marker": context.markers.name(worst),
+        "worst_on_px": float(out[worst]),
+        "worst_needed_px": float(needed[worst]),
+        "farthest_marker": context.markers.name(far),
+        "farthest_on_px": float(out[far]),
+        "farthest_needed_px": float(needed[far]),
+        "unreadable": int((out <= needed).sum()),
+    }
+
+
+def _camera_position_mm(context: Context) -> FloatArray:
+    from phytac_design.layout.cameras import cameras_of
+
+    return cameras_of(context.design, context.surface)[0].position_mm
+
+
+def switches_of(context: Context) -> SwitchSet:
+    """Switches of a design whose switch stage has run.
+
+    Raises
+    ------
+    DesignError
+        If they cannot be made; see :func:`refusal`.
+    """
+    if refusal(context):
+        raise DesignError(refusal(context))
+    return _set_of(context, context.facts("switch")["switches"])
+
+
+def without_switches(context: Context, folder: Path) -> bool:
+    """Write facts that say why a stage makes nothing, if the switches cannot be made."""
+    reason = refusal(context)
+    if reason:
+        context.progress("left out: the switches cannot be made")
+        write_facts(folder, {"left_out": reason, "parts": []})
+    return bool(reason)
+
+
+def _set_of(context: Context, made: list[dict[str, Any]]) -> SwitchSet:
+    thresholds = thresholds_N(context.design, context.markers)
+    return make_switches(context.design, context.surface, context.markers, made, thresholds)
+
+
+SWITCH = Stage(name="switch", reads=READS, needs=("views",), uses=RED, gate=refusal, run=run)
