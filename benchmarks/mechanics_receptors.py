@@ -1,7 +1,7 @@
 """Receptors on the shell: cell models, and whole small sensors as solids of the true CAD.
 
 ``add_rows`` adds to the table of ``mechanics``; ``python -m benchmarks.mechanics_receptors``
-prints the rows alone, ``--table`` makes the tables of ``phytac_design.mechanics.shell.receptor_stiffness``.
+prints the rows alone, ``--table`` makes the tables of ``receptor_stiffness``.
 """
 
 import argparse

@@ -121,6 +121,14 @@ def test_no_class_name_stands_for_two_things() -> None:
     assert {name: users for name, users in where.items() if len(users) > 1} == {}
 
 
+def test_no_module_name_stands_for_two_things() -> None:
+    where: dict[str, list[str]] = defaultdict(list)
+    for module, path in MODULES.items():
+        if path.name not in {"__init__.py", "__main__.py"}:
+            where[path.stem].append(module)
+    assert {name: users for name, users in where.items() if len(users) > 1} == {}
+
+
 def test_no_word_of_the_old_dialect_names_anything() -> None:
     found = [
         f"{module}:{number}: {line.strip()}"

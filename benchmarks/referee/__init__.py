@@ -3,7 +3,7 @@
 What is solved
 --------------
 Dead patch loads (even pressure along the inward normal at rest, 1 N times the force along the
-normal at the centre, as :func:`phytac_design.mechanics.shell.loads.patch_loads`) on the shell as printed,
+normal at the centre, as :func:`patch_loads`) on the shell as printed,
 rims held; quadratic tetrahedra, large displacements (NLGEOM), the full load reached. Receptors
 within 20 mm of a contact (15 mm where there are several), tubes and holes, are the CAD's; the wall
 farther away is a smeared one (:mod:`verification.partial_solid`), and tips there stand

@@ -213,7 +213,7 @@ class Session(NamedTuple):
         return [region.name for region in self.regions]
 
     def frames(self, stack: contextlib.ExitStack, source: list[str], **options: Any) -> "Source":
-        """Source of frames, which the stack closes; see :func:`phytac_decoder.io.frame_sources.open_source`."""
+        """Source of frames, which the stack closes; see :func:`open_source`."""
         from phytac_decoder.io.frame_sources import open_source
 
         camera = self.bundle.camera

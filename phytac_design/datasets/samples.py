@@ -109,7 +109,7 @@ class KeyNodeRows:
 
     @property
     def inputs_mm(self) -> FloatArray:
-        """The ten inputs (k, 10) of ``phytac_decoder.estimation.cascade_network.network_features``."""
+        """The ten inputs (k, 10) of :func:`network_features`."""
         return np.column_stack([self.u_mm, self.height_z_mm[self.marker]])
 
 

@@ -1,4 +1,4 @@
-"""Reading of data sets of :mod:`phytac_design.datasets.samples_writer`, with checks of all contents."""
+"""Reading data sets of :mod:`phytac_design.datasets.samples_writer`, all contents checked."""
 
 import io
 import json

@@ -83,7 +83,7 @@ class Stage:
     name : str
         As in ``--only`` and the timings.
     reads : tuple of str
-        What of the design file it reads, in the names of :mod:`phytac_design.design.field_groups`: a change
+        What of the design file it reads, in the names of :mod:`field_groups`: a change
         elsewhere does not run it again.
     knobs : tuple of str
         Settings of the accuracy preset that it reads.

@@ -278,7 +278,7 @@ def _settled(
 
 
 def pressed_markers(markers: Markers, motion: FloatArray) -> Markers:
-    """Bases and axes of markers that move by translations (mm) and small rotations (rad), (n, 6)."""
+    """Bases and axes of markers moved by translations (mm) and small rotations (rad), (n, 6)."""
     shift, turn = motion[:, :3], motion[:, 3:]
     direction = markers.direction + np.cross(turn, markers.direction)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Training of :class:`phytac_decoder.estimation.force_correction.ForceCorrection` from contacts of known force.
+"""Training of a :class:`ForceCorrection` from contacts of known force.
 
 Length scales are those that maximise the marginal likelihood (Rasmussen and Williams 2006,
 eq. 5.8); the spread is calibrated on leave-one-out residuals (eq. 5.12).

@@ -121,7 +121,7 @@ def _initial(seed: int) -> FloatArray:
 
 
 class CascadeDerivatives:
-    """The network of ``phytac_decoder.estimation.cascade_network`` at one vector of parameters, with its derivatives."""
+    """The network of ``cascade_network`` at one vector of parameters, with its derivatives."""
 
     def __init__(self, flat: FloatArray, x: FloatArray, *, rectified: bool) -> None:
         self.w, self.x, self.rectified = layers_of(flat), x, rectified

@@ -91,7 +91,7 @@ def provenance(decoder: Bundle, sha256: str, estimator: str) -> dict[str, str]:
 def network_model(network: CascadeNetwork, notes: Mapping[str, str]) -> onnx.ModelProto:
     """Return the network as an ONNX model: features (m, 10) mm to stiffness (m,) N/mm.
 
-    The same operations as :meth:`phytac_decoder.estimation.cascade_network.CascadeNetwork.__call__`, in double precision.
+    The same operations as :meth:`CascadeNetwork.__call__`, in double precision.
 
     Raises
     ------

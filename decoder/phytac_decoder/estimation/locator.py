@@ -1,7 +1,7 @@
 """The estimator ``auto``: how many contacts there are, and force, place and extent of each.
 
 Each group of neighbouring switches that are on starts a contact. The unknowns of a contact are its
-force, its centre and its second moments (:mod:`phytac_decoder.estimation.contact_shifts`), with a prior. The
+force, its centre and its second moments (:mod:`contact_shifts`), with a prior. The
 residual is then searched for unswitched contacts: the place whose response explains most of it is
 added, as long as the fit improves by more than noise would. A switch that the camera cannot read
 neither starts a contact nor excludes one; where only such switches are pressed, the motion of the

@@ -22,7 +22,7 @@ from phytac_shapes.errors import InputError
 
 
 class RecordingSource(Source):
-    """Recorded images of one camera or two, see :class:`phytac_decoder.io.recorded_frames.SynchronisedTracks`.
+    """Recorded images of one camera or two, see :class:`SynchronisedTracks`.
 
     Parameters
     ----------

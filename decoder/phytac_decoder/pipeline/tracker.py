@@ -59,13 +59,13 @@ class Follower:
         positions by this much from one frame to the next before a second look is needed. 1 px in
         an image 640 px wide, 3 px in one of 2592 px, if not given.
     search_every : int
-        A full search (slow, see :func:`phytac_decoder.pipeline.decode.locate_in`) after this many frames; 0 for only
+        A full search (slow, see :func:`locate_in`) after this many frames; 0 for only
         when three frames in a row were rejected.
 
     Raises
     ------
     InputError
-        If the rest frame is none of this sensor, see :func:`phytac_decoder.pipeline.decode.locate_in`.
+        If the rest frame is none of this sensor, see :func:`locate_in`.
     """
 
     def __init__(

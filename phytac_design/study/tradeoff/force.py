@@ -3,7 +3,7 @@
 The reference is the shell under large displacement, without noise, extrapolated from two meshes
 that are not nested in any setting's. It moves the markers' images by d. A setting expects, for a
 contact at a known place, the shifts f·S₁ + f²·S₂ + f³·S₃ of its own mesh and theory
-(:mod:`phytac_design.simulation.response_tables`). Its force f is the least-squares fit to d, and its error the
+(:mod:`response_tables`). Its force f is the least-squares fit to d, and its error the
 root mean square of f/f_true − 1.
 
 Included: the mesh, receptors, the theory, and the interpolation between tabulated places. Not
