@@ -29,6 +29,7 @@ from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_decoder.pipeline.decode import read_image, rest_positions
 from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.visibility import check_visibility
 from phytac_design.stages.build import build
 from phytac_shapes.arrays import FloatArray, ImageArray
@@ -122,7 +123,7 @@ def linear_rows(table: Table, *, quick: bool) -> None:
     add_scores(table, report)
     surface = design.surface()
     markers = make_markers(design, surface)
-    seen = check_visibility(design, surface, markers, rng=np.random.default_rng(0))
+    seen = check_visibility(Sensor.of(design, surface, markers), rng=np.random.default_rng(0))
     add_rest(table, bundle, rest, seen.paint_point_mm)
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from phytac_decoder.io.bundle import Bundle
 from phytac_design.design.accuracy import Preset
 from phytac_design.design.spec import Design
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.exposure import expose
 from phytac_design.simulation.imaging.imaging_model import ImagingModel
 from phytac_design.simulation.imaging.nominal_view import expected_views
@@ -51,7 +52,7 @@ class PressedSensor:
         """Solve all presses of a scenario."""
         accuracy: Preset = "draft" if quick else "standard"
         job = Job(design=design, scenario=scenario, seed=seed, accuracy=accuracy)
-        eyes = imaging_model(job, views=expected_views(design, job.surface, job.markers))
+        eyes = imaging_model(job, views=expected_views(Sensor.of(design, job.surface, job.markers)))
         bundle = replace(eyes.nominal, model=force_model_of(job))
         return cls.pressed(job, eyes, bundle, refine=5 if quick else REFINE)
 

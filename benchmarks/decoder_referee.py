@@ -30,6 +30,7 @@ from phytac_design.datasets.samples import (
 from phytac_design.design.accuracy import Preset
 from phytac_design.design.design_file import design_hash, load_design
 from phytac_design.engine.stage import Context
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.simulation.contacts import Contacts, switch_states
 from phytac_design.stages.response_stage import image_response_of
@@ -75,7 +76,7 @@ def samples_of(context: Context, solved: list[Solved]) -> Samples:
         force_N=np.concatenate([item.contact.force_N for item in solved]),
         samples=len(solved),
     )
-    state = switch_states(design, surface, markers, contacts)
+    state = switch_states(Sensor.of(design, surface, markers), contacts)
     shift = np.stack([shifts_px(context, item) for item in solved])
     shift += rng.normal(0.0, NOISE_FACTOR * design.camera.noise_centroid_px, shift.shape)
     count, number = len(solved), len(contacts.sample)

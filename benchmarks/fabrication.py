@@ -25,6 +25,7 @@ from benchmarks.harness import Table, median_of, run_parts
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.design.spec import Design, WallSection
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
 from phytac_design.solids.cad import cad_facts, shell_cad, write_step
 from phytac_design.solids.mesh_export import write_3mf, write_stl
@@ -56,7 +57,7 @@ def load(name: str, *, rows: int | None = None) -> CheckedDesign:
 def facts(table: Table, case: CheckedDesign) -> None:
     """Facts of the mesh, by manifold3d and by trimesh, against what the holes make them."""
     design, surface, markers = case
-    solid = shell_manifold(*case)
+    solid = shell_manifold(Sensor.of(*case))
     genus = expected_genus(surface, markers)
     for program, found in (
         ("manifold3d", manifold_facts(solid)),
@@ -72,7 +73,7 @@ def facts(table: Table, case: CheckedDesign) -> None:
     row = f"{design.name}: triangles"
     source = "within this distance (mm) of the true faces"
     table.add(row, int(solid.num_tri()), "-", TOLERANCE_mm, source)
-    tiles = sum(body.volume() for body in painted_manifolds(*case).values())
+    tiles = sum(body.volume() for body in painted_manifolds(Sensor.of(*case)).values())
     row = f"{design.name}: resin and paints against shell, volume"
     value = abs(tiles / solid.volume() - 1.0)
     table.add(row, value, "relative", float(solid.volume()), "shell, mm3", "<= 1e-9")
@@ -99,11 +100,11 @@ def routes(table: Table, case: CheckedDesign, folder: Path) -> None:
     check = median_of(lambda: check_design(design))
     table.add(f"{design.name}: rules", 1e3 * check, "ms", reference="-", source="median of 5")
     mesh_time = median_of(
-        lambda: write_stl(to_triangles(shell_manifold(*case)), folder / "shell.stl")
+        lambda: write_stl(to_triangles(shell_manifold(Sensor.of(*case))), folder / "shell.stl")
     )
-    cad_facts(shell_cad(*load("cylinder60", rows=1)))  # imports are not timed
+    cad_facts(shell_cad(Sensor.of(*load("cylinder60", rows=1))))  # imports are not timed
     start = time.perf_counter()
-    solid = shell_cad(*case)
+    solid = shell_cad(Sensor.of(*case))
     solid_time = time.perf_counter() - start
     write_stl_by_cad(solid, folder / "occ.stl", tolerance_mm=TOLERANCE_mm, angle_rad=ANGLE_rad)
     cad_time = time.perf_counter() - start
@@ -124,7 +125,7 @@ def routes(table: Table, case: CheckedDesign, folder: Path) -> None:
 def agreement(table: Table, case: CheckedDesign, solid: Any, folder: Path) -> None:
     """Volumes of mesh, CAD solid, and STEP file opened again; validity."""
     name, mine, again = case[0].name, cad_facts(solid), cad_facts(read_step(folder / "shell.step"))
-    mesh = shell_manifold(*case).volume()
+    mesh = shell_manifold(Sensor.of(*case)).volume()
     row = f"{name}: volume, manifold3d against OCC"
     source = "OpenCASCADE GProp, mm3"
     value = abs(mesh / mine.volume_mm3 - 1.0)
@@ -148,8 +149,10 @@ def sizes(table: Table, name: str, folder: Path) -> None:
 def outside(table: Table, case: CheckedDesign, folder: Path) -> None:
     """Run admesh and prusa-slicer on the files as they are."""
     label, stl = f"{case[0].name}: ", folder / "shell.stl"
-    write_stl(to_triangles(shell_manifold(*case)), stl)
-    bodies = {name: to_triangles(body) for name, body in painted_manifolds(*case).items()}
+    write_stl(to_triangles(shell_manifold(Sensor.of(*case))), stl)
+    bodies = {
+        name: to_triangles(body) for name, body in painted_manifolds(Sensor.of(*case)).items()
+    }
     write_3mf(bodies, folder / "shell.3mf", name=case[0].name)
     repair_row(table, label, [stl])
     slice_row(table, label, [stl, folder / "shell.3mf"])
@@ -162,7 +165,7 @@ def shapes_rows(table: Table, names: list[str], folder: Path, *, rows: int | Non
         facts(table, case)
         bare_wall(table, case)
         start = time.perf_counter()
-        solid = shell_cad(*case)
+        solid = shell_cad(Sensor.of(*case))
         write_step(solid, folder / "shell.step", name=name)
         seconds = time.perf_counter() - start
         row = f"{name}: STEP, solid and file"

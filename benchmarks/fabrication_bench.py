@@ -28,6 +28,7 @@ from phytac_design.fabrication.calibration_rig.symmetry import find_symmetry
 from phytac_design.fabrication.documents.densities import DENSITY_g_cm3
 from phytac_design.fabrication.documents.unroll import unroll
 from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.mesh_export import read_stl
 from phytac_design.stages.build import build
 from phytac_shapes import Surface
@@ -127,7 +128,7 @@ def kit_rows(table: Table, case: tuple[Design, Surface, Markers], out: Path) -> 
     source = "trimesh, from the STL files: watertight, one body"
     table.add(row, sound, "-", len(files), source, f"== {len(files)}")
     repair_row(table, f"{design.name}: kit, ", files)
-    regions = make_regions(design, surface, markers)
+    regions = make_regions(Sensor.of(design, surface, markers))
     row = f"{design.name}: kit, indenters off the surface"
     source = "corners of the printed face, pushed home, at every region; indenters"
     value = max(_misfit(case, regions, k, out) for k in range(len(regions.faces)))
@@ -208,7 +209,7 @@ def design_rows(table: Table, design: Design, folder: Path) -> None:
     bill_rows(table, design, out)
     kit_rows(table, case, out)
     program_rows(table, case, out)
-    program = make_program(*case, make_regions(*case))
+    program = make_program(Sensor.of(*case), make_regions(Sensor.of(*case)))
     row = f"{design.name}: program, steps of both runs"
     source = "markers as reference"
     value = len(program.marker) * (len(program.force_N) + len(program.displacement_mm))

@@ -8,6 +8,7 @@ from phytac_design.fabrication.printing.receptors import owners
 from phytac_design.fabrication.printing.surface_samples import sample_faces
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.solid_mesh import TOLERANCE_mm, shell_manifold, to_triangles
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
@@ -53,7 +54,7 @@ def chordal_errors(case: CheckedDesign) -> FloatArray:
     design, surface, markers = case
     assert isinstance(surface, Cylinder)
     receptor, wall = design.receptor, design.wall
-    mesh = to_triangles(shell_manifold(*case))
+    mesh = to_triangles(shell_manifold(Sensor.of(*case)))
     points = sample_faces(RayTree(mesh), SPACING_mm).point_mm
     points = np.concatenate([points, mesh.vertices_mm])
     radius, z = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
@@ -63,7 +64,7 @@ def chordal_errors(case: CheckedDesign) -> FloatArray:
         + [np.abs(z - end) for end in (-rim, 0.0, length, length + rim)],
         axis=0,
     )
-    owner = owners(*case, points)
+    owner = owners(Sensor.of(*case), points)
     own = np.flatnonzero(owner >= 0)
     arm, axis = points[own] - markers.tip_mm[owner[own]], markers.direction[owner[own]]
     along = np.einsum("ni,ni->n", arm, axis)
@@ -77,7 +78,7 @@ def chordal_errors(case: CheckedDesign) -> FloatArray:
 def facet_rows(table: Table, case: CheckedDesign) -> None:
     """Chordal error and facet count of a cylinder's shell."""
     name = case[0].name
-    count = int(shell_manifold(*case).num_tri())
+    count = int(shell_manifold(Sensor.of(*case)).num_tri())
     best = fewest(case, TOLERANCE_mm)
     row = f"{name}: facets over the fewest possible"
     source = f"counted for wall, rims, tubes, holes at {TOLERANCE_mm} mm both ways"

@@ -18,6 +18,7 @@ from phytac_design.fabrication.hardware.by_cad import CadKernel
 from phytac_design.fabrication.hardware.hardware_assembly import make_hardware
 from phytac_design.fabrication.hardware.sensor_solids import hardware_solids
 from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodies
+from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
 from phytac_design.solids.cad import CadBody, cad_facts
 from phytac_design.solids.mesh_facts import manifold_facts, trimesh_facts
@@ -97,7 +98,9 @@ def opened_again(table: Table, context: Context, out: Path) -> None:
     kit = make_hardware(design, surface)
     kernel = CadKernel(surface)
     bodies = hardware_bodies(kit, {part.name: kernel.solid(part.node) for part in kit.parts})
-    bodies = sensor_bodies(design, surface, context.markers, switches_of(context)) + bodies
+    bodies = (
+        sensor_bodies(Sensor.of(design, surface, context.markers), switches_of(context)) + bodies
+    )
     again = read_assembly(out / "export" / "fixtures" / "assembly.step")
     row = f"{name}: assembly opened again from STEP, names missing or new"
     source = "bodies: shell, every switch, hardware, screws"

@@ -17,6 +17,7 @@ from phytac_design.fabrication.printing.print_checks import PrintReport, check_s
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
 from phytac_design.solids.mesh_export import read_stl, write_stl
 from phytac_design.solids.mesh_facts import trimesh_facts
@@ -42,7 +43,7 @@ def checked(case: CheckedDesign, mesh: TriangleMesh) -> tuple[PrintReport, float
         write_stl(mesh, path)
         again = read_stl(path)
     start = time.perf_counter()
-    report = check_shell(*case, again)
+    report = check_shell(Sensor.of(*case), again)
     return report, time.perf_counter() - start
 
 
@@ -50,7 +51,7 @@ def shipped_rows(table: Table, names: list[str]) -> None:
     """No violations on shipped designs, and how they are best turned."""
     for name in names:
         case = load(name)
-        mesh = to_triangles(shell_manifold(*case))
+        mesh = to_triangles(shell_manifold(Sensor.of(*case)))
         report, seconds = checked(case, mesh)
         row = f"{name}: violations of the SLA rules"
         source = f"chord 0.01 mm, {len(mesh.triangles)} triangles, {seconds:.1f} s"
@@ -71,9 +72,9 @@ def shipped_rows(table: Table, names: list[str]) -> None:
 
 def parting_rows(table: Table, label: str, case: CheckedDesign) -> None:
     """A shell larger than the bed: pieces fit, volumes add up, pieces do not collide."""
-    solid = shell_manifold(*case)
+    solid = shell_manifold(Sensor.of(*case))
     start = time.perf_counter()
-    parting = part_shell(*case, solid)
+    parting = part_shell(Sensor.of(*case), solid)
     seconds = time.perf_counter() - start
     rules = case[0].print_rules
     meshes = [to_triangles(piece) for piece in parting.pieces]

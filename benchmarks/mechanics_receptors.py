@@ -18,6 +18,7 @@ from benchmarks.harness import Table, median_of
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.pressing.contact_patch import ContactPatch
 from phytac_design.mechanics.pressing.press import press
@@ -176,7 +177,7 @@ def whole_prototype(table: Table) -> None:
     surface = design.surface()
     markers = make_markers(design, surface)
     uv, radius = markers.uv[184], 6.0
-    factor, sizes, _ = coarsened(design, surface, markers, None)
+    factor, sizes, _ = coarsened(Sensor.of(design, surface, markers), None)
     start = time.perf_counter()
     truth = solid_tips(design, surface, markers, [("", uv, radius)], sizes)[0]
     seconds = time.perf_counter() - start
@@ -191,7 +192,11 @@ def whole_prototype(table: Table) -> None:
             (True, "shell with receptors", "<= 5"),
         ):
             result = press(
-                design, surface, markers, place, theory="linear", refine=refine, receptors=receptors
+                Sensor.of(design, surface, markers),
+                place,
+                theory="linear",
+                refine=refine,
+                receptors=receptors,
             )
             row = f"{name}, fingertip of 6 mm: {how}, refine {refine}, tip error"
             value = error_of_peak(result.tip_mm, truth)
@@ -213,9 +218,7 @@ def solid_tips(
 ) -> list[FloatArray]:
     """Motion (n, 3) of all tips per newton, mm, one for each contact."""
     mesh = solid_mesh(
-        design,
-        surface,
-        markers,
+        Sensor.of(design, surface, markers),
         sizes=sizes,
         contacts_uv=np.array([uv for _, uv, _ in contacts]),
         contact_radius_mm=max(radius for _, _, radius in contacts),

@@ -15,6 +15,7 @@ from phytac_design.core.threads import THREADS, one_thread_each
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.exposure import CLEAN, Exposure, expose, lens_blur, light_on_chip
 from phytac_design.optics.frame_renderer import render_frame, sample_views
@@ -76,7 +77,7 @@ class CameraCase:
             cameras=cameras_of(design, surface),
             paint=np.ones((len(design.layout.colours) + 1, 3)),
         )
-        views = expected_views(design, surface, markers)
+        views = expected_views(Sensor.of(design, surface, markers))
         return cls(design=design, surface=surface, markers=markers, unit=unit, views=views)
 
     def eyes(self, exposure: Exposure | None = None, **options: Any) -> ImagingModel:
@@ -90,14 +91,14 @@ class CameraCase:
         """Linear motions (count, n, 6) under one to three contacts of 25 N, and their bits."""
         rng = np.random.default_rng(3)
         drawn = draw_contacts(
-            self.design, self.surface, self.markers, samples=count, rng=rng, most=3
+            Sensor.of(self.design, self.surface, self.markers), samples=count, rng=rng, most=3
         )
         contacts = replace(drawn, force_N=np.full(len(drawn.force_N), FORCE_N))
         mesh, model = truth_shell(self.design, self.surface, 2)
         response = motion_responses(
             model, mesh, self.surface, self.markers, uv=contacts.uv, radius_mm=contacts.radius_mm
         )
-        bits = switch_states(self.design, self.surface, self.markers, contacts).bits
+        bits = switch_states(Sensor.of(self.design, self.surface, self.markers), contacts).bits
         return superpose(response, contacts), bits
 
 
@@ -147,11 +148,12 @@ def camera_chain(table: Table, case: CameraCase, *, quick: bool) -> None:
     """Seconds of everything behind the renderer, on one thread; how good eight lens points are."""
     design, camera = case.design, case.unit.cameras[0]
     scene = build_scene(
-        design, case.surface, case.markers, tolerance_mm=tolerance_mm(camera, case.markers)
+        Sensor.of(design, case.surface, case.markers),
+        tolerance_mm=tolerance_mm(camera, case.markers),
     )
     light, blur = (
         triangle_light(scene, camera),
-        lens_blur(design, camera, case.surface, case.markers),
+        lens_blur(Sensor.of(design, case.surface, case.markers), camera),
     )
     with one_thread_each(THREADS):
         sharp, blurred, spent = [], [], []
@@ -231,7 +233,8 @@ def renderers(table: Table, case: CameraCase) -> None:
     """The project's renderer against pyrender: seconds, pixels, centroids."""
     design, camera = case.design, case.unit.cameras[0]
     scene = build_scene(
-        design, case.surface, case.markers, tolerance_mm=tolerance_mm(camera, case.markers)
+        Sensor.of(design, case.surface, case.markers),
+        tolerance_mm=tolerance_mm(camera, case.markers),
     )
     works: list[Callable[[], ImageArray]] = [
         lambda: render_frame(scene, camera),

@@ -14,6 +14,7 @@ from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.large.load_path import solve_large
 from phytac_design.mechanics.large.newton import Loading
 from phytac_design.simulation.contacts import draw_contacts
@@ -71,7 +72,10 @@ class DesignUnit:
         rng = np.random.default_rng(3)
         return flat_touches(
             draw_contacts(
-                self.design, self.surface, self.markers, samples=samples, rng=rng, most=most
+                Sensor.of(self.design, self.surface, self.markers),
+                samples=samples,
+                rng=rng,
+                most=most,
             )
         )
 
@@ -91,7 +95,9 @@ def bench(name: str) -> DesignUnit:
     design = load_design(name)
     surface = design.surface()
     markers = make_markers(design, surface)
-    unit = draw_sensor_instance(design, surface, markers, SensorInstanceSection(number=0), seed=0)
+    unit = draw_sensor_instance(
+        Sensor.of(design, surface, markers), SensorInstanceSection(number=0), seed=0
+    )
     return DesignUnit(design=design, surface=surface, markers=markers, unit=unit)
 
 

@@ -20,6 +20,7 @@ from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import camera_of, tolerance_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.density import density_of
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.raster import rasterise
@@ -54,7 +55,7 @@ def scene_of(design: Design) -> tuple[RenderScene, Camera, Markers]:
     camera = camera_of(design, surface)
     on = np.arange(markers.count) % 5 == 0
     tolerance = tolerance_mm(camera, markers)
-    scene = build_scene(design, surface, markers, tolerance_mm=tolerance, switch_on=on)
+    scene = build_scene(Sensor.of(design, surface, markers), tolerance_mm=tolerance, switch_on=on)
     return scene, camera, markers
 
 
@@ -152,7 +153,7 @@ def at_rest(table: Table, design: Design) -> None:
         varied = with_layout(design, kind)
         surface = varied.surface()
         markers = make_markers(varied, surface)
-        seen = check_visibility(varied, surface, markers, rng=np.random.default_rng(0))
+        seen = check_visibility(Sensor.of(varied, surface, markers), rng=np.random.default_rng(0))
         for name, value in seen.summary().items():
             row = f"{varied.name} {kind}: {name}"
             source = STUDY if (kind, name) in references else "not published"

@@ -12,6 +12,7 @@ from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
 from phytac_design.layout.cameras import camera_of, tolerance_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.worst_places import press_places
 from phytac_design.optics.gaps import marker_gaps, outline_gaps
 from phytac_design.optics.incremental_renderer import Watch
@@ -87,7 +88,7 @@ def context_of(design: Design, *, linear: bool, places: int = PLACES) -> Context
 def seen_at_rest(context: Context) -> tuple[Visibility, np.ndarray]:
     """Visibility, and the least gap of each marker."""
     rng = np.random.default_rng(0)
-    seen = check_visibility(context.design, context.surface, context.markers, rng=rng)
+    seen = check_visibility(context.sensor, rng=rng)
     return seen, np.minimum(seen.gap_same_colour_px, seen.gap_other_colour_px)
 
 
@@ -181,7 +182,9 @@ def add_places(table: Table, design: Design, counts: tuple[int, ...]) -> None:
     context = context_of(design, linear=True)
     surface, markers = context.surface, context.markers
     camera = camera_of(design, surface)
-    scene = build_scene(design, surface, markers, tolerance_mm=tolerance_mm(camera, markers))
+    scene = build_scene(
+        Sensor.of(design, surface, markers), tolerance_mm=tolerance_mm(camera, markers)
+    )
     gap = seen_at_rest(context)[1]
     shell = PressedShell(context)
     found: dict[int, UnderLoad] = {}
@@ -212,7 +215,9 @@ def add_speed(table: Table, design: Design, repeats: int) -> None:
     surface = design.surface()
     markers = context_of(design, linear=True).markers
     camera = camera_of(design, surface)
-    scene = build_scene(design, surface, markers, tolerance_mm=tolerance_mm(camera, markers))
+    scene = build_scene(
+        Sensor.of(design, surface, markers), tolerance_mm=tolerance_mm(camera, markers)
+    )
     motion = np.random.default_rng(0).normal(scale=0.2, size=(markers.count, 3))
     moved = scene.moved(motion, 0.1 * motion, markers.mid_mm)
     watch = Watch(scene, camera)

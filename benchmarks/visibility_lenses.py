@@ -21,6 +21,7 @@ from phytac_design.design.design_file import load_design, parse_design, shipped_
 from phytac_design.design.spec import CameraSection, Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.distorted_triangles import reach_of
 from phytac_design.optics.raster import pixels_alone, rasterise
 from phytac_design.optics.rays import pixel_rays, ray_grid
@@ -69,7 +70,7 @@ def scene_at(design: Design, *, finer: float = 1.0) -> tuple[RenderScene, Camera
     markers = make_markers(design, surface)
     camera = cameras_of(design, surface)[0]
     tolerance = tolerance_mm(camera, markers) / finer
-    return build_scene(design, surface, markers, tolerance_mm=tolerance), camera
+    return build_scene(Sensor.of(design, surface, markers), tolerance_mm=tolerance), camera
 
 
 class Rays:

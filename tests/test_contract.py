@@ -15,6 +15,7 @@ from phytac_decoder.pipeline.decode import measure_frame, rest_positions
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, graphics_libraries
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
@@ -89,7 +90,7 @@ def one_press(context: Context, marker: int) -> FrameContacts:
     )
     return FrameContacts(
         contacts=contacts,
-        switching=switch_states(design, surface, markers, contacts),
+        switching=switch_states(Sensor.of(design, surface, markers), contacts),
         motion=superpose(unit, contacts),
     )
 

@@ -11,6 +11,7 @@ from phytac_design.design.design_file import parse_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.receptor_distances import smallest_receptor_gap_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
 from phytac_design.rules.receptor_spacing import edge_distance_mm
 from phytac_design.solids.receptor_tubes import receptor_axes
@@ -139,7 +140,7 @@ def test_leaning_tubes_root_inside_the_wall() -> None:
         receptor={"direction": "tilted", "tilt_deg": 8.0, "diameter_outer_mm": 2.6},
     )
     surface, markers = check_design(design)
-    axes = receptor_axes(design, surface, markers)
+    axes = receptor_axes(Sensor.of(design, surface, markers))
     along = axes.tip_mm - axes.root_mm
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     assert np.allclose(along, markers.direction)

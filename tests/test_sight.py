@@ -10,6 +10,7 @@ from phytac_design.layout import clearance_mm, make_markers, sight_heights_mm, w
 from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.layout.dents import dent_motions
 from phytac_design.layout.line_of_sight import clearance_under_load_mm, pressed_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.loaded_visibility import sight
 from phytac_design.optics.render_scene import build_scene
 from phytac_design.optics.visibility import check_visibility
@@ -39,7 +40,9 @@ def case(**layout: Any) -> tuple[Any, Any, Any, Any]:
 
 def test_no_receptor_hides_another() -> None:
     design, surface, markers, camera = case(heights="line-of-sight")
-    seen = check_visibility(design, surface, markers, rng=np.random.default_rng(0), camera=camera)
+    seen = check_visibility(
+        Sensor.of(design, surface, markers), rng=np.random.default_rng(0), camera=camera
+    )
     # Where the band ends above the wall every pixel is seen; below, the wall takes a sliver.
     above = markers.height_mm > design.receptor.band_marker_mm
     assert above.sum() >= 8 * 8
@@ -50,7 +53,7 @@ def test_no_receptor_hides_another() -> None:
     top = float(markers.height_mm.max())
     plain = case(heights="linear", height_far_mm=top)
     hidden = check_visibility(
-        *plain[:3], rng=np.random.default_rng(0), camera=camera
+        Sensor.of(*plain[:3]), rng=np.random.default_rng(0), camera=camera
     ).visible_fraction
     assert hidden.min() < 0.9
     assert clearance_mm(plain[0], plain[2], camera.position_mm).min() < 0.0
@@ -157,7 +160,9 @@ def test_heights_under_load_stay_clear_where_those_at_rest_do_not() -> None:
     assert (found["load"][0].height_mm > found["rest"][0].height_mm + 0.1).any()
     # By the exact ID map: whatever stands above the wall is seen whole in every press.
     settled = found["load"][0]
-    scene = build_scene(design, surface, settled, tolerance_mm=tolerance_mm(camera, settled))
+    scene = build_scene(
+        Sensor.of(design, surface, settled), tolerance_mm=tolerance_mm(camera, settled)
+    )
     above = settled.height_mm > design.receptor.band_marker_mm
     for motion in motions:
         moved = scene.moved(motion[:, :3], motion[:, 3:], settled.mid_mm)
@@ -209,7 +214,9 @@ def test_pressed_markers_move_like_the_scene() -> None:
     motion = dents(markers)[0]
     moved = pressed_markers(markers, motion)
     assert np.abs(moved.tip_mm - markers.tip_mm).max() > 1.0
-    scene = build_scene(design, surface, markers, tolerance_mm=tolerance_mm(camera, markers))
+    scene = build_scene(
+        Sensor.of(design, surface, markers), tolerance_mm=tolerance_mm(camera, markers)
+    )
     after = scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm)
     own = scene.vertex_owner == 60
     # The red tip's end is a point of the axis, the last ring of the receptor.

@@ -9,6 +9,7 @@ import pytest
 from phytac_design.layout import Markers, clearance_mm, make_markers, sight_heights_mm, with_heights
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.layout.line_of_sight import clearance_under_load_mm, nearest_eye
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.visibility import best_of, check_visibility
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
@@ -85,7 +86,9 @@ def test_by_the_exact_id_map_markers_are_seen_and_told_apart() -> None:
     design, surface, markers, eyes = case()
     eye = nearest_eye(markers, eyes)
     each = [
-        check_visibility(design, surface, markers, rng=np.random.default_rng(0), camera=camera)
+        check_visibility(
+            Sensor.of(design, surface, markers), rng=np.random.default_rng(0), camera=camera
+        )
         for camera in cameras_of(design, surface)
     ]
     fraction = np.stack([seen.visible_fraction for seen in each])[eye, range(markers.count)]

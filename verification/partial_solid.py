@@ -20,6 +20,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.shell import receptor_stiffness as rc
 from phytac_design.mechanics.solid.solid_mesh_tets import (
     SolidMesh,
@@ -140,13 +141,13 @@ def part_mesh(
     chosen = subset(markers, kept)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "shell.step"
-        write_step(shell_cad(bare, surface, chosen), path)
+        write_step(shell_cad(Sensor.of(bare, surface, chosen)), path)
         raw = tetrahedra(
             lambda gmsh: gmsh.model.occ.importShapes(str(path)),
             lambda gmsh: _size_fields(gmsh, surface, sizes, design, centres, radii_mm),
             extend=False,
         )
-    mesh = with_sets(raw, design, surface, chosen, receptors=True)
+    mesh = with_sets(raw, Sensor.of(design, surface, chosen), receptors=True)
     nodes, modulus = mesh.nodes_mm, np.ones(len(mesh.tets))
     if smear is not None and len(kept) < markers.count:
         wider, softer = smeared(design, surface, markers, kept, nodes, smear)

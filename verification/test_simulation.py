@@ -11,6 +11,7 @@ from phytac_design.datasets.samples import STATUSES
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.contacts import draw_contacts, switch_states
 from phytac_design.simulation.linear_response import motion_responses, superpose
 from phytac_design.simulation.run.job import Job
@@ -39,8 +40,10 @@ def check_contacts(values: Mapping[str, Any], found: Evidence) -> None:
     markers = make_markers(design, surface)
     rng = np.random.default_rng(5)
     kinds = {"samples": 300, "placement": values["placement"]}
-    contacts = draw_contacts(design, surface, markers, rng=rng, **kinds)
-    again = draw_contacts(design, surface, markers, rng=np.random.default_rng(5), **kinds)
+    contacts = draw_contacts(Sensor.of(design, surface, markers), rng=rng, **kinds)
+    again = draw_contacts(
+        Sensor.of(design, surface, markers), rng=np.random.default_rng(5), **kinds
+    )
     found.true("the same for the same seed", np.array_equal(contacts.uv, again.uv))
     t = design.training
     found.true("every sample has a contact", contacts.counts >= 1)
@@ -86,7 +89,7 @@ def _apart(design: Any, contacts: Any, point: Any, found: Evidence) -> None:
 
 def _shares(design: Any, surface: Any, markers: Any, contacts: Any, found: Evidence) -> None:
     """Forces on receptors sum to those of the contacts that tripped any."""
-    state = switch_states(design, surface, markers, contacts)
+    state = switch_states(Sensor.of(design, surface, markers), contacts)
     total = np.bincount(
         contacts.sample, weights=contacts.force_N * state.tripped, minlength=contacts.samples
     )
@@ -108,8 +111,8 @@ def check_unit(values: Mapping[str, Any], found: Evidence) -> None:
     surface = design.surface()
     markers = make_markers(design, surface)
     section = SensorInstanceSection.model_validate(values["unit"])
-    unit = draw_sensor_instance(design, surface, markers, section, values["seed"])
-    again = draw_sensor_instance(design, surface, markers, section, values["seed"])
+    unit = draw_sensor_instance(Sensor.of(design, surface, markers), section, values["seed"])
+    again = draw_sensor_instance(Sensor.of(design, surface, markers), section, values["seed"])
     found.true("the same for the same seed", np.array_equal(unit.on_N, again.on_N))
     nominal = section.number == 0
     off = abs(unit.modulus - 1.0)
@@ -153,7 +156,9 @@ def check_response(values: Mapping[str, Any], found: Evidence) -> None:
     section = design.material
     mesh = plain_mesh(surface, thickness_mm=design.wall.thickness_mm, size_mm=4.0)
     model = clamped_model(mesh, modulus_MPa=section.modulus_MPa, poisson=section.poisson)
-    contacts = draw_contacts(design, surface, markers, samples=200, rng=np.random.default_rng(1))
+    contacts = draw_contacts(
+        Sensor.of(design, surface, markers), samples=200, rng=np.random.default_rng(1)
+    )
     many = motion_responses(
         model, mesh, surface, markers, uv=contacts.uv, radius_mm=contacts.radius_mm
     )

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
 from phytac_design.solids.solid_mesh import shell_manifold, to_triangles
 from phytac_shapes import Surface
@@ -98,7 +99,7 @@ def check_solid(values: Mapping[str, Any], found: Evidence) -> None:
     design = design_of(values)
     surface, markers = check_design(design)
     tolerance = float(values["tolerance_mm"])
-    mesh = to_triangles(shell_manifold(design, surface, markers, tolerance_mm=tolerance))
+    mesh = to_triangles(shell_manifold(Sensor.of(design, surface, markers), tolerance_mm=tolerance))
     p, tri = mesh.vertices_mm, mesh.triangles
     found.true("every coordinate is finite", np.isfinite(p))
     edges = np.concatenate([tri[:, [0, 1]], tri[:, [1, 2]], tri[:, [2, 0]]])

@@ -12,6 +12,7 @@ import numpy as np
 from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.render_scene import build_scene
 from phytac_design.simulation.contacts import Contacts, switch_states
@@ -45,7 +46,7 @@ def main(folder: Path) -> None:
         force_N=table[:, 4],
         samples=5,
     )
-    bits = switch_states(design, surface, markers, contacts).bits
+    bits = switch_states(Sensor.of(design, surface, markers), contacts).bits
     mesh, model = truth_shell(design, surface, 8)
     responses = motion_responses(
         model, mesh, surface, markers, uv=contacts.uv, radius_mm=contacts.radius_mm
@@ -56,7 +57,9 @@ def main(folder: Path) -> None:
     for frame in range(6):
         on = bits[frame - 1] if frame else None
         scene = build_scene(
-            design, surface, markers, tolerance_mm=tolerance_mm(camera, markers), switch_on=on
+            Sensor.of(design, surface, markers),
+            tolerance_mm=tolerance_mm(camera, markers),
+            switch_on=on,
         )
         if frame:
             moved = motion[frame - 1]

@@ -54,20 +54,17 @@ def press(
 ) -> None:
     """Press on the shell with a force: motion, theory used, and estimated errors."""
     from phytac_design.design.design_file import load_design
-    from phytac_design.layout import make_markers
+    from phytac_design.layout.sensor import Sensor
     from phytac_design.mechanics.pressing import press as mechanics
     from phytac_design.mechanics.pressing.contact_patch import parse_contact_patch
     from phytac_design.mechanics.pressing.press_report import press_dict, press_text, press_warnings
 
     loaded = load_design(design)
-    surface = loaded.surface()
-    markers = make_markers(loaded, surface)
-    place = parse_contact_patch(loaded, surface, markers, force_N=force, at=at, radius_mm=radius)
+    sensor = Sensor(loaded)
+    place = parse_contact_patch(sensor, force_N=force, at=at, radius_mm=radius)
     accepted = tolerance / 100.0
     result = mechanics.press(
-        loaded,
-        surface,
-        markers,
+        sensor,
         place,
         theory=theory.value,
         tolerance=accepted,
@@ -80,10 +77,10 @@ def press(
     for warning in press_warnings(result, tolerance=accepted):
         say(f"warning: {warning}")
     if as_json:
-        plain = press_dict(result, markers, name=loaded.name, tolerance=accepted)
+        plain = press_dict(result, sensor.markers, name=loaded.name, tolerance=accepted)
         typer.echo(json.dumps(plain, indent=1))
     else:
-        typer.echo(press_text(result, markers, name=loaded.name, tolerance=accepted))
+        typer.echo(press_text(result, sensor.markers, name=loaded.name, tolerance=accepted))
 
 
 def mesh(
@@ -107,24 +104,24 @@ def mesh(
 ) -> None:
     """Write meshes with sets, section, material and a load step: ccx runs them unchanged."""
     from phytac_design.design.design_file import load_design
-    from phytac_design.layout import make_markers
+    from phytac_design.layout.sensor import Sensor
     from phytac_design.mechanics.pressing.contact_patch import parse_contact_patch
     from phytac_design.mechanics.solid import mesh_files
 
     kinds = [kind.strip() for kind in formats.split(",") if kind.strip()]
     mesh_files.check_formats(kinds)
     loaded = load_design(design)
-    surface = loaded.surface()
-    markers = make_markers(loaded, surface)
-    place = parse_contact_patch(loaded, surface, markers, force_N=force, at=at, radius_mm=radius)
+    sensor = Sensor(loaded)
+    place = parse_contact_patch(sensor, force_N=force, at=at, radius_mm=radius)
     if solid:
-        mesh_files.check_solid(loaded, surface, markers, place, size=size)
+        mesh_files.check_solid(sensor, place, size=size)
     mesh_files.make_folder(out)
-    sensor = (out, loaded, surface, markers, place)
-    facts = {"shell": mesh_files.write_shell_files(*sensor, refine=refine, formats=kinds)}
+    facts = {
+        "shell": mesh_files.write_shell_files(out, sensor, place, refine=refine, formats=kinds)
+    }
     if solid:
         facts["solid"] = mesh_files.write_solid_files(
-            *sensor, size=size, formats=kinds, progress=say
+            out, sensor, place, size=size, formats=kinds, progress=say
         )
     if as_json:
         typer.echo(json.dumps({"out": str(out)} | facts, indent=1))

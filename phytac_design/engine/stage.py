@@ -16,7 +16,8 @@ from phytac_design.design.field_groups import values_of
 from phytac_design.design.scene import Scene
 from phytac_design.design.spec import Design
 from phytac_design.engine.cache import record as cache_record
-from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.markers import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_shapes import Surface
 
 EXPORT = "export"
@@ -54,14 +55,19 @@ class Context:
     scene: Scene | None = None
 
     @cached_property
+    def sensor(self) -> Sensor:
+        """The design with its surface, markers and cameras."""
+        return Sensor(self.design)
+
+    @property
     def surface(self) -> Surface:
         """The sensing surface."""
-        return self.design.surface()
+        return self.sensor.surface
 
-    @cached_property
+    @property
     def markers(self) -> Markers:
         """The markers on it."""
-        return make_markers(self.design, self.surface)
+        return self.sensor.markers
 
     def facts(self, stage: str) -> dict[str, Any]:
         """Figures that an earlier stage reported."""

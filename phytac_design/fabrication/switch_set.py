@@ -11,11 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.design.spec import Design
 from phytac_design.geometry.triangles import TriangleMesh, sides_for, widening
-from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.switch.bowl import Bowl, walls
-from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 
 LENGTH_STEP_mm = 0.1
@@ -85,18 +83,15 @@ class SwitchSet:
         )
 
 
-def reach_mm(design: Design, surface: Surface, markers: Markers) -> FloatArray:
+def reach_mm(sensor: Sensor) -> FloatArray:
     """From the shell's outer face along each receptor's axis to its resting red tip, (n,) mm."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     face_to_end = np.linalg.norm(markers.tip_mm - surface.point(markers.uv), axis=1)
     return np.asarray(face_to_end - design.switch.tip_recess_mm)
 
 
 def make_switches(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    made: Sequence[Mapping[str, Any]],
-    threshold_N: FloatArray,
+    sensor: Sensor, made: Sequence[Mapping[str, Any]], threshold_N: FloatArray
 ) -> SwitchSet:
     """Set of switches from designed bowls.
 
@@ -107,8 +102,9 @@ def make_switches(
     threshold_N : (n,) float
         Threshold of each marker's switch.
     """
+    design, markers = sensor.design, sensor.markers
     known = np.array([item["threshold_N"] for item in made])
-    reach = reach_mm(design, surface, markers)
+    reach = reach_mm(sensor)
     steps = np.round(reach / LENGTH_STEP_mm).astype(np.int64)
     lengths, length = np.unique(steps, return_inverse=True)
     pairs = np.unique(np.stack([markers.row, length]), axis=1)

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from phytac_decoder.camera.camera import Camera
 from phytac_design.core.kernels import in_bands, kernel
-from phytac_design.design.spec import Design
-from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import (
     BAND_ROWS,
     render_light,
@@ -25,7 +24,6 @@ from phytac_design.optics.frame_renderer import (
 from phytac_design.optics.paint import to_linear, to_srgb
 from phytac_design.optics.render_scene import RenderScene
 from phytac_design.optics.sharpness import sharpness
-from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, ImageArray
 
 WAVELENGTH_um = 0.55
@@ -136,7 +134,7 @@ def disc_points(count: int) -> FloatArray:
     return np.asarray(points[least])
 
 
-def lens_blur(design: Design, camera: Camera, surface: Surface, markers: Markers) -> LensBlur:
+def lens_blur(sensor: Sensor, camera: Camera) -> LensBlur:
     """Blur of a design's lens, set as ``sharpness`` says for the nominal ``camera``.
 
     Raises
@@ -144,6 +142,7 @@ def lens_blur(design: Design, camera: Camera, surface: Surface, markers: Markers
     DesignError
         If nothing is sharp.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     section = design.camera
     found = sharpness(section, camera, surface, markers)
     # At the near end of the depth of field a point is one pixel wide.

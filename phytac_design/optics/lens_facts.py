@@ -5,19 +5,16 @@ from typing import Any
 import numpy as np
 
 from phytac_decoder.camera.camera import Camera
-from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.sharpness import DIRECTIONS, sharpness
-from phytac_shapes import Surface
 from phytac_shapes.arrays import IntArray
 
 BANDS = 8
 """Groups by number, of markers that are not in rows."""
 
 
-def lens_facts(
-    design: Design, surface: Surface, markers: Markers, camera: Camera
-) -> dict[str, Any]:
+def lens_facts(sensor: Sensor, camera: Camera) -> dict[str, Any]:
     """Scale, centroid noise, blur and depth of field; ``rows`` holds the medians of each row.
 
     Raises
@@ -25,6 +22,7 @@ def lens_facts(
     DesignError
         If nothing is sharp.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     found = sharpness(design.camera, camera, surface, markers)
     group = row_groups(markers)
     rows = []

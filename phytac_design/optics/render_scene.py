@@ -20,8 +20,8 @@ from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh, shell_mesh
 from phytac_design.geometry.strips import Mesh, joined
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.fixture_bodies import fixture_mesh
-from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 NONE, SHELL, BAR, RESIN = 0, 1, 2, 3
@@ -132,12 +132,7 @@ def sides_of(radius_mm: float, tolerance_mm: FloatArray) -> IntArray:
 
 
 def build_scene(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    *,
-    tolerance_mm: FloatArray | float,
-    switch_on: BoolArray | None = None,
+    sensor: Sensor, *, tolerance_mm: FloatArray | float, switch_on: BoolArray | None = None
 ) -> RenderScene:
     """Shell, rims, light bar, fixtures and all receptors as triangles.
 
@@ -149,6 +144,7 @@ def build_scene(
     switch_on : (n,) bool, optional
         Switches whose red tip is out; none by default.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     on = np.zeros(markers.count, dtype=bool) if switch_on is None else np.asarray(switch_on)
     tolerance = np.broadcast_to(np.asarray(tolerance_mm, dtype=np.float64), markers.count)
     least = float(tolerance.min())

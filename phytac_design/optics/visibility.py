@@ -12,6 +12,7 @@ from phytac_decoder.vision.switch_detection import RED_RATIO_MIN
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import camera_of, refuse_swallowed, tolerance_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.gaps import marker_gaps
 from phytac_design.optics.occluders import SELF, hider_name, hiders
@@ -28,7 +29,6 @@ from phytac_design.optics.render_scene import (
     paint_owner,
     red_owner,
 )
-from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
 FRACTION_MIN = 0.5
@@ -118,12 +118,7 @@ class Visibility:
 
 
 def check_visibility(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    *,
-    rng: np.random.Generator,
-    camera: Camera | None = None,
+    sensor: Sensor, *, rng: np.random.Generator, camera: Camera | None = None
 ) -> Visibility:
     """Visibility of every marker of a design, unloaded, from ``camera`` (the only one if None).
 
@@ -132,12 +127,13 @@ def check_visibility(
     DesignError
         If the camera cannot work or the light bar reaches a receptor.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     camera = camera or camera_of(design, surface)
     refuse_swallowed(design, surface, markers)
     tolerance = tolerance_mm(camera, markers)
     all_on = np.ones(markers.count, dtype=bool)
-    rest = build_scene(design, surface, markers, tolerance_mm=tolerance)
-    on = build_scene(design, surface, markers, tolerance_mm=tolerance, switch_on=all_on)
+    rest = build_scene(sensor, tolerance_mm=tolerance)
+    on = build_scene(sensor, tolerance_mm=tolerance, switch_on=all_on)
     return see(rest, on, camera, noise_std=design.camera.noise_pixel, rng=rng)
 
 

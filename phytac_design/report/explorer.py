@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 
 from phytac_design.engine.stage import Context
 from phytac_design.layout.cameras import cameras_of
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.density import density_map
 from phytac_design.report import page
 from phytac_design.report.viewer.data import Colouring, base_colourings, viewer_data
@@ -119,9 +120,7 @@ def explorer_data(context: Context, estimator: str) -> dict[str, Any]:
     """Data of the shell and the map, as ``report/viewer.json`` holds them."""
     design, surface = context.design, context.surface
     return viewer_data(
-        design,
-        surface,
-        context.markers,
+        Sensor.of(design, surface, context.markers),
         colourings_of(context, estimator),
         cameras=cameras_of(design, surface),
     )
@@ -135,7 +134,7 @@ def explorer_section(context: Context, layout_map: bytes) -> str:
     layout_map : bytes
         PNG of the map.
     """
-    shell = still_picture(context.design, context.surface, context.markers)
+    shell = still_picture(context.sensor)
     still = ' class="still"'
     return (
         f'<div class="explorer" data-from="{DATA_ID}"><div class="pair"><figure><div class="shell">'

@@ -10,6 +10,7 @@ from phytac_design.geometry.envelope import bar_mesh
 from phytac_design.geometry.overlaps import distance_mm, tube_overlaps_mm, within
 from phytac_design.geometry.strips import Mesh
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.fixture_bodies import fixture_mesh
 from phytac_design.rules.refusal import refuse
 from phytac_shapes import Surface
@@ -27,8 +28,9 @@ ONCE_HIT = 0.1
 """Share of them that is looked at if the wall was met, for how deep it is."""
 
 
-def check_fixtures(design: Design, surface: Surface, markers: Markers) -> None:
+def check_fixtures(sensor: Sensor) -> None:
     """Check that fixtures keep clear of receptors and wall, and the light bar of the wall."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     tolerance = ROUND * design.receptor.diameter_outer_mm / 2.0
     bar = bar_mesh(design, surface, tolerance_mm=tolerance)
     if len(bar.triangles):
@@ -138,10 +140,9 @@ def _halved(pieces: FloatArray) -> FloatArray:
     return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
 
 
-def check_cameras(
-    design: Design, surface: Surface, markers: Markers, cameras: Sequence[Camera]
-) -> None:
+def check_cameras(sensor: Sensor, cameras: Sequence[Camera]) -> None:
     """Check that no camera's centre lies in a receptor, in a fixture, or behind the wall."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     tolerance = ROUND * design.receptor.diameter_outer_mm / 2.0
     bodies = [(f.name, fixture_mesh(f, tolerance_mm=tolerance)) for f in design.fixtures]
     for camera in cameras:

@@ -5,6 +5,7 @@ from phytac_design.fabrication.hardware.hardware_assembly import check_hardware
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import cameras_of, refuse_swallowed
 from phytac_design.layout.region_chart import design_regions
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.switch.switch_inputs import rubber_of
 from phytac_design.optics.separability import check_paints
 from phytac_design.optics.sharpness import sharpness
@@ -34,7 +35,7 @@ def check_design(design: Design) -> tuple[Surface, Markers]:
     surface, markers = _check_geometry(design)
     check_paints(design)
     cameras = cameras_of(design, surface)
-    check_cameras(design, surface, markers, cameras)
+    check_cameras(Sensor.of(design, surface, markers), cameras)
     for camera in cameras:
         sharpness(design.camera, camera, surface, markers)
     refuse_swallowed(design, surface, markers)
@@ -50,12 +51,12 @@ def _check_geometry(design: Design) -> tuple[Surface, Markers]:
     check_wall(design, surface)
     markers = make_markers(design, surface)
     design_regions(design)
-    check_heights(design, surface, markers)
-    check_reach(design, surface, markers)
-    check_ends(design, surface, markers)
-    check_receptor_gaps(design, surface, markers)
-    check_footprints(design, surface, markers)
-    root_depth_mm(design, surface, markers)
-    check_training(design, surface, markers)
-    check_fixtures(design, surface, markers)
+    check_heights(Sensor.of(design, surface, markers))
+    check_reach(Sensor.of(design, surface, markers))
+    check_ends(Sensor.of(design, surface, markers))
+    check_receptor_gaps(Sensor.of(design, surface, markers))
+    check_footprints(Sensor.of(design, surface, markers))
+    root_depth_mm(Sensor.of(design, surface, markers))
+    check_training(Sensor.of(design, surface, markers))
+    check_fixtures(Sensor.of(design, surface, markers))
     return surface, markers

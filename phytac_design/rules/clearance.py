@@ -4,8 +4,9 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_span_mm
-from phytac_design.layout import Markers, make_markers, profile_heights_mm, with_heights
+from phytac_design.layout import make_markers, profile_heights_mm, with_heights
 from phytac_design.layout.receptor_distances import segment_distance_mm, smallest_receptor_gap_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.refusal import SLACK_mm, refuse
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
@@ -27,13 +28,14 @@ def check_wall(design: Design, surface: Surface) -> None:
         )
 
 
-def check_heights(design: Design, surface: Surface, markers: Markers) -> None:
+def check_heights(sensor: Sensor) -> None:
     """Check that no receptor is longer than the way to where the normals meet below it."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     room = surface.reach_mm(markers.uv) - design.wall.thickness_mm
     worst = int(np.argmax(markers.height_mm - np.minimum(room, 1e9)))
     height, free = markers.height_mm[worst], room[worst]
     if height >= free:
-        mend = lower_heights(design, surface, markers) or (
+        mend = lower_heights(sensor) or (
             "no height fits there: lower wall.thickness_mm, receptor.diameter_outer_mm or the "
             "number of markers, or keep them off such tightly curved places"
         )
@@ -46,13 +48,14 @@ def check_heights(design: Design, surface: Surface, markers: Markers) -> None:
         )
 
 
-def check_reach(design: Design, surface: Surface, markers: Markers) -> None:
+def check_reach(sensor: Sensor) -> None:
     """Check that tubes and pushed-out red tips stay clear of the light bar on the axis."""
+    design, markers = sensor.design, sensor.markers
     bar = design.light.bar_radius_mm
-    for what, free, least in _bar_clearances(design, surface, markers):
+    for what, free, least in _bar_clearances(sensor):
         worst = int(np.argmin(free))
         if free[worst] < least - SLACK_mm:
-            mend = lower_heights(design, surface, markers)
+            mend = lower_heights(sensor)
             refuse(
                 f"{what} tips of {markers.place(worst)} reach the light bar (they end "
                 f"{free[worst]:.1f} mm from the axis, height {markers.height_mm[worst]:.1f} mm; "
@@ -61,11 +64,12 @@ def check_reach(design: Design, surface: Surface, markers: Markers) -> None:
             )
 
 
-def lower_heights(design: Design, surface: Surface, markers: Markers) -> str:
+def lower_heights(sensor: Sensor) -> str:
     """Fix for receptors that are too tall, with the greatest height (0.1 mm steps) that fits.
 
     Empty if no height fits: then the height is not what is wrong.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     layout = design.layout
     if layout.position_heights_mm:
         return "lower layout.position_heights_mm"
@@ -77,7 +81,7 @@ def lower_heights(design: Design, surface: Surface, markers: Markers) -> str:
         middle = (fitting + failing) // 2
         heights = {field: min(value, middle / 10.0) for field, value in fields.items()}
         trial = design.model_copy(update={"layout": layout.model_copy(update=heights)})
-        if _room_mm(trial, surface, markers) > 0.0:
+        if _room_mm(Sensor.of(trial, surface, markers)) > 0.0:
             fitting = middle
         else:
             failing = middle
@@ -87,8 +91,9 @@ def lower_heights(design: Design, surface: Surface, markers: Markers) -> str:
     return f"lower {' and '.join(lower)} to {fitting / 10.0:g}"
 
 
-def _room_mm(design: Design, surface: Surface, markers: Markers) -> float:
+def _room_mm(sensor: Sensor) -> float:
     """Least clearance of the receptors beyond what the rules ask: axis, light bar, each other."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     if design.layout.heights == "line-of-sight":
         try:
             lowered = make_markers(design, surface)
@@ -100,14 +105,16 @@ def _room_mm(design: Design, surface: Surface, markers: Markers) -> float:
     reach = surface.reach_mm(lowered.uv) - design.wall.thickness_mm
     room = float((reach - lowered.height_mm).min())
     gap, _ = smallest_receptor_gap_mm(design, lowered)
-    free = [(free - least).min() for _, free, least in _bar_clearances(design, surface, lowered)]
+    free = [
+        (free - least).min()
+        for _, free, least in _bar_clearances(Sensor.of(design, surface, lowered))
+    ]
     return float(min(room, gap - design.print_rules.gap_min_mm + SLACK_mm, *free))
 
 
-def _bar_clearances(
-    design: Design, surface: Surface, markers: Markers
-) -> list[tuple[str, FloatArray, float]]:
+def _bar_clearances(sensor: Sensor) -> list[tuple[str, FloatArray, float]]:
     """What comes near the bar, how near its axis (n,) it comes, and how near it may; mm."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     bar, switch = design.light.bar_radius_mm, design.switch
     near, far = bar_span_mm(design, surface) if bar > 0.0 else (0.0, 0.0)
     if near >= far:

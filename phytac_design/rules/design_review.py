@@ -9,8 +9,8 @@ import numpy as np
 from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import edge_mm
-from phytac_design.layout import Markers
 from phytac_design.layout.cameras import cameras_of, stand_off_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.density import density_of
 from phytac_design.optics.lens_facts import lens_facts
 from phytac_design.optics.render_scene import BAR, RESIN
@@ -24,7 +24,6 @@ from phytac_design.optics.visibility import (
     visibility_advice,
 )
 from phytac_design.rules.check import check_design
-from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, IntArray
 
 WIDE_DEG = 60.0
@@ -48,7 +47,8 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
     cameras = cameras_of(design, surface)
     rng = np.random.default_rng(seed)
     each = [
-        check_visibility(design, surface, markers, rng=rng, camera=camera) for camera in cameras
+        check_visibility(Sensor.of(design, surface, markers), rng=rng, camera=camera)
+        for camera in cameras
     ]
     seen, best = best_of(each)
     density = density_of(surface, markers)
@@ -79,7 +79,7 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
             np.flatnonzero(seen.fused),
             seen.hidden_by,
         ),
-        "warnings": warnings_of(design, surface, markers, cameras, each, best),
+        "warnings": warnings_of(Sensor.of(design, surface, markers), cameras, each, best),
         "stand_off_mm": stand_off_mm(design, surface, cameras[0]),
         "cameras": [
             {
@@ -87,7 +87,7 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
                 "stand_off_mm": stand_off_mm(design, surface, camera),
                 "best_for": int((best == number).sum()),
                 "visibility": own.summary(),
-                "lens": lens_facts(design, surface, markers, camera),
+                "lens": lens_facts(Sensor.of(design, surface, markers), camera),
             }
             for number, (end, camera, own) in enumerate(
                 zip(design.camera.end_numbers, cameras, each, strict=True)
@@ -98,17 +98,13 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
 
 
 def warnings_of(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    cameras: tuple[Camera, ...],
-    each: list[Visibility],
-    best: IntArray,
+    sensor: Sensor, cameras: tuple[Camera, ...], each: list[Visibility], best: IntArray
 ) -> list[str]:
     """What is odd about a design and its cameras, though it may work; each as a sentence.
 
     ``best`` (n,) is the number of the camera that sees each marker best.
     """
+    design = sensor.design
     out = []
     if heights_face(design):
         out.append(
@@ -116,21 +112,15 @@ def warnings_of(
             f"far ones; {heights_face(design)}"
         )
     for number, (camera, seen) in enumerate(zip(cameras, each, strict=True)):
-        out.extend(blurred(design, surface, markers, camera, seen, best == number))
+        out.extend(blurred(sensor, camera, seen, best == number))
     if len(cameras) == 1:
-        out.extend(too_close(design, surface, markers, cameras[0], each[0]))
+        out.extend(too_close(sensor, cameras[0], each[0]))
     return out
 
 
-def blurred(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    camera: Camera,
-    seen: Visibility,
-    own: BoolArray,
-) -> list[str]:
+def blurred(sensor: Sensor, camera: Camera, seen: Visibility, own: BoolArray) -> list[str]:
     """Say so if ``own`` markers (n,) blur into the gap to the next one of their colour."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     blur = np.nan_to_num(sharpness(design.camera, camera, surface, markers).blur_px)
     share = np.where(own, blur / np.maximum(seen.gap_same_colour_px, 1.0), 0.0)
     worst = int(share.argmax())
@@ -146,10 +136,9 @@ def blurred(
     return [f"{said}: raise camera.f_number to {mend:g}, or set camera.focus_mm"]
 
 
-def too_close(
-    design: Design, surface: Surface, markers: Markers, camera: Camera, seen: Visibility
-) -> list[str]:
+def too_close(sensor: Sensor, camera: Camera, seen: Visibility) -> list[str]:
     """Say so if `fit` puts a wide lens where receptors or the bar hide some, and what would do."""
+    design, surface = sensor.design, sensor.surface
     hidden = int(np.isin(seen.hidden_by, (RESIN, BAR)).sum())
     end = design.camera.end_numbers[0]
     rim = camera.to_camera(edge_mm(surface, end, -design.wall.thickness_mm))
@@ -166,7 +155,7 @@ def too_close(
         away = float(camera.rotation[2, 2]) * (stand_off - step * stand_off)
         back = replace(camera, position_mm=camera.position_mm + np.array([0.0, 0.0, away]))
         rng = np.random.default_rng(0)
-        other = check_visibility(design, surface, markers, rng=rng, camera=back)
+        other = check_visibility(sensor, rng=rng, camera=back)
         if other.clear.all():
             return [
                 f"{said}; set camera.stand_off_mm = {step * stand_off:.1f}: every marker is seen"

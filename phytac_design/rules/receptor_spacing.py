@@ -3,9 +3,8 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from phytac_design.design.spec import Design
-from phytac_design.layout import Markers
 from phytac_design.layout.receptor_distances import nearest_pair, smallest_receptor_gap_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.clearance import lower_heights
 from phytac_design.rules.refusal import SLACK_mm, fewer, refuse
 from phytac_shapes import Surface
@@ -54,8 +53,9 @@ def edge_distance_mm(surface: Surface, uv: FloatArray, axis: int, end: int) -> F
     return np.asarray(best)
 
 
-def check_ends(design: Design, surface: Surface, markers: Markers) -> None:
+def check_ends(sensor: Sensor) -> None:
     """Check that tubes and switch footprints stay within the open edges of the surface."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     receptor, switch = design.receptor, design.switch
     sizes = [("tube", "receptor.diameter_outer_mm", receptor.diameter_outer_mm / 2.0)]
     if design.wall.rim_length_mm > 0.0 and design.wall.rim_flange_mm > 0.0:
@@ -83,12 +83,13 @@ def check_ends(design: Design, surface: Surface, markers: Markers) -> None:
                 )
 
 
-def check_receptor_gaps(design: Design, surface: Surface, markers: Markers) -> None:
+def check_receptor_gaps(sensor: Sensor) -> None:
     """Check that tubes keep the printer's gap between each other.
 
     The gap is the distance between the axes' segments less one diameter: exact for sides that
     meet, up to a few hundredths of a millimetre too small where flat ends are nearest.
     """
+    design, markers = sensor.design, sensor.markers
     gap, pair = smallest_receptor_gap_mm(design, markers)
     least = design.print_rules.gap_min_mm
     if pair is None or gap >= least - SLACK_mm:
@@ -97,7 +98,7 @@ def check_receptor_gaps(design: Design, surface: Surface, markers: Markers) -> N
     state = f"overlap by {-gap:.2f} mm" if gap < 0.0 else f"are {gap:.2f} mm apart"
     one_row = markers.row[pair[0]] == markers.row[pair[1]]
     spacing = fewer(design, "columns" if one_row else "rows or columns")
-    mend = lower_heights(design, surface, markers)
+    mend = lower_heights(sensor)
     refuse(
         f"receptors {first} and {second} meet: they {state} (the printer needs a gap of "
         f"{least:g} mm); {mend + ', or ' if mend else ''}{spacing} "
@@ -105,8 +106,9 @@ def check_receptor_gaps(design: Design, surface: Surface, markers: Markers) -> N
     )
 
 
-def check_footprints(design: Design, surface: Surface, markers: Markers) -> None:
+def check_footprints(sensor: Sensor) -> None:
     """Check that the bowls of neighbouring switches do not overlap on the outer face."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     if markers.count < 2:
         return
     apart, (low, high) = nearest_pair(surface.point(markers.uv))

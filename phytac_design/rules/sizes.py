@@ -3,7 +3,7 @@
 import numpy as np
 
 from phytac_design.design.spec import Design
-from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.rules.refusal import SLACK_mm, refuse
 from phytac_shapes import Surface
@@ -79,8 +79,9 @@ def _check_switch(design: Design) -> None:
         )
 
 
-def check_training(design: Design, surface: Surface, markers: Markers) -> None:
+def check_training(sensor: Sensor) -> None:
     """Check that contacts fit and can trip switches at all: else there is nothing to learn."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     training, switch = design.training, design.switch
     size = min(float(surface.reach_mm(markers.uv).max()), _half_size_mm(surface))
     if training.patch_radius_max_mm > size + SLACK_mm:

@@ -6,9 +6,9 @@ from typing import Literal
 
 import numpy as np
 
-from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.arc import by_area
+from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.shell.pressure_sharing import footprint_force_share
 from phytac_shapes import Surface
@@ -94,9 +94,7 @@ class Switching:
 
 
 def draw_contacts(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
+    sensor: Sensor,
     *,
     samples: int,
     rng: np.random.Generator,
@@ -117,6 +115,7 @@ def draw_contacts(
     DesignError
         If nothing that senses is inside.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     training = design.training
     jitter = min(JITTER_MM, JITTER_SHARE * training.patch_radius_min_mm)
     places = _places(surface, markers, placement, rng, jitter, inside)
@@ -200,13 +199,12 @@ def tangent_step(surface: Surface, uv: FloatArray, step_mm: FloatArray) -> Float
     return np.where(np.array(surface.periodic), moved, inside)
 
 
-def switch_states(
-    design: Design, surface: Surface, markers: Markers, contacts: Contacts
-) -> Switching:
+def switch_states(sensor: Sensor, contacts: Contacts) -> Switching:
     """Apply the activation law: a switch is on when its footprint carries over its threshold.
 
     Pressure is even over a patch, so a footprint carries the force times the overlapped share.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     share = footprint_force_share(
         surface,
         contacts.uv,

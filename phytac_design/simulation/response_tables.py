@@ -19,8 +19,8 @@ from phytac_decoder.mechanics.response_table import (
     TERMS,
     ResponseTable,
 )
-from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.compliance import turns_of
 from phytac_design.mechanics.shell.pressure import tangent_frame
@@ -158,9 +158,7 @@ def place_spacing_mm(surface: Surface, share: float, radius_mm: float) -> float:
 
 
 def tabulate_responses(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
+    sensor: Sensor,
     *,
     mesh: ShellMesh,
     model: ShellModel,
@@ -196,6 +194,7 @@ def tabulate_responses(
     DesignError
         If fewer than ``PLACES_MIN`` are wanted.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     training = design.training
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     columns = markers.lattice.columns if markers.lattice else 1

@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.design.spec import Design
-from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.cad_kernel import cadquery
 from phytac_design.solids.cad_wall import WALLS, wall_cad
 from phytac_design.solids.receptor_tubes import receptor_axes
-from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import CadKernelError, NumericalError, OutputError
 
@@ -43,7 +41,7 @@ class CadFacts:
     solids: int
 
 
-def shell_cad(design: Design, surface: Surface, markers: Markers) -> Any:
+def shell_cad(sensor: Sensor) -> Any:
     """Wall, rims, tubes and holes as one ``cadquery`` solid, mm.
 
     Raises
@@ -53,9 +51,10 @@ def shell_cad(design: Design, surface: Surface, markers: Markers) -> Any:
     CadKernelError
         If OpenCASCADE does not return exactly one sound solid.
     """
+    design, surface = sensor.design, sensor.surface
     cq = cadquery()
     wall = wall_cad(surface, design.wall)
-    axes = receptor_axes(design, surface, markers)
+    axes = receptor_axes(sensor)
     receptor = design.receptor
     tubes = _rods(cq, axes.root_mm, axes.tip_mm, receptor.diameter_outer_mm / 2.0)
     holes = _rods(cq, axes.hole_start_mm, axes.hole_end_mm, receptor.diameter_hole_mm / 2.0)

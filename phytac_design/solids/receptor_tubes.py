@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import DesignError
@@ -37,8 +37,9 @@ class ReceptorAxes:
     painted: BoolArray
 
 
-def _outer_mm(design: Design, surface: Surface, markers: Markers) -> FloatArray:
+def _outer_mm(sensor: Sensor) -> FloatArray:
     """Where the receptors' axes meet the outer face, (n, 3) mm (its tangent plane if leaning)."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     if design.receptor.direction == "normal":
         return surface.point(markers.uv)
     cosine = -np.sum(markers.direction * markers.normal, axis=1)
@@ -86,7 +87,7 @@ def _nearest_uv(surface: Surface, uv: FloatArray, points_mm: FloatArray) -> Floa
     return foot
 
 
-def root_depth_mm(design: Design, surface: Surface, markers: Markers) -> FloatArray:
+def root_depth_mm(sensor: Sensor) -> FloatArray:
     """Way along the axis from the outer face to where a flat root lies in the wall, (n,) mm.
 
     Raises
@@ -95,8 +96,9 @@ def root_depth_mm(design: Design, surface: Surface, markers: Markers) -> FloatAr
         If the wall curves away so much under a tube, or the tube leans so much, that no flat root
         stays inside the wall.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     thickness, radius = design.wall.thickness_mm, design.receptor.diameter_outer_mm / 2.0
-    outer = _outer_mm(design, surface, markers)
+    outer = _outer_mm(sensor)
     high, low = rim_sag_mm(surface, markers, outer, radius)
     least, most = np.maximum(high, 0.0), thickness + np.minimum(low, 0.0)
     bad = np.flatnonzero(most - least <= 0.05 * thickness)
@@ -113,13 +115,14 @@ def root_depth_mm(design: Design, surface: Surface, markers: Markers) -> FloatAr
     return np.asarray((least + most) / 2.0 / cosine)
 
 
-def receptor_axes(design: Design, surface: Surface, markers: Markers) -> ReceptorAxes:
+def receptor_axes(sensor: Sensor) -> ReceptorAxes:
     """Axes of all tubes, bands and holes."""
+    design, markers = sensor.design, sensor.markers
     # How far a hole's cutter runs past the end face, so that the faces never coincide.
     overshoot_mm = 0.05
     receptor = design.receptor
-    depth = root_depth_mm(design, surface, markers)
-    outer = _outer_mm(design, surface, markers)
+    depth = root_depth_mm(sensor)
+    outer = _outer_mm(sensor)
     root = outer + depth[:, None] * markers.direction
     painted = receptor.band_marker_mm >= markers.height_mm - 1e-9
     band = markers.tip_mm - receptor.band_marker_mm * markers.direction

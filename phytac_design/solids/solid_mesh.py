@@ -14,12 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.design.spec import Design
 from phytac_design.geometry.triangles import TriangleMesh, prisms, proper_triangles, sides_for
-from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.receptor_tubes import ReceptorAxes, receptor_axes
 from phytac_design.solids.wall_mesh import wall_mesh
-from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError
 
@@ -91,9 +89,10 @@ def stl_triangles(solid: Any, *, step_mm: float = 1e-5) -> TriangleMesh:
     return to_triangles(to_manifold(rounded_mesh).simplify(step_mm))
 
 
-def _parts(design: Design, surface: Surface, markers: Markers, tolerance_mm: float) -> _Parts:
+def _parts(sensor: Sensor, tolerance_mm: float) -> _Parts:
+    design, surface = sensor.design, sensor.surface
     receptor = design.receptor
-    axes = receptor_axes(design, surface, markers)
+    axes = receptor_axes(sensor)
     radius, hole = receptor.diameter_outer_mm / 2.0, receptor.diameter_hole_mm / 2.0
     return _Parts(
         wall=to_manifold(wall_mesh(surface, design.wall, tolerance_mm=tolerance_mm)),
@@ -106,9 +105,7 @@ def _parts(design: Design, surface: Surface, markers: Markers, tolerance_mm: flo
     )
 
 
-def shell_manifold(
-    design: Design, surface: Surface, markers: Markers, *, tolerance_mm: float = TOLERANCE_mm
-) -> Any:
+def shell_manifold(sensor: Sensor, *, tolerance_mm: float = TOLERANCE_mm) -> Any:
     """Wall, rims, tubes and holes as one ``manifold3d.Manifold``, mm.
 
     Receptors must not meet each other (``phytac_design.rules.check_design`` sees to it): all
@@ -119,24 +116,23 @@ def shell_manifold(
     tolerance_mm : float
         Largest distance between the mesh and the true faces.
     """
-    parts = _parts(design, surface, markers, tolerance_mm)
+    parts = _parts(sensor, tolerance_mm)
     tubes = parts.rods(parts.axes.root_mm, parts.axes.tip_mm)
     return ((parts.wall + tubes) - parts.holes).simplify(SLIVER_mm)
 
 
-def painted_manifolds(
-    design: Design, surface: Surface, markers: Markers, *, tolerance_mm: float = TOLERANCE_mm
-) -> dict[str, Any]:
+def painted_manifolds(sensor: Sensor, *, tolerance_mm: float = TOLERANCE_mm) -> dict[str, Any]:
     """Bodies that tile the shell, by name: ``resin`` first, then each paint in use.
 
     A paint body is the last ``band_marker_mm`` of each tube of that colour, full tube wall and
     end face; a receptor not taller than the band is painted down to the wall. Without a band
     (shorter than ``band_min_mm``) there is only resin.
     """
+    design, markers = sensor.design, sensor.markers
     band_min_mm = 1e-3  # a shorter painted band is no solid; its paint is left out
     if design.receptor.band_marker_mm < band_min_mm:
-        return {"resin": shell_manifold(design, surface, markers, tolerance_mm=tolerance_mm)}
-    parts = _parts(design, surface, markers, tolerance_mm)
+        return {"resin": shell_manifold(sensor, tolerance_mm=tolerance_mm)}
+    parts = _parts(sensor, tolerance_mm)
     axes = parts.axes
     bare = ~axes.painted
     body = parts.wall

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
+from phytac_design.layout.sensor import Sensor
 from phytac_design.stages.switch_stage import switches_of, without_switches
 
 READS = (
@@ -44,7 +45,7 @@ def run(context: Context, folder: Path) -> None:
     def write(name: str, text: str) -> None:
         export_path(folder, f"bench/{name}").write_text(text, encoding="utf-8")
 
-    drawn = make_map(design, surface, markers, switches)
+    drawn = make_map(Sensor.of(design, surface, markers), switches)
     write("paint_map.svg", svg_text(whole_page(drawn)))
     write("paint_map_inside.svg", svg_text(whole_page(drawn, inside=True)))
     pages = paper_pages(drawn)
@@ -125,7 +126,7 @@ def pictures(context: Context) -> dict[str, bytes]:
     out = {}
     if "hardware_left_out" not in context.facts("hardware"):
         tolerance = context.accuracy.cad_tolerance_mm
-        parts = exploded_bodies(design, surface, markers, tolerance_mm=tolerance)
+        parts = exploded_bodies(Sensor.of(design, surface, markers), tolerance_mm=tolerance)
         bodies = [
             Body(mesh=mesh.moved(shift), colour=part_colour(name))
             for name, (mesh, shift) in parts.items()

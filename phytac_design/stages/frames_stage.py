@@ -10,6 +10,7 @@ import numpy as np
 from phytac_design.design.scene import ALL_AT_ONCE
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
 from phytac_design.layout.heights_along import along_mm, middle_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.contacts import Contacts, Switching
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
 from phytac_design.simulation.scenario.scene_scope import scope_of
@@ -62,9 +63,7 @@ def draw_frame_contacts(context: Context) -> FrameContacts:
     rng = np.random.default_rng([context.seed, 2])
     scope = scope_of(context)
     contacts = draw_contacts(
-        design,
-        surface,
-        markers,
+        Sensor.of(design, surface, markers),
         samples=context.accuracy.frames,
         rng=rng,
         most=context.scene.at_once if context.scene else ALL_AT_ONCE,
@@ -74,7 +73,7 @@ def draw_frame_contacts(context: Context) -> FrameContacts:
     responses = motion_responses(
         model, mesh, surface, markers, uv=contacts.uv, radius_mm=contacts.radius_mm
     )
-    switching = switch_states(design, surface, markers, contacts)
+    switching = switch_states(Sensor.of(design, surface, markers), contacts)
     motion = superpose(responses, contacts)
     pressed = FrameContacts(contacts=contacts, switching=switching, motion=motion)
     if context.accuracy.place_orders == 1:
@@ -120,7 +119,9 @@ def render_sample(
     frames = []
     for camera in cameras_of(design, surface):
         tolerance = tolerance_mm(camera, markers)
-        scene = build_scene(design, surface, markers, tolerance_mm=tolerance, switch_on=bits)
+        scene = build_scene(
+            Sensor.of(design, surface, markers), tolerance_mm=tolerance, switch_on=bits
+        )
         if index is not None:
             motion = pressed.motion[index] if motion is None else motion
             scene = scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from phytac_design.design.hardware_table import HardwareSection
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
+from phytac_design.layout.sensor import Sensor
 from phytac_design.stages.switch_stage import refusal, switches_of
 from phytac_shapes.errors import CadKernelError, DesignError, MissingPartError, NumericalError
 
@@ -75,10 +76,10 @@ def _checked(context: Context) -> tuple["HardwareAssembly", dict[str, Any], dict
         return kit, {}, {}
     switches = switches_of(context)
     tolerance = context.accuracy.cad_tolerance_mm
-    solids = sensor_solids(design, surface, markers, switches, tolerance_mm=tolerance)
+    solids = sensor_solids(Sensor.of(design, surface, markers), switches, tolerance_mm=tolerance)
     solids |= hardware_solids(design, surface, kit, tolerance_mm=tolerance)
     cameras = list(cameras_of(design, surface))
-    found = verdict(design, surface, markers, switches, cameras, kit, solids)
+    found = verdict(Sensor.of(design, surface, markers), switches, cameras, kit, solids)
     found.raise_failure()
     return kit, solids, hardware_facts(design, kit, found, solids)
 
@@ -125,7 +126,7 @@ def _write_step(
     if whole:
         context.progress("hardware: STEP of the whole sensor")
         try:
-            sensor = sensor_bodies(design, surface, markers, switches_of(context))
+            sensor = sensor_bodies(Sensor.of(design, surface, markers), switches_of(context))
         except CadKernelError as error:
             context.progress(f"hardware: the assembly holds the wall without receptors ({error})")
             whole = False

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
+from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.worst_places import SAME_mm, press_places
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.response_stage import MECHANICS, TOUCH
@@ -146,7 +147,9 @@ def press_and_see(
     views = [
         (
             camera,
-            build_scene(design, surface, markers, tolerance_mm=tolerance_mm(camera, markers)),
+            build_scene(
+                Sensor.of(design, surface, markers), tolerance_mm=tolerance_mm(camera, markers)
+            ),
             reader == number,
         )
         for number, camera in enumerate(cameras_of(design, surface))

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from phytac_design.engine.stage import EXPORT, Context, Stage, write_facts
+from phytac_design.layout.sensor import Sensor
 
 LOAD_N = 10.0
 """Force of the ready load step: a fingertip in the middle of the sensor."""
@@ -14,11 +15,11 @@ def run(context: Context, folder: Path) -> None:
     from phytac_design.mechanics.solid.mesh_files import make_folder, write_shell_files
 
     design, surface, markers = context.design, context.surface, context.markers
-    place = parse_contact_patch(design, surface, markers, force_N=LOAD_N)
+    place = parse_contact_patch(Sensor.of(design, surface, markers), force_N=LOAD_N)
     target = folder / EXPORT / "mesh"
     make_folder(target)
     facts = write_shell_files(
-        target, design, surface, markers, place, refine=context.accuracy.refine
+        target, Sensor.of(design, surface, markers), place, refine=context.accuracy.refine
     )
     write_facts(
         folder,

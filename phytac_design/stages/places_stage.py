@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
+from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.response_stage import (
@@ -31,9 +32,7 @@ def run_places(context: Context, folder: Path) -> None:
     mesh, model, _ = decoder_shell(context)
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     done = tabulate_responses(
-        design,
-        surface,
-        markers,
+        Sensor.of(design, surface, markers),
         mesh=mesh,
         model=model,
         see=image_response_of(context),

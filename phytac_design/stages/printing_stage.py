@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
+from phytac_design.layout.sensor import Sensor
 from phytac_shapes.errors import DesignError
 
 OTHERS = ("mold", "hardware", "kit")
@@ -24,7 +25,9 @@ def run(context: Context, folder: Path) -> None:
     design, rules = context.design, context.design.print_rules
     tolerance = context.accuracy.cad_tolerance_mm
     mesh = read_stl(context.folders["shell"] / EXPORT / SHELL_FILE)
-    report = check_shell(design, context.surface, context.markers, mesh, tolerance_mm=tolerance)
+    report = check_shell(
+        Sensor.of(design, context.surface, context.markers), mesh, tolerance_mm=tolerance
+    )
     picture = draw_report(RayTree(mesh), report, rules, f"{design.name}: the shell, as printed")
     export_path(folder, "shell/print_report.svg").write_text(picture, encoding="utf-8")
     parts = {SHELL_FILE: report.as_dict()}
@@ -80,8 +83,8 @@ def _part(context: Context, folder: Path) -> dict[str, Any]:
 
     design, surface, markers = context.design, context.surface, context.markers
     tolerance = context.accuracy.cad_tolerance_mm
-    solid = shell_manifold(design, surface, markers, tolerance_mm=tolerance)
-    parting = part_shell(design, surface, markers, solid, tolerance_mm=tolerance)
+    solid = shell_manifold(Sensor.of(design, surface, markers), tolerance_mm=tolerance)
+    parting = part_shell(Sensor.of(design, surface, markers), solid, tolerance_mm=tolerance)
     pieces = []
     for number, piece in enumerate(parting.pieces, start=1):
         file = f"shell/shell_part_{number}.stl"

@@ -8,6 +8,7 @@ import numpy as np
 from phytac_design.design.scene import ALL_AT_ONCE
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
+from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
@@ -139,9 +140,7 @@ def run_twin(context: Context, folder: Path) -> None:
     scope = scope_of(context)
     drawn = {
         name: draw_contacts(
-            design,
-            surface,
-            markers,
+            Sensor.of(design, surface, markers),
             samples=samples,
             rng=rng,
             placement="anywhere" if name == "anywhere" else "receptor",
@@ -169,7 +168,7 @@ def run_twin(context: Context, folder: Path) -> None:
         shift = see.shift(superpose(responses[start:end], item), linear=True)
         start = end
         noise = rng.normal(0.0, design.camera.noise_centroid_px, shift.shape)
-        switching = switch_states(design, surface, markers, item)
+        switching = switch_states(Sensor.of(design, surface, markers), item)
         arrays |= Dataset(contacts=item, switching=switching, shift_px=shift + noise).arrays(name)
     write_arrays(folder, arrays)
     wall = "plain shell" if unknown_receptors(design) else "shell with receptors"

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
+from phytac_design.layout.sensor import Sensor
 from phytac_shapes.errors import CadKernelError, MissingPartError, NumericalError
 
 VOLUME_TOL = 1e-3
@@ -19,11 +20,11 @@ def run_shell(context: Context, folder: Path) -> None:
 
     design, surface, markers = context.design, context.surface, context.markers
     tolerance = context.accuracy.cad_tolerance_mm
-    solid = shell_manifold(design, surface, markers, tolerance_mm=tolerance)
+    solid = shell_manifold(Sensor.of(design, surface, markers), tolerance_mm=tolerance)
     facts = shell_facts(solid, surface, markers).as_dict()
     write_stl(to_triangles(solid), export_path(folder, "shell/shell.stl"))
     context.progress("shell: painted bodies")
-    painted = painted_manifolds(design, surface, markers, tolerance_mm=tolerance)
+    painted = painted_manifolds(Sensor.of(design, surface, markers), tolerance_mm=tolerance)
     bodies = {name: to_triangles(body) for name, body in painted.items()}
     write_3mf(bodies, export_path(folder, "shell/shell.3mf"), name=design.name)
     facts["body_volume_mm3"] = {name: body.volume() for name, body in painted.items()}
@@ -40,7 +41,7 @@ def run_step(context: Context, folder: Path) -> None:
 
     reason = ""
     try:
-        solid = shell_cad(context.design, context.surface, context.markers)
+        solid = shell_cad(context.sensor)
         facts = cad_facts(solid)
     except (MissingPartError, CadKernelError) as error:
         reason = str(error)
@@ -76,7 +77,7 @@ def _compare_finer(context: Context, step_mm3: float) -> None:
     """
     from phytac_design.solids.solid_mesh import shell_manifold
 
-    solid = shell_manifold(context.design, context.surface, context.markers, tolerance_mm=FINE_mm)
+    solid = shell_manifold(context.sensor, tolerance_mm=FINE_mm)
     volume = float(solid.volume())
     if not abs(volume / step_mm3 - 1.0) <= VOLUME_TOL:
         raise NumericalError(

@@ -137,7 +137,7 @@ def without_switches(context: Context, folder: Path) -> bool:
 
 def _set_of(context: Context, made: list[dict[str, Any]]) -> SwitchSet:
     thresholds = thresholds_N(context.design, context.markers)
-    return make_switches(context.design, context.surface, context.markers, made, thresholds)
+    return make_switches(context.sensor, made, thresholds)
 
 
 SWITCH = Stage(name="switch", reads=READS, needs=("views",), uses=RED, gate=refusal, run=run)

@@ -10,6 +10,7 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage, export_path, write_arrays, write_facts
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_shapes.arrays import FloatArray, ImageArray
@@ -91,8 +92,8 @@ def shoot(
     design, surface, markers = context.design, context.surface, context.markers
     tolerance = tolerance_mm(camera, markers)
     all_on = np.ones(markers.count, dtype=np.bool_)
-    rest = build_scene(design, surface, markers, tolerance_mm=tolerance)
-    on = build_scene(design, surface, markers, tolerance_mm=tolerance, switch_on=all_on)
+    rest = build_scene(Sensor.of(design, surface, markers), tolerance_mm=tolerance)
+    on = build_scene(Sensor.of(design, surface, markers), tolerance_mm=tolerance, switch_on=all_on)
     seen = see(rest, on, camera, noise_std=design.camera.noise_pixel, rng=rng)
     part_on = rasterise(on, camera).part
     away = camera.project(markers.tip_mm) if alone else np.nan
@@ -113,7 +114,7 @@ def shoot(
         camera=camera,
         seen=seen,
         expected=replace(expected, rest_px=rest_px),
-        paint_slope=paint_slope(design, surface, markers, camera, rest=rest, seen=seen),
+        paint_slope=paint_slope(Sensor.of(design, surface, markers), camera, rest=rest, seen=seen),
         renderer=renderer,
     )
 
@@ -204,7 +205,7 @@ def run_views(context: Context, folder: Path) -> None:
                     "stand_off_mm": stand_off_mm(design, surface, shot.camera),
                     "best_for": int((camera == number).sum()),
                     "visibility": shot.seen.summary(),
-                    "lens": lens_facts(design, surface, markers, shot.camera),
+                    "lens": lens_facts(Sensor.of(design, surface, markers), shot.camera),
                 }
                 for number, (end, shot) in enumerate(
                     zip(design.camera.end_numbers, shots, strict=True)
@@ -255,9 +256,14 @@ def run_compare(context: Context, folder: Path) -> None:
         return
     cameras = cameras_of(design, surface)
     rng = np.random.default_rng(context.seed)
-    each = [check_visibility(design, surface, markers, rng=rng, camera=eye) for eye in cameras]
+    each = [
+        check_visibility(Sensor.of(design, surface, markers), rng=rng, camera=eye)
+        for eye in cameras
+    ]
     near = cameras[0]
-    scene = build_scene(design, surface, markers, tolerance_mm=tolerance_mm(near, markers))
+    scene = build_scene(
+        Sensor.of(design, surface, markers), tolerance_mm=tolerance_mm(near, markers)
+    )
     write_image(export_path(folder, "views/straight.png"), picture_or_frame(scene, near)[0])
     write_facts(folder, {"straight": best_of(each)[0].summary()})
 

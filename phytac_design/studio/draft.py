@@ -17,6 +17,7 @@ from phytac_design.core.json_values import finite
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import stand_off_mm, tolerance_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.density import density_map, surface_class
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.raster import rasterise
@@ -119,7 +120,7 @@ def _drawn(candidate: Candidate, refused: str, side_px: int, check: Check) -> Js
     density = density_map(surface, markers)
     check()
     seen = fraction >= FRACTION_MIN
-    predicted = predict(design, surface, markers, candidate.cameras, seen)
+    predicted = predict(Sensor.of(design, surface, markers), candidate.cameras, seen)
     found = rules(candidate) | {
         "density_least_per_cm2": float(density.per_cm2.min()),
         "sampled_visible_least": float(fraction.min()),
@@ -216,9 +217,7 @@ def _view(candidate: Candidate, fraction: FloatArray, per_cm2: FloatArray) -> Js
         Colouring(key="density", label="local density", values=per_cm2, unit="/cm²"),
     ]
     view = viewer_data(
-        candidate.design,
-        surface,
-        markers,
+        Sensor.of(candidate.design, surface, markers),
         [*own, *base_colourings(markers)],
         cameras=candidate.cameras,
     )
@@ -255,7 +254,7 @@ def _scene(candidate: Candidate, camera: Camera, coarse: float) -> RenderScene:
     surface, markers = candidate.checked
     least = 0.005 * candidate.design.receptor.diameter_outer_mm / 2.0
     tolerance = np.maximum(coarse * tolerance_mm(camera, markers), least)
-    return build_scene(candidate.design, surface, markers, tolerance_mm=tolerance)
+    return build_scene(Sensor.of(candidate.design, surface, markers), tolerance_mm=tolerance)
 
 
 def _picture(candidate: Candidate, camera: Camera, side_px: int) -> Json:

@@ -17,6 +17,7 @@ from phytac_design.design.camera_files import read_lens
 from phytac_design.design.design_file import design_hash
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES, encode_png
 from phytac_design.simulation.indenters import Touches
 from phytac_design.simulation.rig_import.rig_contacts import contacts_of, sequences_of
@@ -162,9 +163,7 @@ def import_rig(
         notes["radius_assumed_mm"] = radius_mm
     touches = contacts_of(
         log,
-        design,
-        rig.surface,
-        rig.markers,
+        Sensor.of(design, rig.surface, rig.markers),
         off_mm=chosen.off_mm,
         radius_mm=radius_mm,
         problems=problems,

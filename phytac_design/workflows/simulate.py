@@ -24,6 +24,7 @@ from phytac_design.core.workers import WorkerPool
 from phytac_design.datasets.samples import STATUSES, THEORIES, Samples, inputs_alone, key_nodes
 from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.datasets.samples_writer import FILE, FRAMES, TABLE, file_hash, write_samples
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.exposure import Exposure
 from phytac_design.rules.check import check_design
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES, encode_png
@@ -95,7 +96,7 @@ class ImagingReference:
 def observe_rest(job: Job, progress: Callable[[str], None]) -> ImagingReference:
     """Observe the sensor at rest."""
     progress("simulate: the sensor at rest")
-    views = expected_views(job.design, job.surface, job.markers)
+    views = expected_views(Sensor.of(job.design, job.surface, job.markers))
     imaging = imaging_model(job, views=views)
     compliance = None
     if job.scenario.solve.route == "frames" and not imaging.nominal.tips.readable.all():

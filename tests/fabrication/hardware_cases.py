@@ -14,6 +14,7 @@ from phytac_design.fabrication.hardware.parts import HardwareAssembly
 from phytac_design.fabrication.hardware.sensor_solids import hardware_solids, sensor_solids
 from phytac_design.fabrication.switch_set import SwitchSet, make_switches
 from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.stages.build import copy_of
 from phytac_shapes import Surface
@@ -35,7 +36,7 @@ def bowl(design: Design) -> dict[str, float]:
 def switches(design: Design, surface: Surface, markers: Markers) -> SwitchSet:
     wanted = thresholds_N(design, markers)
     made = [{"threshold_N": float(value), "bowl": bowl(design)} for value in sorted(set(wanted))]
-    return make_switches(design, surface, markers, made, wanted)
+    return make_switches(Sensor.of(design, surface, markers), made, wanted)
 
 
 @cache
@@ -50,7 +51,7 @@ def solids(name: str) -> dict[str, Any]:
     """Shell, switches and hardware of a shipped design."""
     design, surface, markers, kit = case(name)
     made = switches(design, surface, markers)
-    sensor = sensor_solids(design, surface, markers, made, tolerance_mm=0.05)
+    sensor = sensor_solids(Sensor.of(design, surface, markers), made, tolerance_mm=0.05)
     return sensor | hardware_solids(design, surface, kit, tolerance_mm=0.05)
 
 

@@ -25,6 +25,7 @@ from phytac_design.fabrication.documents.paint_map import (
 from phytac_design.fabrication.documents.pdf import pdf_bytes
 from phytac_design.fabrication.documents.sheet_drawing import Disc, DrawnLine, svg_text
 from phytac_design.fabrication.documents.unroll import unroll
+from phytac_design.layout.sensor import Sensor
 from phytac_shapes.arrays import FloatArray
 from tests.fabrication.bench_cases import switches
 from tests.fabrication.cases import FAMILIES, built, family_design, shipped
@@ -34,7 +35,7 @@ ROUND = ("hemisphere", "grip", "capped cone")
 
 
 def drawn(design: Design, folder: Path) -> PaintMap:
-    return make_map(*built(design), switches(design, folder))
+    return make_map(Sensor.of(*built(design)), switches(design, folder))
 
 
 def area(polygon: FloatArray) -> float:

@@ -8,6 +8,7 @@ import pytest
 
 from phytac_design.design.spec import WallSection
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.cad import STEP_DATE, CadFacts, cad_facts, shell_cad, wall_cad, write_step
 from phytac_design.solids.cad_spline import cells_for, spline_edge
 from phytac_design.solids.solid_mesh import shell_manifold
@@ -51,10 +52,10 @@ def test_walls_of_all_families_are_valid_and_exact(name: str, sizes: dict[str, f
 @families
 def test_shells_of_all_families_go_through_step(name: str, tmp_path: Path) -> None:
     case = built(family_design(name, rows=2, columns=3))
-    solid = shell_cad(*case)
+    solid = shell_cad(Sensor.of(*case))
     facts = cad_facts(solid)
     assert (facts.valid, facts.solids) == (True, 1)
-    assert shell_manifold(*case).volume() == pytest.approx(facts.volume_mm3, rel=AGREE)
+    assert shell_manifold(Sensor.of(*case)).volume() == pytest.approx(facts.volume_mm3, rel=AGREE)
     write_step(solid, tmp_path / "shell.step")
     again = cad_facts(read_step(tmp_path / "shell.step"))
     assert (again.valid, again.solids) == (True, 1)
@@ -132,14 +133,14 @@ def test_faces_that_are_no_patch_are_refused(tmp_path: Path) -> None:
 )
 def test_cad_and_mesh_agree(layout: dict[str, object]) -> None:
     case = built(design(layout=layout))
-    facts = cad_facts(shell_cad(*case))
+    facts = cad_facts(shell_cad(Sensor.of(*case)))
     assert facts.valid
     assert facts.solids == 1
-    assert shell_manifold(*case).volume() == pytest.approx(facts.volume_mm3, rel=AGREE)
+    assert shell_manifold(Sensor.of(*case)).volume() == pytest.approx(facts.volume_mm3, rel=AGREE)
 
 
 def test_step_opens_again_and_repeats_byte_for_byte(tmp_path: Path) -> None:
-    solid = shell_cad(*built(design(layout={"rows": 2, "columns": 3})))
+    solid = shell_cad(Sensor.of(*built(design(layout={"rows": 2, "columns": 3}))))
     first, second = tmp_path / "a.step", tmp_path / "b.step"
     write_step(solid, first, name="case")
     write_step(solid, second, name="case")
@@ -163,14 +164,17 @@ def test_another_process_writes_the_same_step(tmp_path: Path) -> None:
     root = Path(__file__).parents[2]
     target = tmp_path / "other.step"
     subprocess.run([sys.executable, "-c", code, str(target)], cwd=root, check=True)
-    write_step(shell_cad(*built(design(layout={"rows": 1, "columns": 3}))), tmp_path / "own.step")
+    write_step(
+        shell_cad(Sensor.of(*built(design(layout={"rows": 1, "columns": 3})))),
+        tmp_path / "own.step",
+    )
     assert target.read_bytes() == (tmp_path / "own.step").read_bytes()
 
 
 def test_surface_without_a_builder_is_refused() -> None:
     case, surface = design(layout={"height_far_mm": 4.0}), Barrel()
     with pytest.raises(DesignError, match=r"'barrel' has no CAD wall \(known: cone, cuboid"):
-        shell_cad(case, surface, make_markers(case, surface))
+        shell_cad(Sensor.of(case, surface, make_markers(case, surface)))
 
 
 def test_a_folder_that_is_missing_is_reported(tmp_path: Path) -> None:

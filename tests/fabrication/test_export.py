@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from phytac_design.geometry.triangles import TriangleMesh
+from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
 from phytac_design.solids.mesh_export import (
     STL_HEADER,
@@ -28,12 +29,12 @@ SINGLE = 3e-6
 
 @pytest.fixture(scope="module")
 def small() -> TriangleMesh:
-    return to_triangles(shell_manifold(*built(design())))
+    return to_triangles(shell_manifold(Sensor.of(*built(design()))))
 
 
 @pytest.fixture(scope="module")
 def bodies() -> dict[str, TriangleMesh]:
-    painted = painted_manifolds(*built(design()))
+    painted = painted_manifolds(Sensor.of(*built(design())))
     return {name: to_triangles(body) for name, body in painted.items()}
 
 
@@ -92,7 +93,7 @@ def test_3mf_opens_with_names_units_and_volumes(
 def test_files_do_not_change_from_run_to_run(
     bodies: dict[str, TriangleMesh], small: TriangleMesh
 ) -> None:
-    again = to_triangles(shell_manifold(*built(design())))
+    again = to_triangles(shell_manifold(Sensor.of(*built(design()))))
     assert stl_bytes(again) == stl_bytes(small)
     assert threemf_bytes(bodies, name="case") == threemf_bytes(bodies, name="case")
     assert threemf_bytes(bodies, name="other") != threemf_bytes(bodies, name="case")
@@ -159,14 +160,16 @@ needs_admesh = pytest.mark.skipif(shutil.which("admesh") is None, reason="admesh
 def test_admesh_finds_nothing_to_repair(name: str, tmp_path: Path) -> None:
     case = shipped(name)
     surface, markers = check_design(case)
-    write_stl(to_triangles(shell_manifold(case, surface, markers)), tmp_path / "shell.stl")
+    write_stl(
+        to_triangles(shell_manifold(Sensor.of(case, surface, markers))), tmp_path / "shell.stl"
+    )
     assert_admesh_finds_nothing(tmp_path / "shell.stl")
 
 
 @needs_admesh
 @pytest.mark.parametrize("name", sorted(FAMILIES))
 def test_admesh_finds_nothing_to_repair_on_any_shape(name: str, tmp_path: Path) -> None:
-    solid = shell_manifold(*built(family_design(name)))
+    solid = shell_manifold(Sensor.of(*built(family_design(name))))
     write_stl(to_triangles(solid), tmp_path / "shell.stl")
     assert_admesh_finds_nothing(tmp_path / "shell.stl")
 
@@ -179,9 +182,9 @@ def test_prusa_slicer_makes_layers_of_domes_and_sheets(
     case = built(family_design(name, rows=1, columns=2))
     file, target = tmp_path / f"shell.{suffix}", tmp_path / "shell.gcode"
     if suffix == "stl":
-        write_stl(to_triangles(shell_manifold(*case, tolerance_mm=0.05)), file)
+        write_stl(to_triangles(shell_manifold(Sensor.of(*case), tolerance_mm=0.05)), file)
     else:
-        painted = painted_manifolds(*case, tolerance_mm=0.05)
+        painted = painted_manifolds(Sensor.of(*case), tolerance_mm=0.05)
         bodies = {label: to_triangles(body) for label, body in painted.items()}
         write_3mf(bodies, file, name="case")
     command = ["prusa-slicer", "--layer-height", "0.3", "--fill-density", "0%"]

@@ -20,6 +20,7 @@ from phytac_design.geometry.envelope import edge_mm
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import merged
 from phytac_design.layout.cameras import cameras_of
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.mesh_facts import manifold_facts, trimesh_facts
 from phytac_design.solids.solid_mesh import to_triangles
 from phytac_shapes.errors import DesignError
@@ -32,7 +33,7 @@ def judged(name: str, bodies: dict[str, Any]) -> Any:
     design, surface, markers, kit = case(name)
     made = switches(design, surface, markers)
     cameras = list(cameras_of(design, surface))
-    return verdict(design, surface, markers, made, cameras, kit, bodies)
+    return verdict(Sensor.of(design, surface, markers), made, cameras, kit, bodies)
 
 
 @every_shape
@@ -168,11 +169,11 @@ def test_the_bar_that_the_scene_knows_does_not_count_as_hiding() -> None:
     )
     cameras = list(cameras_of(design, surface))
     bar = to_triangles(solids("cylinder60")["bar"])
-    assert hidden_rays(design, surface, markers, cameras, bar)[0] == 0
+    assert hidden_rays(Sensor.of(design, surface, markers), cameras, bar)[0] == 0
     # A scene with a thinner bar than the printed one would be wrong, and is found out.
     flat = Rod(start_mm=(0.0, 0.0, 5.0), end_mm=(0.0, 0.0, 120.0), radius_mm=6.0)
     fat = to_triangles(MeshKernel(surface, 0.01).solid(flat))
-    assert hidden_rays(thick, surface, markers, cameras, fat)[0] > 0
+    assert hidden_rays(Sensor.of(thick, surface, markers), cameras, fat)[0] > 0
 
 
 @every_shape

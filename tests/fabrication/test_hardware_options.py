@@ -14,6 +14,7 @@ from phytac_design.fabrication.hardware.sensor_solids import hardware_solids, se
 from phytac_design.geometry.triangles import prisms
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.mesh_facts import manifold_facts
 from phytac_design.solids.solid_mesh import to_manifold
 from tests.fabrication.hardware_cases import case, changed, solids, switches
@@ -27,10 +28,10 @@ def made(design: Design) -> tuple[Any, dict[str, Any]]:
     markers = make_markers(design, surface)
     kit = make_hardware(design, surface)
     bowls = switches(design, surface, markers)
-    sensor = sensor_solids(design, surface, markers, bowls, tolerance_mm=0.05)
+    sensor = sensor_solids(Sensor.of(design, surface, markers), bowls, tolerance_mm=0.05)
     hardware = hardware_solids(design, surface, kit, tolerance_mm=0.05)
     cameras = list(cameras_of(design, surface))
-    found = verdict(design, surface, markers, bowls, cameras, kit, sensor | hardware)
+    found = verdict(Sensor.of(design, surface, markers), bowls, cameras, kit, sensor | hardware)
     found.raise_failure()
     assert all(manifold_facts(body).bodies == 1 for body in hardware.values())
     return kit, hardware

@@ -8,6 +8,7 @@ import pytest
 
 from phytac_design.fabrication.hardware.by_cad import CadKernel
 from phytac_design.fabrication.hardware.sensor_solids import exploded_bodies
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.mesh_facts import trimesh_facts
 from phytac_design.solids.solid_mesh import to_manifold
 from phytac_design.stages.hardware_stage import HARDWARE
@@ -143,7 +144,7 @@ def test_refusals_leave_nothing_behind(
 @pytest.mark.usefixtures("no_cad")
 def test_exploded_bodies_come_apart(tmp_path: Path) -> None:
     made = context(changed("hemisphere"), tmp_path)
-    bodies = exploded_bodies(made.design, made.surface, made.markers, tolerance_mm=0.05)
+    bodies = exploded_bodies(Sensor.of(made.design, made.surface, made.markers), tolerance_mm=0.05)
     assert {"shell", "mount", "cover", "camera", "ring_light"} <= set(bodies)
     assert not bodies["shell"][1].any()
     moved = {

@@ -26,6 +26,7 @@ from phytac_design.fabrication.hardware.solid_nodes import (
 )
 from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodies
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.cad import cad_facts, write_assembly
 from phytac_design.stages.hardware_stage import HARDWARE
 from phytac_shapes.errors import OutputError
@@ -104,7 +105,7 @@ def test_whole_sensor_in_one_assembly(tmp_path: Path) -> None:
     surface = small.surface()
     markers = make_markers(small, surface)
     made = switches(small, surface, markers)
-    bodies = sensor_bodies(small, surface, markers, made)
+    bodies = sensor_bodies(Sensor.of(small, surface, markers), made)
     write_assembly(bodies, tmp_path / "sensor.step", name="case")
     again = read_assembly(tmp_path / "sensor.step")
     assert set(again) == {"shell"} | {f"switch_{k:04d}" for k in range(8)}
@@ -141,7 +142,7 @@ def test_stage_writes_the_same_bytes_again(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
-    bodies: list[Any] = sensor_bodies(*_tiny())[:1]
+    bodies: list[Any] = sensor_bodies(Sensor.of(*_tiny()))[:1]
     with pytest.raises(OutputError, match="cannot write STEP"):
         write_assembly(bodies, tmp_path / "none" / "a.step", name="case")
 

@@ -24,6 +24,7 @@ from phytac_design.fabrication.calibration_rig.tool_bodies import (
 )
 from phytac_design.fabrication.calibration_rig.tool_solids import bolt_places, tool_height_mm
 from phytac_design.geometry.triangles import TriangleMesh, prisms
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.mesh_export import write_stl
 from phytac_design.solids.mesh_facts import manifold_facts, trimesh_facts
 from phytac_design.solids.solid_mesh import shell_manifold, stl_triangles, to_manifold, to_triangles
@@ -42,8 +43,10 @@ TOUCH_mm3 = 1e-3
 @cache
 def kit_of(name: str) -> tuple[Regions, CalibrationKit]:
     design, surface, markers = built(shipped(name))
-    regions = make_regions(design, surface, markers)
-    kit = kit_bodies(design, surface, markers, regions, bowl_mm=BOWL_mm, tolerance_mm=TOL_mm)
+    regions = make_regions(Sensor.of(design, surface, markers))
+    kit = kit_bodies(
+        Sensor.of(design, surface, markers), regions, bowl_mm=BOWL_mm, tolerance_mm=TOL_mm
+    )
     return regions, kit
 
 
@@ -185,7 +188,7 @@ def test_indenters_pass_their_hole_plates(name: str) -> None:
 def test_three_load_cells_stand_between_jaw_and_indenters() -> None:
     design, surface, markers = built(shipped("cylinder60"))
     regions, kit = kit_of("cylinder60")
-    found = jaw(design, surface, markers, regions, TOL_mm)
+    found = jaw(Sensor.of(design, surface, markers), regions, TOL_mm)
     assert found is not None
     jaw_body, pressed = found
     ids = list(pressed)
@@ -216,7 +219,7 @@ def test_three_load_cells_stand_between_jaw_and_indenters() -> None:
         assert (one ^ body).volume() == pytest.approx(0.0, abs=1e-6)
         for other in others[k + 1 :]:
             assert (one ^ other).volume() == pytest.approx(0.0, abs=1e-6)
-    shell = shell_manifold(design, surface, markers, tolerance_mm=0.01)
+    shell = shell_manifold(Sensor.of(design, surface, markers), tolerance_mm=0.01)
     assert (body ^ shell).volume() == pytest.approx(0.0, abs=1e-9)
 
 
@@ -226,8 +229,10 @@ def test_what_cannot_be_made_is_left_out_with_a_reason() -> None:
     assert kit.cells == 1
     case = copy_of(family_design("cylinder"), wall={"rim_length_mm": 0.0})
     design, surface, markers = built(case)
-    regions = make_regions(design, surface, markers)
-    made = kit_bodies(design, surface, markers, regions, bowl_mm=BOWL_mm, tolerance_mm=0.05)
+    regions = make_regions(Sensor.of(design, surface, markers))
+    made = kit_bodies(
+        Sensor.of(design, surface, markers), regions, bowl_mm=BOWL_mm, tolerance_mm=0.05
+    )
     assert "no rims" in made.left_out["collar"]
 
 
@@ -239,12 +244,12 @@ def test_a_kit_for_markers_that_nothing_reaches(name: str) -> None:
     positions = [[low, 0.3], [low, 2.3]]
     data["layout"] |= {"kind": "explicit", "positions": positions, "colours": ["blue"]}
     case = built(Design.model_validate(data))
-    regions = make_regions(*case)
+    regions = make_regions(Sensor.of(*case))
     assert (len(regions.marker), len(regions.faces)) == (0, 0)
     assert len(regions.too_near) >= 1
-    made = kit_bodies(*case, regions, bowl_mm=BOWL_mm, tolerance_mm=0.05)
+    made = kit_bodies(Sensor.of(*case), regions, bowl_mm=BOWL_mm, tolerance_mm=0.05)
     assert {"gripper_palm", "gripper_three"} <= set(made.left_out)
-    program = make_program(*case, regions)
+    program = make_program(Sensor.of(*case), regions)
     assert "M100" not in gcode(program, "decoder", name="x")
     assert "too near a rim" in guide_text(case[0], case[2], regions, program, made)
 
@@ -252,10 +257,12 @@ def test_a_kit_for_markers_that_nothing_reaches(name: str) -> None:
 def test_the_palm_is_as_wide_as_curvature_and_rims_let_it_be() -> None:
     design, surface, markers = built(shipped("cylinder60"))
     middle = int(np.abs(markers.uv[:, 0] - 60.0).argmin())
-    assert palm_radius_mm(design, surface, markers, middle) == pytest.approx(14.0)
-    assert palm_radius_mm(design, surface, markers, 0) == pytest.approx(2.6087 - 0.3, abs=1e-3)
+    assert palm_radius_mm(Sensor.of(design, surface, markers), middle) == pytest.approx(14.0)
+    assert palm_radius_mm(Sensor.of(design, surface, markers), 0) == pytest.approx(
+        2.6087 - 0.3, abs=1e-3
+    )
     narrow = copy_of(design, shape={"diameter_outer_mm": 40.0}, layout={"height_far_mm": 4.0})
-    assert palm_radius_mm(*built(narrow), middle) == pytest.approx(12.0)
+    assert palm_radius_mm(Sensor.of(*built(narrow)), middle) == pytest.approx(12.0)
 
 
 @pytest.mark.parametrize("name", sorted(FAMILIES))
@@ -289,8 +296,10 @@ def test_an_s_beam_needs_one_stud() -> None:
     sections = {"cell_bolts": 1, "cell_bolt_circle_mm": 0.0, "cell_bolt_hole_mm": 6.2}
     case = copy_of(family_design("cylinder"), kit=sections)
     design, surface, markers = built(case)
-    regions = make_regions(design, surface, markers)
-    made = kit_bodies(design, surface, markers, regions, bowl_mm=BOWL_mm, tolerance_mm=0.05)
+    regions = make_regions(Sensor.of(design, surface, markers))
+    made = kit_bodies(
+        Sensor.of(design, surface, markers), regions, bowl_mm=BOWL_mm, tolerance_mm=0.05
+    )
     genus = {p.name: manifold_facts(p.body).genus for p in made.pieces}
     assert genus["indenter_1"] == 0  # a blind hole for the stud
     assert genus["cell_seat"] == 5

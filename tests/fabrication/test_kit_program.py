@@ -23,6 +23,7 @@ from phytac_design.fabrication.calibration_rig.program import (
 )
 from phytac_design.fabrication.calibration_rig.regions import frames_at, make_regions
 from phytac_design.fabrication.calibration_rig.symmetry import find_symmetry
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.calibration.calibration import MAX_DISPLACEMENT_OVER_WALL
 from phytac_design.mechanics.calibration.measurements import Measurements, read_measurements
 from phytac_design.mechanics.calibration.probe_response import ProbeResponse
@@ -40,7 +41,7 @@ PLACE_mm, ANGLE = 2e-4, 2e-6
 @cache
 def program_of(name: str) -> Program:
     case = built(shipped(name))
-    return make_program(*case, make_regions(*case))
+    return make_program(Sensor.of(*case), make_regions(Sensor.of(*case)))
 
 
 @cache
@@ -135,14 +136,14 @@ def test_steps_and_targets_of_the_table() -> None:
 def test_one_force_step_is_the_greatest() -> None:
     case = copy_of(shipped("plane"), kit={"force_steps": 1, "shell_steps": 1})
     made = built(case)
-    program = make_program(*made, make_regions(*made))
+    program = make_program(Sensor.of(*made), make_regions(Sensor.of(*made)))
     assert program.force_N == pytest.approx([case.training.force_max_N])
     assert len(program.displacement_mm) == 1
 
 
 def test_the_decoders_run_stops_before_the_bowls() -> None:
     made = built(shipped("plane"))
-    program = make_program(*made, make_regions(*made), bowl_mm=1.8)
+    program = make_program(Sensor.of(*made), make_regions(Sensor.of(*made)), bowl_mm=1.8)
     face = float(program.machine_mm[0, 0])
     for run, stop in (("shell", face), ("decoder", face + 1.8)):
         text = gcode(program, run, name="x")  # type: ignore[arg-type]  # both are runs
@@ -163,7 +164,9 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     (folder / "small.toml").write_text(to_toml(design), encoding="utf-8")
     surface, markers = built(design)[1:]
-    program = make_program(design, surface, markers, make_regions(design, surface, markers))
+    program = make_program(
+        Sensor.of(design, surface, markers), make_regions(Sensor.of(design, surface, markers))
+    )
     steps = [(n, k, target) for n, run, k, target in steps_of(program) if run == "shell"]
     number, region, travel = (np.array(values) for values in zip(*steps, strict=True))
     uv, radius = markers.uv[program.marker[region]], program.radius_mm[region]
@@ -208,7 +211,7 @@ def test_the_steps_of_a_log_are_those_of_the_program(rig: Path) -> None:
     assert frame == list(range(100, 100 + len(step)))
     design = small(layout={"rows": 8, "columns": 8, "height_far_mm": 6.0}, kit={"shell_steps": 2})
     made = built(design)
-    program = make_program(*made, make_regions(*made))
+    program = make_program(Sensor.of(*made), make_regions(Sensor.of(*made)))
     marker = {n: int(program.marker[k]) for n, _, k, _ in steps_of(program)}
     rows = read_measurements(rig / "log.csv", made[1], made[2], wall_mm=design.wall.thickness_mm)
     assert rows.contact_uv == pytest.approx(made[2].uv[[marker[n] for n in step]])

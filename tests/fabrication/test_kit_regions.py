@@ -15,6 +15,7 @@ from phytac_design.fabrication.calibration_rig.regions import (
     radii_mm,
 )
 from phytac_design.fabrication.calibration_rig.symmetry import find_symmetry
+from phytac_design.layout.sensor import Sensor
 from phytac_design.stages.build import copy_of
 from tests.fabrication.cases import FAMILIES, built, family_design, shipped
 
@@ -126,7 +127,7 @@ def test_heights_are_where_rays_meet_the_surface(name: str) -> None:
 def test_faces_fit_every_region_they_serve(name: str) -> None:
     """On a finer disc than the one they were chosen on."""
     design, surface, markers = built(shipped(name))
-    regions = make_regions(design, surface, markers)
+    regions = make_regions(Sensor.of(design, surface, markers))
     assert len(regions.too_near) == 0
     assert sorted(regions.marker.tolist()) == regions.symmetry.needed.tolist()
     for k, face in enumerate(regions.faces):
@@ -149,7 +150,7 @@ def test_rims_leave_room_only_for_narrow_indenters() -> None:
     bare = copy_of(design, wall={"rim_flange_mm": 0.0})
     assert radii_mm(bare, surface, uv) == pytest.approx([4.0] * 5)
     near = explicit([[0.9, 0.3], [25.0, 2.0]])
-    regions = make_regions(*built(near))
+    regions = make_regions(Sensor.of(*built(near)))
     assert regions.too_near.tolist() == [0]
     assert regions.marker.tolist() == [1]
     del markers

@@ -19,6 +19,7 @@ from phytac_design.fabrication.molds.make import MoldSet
 from phytac_design.fabrication.molds.plate_grid import PlateLayout, plan_sets
 from phytac_design.fabrication.molds.rules import rule_rows
 from phytac_design.fabrication.switch_set import reach_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.solid_mesh import to_manifold, to_triangles
 from phytac_design.stages.build import copy_of
 from phytac_design.stages.mold_stage import MOLD
@@ -220,7 +221,7 @@ def test_a_build_writes_every_part_and_the_same_again(way: str, tmp_path: Path) 
     rows = list(csv.DictReader(files["cavities.csv"].decode().splitlines()))
     assert sum(int(row["count"]) for row in rows) == 12
     context = context_of(case, tmp_path)
-    wanted = reach_mm(case, context.surface, context.markers)
+    wanted = reach_mm(Sensor.of(case, context.surface, context.markers))
     made = [float(row["length_mm"]) for row in rows for _ in range(int(row["count"]))]
     assert np.sort(made) == pytest.approx(np.sort(wanted), abs=0.051)
     over = sum(p["volume_mm3"] for p in facts["parts"] if p["material"] == "tpu")

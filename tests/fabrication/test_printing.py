@@ -14,6 +14,7 @@ from phytac_design.fabrication.printing.receptors import check_receptors
 from phytac_design.fabrication.printing.violations import Violation
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import TriangleMesh, prisms
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.mesh_export import read_stl, write_stl
 from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
 from phytac_shapes.errors import OutputError
@@ -189,9 +190,11 @@ def test_receptors_are_judged_from_the_design() -> None:
 @pytest.mark.parametrize("name", ["cylinder40", "hemisphere", "patch"])
 def test_shipped_shells_break_no_rule(name: str, tmp_path: Path) -> None:
     case = built(shipped(name))
-    write_stl(to_triangles(shell_manifold(*case, tolerance_mm=0.05)), tmp_path / "shell.stl")
+    write_stl(
+        to_triangles(shell_manifold(Sensor.of(*case), tolerance_mm=0.05)), tmp_path / "shell.stl"
+    )
     mesh = read_stl(tmp_path / "shell.stl")
-    report = check_shell(*case, mesh, tolerance_mm=0.05)
+    report = check_shell(Sensor.of(*case), mesh, tolerance_mm=0.05)
     assert report.violations == ()
     assert report.standing.fits
     assert 0.3 < report.wall_mm < 0.81
@@ -206,9 +209,9 @@ def test_a_fault_on_a_receptor_names_its_marker() -> None:
     tip, along = markers.tip_mm[200], markers.direction[200]
     side = np.cross(along, [0.0, 0.0, 1.0]) * 0.95
     start = tuple(tip + side - 0.2 * along)
-    solid = shell_manifold(*case, tolerance_mm=0.05)
+    solid = shell_manifold(Sensor.of(*case), tolerance_mm=0.05)
     solid = solid + rod(start, tuple(tip + side + 9.0 * along), 0.25)
-    report = check_shell(*case, to_triangles(solid), tolerance_mm=0.02)
+    report = check_shell(Sensor.of(*case), to_triangles(solid), tolerance_mm=0.02)
     assert [v.rule for v in report.violations] == ["post"]
     svg = draw_report(RayTree(to_triangles(solid)), report, case[0].print_rules, "x")
     assert svg.count("<circle") == 2

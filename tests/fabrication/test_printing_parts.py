@@ -18,6 +18,7 @@ from phytac_design.fabrication.printing.overhang import suggest
 from phytac_design.fabrication.printing.parting import key_sizes, part_shell
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import prisms
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.mesh_export import read_stl
 from phytac_design.solids.mesh_facts import trimesh_facts
 from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
@@ -49,8 +50,8 @@ CASES = {
 def test_pieces_fit_are_sound_and_add_up(name: str) -> None:
     case, count = CASES[name]
     case, surface, markers = built(case)
-    solid = shell_manifold(case, surface, markers, tolerance_mm=0.05)
-    parting = part_shell(case, surface, markers, solid, tolerance_mm=0.05)
+    solid = shell_manifold(Sensor.of(case, surface, markers), tolerance_mm=0.05)
+    parting = part_shell(Sensor.of(case, surface, markers), solid, tolerance_mm=0.05)
     meshes = [to_triangles(piece) for piece in parting.pieces]
     assert len(meshes) == count
     for mesh in meshes:
@@ -78,7 +79,9 @@ def test_pieces_fit_are_sound_and_add_up(name: str) -> None:
 
 def test_pegs_stand_in_their_sockets_with_the_clearance() -> None:
     case, surface, markers = built(CASES["spiral"][0])
-    parting = part_shell(case, surface, markers, shell_manifold(case, surface, markers))
+    parting = part_shell(
+        Sensor.of(case, surface, markers), shell_manifold(Sensor.of(case, surface, markers))
+    )
     size, (cut,) = parting.size, parting.cuts
     lower, upper = parting.pieces
     assert size.socket - size.peg == pytest.approx(2.0 * case.print_rules.clearance_mm)
@@ -104,8 +107,10 @@ def test_pegs_stand_in_their_sockets_with_the_clearance() -> None:
 
 def test_cuts_lie_in_gaps_and_a_shell_that_fits_is_not_cut() -> None:
     case, surface, markers = built(small())
-    corners = to_triangles(shell_manifold(case, surface, markers, tolerance_mm=0.05)).vertices_mm
-    assert plan_cuts(case, surface, markers, corners, 2.0) == []
+    corners = to_triangles(
+        shell_manifold(Sensor.of(case, surface, markers), tolerance_mm=0.05)
+    ).vertices_mm
+    assert plan_cuts(Sensor.of(case, surface, markers), corners, 2.0) == []
     free = gaps(case, markers, np.array([0.0, 0.0, 1.0]))
     assert len(free) == 5
     rows = np.unique(np.round(markers.tip_mm[:, 2], 6))
@@ -116,16 +121,16 @@ def test_cuts_lie_in_gaps_and_a_shell_that_fits_is_not_cut() -> None:
 def test_what_cannot_be_parted_says_why() -> None:
     golden = on_bed(shipped("hemisphere"), 50.0, 50.0, 15.0)
     case, surface, markers = built(golden)
-    solid = shell_manifold(case, surface, markers, tolerance_mm=0.1)
+    solid = shell_manifold(Sensor.of(case, surface, markers), tolerance_mm=0.1)
     with pytest.raises(DesignError, match="without cutting through receptors"):
-        part_shell(case, surface, markers, solid)
+        part_shell(Sensor.of(case, surface, markers), solid)
     tight = small().model_copy(
         update={"print_rules": PrintSection(bed_mm=(60.0, 60.0, 40.0), wall_free_min_mm=9.0)}
     )
     case, surface, markers = built(tight)
-    solid = shell_manifold(case, surface, markers, tolerance_mm=0.1)
+    solid = shell_manifold(Sensor.of(case, surface, markers), tolerance_mm=0.1)
     with pytest.raises(DesignError, match="cannot be keyed"):
-        part_shell(case, surface, markers, solid)
+        part_shell(Sensor.of(case, surface, markers), solid)
     assert key_sizes(PrintSection(process="fdm"))[0].peg == 3.0
 
 

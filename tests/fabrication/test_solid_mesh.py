@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from phytac_design.design.spec import Design, WallSection
 from phytac_design.geometry.triangles import TriangleMesh, prisms, sides_for
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
 from phytac_design.solids.mesh_facts import (
     expected_genus,
@@ -87,7 +88,7 @@ def test_shell_on_a_doubly_curved_surface_is_one_body() -> None:
     case = design(layout={"rows": 3, "columns": 6, "height_far_mm": 4.0})
     surface = Barrel()
     markers = make_markers(case, surface)
-    facts = shell_facts(shell_manifold(case, surface, markers), surface, markers)
+    facts = shell_facts(shell_manifold(Sensor.of(case, surface, markers)), surface, markers)
     assert facts.genus == 19
 
 
@@ -128,7 +129,7 @@ def test_an_open_mesh_is_refused() -> None:
 )
 def test_genus_is_one_and_one_for_each_hole(layout: dict[str, object]) -> None:
     case, surface, markers = built(design(layout=layout))
-    solid = shell_manifold(case, surface, markers, tolerance_mm=0.05)
+    solid = shell_manifold(Sensor.of(case, surface, markers), tolerance_mm=0.05)
     facts, other = manifold_facts(solid), trimesh_facts(to_triangles(solid))
     rows, columns = layout["rows"], layout["columns"]
     assert facts.genus == other.genus == 1 + rows * columns == expected_genus(surface, markers)
@@ -143,7 +144,7 @@ def test_one_tall_receptor_adds_its_ring() -> None:
     case, surface, markers = built(
         design(layout={"rows": 1, "columns": 1, "height_near_mm": 8.0, "height_far_mm": 8.0})
     )
-    solid = shell_manifold(case, surface, markers, tolerance_mm=0.001)
+    solid = shell_manifold(Sensor.of(case, surface, markers), tolerance_mm=0.001)
     bare = wall_mesh(surface, case.wall, tolerance_mm=0.001).volume_mm3
 
     # Volume between the end face and the inner face over a disc, and of the wall over the hole.
@@ -160,7 +161,7 @@ def test_one_tall_receptor_adds_its_ring() -> None:
 
 def test_the_end_face_lies_where_the_markers_say() -> None:
     case, surface, markers = built(design(layout={"rows": 1, "columns": 4, "height_near_mm": 6.0}))
-    solid = to_triangles(shell_manifold(case, surface, markers))
+    solid = to_triangles(shell_manifold(Sensor.of(case, surface, markers)))
     depth = np.einsum("nj,mj->nm", solid.vertices_mm, markers.normal)
     tip = np.einsum("mj,mj->m", markers.tip_mm, markers.normal)
     for marker in range(markers.count):
@@ -172,15 +173,17 @@ def test_the_end_face_lies_where_the_markers_say() -> None:
 @pytest.mark.parametrize("factor", [0.5, 3.0])
 def test_scale_cubes_the_volume(factor: float) -> None:
     case = design()
-    one = shell_manifold(*built(case), tolerance_mm=0.01).volume()
-    other = shell_manifold(*built(scaled(case, factor)), tolerance_mm=0.01 * factor).volume()
+    one = shell_manifold(Sensor.of(*built(case)), tolerance_mm=0.01).volume()
+    other = shell_manifold(
+        Sensor.of(*built(scaled(case, factor))), tolerance_mm=0.01 * factor
+    ).volume()
     assert other == pytest.approx(one * factor**3, rel=1e-9)
 
 
 def test_cylinder60_is_one_watertight_body_of_genus_369() -> None:
     case = shipped("cylinder60")
     surface, markers = check_design(case)
-    facts = shell_facts(shell_manifold(case, surface, markers), surface, markers)
+    facts = shell_facts(shell_manifold(Sensor.of(case, surface, markers)), surface, markers)
     assert (facts.watertight, facts.bodies, facts.genus) == (True, 1, 369)
     assert facts.bounds_mm[0][2] == pytest.approx(-4.0, abs=1e-9)
     assert facts.bounds_mm[1][2] == pytest.approx(124.0, abs=1e-9)
@@ -191,14 +194,14 @@ def test_receptors_that_meet_are_caught_by_the_facts() -> None:
         design(layout={"rows": 1, "columns": 40, "height_near_mm": 20.0})
     )
     with pytest.raises(NumericalError, match="not one watertight body"):
-        shell_facts(shell_manifold(case, surface, markers), surface, markers)
+        shell_facts(shell_manifold(Sensor.of(case, surface, markers)), surface, markers)
 
 
 @pytest.mark.parametrize("band", [0.0, 0.5, 1.0, 50.0])
 def test_paints_and_resin_tile_the_shell(band: float) -> None:
     case, surface, markers = built(design(receptor={"band_marker_mm": band}))
-    shell = shell_manifold(case, surface, markers)
-    bodies = painted_manifolds(case, surface, markers)
+    shell = shell_manifold(Sensor.of(case, surface, markers))
+    bodies = painted_manifolds(Sensor.of(case, surface, markers))
     if band == 0.0:
         assert list(bodies) == ["resin"]
     else:
@@ -219,7 +222,7 @@ def test_a_band_is_a_ring_of_its_length_at_the_tip() -> None:
     case, surface, markers = built(
         design(layout={"colours": ["green"], "height_near_mm": 4.0, "height_far_mm": 4.0})
     )
-    bodies = painted_manifolds(case, surface, markers)
+    bodies = painted_manifolds(Sensor.of(case, surface, markers))
     assert list(bodies) == ["resin", "green"]
     closed = 12 * ring(1.5, 0.8, 1.0)
     assert bodies["green"].volume() == pytest.approx(closed, rel=1e-9)
@@ -230,11 +233,13 @@ def test_roots_lie_inside_the_wall() -> None:
     case, surface, markers = built(
         design(shape={"diameter_outer_mm": 12.0}, layout={"columns": 1, "height_far_mm": 2.0})
     )
-    depth = root_depth_mm(case, surface, markers)
+    depth = root_depth_mm(Sensor.of(case, surface, markers))
     edge = np.hypot(6.0 - depth, 1.5)
     assert np.all(edge < 6.0)
     assert np.all(depth < 0.8)
-    assert np.all(receptor_axes(case, surface, markers).painted == (markers.height_mm <= 1.0))
+    assert np.all(
+        receptor_axes(Sensor.of(case, surface, markers)).painted == (markers.height_mm <= 1.0)
+    )
 
 
 def test_a_tube_too_wide_for_the_curve_is_refused() -> None:
@@ -246,7 +251,7 @@ def test_a_tube_too_wide_for_the_curve_is_refused() -> None:
         )
     )
     with pytest.raises(DesignError, match=r"row 0 does not fit the curved wall.*6 mm tube"):
-        root_depth_mm(case, surface, markers)
+        root_depth_mm(Sensor.of(case, surface, markers))
 
 
 def small_designs() -> st.SearchStrategy[Design]:
@@ -284,8 +289,8 @@ def test_every_accepted_design_builds_one_body_of_the_right_genus(case: Design) 
     except DesignError as refusal:
         assert "lower" in str(refusal) or "raise" in str(refusal)  # noqa: PT017 - checked by design
         return
-    solid = shell_manifold(case, surface, markers, tolerance_mm=0.02)
+    solid = shell_manifold(Sensor.of(case, surface, markers), tolerance_mm=0.02)
     facts = shell_facts(solid, surface, markers)
-    bodies = painted_manifolds(case, surface, markers, tolerance_mm=0.02)
+    bodies = painted_manifolds(Sensor.of(case, surface, markers), tolerance_mm=0.02)
     total = sum(body.volume() for body in bodies.values())
     assert total == pytest.approx(facts.volume_mm3, rel=1e-9)

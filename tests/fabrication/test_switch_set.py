@@ -14,6 +14,7 @@ from phytac_design.fabrication.switch_set import (
     switch_profile,
 )
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.mechanics.switch.bowl import Bowl
 from phytac_design.solids.solid_mesh import to_manifold
@@ -72,7 +73,9 @@ def test_every_stem_follows_its_receptor() -> None:
     design = load_design("cylinder60")
     surface = design.surface()
     markers = make_markers(design, surface)
-    switches = make_switches(design, surface, markers, made(design, 0.5), np.full(368, 0.5))
+    switches = make_switches(
+        Sensor.of(design, surface, markers), made(design, 0.5), np.full(368, 0.5)
+    )
     wanted = markers.height_mm + design.wall.thickness_mm - design.switch.tip_recess_mm
     assert switches.reach_mm == pytest.approx(wanted)
     assert switches.lengths_mm[switches.length] == pytest.approx(wanted, abs=LENGTH_STEP_mm / 2)
@@ -80,7 +83,7 @@ def test_every_stem_follows_its_receptor() -> None:
     assert [switches.label(kind) for kind in switches.kinds][:3] == ["A0", "A1", "A2"]
     assert sum(len(switches.markers_of(kind)) for kind in switches.kinds) == 368
     taller = copy_of(design, layout={"height_far_mm": 12.0})
-    longer = reach_mm(taller, surface, make_markers(taller, surface))
+    longer = reach_mm(Sensor.of(taller, surface, make_markers(taller, surface)))
     assert longer.max() == pytest.approx(switches.reach_mm.max() + 0.5)
 
 
@@ -90,7 +93,7 @@ def test_regions_have_bowls_of_their_own() -> None:
     markers = make_markers(design, surface)
     threshold = thresholds_N(design, markers)
     assert np.all((threshold == 0.8) == np.isin(markers.row, [2, 3]))
-    switches = make_switches(design, surface, markers, made(design, 0.5, 0.8), threshold)
+    switches = make_switches(Sensor.of(design, surface, markers), made(design, 0.5, 0.8), threshold)
     assert np.all(switches.threshold_N[switches.bowl] == threshold)
     assert {switches.label(kind) for kind in switches.kinds} >= {"A1", "B2", "B3", "A4"}
 

@@ -8,6 +8,7 @@ import pytest
 
 from phytac_design.engine.stage import Context
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids import cad
 from phytac_design.solids.solid_mesh import shell_manifold
 from phytac_design.stages.shell_stage import VOLUME_TOL, FINE_mm, run_step
@@ -21,7 +22,9 @@ COARSE_mm = 0.3
 
 
 def volume(tolerance_mm: float) -> float:
-    return float(shell_manifold(DESIGN, SURFACE, MARKERS, tolerance_mm=tolerance_mm).volume())
+    return float(
+        shell_manifold(Sensor.of(DESIGN, SURFACE, MARKERS), tolerance_mm=tolerance_mm).volume()
+    )
 
 
 @pytest.mark.parametrize(("share", "same"), [(1.0, True), (1.01, False)])

@@ -5,6 +5,7 @@ from hypothesis import example, given, settings
 import phytac_shapes
 from phytac_design.design.spec import WallSection
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.mesh_facts import (
     expected_genus,
     manifold_facts,
@@ -89,11 +90,11 @@ def test_shell_with_receptors_is_one_body_of_the_right_genus(name: str) -> None:
     case = family_design(name)
     surface = case.surface()
     markers = make_markers(case, surface)
-    solid = shell_manifold(case, surface, markers, tolerance_mm=0.03)
+    solid = shell_manifold(Sensor.of(case, surface, markers), tolerance_mm=0.03)
     facts = shell_facts(solid, surface, markers)
     tube = name in {"cylinder", "cone", "cuboid", "grip"}
     assert facts.genus == markers.count + tube == expected_genus(surface, markers)
-    bodies = painted_manifolds(case, surface, markers, tolerance_mm=0.03)
+    bodies = painted_manifolds(Sensor.of(case, surface, markers), tolerance_mm=0.03)
     assert list(bodies) == ["resin", "blue", "green"]
     total = sum(body.volume() for body in bodies.values())
     assert total == pytest.approx(facts.volume_mm3, rel=1e-9)

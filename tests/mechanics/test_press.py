@@ -11,6 +11,7 @@ import pytest
 
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import camera_of
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.pressing import press as module
 from phytac_design.mechanics.pressing.contact_patch import (
@@ -29,17 +30,15 @@ MARKERS = make_markers(DESIGN, SURFACE)
 
 
 def place(force: float, **words: Any) -> ContactPatch:
-    return parse_contact_patch(DESIGN, SURFACE, MARKERS, force_N=force, **words)
+    return parse_contact_patch(Sensor.of(DESIGN, SURFACE, MARKERS), force_N=force, **words)
 
 
 @cache
 def pressed(force: float, theory: str = "auto", **options: Any) -> Press:
     return press(
-        DESIGN,
-        SURFACE,
-        MARKERS,
+        Sensor.of(DESIGN, SURFACE, MARKERS),
         place(force, at="45"),
-        theory=theory,  # type: ignore[arg-type]  # as from a command line
+        theory=theory,
         **{"refine": 2, **options},
     )
 
@@ -72,7 +71,7 @@ def test_place_is_a_marker_a_position_or_the_middle() -> None:
 )
 def test_words_that_make_no_press_are_refused(words: dict[str, Any], message: str) -> None:
     with pytest.raises(DesignError, match=message):
-        parse_contact_patch(DESIGN, SURFACE, MARKERS, **({"force_N": 1.0} | words))
+        parse_contact_patch(Sensor.of(DESIGN, SURFACE, MARKERS), **{"force_N": 1.0} | words)
 
 
 def test_linear_motion_grows_with_the_force_and_peaks_under_it() -> None:
@@ -123,8 +122,8 @@ def test_receptors_stiffen_the_wall() -> None:
     odd = small(receptor={"diameter_outer_mm": 0.9, "diameter_hole_mm": 0.5})
     markers = make_markers(odd, SURFACE)
     with pytest.raises(DesignError, match="without receptors"):
-        press(odd, SURFACE, markers, place(1.0), refine=2)
-    press(odd, SURFACE, markers, place(1.0), refine=2, receptors=False)
+        press(Sensor.of(odd, SURFACE, markers), place(1.0), refine=2)
+    press(Sensor.of(odd, SURFACE, markers), place(1.0), refine=2, receptors=False)
 
 
 def test_more_than_the_shell_carries_is_refused() -> None:
@@ -138,7 +137,7 @@ def test_no_equilibrium_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(module, "solve_large", fails)
     with pytest.raises(NumericalError, match=r"30 N .* more than .*: no equilibrium .* at 0\.6"):
-        press(DESIGN, SURFACE, MARKERS, place(30.0), theory="large", refine=2)
+        press(Sensor.of(DESIGN, SURFACE, MARKERS), place(30.0), theory="large", refine=2)
 
 
 def test_bending_strain_is_that_of_a_wall_that_bends() -> None:

@@ -12,6 +12,7 @@ import pytest
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import graphics_libraries
 from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import clamped_model
@@ -51,18 +52,18 @@ pytestmark = pytest.mark.skipif(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sensor:
+class SmallSensor:
     design: Design
     surface: Surface
     markers: Markers
 
 
 @pytest.fixture(scope="module")
-def sensor() -> Sensor:
+def sensor() -> SmallSensor:
     return make_sensor(diameter=24.0, length=14.0, rows=2, columns=6)
 
 
-def make_sensor(*, diameter: float, length: float, rows: int, columns: int) -> Sensor:
+def make_sensor(*, diameter: float, length: float, rows: int, columns: int) -> SmallSensor:
     pytest.importorskip("gmsh", reason="gmsh is not installed")
     heights = {"height_near_mm": 1.0, "height_far_mm": 3.0}
     design = changed(
@@ -70,15 +71,13 @@ def make_sensor(*, diameter: float, length: float, rows: int, columns: int) -> S
         layout={"rows": rows, "columns": columns, **heights},
     )
     surface = design.surface()
-    return Sensor(design=design, surface=surface, markers=make_markers(design, surface))
+    return SmallSensor(design=design, surface=surface, markers=make_markers(design, surface))
 
 
 @pytest.fixture(scope="module")
-def mesh(sensor: Sensor) -> SolidMesh:
+def mesh(sensor: SmallSensor) -> SolidMesh:
     return solid_mesh(
-        sensor.design,
-        sensor.surface,
-        sensor.markers,
+        Sensor.of(sensor.design, sensor.surface, sensor.markers),
         sizes=SIZES,
         contacts_uv=sensor.markers.uv[[2]],
         contact_radius_mm=3.0,
@@ -103,18 +102,18 @@ def area(mesh: SolidMesh, faces: np.ndarray) -> float:
     return float(cell_areas(corner, cells(12))[1].sum())
 
 
-def test_volume_is_that_of_the_cad(sensor: Sensor, mesh: SolidMesh) -> None:
+def test_volume_is_that_of_the_cad(sensor: SmallSensor, mesh: SolidMesh) -> None:
     from phytac_design.solids.cad import cad_facts, shell_cad
 
     wall = sensor.design.wall.model_copy(update={"rim_length_mm": 0.0})
     bare = sensor.design.model_copy(update={"wall": wall})
-    cad = cad_facts(shell_cad(bare, sensor.surface, sensor.markers))
+    cad = cad_facts(shell_cad(Sensor.of(bare, sensor.surface, sensor.markers)))
     assert volume(mesh) == pytest.approx(cad.volume_mm3, rel=GEOMETRY_TOL)
     assert jacobian_ratio(mesh).min() > 0.0
     assert len(np.unique(mesh.tets)) == len(mesh.nodes_mm)
 
 
-def test_faces_have_their_closed_formcell_areas(sensor: Sensor, mesh: SolidMesh) -> None:
+def test_faces_have_their_closed_formcell_areas(sensor: SmallSensor, mesh: SolidMesh) -> None:
     outer, hole = 3.0, 1.6
     assert len(mesh.tips) == sensor.markers.count == 12
     for part in mesh.tips:
@@ -132,7 +131,9 @@ def test_faces_have_their_closed_formcell_areas(sensor: Sensor, mesh: SolidMesh)
     np.testing.assert_array_equal(mesh.sets["TIP_7"], np.unique(mesh.triangles[mesh.tips[7]]))
 
 
-def test_tip_means_are_exact_for_rigid_and_linear_motion(sensor: Sensor, mesh: SolidMesh) -> None:
+def test_tip_means_are_exact_for_rigid_and_linear_motion(
+    sensor: SmallSensor, mesh: SolidMesh
+) -> None:
     rng = np.random.default_rng(0)
     gradient, shift = rng.normal(size=(3, 3)), rng.normal(size=3)
     mean = tip_means(mesh) @ (mesh.nodes_mm @ gradient.T + shift)
@@ -140,7 +141,7 @@ def test_tip_means_are_exact_for_rigid_and_linear_motion(sensor: Sensor, mesh: S
     assert np.abs(mean - expected).max() < 1e-3 * np.abs(gradient).max()  # rings not quite round
 
 
-def test_patch_presses_with_one_newton_at_its_centre(sensor: Sensor, mesh: SolidMesh) -> None:
+def test_patch_presses_with_one_newton_at_its_centre(sensor: SmallSensor, mesh: SolidMesh) -> None:
     uv = np.array([7.3, 0.4])  # no marker's position: a hole cut off at one side would shift it
     centre, inward = sensor.surface.point(uv[None])[0], -sensor.surface.normal(uv[None])[0]
     load = solid_patch_load(mesh, sensor.surface, uv, 3.0)
@@ -152,7 +153,7 @@ def test_patch_presses_with_one_newton_at_its_centre(sensor: Sensor, mesh: Solid
         solid_patch_load(mesh, sensor.surface, np.array([40.0, 0.0]), 3.0)
 
 
-def test_patch_on_a_plain_wall_has_its_resultant_at_the_centre(sensor: Sensor) -> None:
+def test_patch_on_a_plain_wall_has_its_resultant_at_the_centre(sensor: SmallSensor) -> None:
     mesh = plain_mesh(sensor)
     uv = np.array([7.0, 0.4])
     load = solid_patch_load(mesh, sensor.surface, uv, 3.0)
@@ -162,11 +163,9 @@ def test_patch_on_a_plain_wall_has_its_resultant_at_the_centre(sensor: Sensor) -
     assert np.abs(np.cross(arm, load).sum(axis=0)).max() < 0.03  # N mm of 1 N on a 3 mm patch
 
 
-def plain_mesh(sensor: Sensor) -> SolidMesh:
+def plain_mesh(sensor: SmallSensor) -> SolidMesh:
     return solid_mesh(
-        sensor.design,
-        sensor.surface,
-        sensor.markers,
+        Sensor.of(sensor.design, sensor.surface, sensor.markers),
         sizes=SIZES.scaled(0.8),
         contacts_uv=np.array([[7.0, 0.4]]),
         contact_radius_mm=3.0,
@@ -218,7 +217,7 @@ def at_spot(arm: FloatArray, values: FloatArray, inward: FloatArray) -> float:
     return float(np.linalg.lstsq(np.column_stack(basis), values, rcond=None)[0][0])
 
 
-def job(path: Path, mesh: SolidMesh, sensor: Sensor, load: FloatArray) -> Path:
+def job(path: Path, mesh: SolidMesh, sensor: SmallSensor, load: FloatArray) -> Path:
     material = sensor.design.material
     return solid_export.write_solid_inp(
         path,
@@ -233,7 +232,7 @@ def job(path: Path, mesh: SolidMesh, sensor: Sensor, load: FloatArray) -> Path:
 def test_job_with_receptors_runs_linear_and_large(tmp_path: Path) -> None:
     needs_ccx()
     sensor = make_sensor(diameter=12.0, length=7.0, rows=1, columns=3)
-    mesh = solid_mesh(sensor.design, sensor.surface, sensor.markers, sizes=SIZES)
+    mesh = solid_mesh(Sensor.of(sensor.design, sensor.surface, sensor.markers), sizes=SIZES)
     small = 1e-3 * solid_patch_load(mesh, sensor.surface, sensor.markers.uv[2], 3.0)
     linear = job(tmp_path / "linear.inp", mesh, sensor, small)
     large = calculix.write_reference_inp(
@@ -258,7 +257,7 @@ def test_job_with_receptors_runs_linear_and_large(tmp_path: Path) -> None:
     np.testing.assert_allclose(motion[1], motion[0], atol=1e-3 * pressed.max())
 
 
-def test_ccx_that_fails_is_reported(sensor: Sensor, mesh: SolidMesh, tmp_path: Path) -> None:
+def test_ccx_that_fails_is_reported(sensor: SmallSensor, mesh: SolidMesh, tmp_path: Path) -> None:
     needs_ccx()
     path = job(tmp_path / "bad.inp", mesh, sensor, np.zeros_like(mesh.nodes_mm))
     path.write_text(path.read_text().replace("*ELASTIC", "*NO SUCH CARD"))
@@ -282,45 +281,49 @@ def test_files_read_back(mesh: SolidMesh, tmp_path: Path) -> None:
     )
 
 
-def test_bad_load_is_refused(sensor: Sensor, mesh: SolidMesh, tmp_path: Path) -> None:
+def test_bad_load_is_refused(sensor: SmallSensor, mesh: SolidMesh, tmp_path: Path) -> None:
     with pytest.raises(NumericalError, match="three finite forces per node"):
         job(tmp_path / "a.inp", mesh, sensor, np.full_like(mesh.nodes_mm, np.nan))
 
 
-def test_same_inputs_same_mesh(sensor: Sensor) -> None:
+def test_same_inputs_same_mesh(sensor: SmallSensor) -> None:
     np.testing.assert_array_equal(plain_mesh(sensor).nodes_mm, plain_mesh(sensor).nodes_mm)
 
 
-def test_expected_nodes_are_about_right_and_bounded(sensor: Sensor, mesh: SolidMesh) -> None:
+def test_expected_nodes_are_about_right_and_bounded(sensor: SmallSensor, mesh: SolidMesh) -> None:
     parts = sensor.design, sensor.surface, sensor.markers
-    assert expected_nodes(*parts, SIZES) == pytest.approx(len(mesh.nodes_mm), rel=NODES_TOL)
-    factor, sizes, nodes = coarsened(*parts, None)
+    assert expected_nodes(Sensor.of(*parts), SIZES) == pytest.approx(
+        len(mesh.nodes_mm), rel=NODES_TOL
+    )
+    factor, sizes, nodes = coarsened(Sensor.of(*parts), None)
     assert (factor, sizes) == (1.0, default_sizes(sensor.design))
-    assert nodes == expected_nodes(*parts, sizes)
+    assert nodes == expected_nodes(Sensor.of(*parts), sizes)
     long = changed(layout={"rows": 20})
     surface = long.surface()
     large = long, surface, make_markers(long, surface)
-    factor, _, nodes = coarsened(*large, None)
+    factor, _, nodes = coarsened(Sensor.of(*large), None)
     assert 1.5 < factor < SETTINGS.max_factor
     assert nodes <= SETTINGS.aimed_nodes
     with pytest.raises(DesignError, match=r"nodes at sizes × 0\.7, more than 1000000, .* GB"):
-        coarsened(*large, 0.7)
+        coarsened(Sensor.of(*large), 0.7)
     for wrong in (0.0, 2.1, np.nan):
         with pytest.raises(DesignError, match=r"0\.1 to 2 \(got"):
-            coarsened(*large, wrong)
+            coarsened(Sensor.of(*large), wrong)
 
 
-def test_default_sizes_resolve_the_wall(sensor: Sensor) -> None:
+def test_default_sizes_resolve_the_wall(sensor: SmallSensor) -> None:
     sizes = default_sizes(sensor.design)
     assert sizes.foot_mm <= 0.7  # the tube's own wall, thinner than the shell's 0.8
     assert sizes.wall_mm <= 2.0 * 0.8
     assert sizes.contact_mm < sizes.wall_mm
 
 
-def test_without_gmsh_the_fix_is_named(sensor: Sensor, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_gmsh_the_fix_is_named(
+    sensor: SmallSensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "gmsh", None)
     with pytest.raises(MissingPartError, match="libglu1-mesa"):
-        solid_mesh(sensor.design, sensor.surface, sensor.markers)
+        solid_mesh(Sensor.of(sensor.design, sensor.surface, sensor.markers))
 
 
 def test_folded_element_is_straightened_or_refused() -> None:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import graphics_libraries
 from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.shell import receptor_stiffness as rc
 from phytac_design.mechanics.solid.load import solid_patch_load
 from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes
@@ -36,7 +37,7 @@ pytestmark = pytest.mark.skipif(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sensor:
+class SmallSensor:
     design: Design
     surface: Surface
     markers: Markers
@@ -54,22 +55,22 @@ class Sensor:
 
 
 @pytest.fixture(scope="module")
-def sensor() -> Sensor:
+def sensor() -> SmallSensor:
     pytest.importorskip("gmsh", reason="gmsh is not installed")
     design = changed(
         shape={"diameter_outer_mm": 24.0, "length_mm": 14.0},
         layout={"rows": 2, "columns": 6, "height_near_mm": 1.0, "height_far_mm": 3.0},
     )
     surface = design.surface()
-    return Sensor(design=design, surface=surface, markers=make_markers(design, surface))
+    return SmallSensor(design=design, surface=surface, markers=make_markers(design, surface))
 
 
 @pytest.fixture(scope="module")
-def mesh(sensor: Sensor) -> PartMesh:
+def mesh(sensor: SmallSensor) -> PartMesh:
     return sensor.part(SIZES)
 
 
-def test_part_has_the_receptors_within_reach(sensor: Sensor, mesh: PartMesh) -> None:
+def test_part_has_the_receptors_within_reach(sensor: SmallSensor, mesh: PartMesh) -> None:
     gap = sensor.surface.point(sensor.markers.uv)
     gap = gap - gap[PRESSED]
     near = np.flatnonzero(np.linalg.norm(gap, axis=1) <= SIZES.reach_mm)
@@ -82,13 +83,13 @@ def test_part_has_the_receptors_within_reach(sensor: Sensor, mesh: PartMesh) -> 
     assert jacobian_ratio(mesh).min() > 0.0
 
 
-def test_unsmeared_part_has_the_volume_of_its_cad(sensor: Sensor) -> None:
+def test_unsmeared_part_has_the_volume_of_its_cad(sensor: SmallSensor) -> None:
     from phytac_design.solids.cad import cad_facts, shell_cad
 
     mesh = sensor.part(SIZES, smear=None)
     wall = sensor.design.wall.model_copy(update={"rim_length_mm": 0.0})
     bare = sensor.design.model_copy(update={"wall": wall})
-    cad = shell_cad(bare, sensor.surface, subset(sensor.markers, mesh.kept))
+    cad = shell_cad(Sensor.of(bare, sensor.surface, subset(sensor.markers, mesh.kept)))
     assert volume(mesh) == pytest.approx(cad_facts(cad).volume_mm3, rel=3e-3)
     assert (mesh.modulus_ratio == 1.0).all()
 
@@ -118,7 +119,7 @@ def test_smeared_wall_has_the_mean_stiffness_of_the_mixture() -> None:
     assert all((ratio[inner] == 1.0).all() for ratio in on_tubes)
 
 
-def test_tips_follow_rigid_motion_exactly(sensor: Sensor, mesh: PartMesh) -> None:
+def test_tips_follow_rigid_motion_exactly(sensor: SmallSensor, mesh: PartMesh) -> None:
     turn = Rotation.from_rotvec([0.2, -0.3, 0.25])
     shift = np.array([0.5, -1.0, 2.0])
 
@@ -135,13 +136,13 @@ def test_tips_follow_rigid_motion_exactly(sensor: Sensor, mesh: PartMesh) -> Non
 
 
 def test_too_few_nodes_under_a_left_out_receptor_are_refused(
-    sensor: Sensor, mesh: PartMesh
+    sensor: SmallSensor, mesh: PartMesh
 ) -> None:
     with pytest.raises(NumericalError, match="mesh the wall finer"):
         tips_motion(mesh, sensor.markers, np.zeros_like(mesh.nodes_mm), far_mm=0.2)
 
 
-def test_no_receptor_within_reach_is_refused(sensor: Sensor) -> None:
+def test_no_receptor_within_reach_is_refused(sensor: SmallSensor) -> None:
     sizes = PartSizes(near=COARSE, middle=COARSE, far_mm=2.0, near_mm=2.0, reach_mm=0.1)
     with pytest.raises(DesignError, match=r"no receptor lies within 0\.1 mm"):
         part_mesh(
@@ -155,7 +156,7 @@ def test_no_receptor_within_reach_is_refused(sensor: Sensor) -> None:
 
 
 def solved(
-    sensor: Sensor, mesh: PartMesh, path: Path, *, force: float = 1.0, large: bool = False
+    sensor: SmallSensor, mesh: PartMesh, path: Path, *, force: float = 1.0, large: bool = False
 ) -> FloatArray:
     load = force * solid_patch_load(mesh, sensor.surface, sensor.markers.uv[PRESSED], RADIUS_MM)
     calculix.write_reference_inp(
@@ -174,7 +175,9 @@ def solved(
     return tips_motion(mesh, sensor.markers, motion, far_mm=2.5)
 
 
-def test_part_moves_as_the_whole_in_ccx(sensor: Sensor, mesh: PartMesh, tmp_path: Path) -> None:
+def test_part_moves_as_the_whole_in_ccx(
+    sensor: SmallSensor, mesh: PartMesh, tmp_path: Path
+) -> None:
     if shutil.which("ccx") is None:
         pytest.skip("CalculiX (ccx) is not on PATH; apt install calculix-ccx")
     whole_sizes = PartSizes(near=COARSE, middle=COARSE, far_mm=2.0, near_mm=2.0, reach_mm=99.0)
@@ -196,7 +199,7 @@ def test_part_moves_as_the_whole_in_ccx(sensor: Sensor, mesh: PartMesh, tmp_path
 
 
 def test_bands_of_modulus_are_written_within_their_rounding(
-    sensor: Sensor, mesh: PartMesh, tmp_path: Path
+    sensor: SmallSensor, mesh: PartMesh, tmp_path: Path
 ) -> None:
     path = calculix.write_reference_inp(
         tmp_path / "bands.inp",

@@ -6,6 +6,7 @@ from typing import Any
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import camera_of, tolerance_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.render_scene import RenderScene, build_scene
 from phytac_shapes.arrays import BoolArray
 
@@ -35,9 +36,7 @@ class Bench:
     def scene(self, switch_on: BoolArray | None = None) -> RenderScene:
         """Scene at rest."""
         return build_scene(
-            self.design,
-            self.surface,
-            self.markers,
+            Sensor.of(self.design, self.surface, self.markers),
             tolerance_mm=tolerance_mm(self.camera, self.markers),
             switch_on=switch_on,
         )

@@ -16,6 +16,7 @@ from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context
 from phytac_design.layout.cameras import Readers, camera_of, cameras_of, stand_off_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.render_scene import BAR, RESIN, SHELL
 from phytac_design.optics.visibility import best_of, check_visibility, visibility_advice
@@ -88,7 +89,7 @@ def test_one_camera_that_sees_a_marker_is_enough() -> None:
     bench_markers = Bench(at("near", layout)).markers
     surface, rng = design.surface(), np.random.default_rng(0)
     each = [
-        check_visibility(design, surface, bench_markers, rng=rng, camera=camera)
+        check_visibility(Sensor.of(design, surface, bench_markers), rng=rng, camera=camera)
         for camera in cameras_of(design, surface)
     ]
     best, camera = best_of(each)
@@ -102,7 +103,7 @@ def test_one_camera_that_sees_a_marker_is_enough() -> None:
 def test_the_best_camera_is_one_that_tells_the_marker_apart() -> None:
     bench = Bench(at("near", TOWARDS_FAR))
     rng = np.random.default_rng(0)
-    one = check_visibility(bench.design, bench.surface, bench.markers, rng=rng)
+    one = check_visibility(Sensor.of(bench.design, bench.surface, bench.markers), rng=rng)
     assert one.clear[:4].all()
     assert not one.switch_unreadable[:4].any()
     marker = np.arange(bench.markers.count)

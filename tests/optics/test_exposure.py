@@ -8,6 +8,7 @@ import pytest
 
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import KannalaBrandt
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.exposure import (
     CLEAN,
     Exposure,
@@ -118,7 +119,7 @@ def test_lens_looks_around_a_near_edge() -> None:
 
 def test_blur_is_what_sharpness_says(few: Bench) -> None:
     found = sharpness(few.design.camera, few.camera, few.surface, few.markers)
-    blur = lens_blur(few.design, few.camera, few.surface, few.markers)
+    blur = lens_blur(Sensor.of(few.design, few.surface, few.markers), few.camera)
     edge = np.array([blur.aperture_mm / 2.0, 0.0])
     points = few.markers.tip_mm
     scene = replace(few.scene(), vertices=points)

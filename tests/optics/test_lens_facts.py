@@ -10,6 +10,7 @@ import pytest
 from phytac_design.core.json_values import finite
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import Context
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.lens_facts import BANDS, lens_facts, row_groups
 from phytac_design.report.report_sections import lens_section
 from phytac_design.rules.check import check_design
@@ -21,7 +22,7 @@ FEW = {"rows": 3, "columns": 8, "height_near_mm": 0.5, "height_far_mm": 6.0}
 
 
 def facts_of(bench: Bench) -> dict[str, Any]:
-    return lens_facts(bench.design, bench.surface, bench.markers, bench.camera)
+    return lens_facts(Sensor.of(bench.design, bench.surface, bench.markers), bench.camera)
 
 
 def page_of(bench: Bench) -> str:

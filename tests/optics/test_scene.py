@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from phytac_design.geometry.strips import grid_mesh
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.render_scene import (
     BAR,
@@ -149,7 +150,7 @@ def test_a_leaning_receptor_has_no_gap_under_its_foot(few: Bench) -> None:
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     tip = markers.foot_mm + markers.height_mm[:, None] * axis
     leaning = dataclasses.replace(markers, tip_mm=tip)
-    scene = build_scene(few.design, few.surface, leaning, tolerance_mm=0.05)
+    scene = build_scene(Sensor.of(few.design, few.surface, leaning), tolerance_mm=0.05)
     for marker in (0, 5, 11):
         own = scene.vertices[scene.vertex_owner == marker]
         depth = -(own - tip[marker]) @ axis[marker]

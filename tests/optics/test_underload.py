@@ -8,6 +8,7 @@ from phytac_decoder.vision.segmentation import ColourModel, segment
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import camera_of, tolerance_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.loaded_visibility import FUSED_PX, press_all, sight
 from phytac_design.optics.paint import paints_of
@@ -22,7 +23,9 @@ def sensor() -> tuple[Design, Markers, RenderScene, Camera]:
     surface = design.surface()
     markers = make_markers(design, surface)
     camera = camera_of(design, surface)
-    scene = build_scene(design, surface, markers, tolerance_mm=tolerance_mm(camera, markers))
+    scene = build_scene(
+        Sensor.of(design, surface, markers), tolerance_mm=tolerance_mm(camera, markers)
+    )
     return design, markers, scene, camera
 
 
@@ -155,7 +158,9 @@ def test_own_motion_is_no_crosstalk() -> None:
     surface = design.surface()
     markers = make_markers(design, surface)
     camera = camera_of(design, surface)
-    scene = build_scene(design, surface, markers, tolerance_mm=tolerance_mm(camera, markers))
+    scene = build_scene(
+        Sensor.of(design, surface, markers), tolerance_mm=tolerance_mm(camera, markers)
+    )
     # Inward, so that none sinks into the wall.
     motion = random_motion(markers.count, 0.4)
     motion[:, :3] += 2.0 * markers.direction
@@ -183,7 +188,7 @@ def half_covered(factor: int, side: float) -> tuple[RenderScene, RenderScene, Ca
     surface = design.surface()
     markers = make_markers(design, surface)
     camera = camera_of(design, surface)
-    scene = build_scene(design, surface, markers, tolerance_mm=1e-3)
+    scene = build_scene(Sensor.of(design, surface, markers), tolerance_mm=1e-3)
     back = int(np.flatnonzero(markers.row == markers.row.max())[0])
     # Of the other colour, so that the two make no blob together.
     front = int(np.flatnonzero((markers.row == 0) & (markers.colour != markers.colour[back]))[0])

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from phytac_design.design.spec import Design
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.density import density_of
 from phytac_design.optics.gaps import marker_gaps
 from phytac_design.optics.raster import pixels_alone, rasterise
@@ -20,7 +21,7 @@ def layout(**values: Any) -> Design:
 
 def test_a_lone_receptor_is_seen_whole(rng: np.random.Generator) -> None:
     bench = Bench(layout(rows=1, columns=1, height_near_mm=5.0, height_far_mm=5.0))
-    seen = check_visibility(bench.design, bench.surface, bench.markers, rng=rng)
+    seen = check_visibility(Sensor.of(bench.design, bench.surface, bench.markers), rng=rng)
     assert seen.visible_fraction[0] == 1.0
     assert seen.visible_px[0] == seen.alone_px[0] > 30
     assert not seen.occluded[0]
@@ -33,7 +34,7 @@ def test_a_lone_receptor_is_seen_whole(rng: np.random.Generator) -> None:
 def test_centroid_and_paint_point_are_one_line_of_sight(
     few: Bench, rng: np.random.Generator
 ) -> None:
-    seen = check_visibility(few.design, few.surface, few.markers, rng=rng)
+    seen = check_visibility(Sensor.of(few.design, few.surface, few.markers), rng=rng)
     # The mean of projections is the projection of the mean up to the tube's relief.
     np.testing.assert_allclose(few.camera.project(seen.paint_point_mm), seen.centroid_px, atol=0.35)
     axis = (few.markers.tip_mm - few.markers.foot_mm) / few.markers.height_mm[:, None]
@@ -48,7 +49,7 @@ def test_a_tall_receptor_in_front_hides_the_one_behind(rng: np.random.Generator)
         bench = Bench(
             layout(kind="straight", rows=2, columns=4, height_near_mm=near, height_far_mm=far)
         )
-        seen = check_visibility(bench.design, bench.surface, bench.markers, rng=rng)
+        seen = check_visibility(Sensor.of(bench.design, bench.surface, bench.markers), rng=rng)
         return seen, bench.markers.row
 
     seen, row = fractions(1.0, 4.0)
@@ -91,11 +92,13 @@ def test_the_published_spiral_is_seen_and_a_straight_grid_fuses(rng: np.random.G
     # At 3/4 of the camera's resolution; the full one is in benchmarks/results/visibility.json.
     camera = {"width_px": 1944, "height_px": 1458, "focal_px": 727.5}
     spiral = Bench(make_design(camera=camera))
-    seen = check_visibility(spiral.design, spiral.surface, spiral.markers, rng=rng)
+    seen = check_visibility(Sensor.of(spiral.design, spiral.surface, spiral.markers), rng=rng)
     assert seen.summary()["occluded"] == seen.summary()["fused"] == 0
     assert seen.visible_fraction.min() > 0.98
     straight = Bench(make_design(camera=camera, layout={"kind": "straight"}))
-    other = check_visibility(straight.design, straight.surface, straight.markers, rng=rng)
+    other = check_visibility(
+        Sensor.of(straight.design, straight.surface, straight.markers), rng=rng
+    )
     assert 116 <= other.fused.sum() <= 316  # design study, over painted bands of 0.5 to 1.5 mm
     assert other.visible_fraction.min() < seen.visible_fraction.min()
     assert np.all(seen.red_on_px > seen.red_rest_px)
@@ -103,7 +106,9 @@ def test_the_published_spiral_is_seen_and_a_straight_grid_fuses(rng: np.random.G
 
 def test_visibility_is_the_same_twice(small: Bench) -> None:
     one, two = (
-        check_visibility(small.design, small.surface, small.markers, rng=np.random.default_rng(3))
+        check_visibility(
+            Sensor.of(small.design, small.surface, small.markers), rng=np.random.default_rng(3)
+        )
         for _ in range(2)
     )
     for name in one.__dataclass_fields__:

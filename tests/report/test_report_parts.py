@@ -84,7 +84,7 @@ def test_pictures_go_from_rest_to_the_full_force(tmp_path: Path) -> None:
     camera = cameras_of(context.design, context.surface)[0]
     camera = press_pictures.window(camera, np.zeros(2), camera.width_px, press_pictures.WIDTH_PX)
     tolerance = tolerance_mm(camera, context.markers)
-    scene = build_scene(context.design, context.surface, context.markers, tolerance_mm=tolerance)
+    scene = build_scene(context.sensor, tolerance_mm=tolerance)
     rest = render_frame(scene, camera, samples=4)
     assert np.abs(np.asarray(frames[0]).astype(int) - rest).mean() < 3.0  # but for JPEG
     # The pressed receptor moves: its surroundings change, step by step.

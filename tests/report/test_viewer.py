@@ -10,6 +10,7 @@ import pytest
 
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.paint import PAINTS
 from phytac_design.optics.render_scene import build_scene
 from phytac_design.report.viewer import assets, still
@@ -34,7 +35,9 @@ def test_places_are_those_of_the_sensor(kind: str) -> None:
     cameras = cameras_of(design, surface)
     data = json.loads(
         json.dumps(
-            viewer_data(design, surface, markers, base_colourings(markers), cameras=cameras),
+            viewer_data(
+                Sensor.of(design, surface, markers), base_colourings(markers), cameras=cameras
+            ),
             allow_nan=False,
         )
     )
@@ -67,7 +70,7 @@ def test_triangles_of_the_wall_face_outwards(kind: str) -> None:
     design = drawn(kind, 6)
     surface = design.surface()
     markers = make_markers(design, surface)
-    data = viewer_data(design, surface, markers, base_colourings(markers))
+    data = viewer_data(Sensor.of(design, surface, markers), base_colourings(markers))
     wall = data["bodies"][0]
     points = places(data, wall["points"])
     corners = points[decoded(wall["triangles"], "<u4").reshape(-1, 3)]
@@ -116,7 +119,7 @@ def test_the_still_picture_shows_the_open_shell() -> None:
     design = small(layout={"rows": 6, "columns": 10})
     surface = design.surface()
     markers = make_markers(design, surface)
-    data = still.still_picture(design, surface, markers)
+    data = still.still_picture(Sensor.of(design, surface, markers))
     image: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     assert image.shape == (700, 900, 3)
     assert (image[[0, 0, -1, -1], [0, -1, 0, -1]] == 255).all()  # white paper around
@@ -127,7 +130,7 @@ def test_the_still_picture_shows_the_open_shell() -> None:
         hue = int(cv2.cvtColor(paint, cv2.COLOR_BGR2HSV)[0, 0, 0])
         assert (np.abs(strong - hue) < 8).sum() > 300, name
     eye = eye_of(surface, markers)
-    scene = build_scene(design, surface, markers, tolerance_mm=0.2)
+    scene = build_scene(Sensor.of(design, surface, markers), tolerance_mm=0.2)
     left = still.cut_open(scene, surface, markers, eye)
     kept = np.unique(left.triangle_owner[left.triangle_owner >= 0])
     assert kept.tolist() == np.flatnonzero(markers.normal @ eye <= 0.0).tolist()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.contacts import JITTER_MM, draw_contacts, switch_states
 from tests.test_layout_shapes import SHAPES, designed
 
@@ -15,7 +16,9 @@ def test_contacts_lie_on_the_surface(shape: str, placement: str) -> None:
     surface = design.surface()
     markers = make_markers(design, surface)
     rng = np.random.default_rng(3)
-    drawn = draw_contacts(design, surface, markers, samples=150, rng=rng, placement=placement)
+    drawn = draw_contacts(
+        Sensor.of(design, surface, markers), samples=150, rng=rng, placement=placement
+    )
     low, high = surface.domain.T
     inside = (drawn.uv >= low - 1e-9) & (drawn.uv <= high + 1e-9)
     assert (inside | np.array(surface.periodic)).all()
@@ -25,7 +28,7 @@ def test_contacts_lie_on_the_surface(shape: str, placement: str) -> None:
         apart = np.linalg.norm(points[:, None] - known[None], axis=2).min(axis=1)
         assert apart.max() <= JITTER_MM * np.sqrt(2.0) + 1e-6
         assert apart.max() > 0.8 * JITTER_MM
-    state = switch_states(design, surface, markers, drawn)
+    state = switch_states(Sensor.of(design, surface, markers), drawn)
     assert state.bits.any()
 
 
@@ -37,7 +40,7 @@ def test_anywhere_is_uniform_by_area_on_a_dome() -> None:
     rng = np.random.default_rng(0)
     # One contact a sample: several on so small a dome push each other apart.
     drawn = draw_contacts(
-        design, surface, markers, samples=8000, rng=rng, placement="anywhere", most=1
+        Sensor.of(design, surface, markers), samples=8000, rng=rng, placement="anywhere", most=1
     )
     z = surface.point(drawn.uv)[:, 2] / 20.0
     count = np.histogram(z, bins=10, range=(0.0, 1.0))[0]
@@ -53,7 +56,7 @@ def test_jitter_is_as_long_at_the_pole() -> None:
     surface = design.surface()
     markers = make_markers(design, surface)
     rng = np.random.default_rng(2)
-    drawn = draw_contacts(design, surface, markers, samples=400, rng=rng, most=1)
+    drawn = draw_contacts(Sensor.of(design, surface, markers), samples=400, rng=rng, most=1)
     x, y, _ = surface.point(drawn.uv).T
     # A square of ± 1 mm: standard deviation 1/√3 along both.
     assert x.std() == pytest.approx(JITTER_MM / np.sqrt(3.0), rel=0.1)
@@ -66,7 +69,10 @@ def test_contacts_anywhere_press_sensing_faces_only() -> None:
     surface = design.surface()
     rng = np.random.default_rng(1)
     drawn = draw_contacts(
-        design, surface, make_markers(design, surface), samples=100, rng=rng, placement="anywhere"
+        Sensor.of(design, surface, make_markers(design, surface)),
+        samples=100,
+        rng=rng,
+        placement="anywhere",
     )
     assert surface.sensing(drawn.uv).all()
 
@@ -76,9 +82,11 @@ def test_one_marker_and_no_room() -> None:
     design = designed("plane", "straight", rows=1, columns=1)
     surface = design.surface()
     markers = make_markers(design, surface)
-    drawn = draw_contacts(design, surface, markers, samples=40, rng=np.random.default_rng(0))
+    drawn = draw_contacts(
+        Sensor.of(design, surface, markers), samples=40, rng=np.random.default_rng(0)
+    )
     assert (drawn.counts == 1).all()
-    assert switch_states(design, surface, markers, drawn).tripped.any()
+    assert switch_states(Sensor.of(design, surface, markers), drawn).tripped.any()
 
 
 def test_jitter_stays_within_the_edges() -> None:
@@ -86,7 +94,7 @@ def test_jitter_stays_within_the_edges() -> None:
     surface = design.surface()
     markers = make_markers(design, surface)
     rng = np.random.default_rng(0)
-    drawn = draw_contacts(design, surface, markers, samples=100, rng=rng, most=1)
+    drawn = draw_contacts(Sensor.of(design, surface, markers), samples=100, rng=rng, most=1)
     low, high = surface.domain.T
     assert ((drawn.uv >= low) & (drawn.uv <= high)).all()
     assert (drawn.uv[:, 0] == high[0]).any()

@@ -18,6 +18,7 @@ from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.datasets.samples_writer import FORCE_STEP_N, write_samples
 from phytac_design.design.design_file import load_design
 from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.contacts import Contacts, draw_contacts, switch_states
 from phytac_design.simulation.dataset import Dataset, key_node_data
 from phytac_shapes.arrays import FloatArray
@@ -61,8 +62,8 @@ def made(request: pytest.FixtureRequest) -> Made:
     surface = design.surface()
     markers = make_markers(design, surface)
     rng = np.random.default_rng(0)
-    contacts = draw_contacts(design, surface, markers, samples=598, rng=rng)
-    switching = switch_states(design, surface, markers, contacts)
+    contacts = draw_contacts(Sensor.of(design, surface, markers), samples=598, rng=rng)
+    switching = switch_states(Sensor.of(design, surface, markers), contacts)
     model = model_of(markers, surface.point(markers.uv))
     shift = (switching.receptor_force_N @ model.compliance_px.T).reshape(598, -1, 2)
     shift += rng.normal(0.0, NOISE_PX, shift.shape)

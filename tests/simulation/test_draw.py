@@ -9,6 +9,7 @@ import pytest
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.shell.footprints import footprint_shares
 from phytac_design.simulation.contacts import JITTER_MM, assign_forces, switch_states
 from phytac_design.simulation.indenters import INDENTERS, Touches
@@ -32,20 +33,20 @@ from phytac_design.simulation.sensor_instance import SensorInstance
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
 
-Sensor = tuple[Design, Surface, SensorInstance]
+Drawn = tuple[Design, Surface, SensorInstance]
 WALL = {"relax_share": [0.1, 0.05], "relax_s": [0.7, 20.0]}
 SERIES = Relaxation(share=np.array([0.1, 0.05]), time_s=np.array([0.7, 20.0]))
 
 
 @cache
-def sensor(name: str = "cylinder40", number: int = 0) -> Sensor:
+def sensor(name: str = "cylinder40", number: int = 0) -> Drawn:
     design = load_design(name)
     surface = design.surface()
     section = SensorInstanceSection(number=number)
     return (
         design,
         surface,
-        draw_sensor_instance(design, surface, make_markers(design, surface), section, 1),
+        draw_sensor_instance(Sensor.of(design, surface, make_markers(design, surface)), section, 1),
     )
 
 
@@ -53,7 +54,7 @@ def scenario(kind: str = "presses", **tables: Any) -> Scenario:
     return parse_scenario({"name": "t", "kind": kind, **tables}, "t")
 
 
-def plan(own: Scenario, of: Sensor | None = None, seed: int = 5) -> SamplePlan:
+def plan(own: Scenario, of: Drawn | None = None, seed: int = 5) -> SamplePlan:
     design, surface, unit = of or sensor()
     return draw_plan(design, surface, unit, own, seed=seed)
 
@@ -270,7 +271,7 @@ def test_presses_creep_or_relax_until_they_are_sampled(control: str) -> None:
 def test_switches_of_single_presses_are_those_of_the_activation_law() -> None:
     design, surface, unit = sensor()
     got = plan(scenario(touch={"samples": 80, "most": 4}))
-    known = switch_states(design, surface, unit.markers, got.touches)
+    known = switch_states(Sensor.of(design, surface, unit.markers), got.touches)
     assert got.switching.bits.any()
     for name, array in vars(known).items():
         assert getattr(got.switching, name) == pytest.approx(array, abs=1e-9), name

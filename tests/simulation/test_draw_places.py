@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.indenters import INDENTERS
 from phytac_design.simulation.scenario.draw_plan import draw_plan
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
@@ -156,7 +157,7 @@ def test_faces_that_do_not_sense_are_not_touched() -> None:
     design = changed("cuboid", shape={"faces": ["+y"]})
     surface = design.surface()
     unit = draw_sensor_instance(
-        design, surface, make_markers(design, surface), SensorInstanceSection(), 0
+        Sensor.of(design, surface, make_markers(design, surface)), SensorInstanceSection(), 0
     )
     for placement in ("anywhere", "rims"):
         touch = {"samples": 40, "multi_share": 0.0, "placement": placement}

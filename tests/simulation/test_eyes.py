@@ -10,6 +10,7 @@ from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import Readers, cameras_of, tolerance_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.exposure import Exposure
 from phytac_design.optics.render_scene import SHELL, build_scene
@@ -71,7 +72,10 @@ class Rig:
         self.unit = unit or unit_of(design)
         markers = make_markers(design, self.surface)
         drawn = draw_contacts(
-            design, self.surface, markers, samples=3, rng=np.random.default_rng(1), most=3
+            Sensor.of(design, self.surface, markers),
+            samples=3,
+            rng=np.random.default_rng(1),
+            most=3,
         )
         contacts = replace(drawn, force_N=np.full(len(drawn.force_N), 25.0))
         mesh, model = truth_shell(design, self.surface, 2)
@@ -79,8 +83,8 @@ class Rig:
             model, mesh, self.surface, markers, uv=contacts.uv, radius_mm=contacts.radius_mm
         )
         self.motion = superpose(response, contacts)
-        self.bits = switch_states(design, self.surface, markers, contacts).bits
-        self.views = expected_views(design, self.surface, markers)
+        self.bits = switch_states(Sensor.of(design, self.surface, markers), contacts).bits
+        self.views = expected_views(Sensor.of(design, self.surface, markers))
         self.imaging = self.make(self.unit)
         self.still = np.zeros((markers.count, 6))
         self.off = np.zeros(markers.count, dtype=np.bool_)
@@ -338,16 +342,14 @@ def test_paint_slopes_are_how_frames_show_a_receptor_that_turns() -> None:
     tolerance = tolerance_mm(camera, markers)
     rest, on = (
         build_scene(
-            flat,
-            surface,
-            markers,
+            Sensor.of(flat, surface, markers),
             tolerance_mm=tolerance,
             switch_on=np.full(markers.count, state),
         )
         for state in (False, True)
     )
     seen = see(rest, on, camera, noise_std=0.0, rng=np.random.default_rng(0))
-    slope = paint_slope(flat, surface, markers, camera, rest=rest, seen=seen)
+    slope = paint_slope(Sensor.of(flat, surface, markers), camera, rest=rest, seen=seen)
     readers = Readers(cameras=(camera,), read_by=np.zeros(markers.count, dtype=np.int64))
     arm = seen.paint_point_mm - markers.mid_mm
     imaging = ImagingModel(flat, surface, unit_of(flat), exposure=EXPOSURE)
@@ -370,9 +372,11 @@ def test_a_marker_that_nobody_sees_is_watched_at_its_tip() -> None:
     surface = this.surface()
     markers = make_markers(this, surface)
     (camera,) = cameras_of(this, surface)
-    rest = build_scene(this, surface, markers, tolerance_mm=tolerance_mm(camera, markers))
+    rest = build_scene(
+        Sensor.of(this, surface, markers), tolerance_mm=tolerance_mm(camera, markers)
+    )
     seen = see(rest, rest, camera, noise_std=0.0, rng=np.random.default_rng(0))
     nowhere = replace(seen, paint_point_mm=np.full((markers.count, 3), np.nan))
-    slope = paint_slope(this, surface, markers, camera, rest=rest, seen=nowhere)
+    slope = paint_slope(Sensor.of(this, surface, markers), camera, rest=rest, seen=nowhere)
     arm = markers.tip_mm - markers.mid_mm
     np.testing.assert_array_equal(slope, rigid_slope(camera.jacobian(markers.tip_mm), arm))

@@ -10,6 +10,7 @@ from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import Readers, cameras_of
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.pressure import tangent_frame
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
@@ -45,9 +46,7 @@ def made(refine: int, **how: Any) -> TabulatedResponse:
     """Tables by a mesh of its own."""
     mesh = marker_mesh(SURFACE, MARKERS, thickness_mm=DESIGN.wall.thickness_mm, refine=refine)
     return tabulate_responses(
-        DESIGN,
-        SURFACE,
-        MARKERS,
+        Sensor.of(DESIGN, SURFACE, MARKERS),
         mesh=mesh,
         model=sensor_model(DESIGN, MARKERS, mesh, receptors=True),
         see=SEE,
@@ -67,7 +66,7 @@ def truth(place: int, places: ResponseTable, force_N: float) -> FloatArray:
 
 @cache
 def solver() -> Solver:
-    unit = draw_sensor_instance(DESIGN, SURFACE, MARKERS, SensorInstanceSection(), 0)
+    unit = draw_sensor_instance(Sensor.of(DESIGN, SURFACE, MARKERS), SensorInstanceSection(), 0)
     return Solver(DESIGN, SURFACE, unit, refine=9, displacement="large")
 
 
@@ -146,9 +145,7 @@ def test_a_square_box_is_solved_on_one_side_in_four() -> None:
     model = sensor_model(design, markers, mesh, receptors=True)
     see = ImageResponse(readers, markers.mid_mm, markers.tip_mm - markers.mid_mm)
     done = tabulate_responses(
-        design,
-        surface,
-        markers,
+        Sensor.of(design, surface, markers),
         mesh=mesh,
         model=model,
         see=see,
@@ -310,7 +307,12 @@ def test_places_stand_closer_on_flat_walls() -> None:
     error = {}
     for spacing in (4.0, 2.0):
         places = tabulate_responses(
-            design, surface, markers, mesh=mesh, model=model, see=see, spacing_mm=spacing, orders=1
+            Sensor.of(design, surface, markers),
+            mesh=mesh,
+            model=model,
+            see=see,
+            spacing_mm=spacing,
+            orders=1,
         ).places
         motions = shell.motions(surface.chart(at), places.radius_mm)
         wanted = np.stack([see.powers(own, shell.forces)[0] for own in motions])

@@ -19,6 +19,7 @@ from phytac_design.datasets.samples_reader import read_samples
 from phytac_design.design.camera_files import write_lens
 from phytac_design.design.design_file import design_hash, load_design
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.contacts import Contacts, switch_states
 from phytac_design.simulation.rig_import.rig_samples import REASONS
 from phytac_design.stages import views_stage
@@ -139,9 +140,7 @@ def check_truth(samples: Samples) -> None:
     assert touches is not None
     assert truth is not None
     twin = switch_states(
-        DESIGN,
-        surface,
-        markers,
+        Sensor.of(DESIGN, surface, markers),
         Contacts(
             sample=touches.sample,
             uv=touches.uv,

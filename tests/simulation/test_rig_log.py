@@ -8,6 +8,7 @@ import pytest
 from phytac_design.design.design_file import load_design
 from phytac_design.fabrication.calibration_rig.log_template import log_head
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.indenters import INDENTERS, Touches
 from phytac_design.simulation.rig_import.rig_contacts import contacts_of, sequences_of
 from phytac_design.simulation.rig_import.rig_frames import (
@@ -36,7 +37,7 @@ def read(folder: Path, *lines: str) -> tuple[RigLog, RowProblems]:
 def touched(folder: Path, *lines: str, off_mm: float = 2.0) -> tuple[Touches, RowProblems]:
     log, problems = read(folder, *lines)
     touches = contacts_of(
-        log, DESIGN, SURFACE, MARKERS, off_mm=off_mm, radius_mm=4.0, problems=problems
+        log, Sensor.of(DESIGN, SURFACE, MARKERS), off_mm=off_mm, radius_mm=4.0, problems=problems
     )
     return touches, problems
 
@@ -105,7 +106,7 @@ def test_contacts_of_one_sample(tmp_path: Path) -> None:
     np.testing.assert_array_equal(log.sample, [0, 1, 0, 2])
     assert log.frame == ("1", "2", "4")
     touches = contacts_of(
-        log, DESIGN, SURFACE, MARKERS, off_mm=2.0, radius_mm=4.0, problems=problems
+        log, Sensor.of(DESIGN, SURFACE, MARKERS), off_mm=2.0, radius_mm=4.0, problems=problems
     )
     np.testing.assert_array_equal(touches.sample, [0, 0, 1, 2])
     np.testing.assert_array_equal(touches.force_N, [2.0, 4.0, 3.0, 1.0])
@@ -135,7 +136,7 @@ def test_every_way_to_state_a_place_is_the_same(tmp_path: Path, kind: str) -> No
         rows = [f"{k},{place},2" for k, place in enumerate(places)]
         log, problems = read(tmp_path, f"frame,{head},force_N", *rows)
         touches = contacts_of(
-            log, design, surface, markers, off_mm=0.1, radius_mm=4.0, problems=problems
+            log, Sensor.of(design, surface, markers), off_mm=0.1, radius_mm=4.0, problems=problems
         )
         assert problems.found == [], head
         np.testing.assert_allclose(surface.point(touches.uv), points, atol=1e-5, err_msg=head)

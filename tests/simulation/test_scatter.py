@@ -8,6 +8,7 @@ import pytest
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import cameras_of
+from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.scenario import instance_scatter
 from phytac_design.simulation.scenario.instance_scatter import (
@@ -35,7 +36,7 @@ SDS = (
 
 def unit(number: int = 1, seed: int = 4, **section: Any) -> SensorInstance:
     return draw_sensor_instance(
-        DESIGN, SURFACE, MARKERS, SensorInstanceSection(number=number, **section), seed
+        Sensor.of(DESIGN, SURFACE, MARKERS), SensorInstanceSection(number=number, **section), seed
     )
 
 
@@ -151,7 +152,7 @@ def test_receptors_move_by_lengths_within_the_edges(kind: str) -> None:
     surface = design.surface()
     markers = make_markers(design, surface)
     section = SensorInstanceSection(number=1, marker_mm=0.2)
-    moved = draw_sensor_instance(design, surface, markers, section, 0).markers
+    moved = draw_sensor_instance(Sensor.of(design, surface, markers), section, 0).markers
     low, high = surface.domain.T
     inside = (moved.uv >= low) & (moved.uv <= high)
     assert (inside | np.array(surface.periodic)).all()
@@ -179,7 +180,7 @@ def test_a_printed_receptor_is_that_of_a_layout_with_its_place_and_height(
     surface = design.surface()
     markers = make_markers(design, surface)
     moved = draw_sensor_instance(
-        design, surface, markers, SensorInstanceSection(number=2), 0
+        Sensor.of(design, surface, markers), SensorInstanceSection(number=2), 0
     ).markers
     # The explicit layout numbers along u: hand it the receptors in that order.
     order = np.argsort(moved.uv[:, 0], kind="stable")
@@ -275,7 +276,7 @@ def test_two_cameras_move_apart() -> None:
     surface = design.surface()
     markers = make_markers(design, surface)
     near, far = draw_sensor_instance(
-        design, surface, markers, SensorInstanceSection(number=1), 0
+        Sensor.of(design, surface, markers), SensorInstanceSection(number=1), 0
     ).cameras
     first, last = cameras_of(design, surface)
     assert not np.allclose(near.position_mm - first.position_mm, far.position_mm - last.position_mm)
@@ -299,7 +300,7 @@ def test_receptors_stay_on_faces_that_sense() -> None:
     surface = design.surface()
     markers = make_markers(design, surface)
     section = SensorInstanceSection(number=1, marker_mm=5.0)
-    moved = draw_sensor_instance(design, surface, markers, section, 0).markers
+    moved = draw_sensor_instance(Sensor.of(design, surface, markers), section, 0).markers
     assert surface.sensing(moved.uv).all()
     stayed = (moved.uv == markers.uv).all(axis=1)
     assert 0 < stayed.sum() < markers.count

@@ -9,6 +9,7 @@ import pytest
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.locate import element_uv
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
@@ -45,7 +46,9 @@ MIDDLE = (30.0, np.pi)
 def unit_of(design: Design, number: int = 0, **changes: Any) -> SensorInstance:
     surface = design.surface()
     section = SensorInstanceSection(number=number, **changes)
-    return draw_sensor_instance(design, surface, make_markers(design, surface), section, seed=5)
+    return draw_sensor_instance(
+        Sensor.of(design, surface, make_markers(design, surface)), section, seed=5
+    )
 
 
 def touching(*rows: tuple[float, float, float, float]) -> Touches:

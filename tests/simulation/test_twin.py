@@ -6,6 +6,7 @@ import pytest
 from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.compliance import marker_compliance, probe_motion
 from phytac_design.mechanics.shell.loads import patch_loads
@@ -43,7 +44,9 @@ def contacts_at(uv: np.ndarray, force: list[float], sample: list[int], radius: f
 @pytest.mark.parametrize("placement", ["receptor", "anywhere"])
 def test_drawn_contacts_keep_their_ranges_and_apart(placement: str) -> None:
     rng = np.random.default_rng(0)
-    drawn = draw_contacts(DESIGN, SURFACE, MARKERS, samples=200, rng=rng, placement=placement)
+    drawn = draw_contacts(
+        Sensor.of(DESIGN, SURFACE, MARKERS), samples=200, rng=rng, placement=placement
+    )
     limits = DESIGN.training
     assert set(drawn.sample) == set(range(200))
     assert (drawn.force_N >= limits.force_min_N).all()
@@ -63,7 +66,7 @@ def test_drawn_contacts_keep_their_ranges_and_apart(placement: str) -> None:
 
 def test_drawing_is_deterministic() -> None:
     a, b = (
-        draw_contacts(DESIGN, SURFACE, MARKERS, samples=20, rng=np.random.default_rng(4))
+        draw_contacts(Sensor.of(DESIGN, SURFACE, MARKERS), samples=20, rng=np.random.default_rng(4))
         for _ in range(2)
     )
     assert (a.uv == b.uv).all()
@@ -76,7 +79,7 @@ def test_switches_follow_the_activation_law() -> None:
     threshold = DESIGN.switch.threshold_N * (radius / foot) ** 2
     uv = MARKERS.uv[[33, 33]]
     contacts = contacts_at(uv, [0.98 * threshold, 1.02 * threshold], [0, 1], radius)
-    state = switch_states(DESIGN, SURFACE, MARKERS, contacts)
+    state = switch_states(Sensor.of(DESIGN, SURFACE, MARKERS), contacts)
     assert state.bits[:, 33].tolist() == [False, True]
     assert state.tripped.tolist() == [False, True]
     assert state.owner[1, 33] == 1
@@ -88,14 +91,16 @@ def test_switches_of_a_region_follow_its_threshold() -> None:
     foot, radius = DESIGN.switch.footprint_diameter_mm / 2, 5.0
     force = 1.5 * DESIGN.switch.threshold_N * (radius / foot) ** 2
     contacts = contacts_at(MARKERS.uv[[33]], [force], [0], radius)
-    assert switch_states(DESIGN, SURFACE, MARKERS, contacts).bits[0, 33]
-    assert not switch_states(design, SURFACE, MARKERS, contacts).bits[0, 33]
+    assert switch_states(Sensor.of(DESIGN, SURFACE, MARKERS), contacts).bits[0, 33]
+    assert not switch_states(Sensor.of(design, SURFACE, MARKERS), contacts).bits[0, 33]
 
 
 def test_receptor_truth_sums_to_the_contact() -> None:
     rng = np.random.default_rng(1)
-    drawn = draw_contacts(DESIGN, SURFACE, MARKERS, samples=60, rng=rng, placement="anywhere")
-    state = switch_states(DESIGN, SURFACE, MARKERS, drawn)
+    drawn = draw_contacts(
+        Sensor.of(DESIGN, SURFACE, MARKERS), samples=60, rng=rng, placement="anywhere"
+    )
+    state = switch_states(Sensor.of(DESIGN, SURFACE, MARKERS), drawn)
     back = contact_forces(state.receptor_force_N, drawn, state)
     assert np.allclose(back[state.tripped], drawn.force_N[state.tripped])
     assert (back[~state.tripped] == 0).all()
@@ -181,13 +186,13 @@ def test_decoding_another_mesh_is_close_but_not_exact() -> None:
     """Data of the finer mesh: not the decoder's own model, so neither nonsense nor perfect."""
     model, arm, camera = small_model()
     rng = np.random.default_rng(3)
-    drawn = draw_contacts(DESIGN, SURFACE, MARKERS, samples=80, rng=rng, most=3)
+    drawn = draw_contacts(Sensor.of(DESIGN, SURFACE, MARKERS), samples=80, rng=rng, most=3)
     mesh, shell = truth_shell(DESIGN, SURFACE, 9)
     unit = motion_responses(shell, mesh, SURFACE, MARKERS, uv=drawn.uv, radius_mm=drawn.radius_mm)
     moved = point_motions(superpose(unit, drawn), arm)
     at_rest = camera.project(MARKERS.tip_mm)
     image = camera.project((MARKERS.tip_mm + moved).reshape(-1, 3)).reshape(*moved.shape[:2], 2)
-    state = switch_states(DESIGN, SURFACE, MARKERS, drawn)
+    state = switch_states(Sensor.of(DESIGN, SURFACE, MARKERS), drawn)
     data = Dataset(contacts=drawn, switching=state, shift_px=image - at_rest)
     seen = state.tripped
     estimate = contact_forces(decode_points(model, data, "koi_inverse"), drawn, state)

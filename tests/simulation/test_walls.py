@@ -12,6 +12,7 @@ from phytac_decoder.estimation.contact_shifts import predicted_shifts
 from phytac_decoder.mechanics.response_table import ResponseTable
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import Readers, cameras_of
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.shell.receptor_stiffness import sensor_model
 from phytac_design.simulation.flat_walls import StretchedWall, flat_walls
@@ -53,9 +54,7 @@ def bench(shape: str = "plane", orders: int = 4) -> Bench:
     mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=refine)
     model = sensor_model(design, markers, mesh, receptors=False)
     made = tabulate_responses(
-        design,
-        surface,
-        markers,
+        Sensor.of(design, surface, markers),
         mesh=mesh,
         model=model,
         see=see,

@@ -23,16 +23,16 @@ from phytac_design.fabrication.calibration_rig.tool_solids import (
     rod,
     tool_height_mm,
 )
-from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.solid_mesh import box
-from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
 WALL_mm = 1.5
 
 
-def middle_marker(design: Design, surface: Surface, markers: Markers) -> int:
+def middle_marker(sensor: Sensor) -> int:
     """Marker farthest from all rims, the nearest to the middle of the markers among equals."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     clear = np.minimum(clear_mm(design, surface, markers.uv), 1e6)
     points = surface.point(markers.uv)
     middle = surface.domain.mean(axis=1)
@@ -40,8 +40,9 @@ def middle_marker(design: Design, surface: Surface, markers: Markers) -> int:
     return int(np.lexsort((off, -np.round(clear, 6)))[0])
 
 
-def palm_radius_mm(design: Design, surface: Surface, markers: Markers, marker: int) -> float:
+def palm_radius_mm(sensor: Sensor, marker: int) -> float:
     """Radius of the palm's face at a marker: as large as curvature and rims let it be."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     curved_share = 0.6  # largest radius of the palm over the surface's radius of curvature
     palm_share = 2.0  # radius of the palm over that of the largest patch
     uv = markers.uv[[marker]]
@@ -51,27 +52,27 @@ def palm_radius_mm(design: Design, surface: Surface, markers: Markers, marker: i
     return float(min(wanted, room, curved_share * reach))
 
 
-def palm(design: Design, surface: Surface, markers: Markers, tolerance_mm: float) -> Any:
+def palm(sensor: Sensor, tolerance_mm: float) -> Any:
     """Wide indenter that follows the surface over several receptors; None if rims are too near."""
-    marker = middle_marker(design, surface, markers)
-    radius = palm_radius_mm(design, surface, markers, marker)
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
+    marker = middle_marker(sensor)
+    radius = palm_radius_mm(sensor, marker)
     if radius < RADIUS_MIN_mm:
         return None
     return fitted_indenter(surface, markers.uv[marker], radius, design.kit, tolerance_mm)
 
 
-def three_markers(
-    design: Design, surface: Surface, markers: Markers, regions: Regions
-) -> tuple[int, ...]:
+def three_markers(sensor: Sensor, regions: Regions) -> tuple[int, ...]:
     """Three regions that one jaw can press at once, the middle one first; () if there are none.
 
     Their load cells must stand side by side and their normals within ``lean_max_deg``.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     lean_max_deg = 10.0  # normals of a jaw's regions may differ by this much from the middle one
     if not regions.faces:
         return ()
     points, normal = surface.point(markers.uv), markers.normal
-    middle = middle_marker(design, surface, markers)
+    middle = middle_marker(sensor)
     room = design.kit.cell_diameter_mm + 2.0 * WALL_mm
     wide = regions.faces[0].radius_mm + design.kit.clearance_mm
     fits = clear_mm(design, surface, markers.uv) >= wide
@@ -90,7 +91,7 @@ def three_markers(
 
 
 def jaw(
-    design: Design, surface: Surface, markers: Markers, regions: Regions, tolerance_mm: float
+    sensor: Sensor, regions: Regions, tolerance_mm: float
 ) -> tuple[Any, tuple[int, ...]] | None:
     """Jaw with seats for three load cells with fitted indenters; None if no three fit.
 
@@ -101,7 +102,8 @@ def jaw(
     markers : tuple of int
         Regions that its indenters press, the middle one first.
     """
-    chosen = three_markers(design, surface, markers, regions)
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
+    chosen = three_markers(sensor, regions)
     if not chosen:
         return None
     kit = design.kit

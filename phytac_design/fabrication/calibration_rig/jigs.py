@@ -11,6 +11,7 @@ from phytac_design.fabrication.calibration_rig.tool_solids import OVER_mm, rod
 from phytac_design.geometry.boundary_loops import conormals
 from phytac_design.geometry.triangles import TriangleMesh, strip_triangles
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.solid_mesh import to_manifold
 from phytac_design.solids.wall_mesh import wall_mesh
 from phytac_shapes import Surface
@@ -60,11 +61,12 @@ def _ring(inner: FloatArray, outer: FloatArray, low: float, high: float) -> Any:
     return to_manifold(mesh if mesh.volume_mm3 > 0.0 else mesh.flipped())
 
 
-def collar(design: Design, surface: Surface, markers: Markers, tolerance_mm: float) -> Any:
+def collar(sensor: Sensor, tolerance_mm: float) -> Any:
     """Ring around the near rim of a tube, with a notch for each column of its first row.
 
     The rim stands on a ledge; column 0 has the wider notch. In the sensor's frame.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     stop_mm = 2.0  # thickness of the ledge that the rim stands on
     collar_mm = 8.0  # width of the collar around the rim
     wall, gap = design.wall, design.kit.clearance_mm
@@ -112,12 +114,7 @@ def plate_sets(
 
 
 def hole_plates(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    regions: Regions,
-    bowl_mm: float,
-    tolerance_mm: float,
+    sensor: Sensor, regions: Regions, bowl_mm: float, tolerance_mm: float
 ) -> list[tuple[Any, IntArray]]:
     """Plates that lie over a sheet or dome, each with holes along the normals of its regions.
 
@@ -129,6 +126,7 @@ def hole_plates(
     bowl_mm : float
         How far the bowls of the switches stand out of the outer face.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     blank = _blank(design, surface, bowl_mm, tolerance_mm)
     gap = design.kit.clearance_mm
     lift = _lift_mm(design, bowl_mm)

@@ -15,12 +15,11 @@ from typing import Literal
 
 import numpy as np
 
-from phytac_design.design.spec import Design
 from phytac_design.fabrication.bill import csv_text
 from phytac_design.fabrication.calibration_rig.regions import Regions, frames_at
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.calibration.calibration import MAX_DISPLACEMENT_OVER_WALL
-from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 
 ProgramRun = Literal["shell", "decoder"]
@@ -81,15 +80,9 @@ def turned(point_mm: FloatArray, tip_rad: FloatArray, turn_rad: FloatArray) -> F
     return np.column_stack([c * x + s * z, y, c * z - s * x])
 
 
-def make_program(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    regions: Regions,
-    *,
-    bowl_mm: float = 0.0,
-) -> Program:
+def make_program(sensor: Sensor, regions: Regions, *, bowl_mm: float = 0.0) -> Program:
     """Steps at all regions; ``bowl_mm`` is how far the switches stand out of the wall."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     tip_small = 1e-9
     # Largest displacement of the shell's run over the largest that calibration accepts.
     shell_share = 0.9

@@ -10,7 +10,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.calibration_rig.symmetry import Symmetry, find_symmetry
-from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -145,8 +145,9 @@ def radii_mm(design: Design, surface: Surface, uv: FloatArray) -> FloatArray:
     return radius
 
 
-def make_regions(design: Design, surface: Surface, markers: Markers) -> Regions:
+def make_regions(sensor: Sensor) -> Regions:
     """Regions by symmetry, and as few indenters as fit them."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     symmetry = find_symmetry(surface, markers)
     uv = markers.uv[symmetry.needed]
     radius = radii_mm(design, surface, uv)

@@ -14,8 +14,7 @@ from phytac_design.fabrication.calibration_rig.tool_solids import (
     fitted_indenter,
     flat_indenter,
 )
-from phytac_design.layout import Markers
-from phytac_shapes import Surface
+from phytac_design.layout.sensor import Sensor
 from phytac_shapes.errors import DesignError
 
 
@@ -56,13 +55,7 @@ class CalibrationKit:
 
 
 def kit_bodies(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    regions: Regions,
-    *,
-    bowl_mm: float,
-    tolerance_mm: float,
+    sensor: Sensor, regions: Regions, *, bowl_mm: float, tolerance_mm: float
 ) -> CalibrationKit:
     """Make all pieces of a design's kit.
 
@@ -71,10 +64,11 @@ def kit_bodies(
     bowl_mm : float
         How far the switches' bowls stand out of the outer face.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     kit, training, tol = design.kit, design.training, tolerance_mm
     left: dict[str, str] = {}
     pieces = []
-    three = jaw(design, surface, markers, regions, tol)
+    three = jaw(sensor, regions, tol)
     for k, face in enumerate(regions.faces):
         own = tuple(map(int, regions.marker[regions.face == k]))
         body = fitted_indenter(surface, markers.uv[face.marker], face.radius_mm, kit, tol)
@@ -94,7 +88,7 @@ def kit_bodies(
         Piece(name="indenter_ball", body=ball_indenter(radius, kit, tol), note="round face"),
         Piece(name="cell_seat", body=cell_seat(kit, tol), note="between load cell and rig"),
     ]
-    wide = palm(design, surface, markers, tol)
+    wide = palm(sensor, tol)
     if wide is None:
         left["gripper_palm"] = "every marker stands too near a rim"
     else:
@@ -109,7 +103,7 @@ def kit_bodies(
         pieces.append(Piece(name="gripper_three", body=body, note=note, markers=pressed))
     if not is_tube(surface):
         try:
-            plates = hole_plates(design, surface, markers, regions, bowl_mm, tol)
+            plates = hole_plates(sensor, regions, bowl_mm, tol)
         except DesignError as error:
             plates, left["plates"] = [], str(error)
         for k, (body, chosen) in enumerate(plates, start=1):
@@ -117,7 +111,7 @@ def kit_bodies(
             note = f"jig: {len(chosen)} holes over regions"
             pieces.append(Piece(name=f"plate_{k}", body=body, note=note, markers=served))
     elif has_rims(design):
-        body = collar(design, surface, markers, tol)
+        body = collar(sensor, tol)
         pieces.append(Piece(name="collar", body=body, note="jig: a notch for each column"))
     else:
         left["collar"] = "the wall has no rims for it to hold"

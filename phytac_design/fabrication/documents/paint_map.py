@@ -18,6 +18,7 @@ from phytac_design.fabrication.documents.sheet_drawing import (
 from phytac_design.fabrication.documents.unroll import UnrolledSurface, unroll
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.mesh_export import DISPLAY_COLOURS
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
@@ -88,8 +89,9 @@ def switch_labels(switches: SwitchSet) -> tuple[str, ...]:
     return tuple(names[kind] for kind in kinds)
 
 
-def make_map(design: Design, surface: Surface, markers: Markers, switches: SwitchSet) -> PaintMap:
+def make_map(sensor: Sensor, switches: SwitchSet) -> PaintMap:
     """Lay out the paint map of a design."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     text_share = 0.2  # height of a marker's number over the distance to its nearest neighbour
     unrolled = unroll(surface)
     place = unrolled.at(markers.uv)

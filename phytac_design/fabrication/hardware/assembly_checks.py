@@ -19,10 +19,9 @@ from phytac_design.fabrication.hardware.parts import HardwareAssembly, HardwareP
 from phytac_design.fabrication.hardware.sensor_solids import SHELL, SWITCHES
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.geometry.triangles import merged
-from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.solid_mesh import to_triangles
 from phytac_design.solids.wall_mesh import wall_mesh
-from phytac_shapes import Surface
 from phytac_shapes.errors import DesignError
 
 COARSE_mm = 0.05
@@ -92,15 +91,14 @@ class AssemblyChecks:
 
 
 def verdict(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
+    sensor: Sensor,
     switches: SwitchSet,
     cameras: list[Camera],
     kit: HardwareAssembly,
     solids: Mapping[str, Any],
 ) -> AssemblyChecks:
     """Run all checks on an assembly of shell, switches and hardware."""
+    design, surface = sensor.design, sensor.surface
     meshes = {
         name: to_triangles(body) for name, body in solids.items() if name not in (SHELL, SWITCHES)
     }
@@ -109,7 +107,7 @@ def verdict(
     leaks, rays = light_leaks(merged([wall, *meshes.values()]), places)
     # A camera looks out through its own lens.
     opaque = [meshes[name] for name in meshes if not name.startswith("camera")]
-    hidden, lines = hidden_rays(design, surface, markers, cameras, merged(opaque))
+    hidden, lines = hidden_rays(sensor, cameras, merged(opaque))
     bowl = [switches.bowls[k].diameter_mm for k in switches.bowl]
     count = len(solids)
     return AssemblyChecks(

@@ -15,7 +15,7 @@ from phytac_design.geometry.envelope import bar_mesh, shell_mesh
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.strips import joined
 from phytac_design.geometry.triangles import TriangleMesh
-from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.render_scene import FIRST_MARKER, build_scene
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
@@ -145,20 +145,15 @@ def inside_places(
     return np.concatenate(places)
 
 
-def hidden_rays(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    cameras: list[Camera],
-    hardware: TriangleMesh,
-) -> tuple[int, int]:
+def hidden_rays(sensor: Sensor, cameras: list[Camera], hardware: TriangleMesh) -> tuple[int, int]:
     """Lines from cameras to the markers' painted faces that hardware cuts, and all of them.
 
     Lines that the scene's own wall or light bar cuts are known to it and do not count.
     """
+    design, surface = sensor.design, sensor.surface
     scene_mm = 0.005  # accuracy of the scene's fixed parts
     coarse = 0.2 * design.receptor.diameter_outer_mm
-    scene = build_scene(design, surface, markers, tolerance_mm=coarse)
+    scene = build_scene(sensor, tolerance_mm=coarse)
     target = scene.vertices[np.unique(scene.triangles[scene.part >= FIRST_MARKER])]
     tree = RayTree(hardware)
     fixed = joined(

@@ -11,6 +11,7 @@ from phytac_design.fabrication.hardware.parts import HardwareAssembly
 from phytac_design.fabrication.switch_set import SwitchSet, revolve
 from phytac_design.geometry.triangles import TriangleMesh, copies, frames_along, merged
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.receptor_tubes import rim_sag_mm
 from phytac_design.solids.solid_mesh import shell_manifold, to_manifold, to_triangles
 from phytac_shapes import Surface
@@ -66,24 +67,18 @@ def switch_mesh(surface: Surface, markers: Markers, switches: SwitchSet) -> Tria
     return merged(meshes)
 
 
-def sensor_solids(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    switches: SwitchSet,
-    *,
-    tolerance_mm: float,
-) -> dict[str, Any]:
+def sensor_solids(sensor: Sensor, switches: SwitchSet, *, tolerance_mm: float) -> dict[str, Any]:
     """Shell and switches as manifolds."""
+    surface, markers = sensor.surface, sensor.markers
     shell_mm = 0.01  # accuracy of the shell under the bowls: less than the glue line
     return {
-        SHELL: shell_manifold(design, surface, markers, tolerance_mm=min(tolerance_mm, shell_mm)),
+        SHELL: shell_manifold(sensor, tolerance_mm=min(tolerance_mm, shell_mm)),
         SWITCHES: to_manifold(switch_mesh(surface, markers, switches)),
     }
 
 
 def exploded_bodies(
-    design: Design, surface: Surface, markers: Markers, *, tolerance_mm: float
+    sensor: Sensor, *, tolerance_mm: float
 ) -> dict[str, tuple[TriangleMesh, FloatArray]]:
     """Each body of the assembly and its shift (3,) mm in an exploded picture.
 
@@ -95,12 +90,13 @@ def exploded_bodies(
     DesignError
         If the hardware cannot be made.
     """
+    design, surface = sensor.design, sensor.surface
     kit = make_hardware(design, surface)
     solids = hardware_solids(design, surface, kit, tolerance_mm=tolerance_mm)
     bodies = {
         part.name: (to_triangles(solids[part.name]), np.array(part.step_mm)) for part in kit.parts
     }
     if bodies:
-        shell = shell_manifold(design, surface, markers, tolerance_mm=tolerance_mm)
+        shell = shell_manifold(sensor, tolerance_mm=tolerance_mm)
         bodies[SHELL] = (to_triangles(shell), np.zeros(3))
     return bodies

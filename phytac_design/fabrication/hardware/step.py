@@ -6,7 +6,7 @@ from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.parts import COLOURS, HardwareAssembly
 from phytac_design.fabrication.hardware.sensor_solids import SHELL, SWITCH_mm, switch_frames
 from phytac_design.fabrication.switch_set import SwitchSet
-from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.cad import CadBody, revolved_cad, shell_cad, wall_cad
 from phytac_shapes import Surface
 
@@ -26,13 +26,10 @@ def wall_body(design: Design, surface: Surface) -> CadBody:
     return CadBody(name=WALL, shape=wall_cad(surface, design.wall), colour=COLOURS["shell"])
 
 
-def sensor_bodies(
-    design: Design, surface: Surface, markers: Markers, switches: SwitchSet
-) -> list[CadBody]:
+def sensor_bodies(sensor: Sensor, switches: SwitchSet) -> list[CadBody]:
     """Whole shell, and each switch in its receptor; switches of one kind share a shape."""
-    bodies = [
-        CadBody(name=SHELL, shape=shell_cad(design, surface, markers), colour=COLOURS["shell"])
-    ]
+    surface, markers = sensor.surface, sensor.markers
+    bodies = [CadBody(name=SHELL, shape=shell_cad(sensor), colour=COLOURS["shell"])]
     origin, turn = switch_frames(surface, markers, switches)
     for kind in switches.kinds:
         shape = revolved_cad(switches.profile(kind, SWITCH_mm))

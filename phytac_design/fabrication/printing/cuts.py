@@ -7,6 +7,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
@@ -36,12 +37,7 @@ def cut_frame(surface: Surface) -> tuple[FloatArray, tuple[int, ...]]:
 
 
 def plan_cuts(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    corners_mm: FloatArray,
-    peg_mm: float,
-    share: float = 0.5,
+    sensor: Sensor, corners_mm: FloatArray, peg_mm: float, share: float = 0.5
 ) -> list[CuttingPlane]:
     """Planes that part a shell into the fewest pieces that fit the bed.
 
@@ -59,6 +55,7 @@ def plan_cuts(
     DesignError
         If no planes between receptors make pieces that fit.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     frame, free = cut_frame(surface)
     local = corners_mm @ frame.T
     low, high = local.min(axis=0), local.max(axis=0)

@@ -12,6 +12,7 @@ from phytac_design.fabrication.printing.cuts import CuttingPlane, plan_cuts, rec
 from phytac_design.geometry.triangles import prisms
 from phytac_design.layout import Markers
 from phytac_design.layout.receptor_distances import segment_distance_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.solid_mesh import TOLERANCE_mm, to_manifold, to_triangles
 from phytac_design.solids.wall_mesh import wall_mesh
 from phytac_shapes import Surface
@@ -77,14 +78,7 @@ def key_sizes(rules: PrintSection) -> list[KeySize]:
     ]
 
 
-def part_shell(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    solid: Any,
-    *,
-    tolerance_mm: float = TOLERANCE_mm,
-) -> Parting:
+def part_shell(sensor: Sensor, solid: Any, *, tolerance_mm: float = TOLERANCE_mm) -> Parting:
     """Part a shell so that each piece fits the bed.
 
     Parameters
@@ -101,14 +95,15 @@ def part_shell(
     NumericalError
         If a piece is not one body.
     """
+    design, surface = sensor.design, sensor.surface
     keys_min = 2
     # Where in the gap between two rows a cut is made: in its middle, or at the upper row.
     in_gap = (0.5, 1.0)
     corners = to_triangles(solid).vertices_mm
     sizes = key_sizes(design.print_rules)
     for size, share in product(sizes, in_gap):
-        cuts = plan_cuts(design, surface, markers, corners, size.length, share)
-        keys = [_keys(design, surface, markers, cut, cuts, size) for cut in cuts]
+        cuts = plan_cuts(sensor, corners, size.length, share)
+        keys = [_keys(sensor, cut, cuts, size) for cut in cuts]
         if all(len(at) >= keys_min for at in keys):
             break
     else:
@@ -173,15 +168,9 @@ def _refuse_torn(pieces: list[Any]) -> None:
             )
 
 
-def _keys(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    cut: CuttingPlane,
-    cuts: list[CuttingPlane],
-    size: KeySize,
-) -> FloatArray:
+def _keys(sensor: Sensor, cut: CuttingPlane, cuts: list[CuttingPlane], size: KeySize) -> FloatArray:
     """Middles (k, 3) of the keys of a cut, clear of receptors and of other cuts; maybe none."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     # Greatest cosine between wall and cut plane's normal at a key: pegs stay inside the wall's
     # run.
     steep = 0.5

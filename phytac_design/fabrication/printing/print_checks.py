@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from phytac_design.design.print_rules_table import PrintSection
-from phytac_design.design.spec import Design
 from phytac_design.fabrication.printing.overhang import (
     Orientation,
     Overhang,
@@ -21,8 +20,7 @@ from phytac_design.fabrication.printing.violations import Violation, in_order, v
 from phytac_design.fabrication.printing.voids import cups, sealed, undrained
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import TriangleMesh
-from phytac_design.layout import Markers
-from phytac_shapes import Surface
+from phytac_design.layout.sensor import Sensor
 from phytac_shapes.arrays import BoolArray, FloatArray
 
 SPACING_mm = 0.7
@@ -103,23 +101,22 @@ def check_body(
 
 
 def check_shell(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
+    sensor: Sensor,
     mesh: TriangleMesh,
     *,
     spacing_mm: float = SPACING_mm,
     tolerance_mm: float = 0.01,
 ) -> PrintReport:
     """All print rules on a sensor's shell: its receptors from the design, the rest measured."""
+    design, markers = sensor.design, sensor.markers
     rules = design.print_rules
 
     def known(points: FloatArray) -> BoolArray:
-        return owners(design, surface, markers, points) >= 0
+        return owners(sensor, points) >= 0
 
     report = _check(mesh, rules, spacing_mm, tolerance_mm, known=known)
     at = np.array([item.point_mm for item in report.violations]).reshape(-1, 3)
-    owned = owners(design, surface, markers, at)
+    owned = owners(sensor, at)
     measured = [
         replace(item, marker=int(k)) if k >= 0 else item
         for item, k in zip(report.violations, owned, strict=True)

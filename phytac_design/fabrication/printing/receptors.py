@@ -7,8 +7,8 @@ from phytac_design.design.spec import Design
 from phytac_design.fabrication.printing.violations import Violation, violation
 from phytac_design.layout import Markers
 from phytac_design.layout.receptor_distances import near_axes
+from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.receptor_tubes import receptor_axes
-from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
@@ -61,7 +61,7 @@ def _gaps(design: Design, markers: Markers) -> list[Violation]:
     ]
 
 
-def owners(design: Design, surface: Surface, markers: Markers, points_mm: FloatArray) -> IntArray:
+def owners(sensor: Sensor, points_mm: FloatArray) -> IntArray:
     """Receptor (n,) whose tube or hole a point is on or in; -1 for none.
 
     Parameters
@@ -69,13 +69,14 @@ def owners(design: Design, surface: Surface, markers: Markers, points_mm: FloatA
     points_mm : (n, 3) float
         Points on or in the shell.
     """
+    design, markers = sensor.design, sensor.markers
     near_mm = 0.02  # how far beyond its end a point may be to count as on a tube
     owner = np.full(len(points_mm), -1, dtype=np.int64)
     if markers.count == 0 or len(points_mm) == 0:
         return owner
     radius = design.receptor.diameter_outer_mm / 2.0
     try:
-        start = receptor_axes(design, surface, markers).hole_start_mm
+        start = receptor_axes(sensor).hole_start_mm
     except DesignError:
         start = markers.foot_mm
     length = np.linalg.norm(markers.tip_mm - start, axis=1)

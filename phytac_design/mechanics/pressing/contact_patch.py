@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
@@ -31,13 +31,7 @@ class ContactPatch:
 
 
 def parse_contact_patch(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    *,
-    force_N: float,
-    at: str = "",
-    radius_mm: float | None = None,
+    sensor: Sensor, *, force_N: float, at: str = "", radius_mm: float | None = None
 ) -> ContactPatch:
     """Contact patch from a user's words.
 
@@ -57,6 +51,7 @@ def parse_contact_patch(
     DesignError
         If a number is out of range or the position is off the surface.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     radius = design.training.patch_radius_max_mm if radius_mm is None else radius_mm
     if not 0.0 < force_N < np.inf:
         raise DesignError(f"the force must be a positive number of newtons (got {force_N})")

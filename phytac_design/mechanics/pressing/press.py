@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from phytac_design.design.spec import Design
-from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY, check_linear
 from phytac_design.mechanics.large.load_path import solve_large
@@ -111,9 +111,7 @@ class Press:
 
 
 def press(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
+    sensor: Sensor,
     place: ContactPatch,
     *,
     theory: Theory = "auto",
@@ -149,6 +147,7 @@ def press(
     NumericalError
         If there is no equilibrium under this force, or the solution is not to be trusted.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     if theory not in get_args(Theory):
         raise DesignError(f"theory is one of {', '.join(get_args(Theory))} (got {theory!r})")
     if not 0.0 < tolerance < np.inf:
@@ -170,9 +169,7 @@ def press(
         motion, residual = end.state.motion, end.residual
     rounding = model.solve(probed.loads).error
     progress("press: error of the mesh")
-    mesh_error, resolved = _mesh_error(
-        design, surface, markers, place, probed, refine, receptors=receptors
-    )
+    mesh_error, resolved = _mesh_error(sensor, place, probed, refine, receptors=receptors)
     strain = bending_strain(mesh, motion)
     if large and strain > STRAIN_LIMIT:
         raise NumericalError(_beyond(place, f"the wall would strain by {100.0 * strain:.0f} %"))
@@ -223,16 +220,10 @@ def _large_motion(model: ShellModel, load: Any, place: ContactPatch) -> Equilibr
 
 
 def _mesh_error(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    place: ContactPatch,
-    fine: ProbedShell,
-    refine: int,
-    *,
-    receptors: bool,
+    sensor: Sensor, place: ContactPatch, fine: ProbedShell, refine: int, *, receptors: bool
 ) -> tuple[float | None, bool]:
     """Error by a mesh of about half the elements along each side; whether both are fine enough."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     wall = design.wall.thickness_mm
     try:
         coarse = marker_mesh(surface, markers, thickness_mm=wall, refine=refine // 2)

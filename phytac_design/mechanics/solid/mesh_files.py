@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.design.spec import Design
-from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.pressing.contact_patch import ContactPatch
 from phytac_design.mechanics.shell.loads import patch_loads
@@ -21,7 +20,6 @@ from phytac_design.mechanics.solid.solid_writers import (
     write_solid_msh,
     write_solid_vtu,
 )
-from phytac_shapes import Surface
 from phytac_shapes.errors import DesignError, OutputError
 
 FORMATS = ("inp", "msh", "vtu")
@@ -63,9 +61,7 @@ def make_folder(folder: Path) -> None:
 
 def write_shell_files(
     folder: Path,
-    design: Design,
-    surface: Surface,
-    markers: Markers,
+    sensor: Sensor,
     place: ContactPatch,
     *,
     refine: int,
@@ -81,6 +77,7 @@ def write_shell_files(
     dict
         ``nodes``, ``elements`` and ``inward_mm_at_load`` (at the node nearest the contact).
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     check_formats(formats)
     material = design.material
     mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=refine)
@@ -110,7 +107,7 @@ def write_shell_files(
 
 
 def check_solid(
-    design: Design, surface: Surface, markers: Markers, place: ContactPatch, *, size: float | None
+    sensor: Sensor, place: ContactPatch, *, size: float | None
 ) -> tuple[float, SolidSizes, int]:
     """Factor, sizes and expected nodes of a solid (:func:`solid.mesh.coarsened`), before any work.
 
@@ -120,6 +117,7 @@ def check_solid(
         If the shape is not closed around and open at both ends, the mesh would be too large, or
         the patch has no radius.
     """
+    surface = sensor.surface
     if surface.periodic != (False, True) or any(surface.poles):
         raise DesignError(
             f"solid meshes are made of shapes that close around and are open at both ends, so far "
@@ -127,14 +125,12 @@ def check_solid(
         )
     if not place.radius_mm > 0.0:
         raise DesignError("a solid is pressed on a disc: give --radius above 0 (got 0)")
-    return coarsened(design, surface, markers, size)
+    return coarsened(sensor, size)
 
 
 def write_solid_files(
     folder: Path,
-    design: Design,
-    surface: Surface,
-    markers: Markers,
+    sensor: Sensor,
     place: ContactPatch,
     *,
     size: float | None = None,
@@ -169,19 +165,15 @@ def write_solid_files(
     MissingPartError
         If Gmsh or CadQuery is not installed.
     """
+    design, surface = sensor.design, sensor.surface
     check_formats(formats)
     start = time.perf_counter()
-    factor, sizes, expected = check_solid(design, surface, markers, place, size=size)
+    factor, sizes, expected = check_solid(sensor, place, size=size)
     progress(
         f"mesh: solid of about {round(expected, -4)} nodes (sizes × {factor:.2g}), CAD and gmsh …"
     )
     mesh = solid_mesh(
-        design,
-        surface,
-        markers,
-        sizes=sizes,
-        contacts_uv=place.uv[None],
-        contact_radius_mm=place.radius_mm,
+        sensor, sizes=sizes, contacts_uv=place.uv[None], contact_radius_mm=place.radius_mm
     )
     progress(f"mesh: {len(mesh.nodes_mm)} nodes, writing")
     if "inp" in formats:

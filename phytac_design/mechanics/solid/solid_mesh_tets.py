@@ -19,6 +19,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.solid.tetrahedra import Tetrahedra, tetrahedra
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
@@ -100,8 +101,9 @@ def default_sizes(design: Design) -> SolidSizes:
     )
 
 
-def expected_nodes(design: Design, surface: Surface, markers: Markers, sizes: SolidSizes) -> int:
+def expected_nodes(sensor: Sensor, sizes: SolidSizes) -> int:
     """About how many nodes :func:`solid_mesh` will make."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     receptor = design.receptor
     rim_mm = np.pi * (receptor.diameter_outer_mm + receptor.diameter_hole_mm)
     faces = rim_mm * float(np.sum(markers.height_mm + design.wall.thickness_mm))
@@ -111,9 +113,7 @@ def expected_nodes(design: Design, surface: Surface, markers: Markers, sizes: So
     return round(count + SETTINGS.receptor_nodes * markers.count)
 
 
-def coarsened(
-    design: Design, surface: Surface, markers: Markers, factor: float | None
-) -> tuple[float, SolidSizes, int]:
+def coarsened(sensor: Sensor, factor: float | None) -> tuple[float, SolidSizes, int]:
     """Factor on the default sizes, the sizes, and the nodes to expect.
 
     Parameters
@@ -129,10 +129,11 @@ def coarsened(
     DesignError
         If the factor is out of range, or the mesh would have more than ``SETTINGS.max_nodes``.
     """
+    design = sensor.design
     base = default_sizes(design)
     if factor is None:
         factor = 1.0
-        while expected_nodes(design, surface, markers, base.scaled(factor)) > SETTINGS.aimed_nodes:
+        while expected_nodes(sensor, base.scaled(factor)) > SETTINGS.aimed_nodes:
             factor += 0.1
             if factor > SETTINGS.max_factor:
                 factor = SETTINGS.max_factor
@@ -144,7 +145,7 @@ def coarsened(
             "meshes are several percent too stiff"
         )
     sizes = base.scaled(factor)
-    nodes = expected_nodes(design, surface, markers, sizes)
+    nodes = expected_nodes(sensor, sizes)
     if nodes > SETTINGS.max_nodes:
         raise DesignError(
             f"a solid of this sensor would have about {round(nodes, -4)} nodes at sizes × "
@@ -177,9 +178,7 @@ class SolidMesh(Tetrahedra):
 
 
 def solid_mesh(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
+    sensor: Sensor,
     *,
     sizes: SolidSizes | None = None,
     contacts_uv: FloatArray | None = None,
@@ -208,11 +207,14 @@ def solid_mesh(
     DesignError, NumericalError
         If the CAD or the mesh cannot be made.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     from phytac_design.solids.cad import shell_cad, wall_cad, write_step
 
     sizes = default_sizes(design) if sizes is None else sizes
     bare = design.model_copy(update={"wall": design.wall.model_copy(update={"rim_length_mm": 0.0})})
-    wall = shell_cad(bare, surface, markers) if receptors else wall_cad(surface, bare.wall)
+    wall = (
+        shell_cad(Sensor.of(bare, surface, markers)) if receptors else wall_cad(surface, bare.wall)
+    )
     centres = np.zeros((0, 3)) if contacts_uv is None else surface.point(contacts_uv)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "shell.step"
@@ -223,7 +225,7 @@ def solid_mesh(
                 gmsh, surface, sizes, design, centres, contact_radius_mm, receptors=receptors
             ),
         )
-    return with_sets(raw, design, surface, markers, receptors=receptors)
+    return with_sets(raw, sensor, receptors=receptors)
 
 
 def _size_fields(
@@ -293,10 +295,9 @@ def tube_parts(gmsh: Any, surface: Surface, design: Design) -> tuple[list[int], 
     return feet, [tag for (tag, _), d in zip(boxes[2], depth, strict=True) if d > limit]
 
 
-def with_sets(
-    raw: Tetrahedra, design: Design, surface: Surface, markers: Markers, *, receptors: bool
-) -> SolidMesh:
+def with_sets(raw: Tetrahedra, sensor: Sensor, *, receptors: bool) -> SolidMesh:
     """Find the end faces, the outer face and the receptors' tips by where the nodes lie."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     thickness = design.wall.thickness_mm
     near = SETTINGS.on_face_share * thickness
     skin, back = np.unique(raw.triangles, return_inverse=True)

@@ -45,6 +45,7 @@ from phytac_design.geometry.envelope import bar_mesh, shell_mesh
 from phytac_design.geometry.flat_map import family, flat_map
 from phytac_design.geometry.strips import Mesh
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics import paint
 from phytac_design.optics.fixture_bodies import fixture_mesh
 from phytac_shapes import Surface
@@ -149,12 +150,7 @@ def eye_of(surface: Surface, markers: Markers) -> FloatArray:
 
 
 def viewer_data(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    colourings: Sequence[Colouring],
-    *,
-    cameras: "Sequence[Camera]" = (),
+    sensor: Sensor, colourings: Sequence[Colouring], *, cameras: "Sequence[Camera]" = ()
 ) -> dict[str, Any]:
     """Everything that ``PhytacViewer`` and ``PhytacMap`` need, as plain JSON (see above).
 
@@ -165,6 +161,7 @@ def viewer_data(
     cameras : list of Camera
         Whose fields of view are drawn.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     (low, high) = surface.bounds_mm()
     size = float(np.linalg.norm(high - low))
     meshes = _bodies(design, surface, 0.002 * size)

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from phytac_decoder.camera.camera import Camera, pinhole
-from phytac_design.design.spec import Design
 from phytac_design.geometry.flat_map import family
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.paint import BACKGROUND
 from phytac_design.optics.render_scene import SHELL, RenderScene, build_scene
@@ -25,12 +25,11 @@ FILL = 0.92
 TOLERANCE_mm = 0.1
 
 
-def still_picture(design: Design, surface: Surface, markers: Markers) -> bytes:
+def still_picture(sensor: Sensor) -> bytes:
     """PNG of the shell as the viewer first shows it; tubes are cut open towards the eye."""
+    surface, markers = sensor.surface, sensor.markers
     eye = eye_of(surface, markers)
-    scene = cut_open(
-        build_scene(design, surface, markers, tolerance_mm=TOLERANCE_mm), surface, markers, eye
-    )
+    scene = cut_open(build_scene(sensor, tolerance_mm=TOLERANCE_mm), surface, markers, eye)
     shown = scene.vertices[np.unique(scene.triangles)]
     image = render_frame(scene, camera_at(eye, shown), samples=1)
     # Nothing in the scene is black but the background, which paper should not be.

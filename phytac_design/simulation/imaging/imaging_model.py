@@ -13,6 +13,7 @@ from phytac_decoder.pipeline.decode import confirmed_switches, locate_in, locate
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.exposure import Exposure, expose, lens_blur
 from phytac_design.optics.incremental_renderer import Watch
 from phytac_design.optics.loaded_visibility import WALL_BACK, sight_of
@@ -135,21 +136,20 @@ class ImagingModel:
         self.unit, self.exposure, self.centroids = unit, exposure, centroids
         self._given = at_rest
         self.confirm = compliance_px is not None
+        of_design = Sensor.of(design, surface, nominal)
         self.nominal = vision_bundle(
-            design,
-            surface,
-            nominal,
-            expected_views(design, surface, nominal) if views is None else views,
+            of_design,
+            expected_views(of_design) if views is None else views,
             compliance_px=compliance_px,
         )
-        strip = bar_strip(design, surface, nominal) if exposure.fall_off else None
+        strip = bar_strip(of_design) if exposure.fall_off else None
         self.cameras = [
             SimulatedCamera(
                 design,
                 surface,
                 unit,
                 camera,
-                lens_blur(design, aim, surface, nominal) if exposure.lens_blur else None,
+                lens_blur(Sensor.of(design, surface, nominal), aim) if exposure.lens_blur else None,
                 strip=strip,
                 samples=samples,
                 follow=wall_follows,

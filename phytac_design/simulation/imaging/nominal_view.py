@@ -10,9 +10,8 @@ from phytac_decoder.camera.camera import Camera
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.io.bundle import Bundle, CameraView
 from phytac_decoder.vision.switch_detection import TipModel
-from phytac_design.design.spec import Design
-from phytac_design.layout import Markers
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.raster import rasterise
@@ -22,14 +21,14 @@ from phytac_design.simulation.expected_image import ExpectedView, colour_model, 
 from phytac_design.simulation.imaging.paint_centroids import PaintPoints
 from phytac_design.simulation.imaging.virtual_camera import bar_strip
 from phytac_design.simulation.linear_response import rigid_slope
-from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
 
-def expected_views(design: Design, surface: Surface, markers: Markers) -> dict[str, Any]:
+def expected_views(sensor: Sensor) -> dict[str, Any]:
     """What the design's cameras show: the arrays of the stage ``views`` that detection needs."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     cameras = cameras_of(design, surface)
-    each = [_look(design, surface, markers, camera, alone=len(cameras) == 1) for camera in cameras]
+    each = [_look(sensor, camera, alone=len(cameras) == 1) for camera in cameras]
     best, number = best_of([seen for seen, _ in each])
     lost = best.lost
     rest = [
@@ -47,19 +46,12 @@ def expected_views(design: Design, surface: Surface, markers: Markers) -> dict[s
     }
 
 
-def _look(
-    design: Design, surface: Surface, markers: Markers, camera: Camera, *, alone: bool
-) -> tuple[Visibility, ExpectedView]:
+def _look(sensor: Sensor, camera: Camera, *, alone: bool) -> tuple[Visibility, ExpectedView]:
     """Look through one camera at rest and with all switches on."""
+    design, markers = sensor.design, sensor.markers
     tolerance = tolerance_mm(camera, markers)
     rest, on = (
-        build_scene(
-            design,
-            surface,
-            markers,
-            tolerance_mm=tolerance,
-            switch_on=np.full(markers.count, state),
-        )
+        build_scene(sensor, tolerance_mm=tolerance, switch_on=np.full(markers.count, state))
         for state in (False, True)
     )
     seen = see(rest, on, camera, noise_std=0.0, rng=np.random.default_rng(0))
@@ -77,13 +69,7 @@ def _look(
 
 
 def paint_slope(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    camera: Camera,
-    *,
-    rest: RenderScene,
-    seen: Visibility,
+    sensor: Sensor, camera: Camera, *, rest: RenderScene, seen: Visibility
 ) -> FloatArray:
     """How each marker's image moves with the wall under it, (n, 2, 6): px per mm, px per rad.
 
@@ -94,6 +80,7 @@ def paint_slope(
     rest, seen : Scene, Visibility
         Of this camera, at rest.
     """
+    design, markers = sensor.design, sensor.markers
     colours, classes = colour_model(design)
     paint = PaintPoints(
         rest,
@@ -102,7 +89,7 @@ def paint_slope(
         chosen=~seen.lost,
         colours=colours,
         colour=classes[markers.colour],
-        strip=bar_strip(design, surface, markers),
+        strip=bar_strip(sensor),
     ).slope()
     watched = np.where(seen.lost[:, None], markers.tip_mm, seen.paint_point_mm)
     point = rigid_slope(camera.jacobian(watched), watched - markers.mid_mm)
@@ -110,15 +97,14 @@ def paint_slope(
     return np.asarray(np.where(known, paint, point))
 
 
-def paint_slopes(
-    design: Design, surface: Surface, markers: Markers, each: Sequence[Visibility]
-) -> FloatArray:
+def paint_slopes(sensor: Sensor, each: Sequence[Visibility]) -> FloatArray:
     """:func:`paint_slope` through every camera (c, n, 2, 6), of what ``each`` sees at rest."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     slopes = []
     for camera, seen in zip(cameras_of(design, surface), each, strict=True):
         tolerance = tolerance_mm(camera, markers)
-        rest = build_scene(design, surface, markers, tolerance_mm=tolerance)
-        slopes.append(paint_slope(design, surface, markers, camera, rest=rest, seen=seen))
+        rest = build_scene(sensor, tolerance_mm=tolerance)
+        slopes.append(paint_slope(sensor, camera, rest=rest, seen=seen))
     return np.stack(slopes)
 
 
@@ -134,12 +120,7 @@ def owner_centroids(owner: NDArray[np.int32], count: int) -> FloatArray:
 
 
 def vision_bundle(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    views: Mapping[str, Any],
-    *,
-    compliance_px: FloatArray | None = None,
+    sensor: Sensor, views: Mapping[str, Any], *, compliance_px: FloatArray | None = None
 ) -> Bundle:
     """Bundle of a design that sees; without ``compliance_px`` (2n, n) no force comes of it.
 
@@ -148,6 +129,7 @@ def vision_bundle(
     views : mapping
         Arrays of the stage ``views``, or of :func:`expected_views`.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     n = markers.count
     colours, classes = colour_model(design)
     read_by = np.asarray(views["camera"])

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_span_mm
-from phytac_design.layout import Markers
 from phytac_design.layout.cameras import tolerance_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.exposure import LensBlur, light_on_chip
 from phytac_design.optics.light import Strip, triangle_light
 from phytac_design.optics.render_scene import RenderScene, build_scene
@@ -39,9 +39,7 @@ class SimulatedCamera:
         tolerance = tolerance_mm(camera, unit.markers)
         self.rest, self.on = (
             build_scene(
-                design,
-                surface,
-                unit.markers,
+                Sensor.of(design, surface, unit.markers),
                 tolerance_mm=tolerance,
                 switch_on=np.full(unit.markers.count, state),
             )
@@ -67,8 +65,9 @@ class SimulatedCamera:
         return light_on_chip(scene, camera, light=sent, blur=self.blur, samples=self.samples)
 
 
-def bar_strip(design: Design, surface: Surface, markers: Markers) -> Strip | None:
+def bar_strip(sensor: Sensor) -> Strip | None:
     """Light bar of a design as a strip; None without one."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     near, far = bar_span_mm(design, surface)
     if design.light.bar_radius_mm <= 0.0 or near >= far:
         return None

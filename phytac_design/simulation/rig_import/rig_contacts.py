@@ -7,6 +7,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.indenters import INDENTERS, Touches
 from phytac_design.simulation.rig_import.rig_log import RigLog, RowProblems
 from phytac_shapes import Surface
@@ -34,14 +35,7 @@ CYLINDER = INDENTERS.index("cylinder")
 
 
 def contacts_of(
-    log: RigLog,
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    *,
-    off_mm: float,
-    radius_mm: float,
-    problems: RowProblems,
+    log: RigLog, sensor: Sensor, *, off_mm: float, radius_mm: float, problems: RowProblems
 ) -> Touches:
     """Contacts of a log, in the order of its samples.
 
@@ -65,8 +59,9 @@ def contacts_of(
     InputError
         If positions or forces are in another unit, or the forces point the other way.
     """
+    design, surface = sensor.design, sensor.surface
     numbers, rows = log.numbers, np.arange(len(log.sample))
-    uv = _places(log, design, surface, markers, off_mm, problems)
+    uv = _places(log, sensor, off_mm, problems)
     force, friction = _forces(log, design, surface, uv, problems)
     keep = (force > 0.0) & np.isfinite(uv).all(axis=1) & np.isfinite(friction).all(axis=1)
     order = rows[keep][np.argsort(log.sample[keep], kind="stable")]
@@ -118,15 +113,9 @@ def sequences_of(
     return np.concatenate([[0], np.cumsum(new)]).astype(np.int64)
 
 
-def _places(
-    log: RigLog,
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    off_mm: float,
-    problems: RowProblems,
-) -> FloatArray:
+def _places(log: RigLog, sensor: Sensor, off_mm: float, problems: RowProblems) -> FloatArray:
     """Chart positions (r, 2) of all rows; NaN where there is none, or a bad one."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     numbers = log.numbers
     if "x_mm" in numbers:
         points = np.column_stack([numbers[name] for name in ("x_mm", "y_mm", "z_mm")])

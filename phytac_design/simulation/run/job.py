@@ -11,6 +11,7 @@ from phytac_design.design.accuracy import PRESETS, Preset
 from phytac_design.design.spec import Design
 from phytac_design.engine.cache import code_hash
 from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.sample_plan import SamplePlan
 from phytac_design.simulation.scenario.draw_plan import draw_plan
 from phytac_design.simulation.scenario.instance_scatter import draw_sensor_instance
@@ -115,7 +116,7 @@ class Job:
     def unit(self) -> SensorInstance:
         """The virtual sensor."""
         return draw_sensor_instance(
-            self.design, self.surface, self.markers, self.scenario.unit, self.seed
+            Sensor.of(self.design, self.surface, self.markers), self.scenario.unit, self.seed
         )
 
     @cached_property

@@ -7,6 +7,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.shell.footprints import footprint_shares
 from phytac_design.simulation.contacts import Switching, assign_forces
 from phytac_design.simulation.indenters import Touches
@@ -160,7 +161,9 @@ def _presses(
     touch, time = scenario.touch, scenario.time
     count = press_count(design, scenario)
     if touch.at is None:
-        bodies = draw_presses(design, surface, markers, scenario, seed=seed, samples=count)
+        bodies = draw_presses(
+            Sensor.of(design, surface, markers), scenario, seed=seed, samples=count
+        )
     else:
         bodies = given_contacts(surface, markers, touch, count)
     times = np.array([0.0, time.ramp_s, time.ramp_s + time.hold_s])
@@ -225,7 +228,9 @@ def _cycles(
     """One press again and again; what it left behind stays."""
     touch, time, cycle = scenario.touch, scenario.time, scenario.cycle or CycleSection()
     if touch.at is None:
-        bodies = draw_presses(design, surface, markers, scenario, seed=seed, samples=1, alone=True)
+        bodies = draw_presses(
+            Sensor.of(design, surface, markers), scenario, seed=seed, samples=1, alone=True
+        )
     else:
         bodies = given_contacts(surface, markers, touch, 1)
     parts = 4 if time.control == "force" else 4 * SUBSTEPS

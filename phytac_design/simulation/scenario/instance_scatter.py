@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phytac_decoder.camera.camera import Camera
-from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.layout.heights import directions
 from phytac_design.layout.marker_layout import with_heights
+from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.contacts import tangent_step
 from phytac_design.simulation.scenario.random_streams import RandomStream, random_stream
@@ -39,7 +39,7 @@ HEIGHT_SHARE_MIN = 0.2
 
 
 def draw_sensor_instance(
-    design: Design, surface: Surface, markers: Markers, section: SensorInstanceSection, seed: int
+    sensor: Sensor, section: SensorInstanceSection, seed: int
 ) -> SensorInstance:
     """Draw one virtual print; the same for the same seed and number.
 
@@ -48,17 +48,14 @@ def draw_sensor_instance(
 
     Parameters
     ----------
-    design : Design
+    sensor : Sensor
         The sensor.
-    surface : Surface
-        Its surface.
-    markers : Markers
-        Its markers as designed.
     section : SensorInstanceSection
         Number of the print and standard deviations; number 0 is the design itself.
     seed : int
         Seed of the scenario.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     scatter = 0.0 if section.number == 0 else 1.0
 
     def normal(which: RandomStream, *shape: int) -> FloatArray:
@@ -80,9 +77,7 @@ def draw_sensor_instance(
     return SensorInstance(
         number=section.number,
         markers=_moved(
-            design,
-            surface,
-            markers,
+            sensor,
             step_mm=scatter * section.marker_mm * normal(RandomStream.MARKER, count, 2),
             taller_mm=scatter * section.height_mm * normal(RandomStream.HEIGHT, count),
         ),
@@ -145,18 +140,12 @@ def _wall(surface: Surface, section: SensorInstanceSection, seed: int) -> Thickn
     )
 
 
-def _moved(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    *,
-    step_mm: FloatArray,
-    taller_mm: FloatArray,
-) -> Markers:
+def _moved(sensor: Sensor, *, step_mm: FloatArray, taller_mm: FloatArray) -> Markers:
     """Markers moved along and around the wall by (n, 2) mm, within open edges, and taller by (n,).
 
     Rows, columns, colours and neighbours stay; a lattice that is no longer exact goes.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     out = markers
     if step_mm.any():
         uv = tangent_step(surface, markers.uv, step_mm)

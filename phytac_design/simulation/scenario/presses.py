@@ -11,6 +11,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.indenters import INDENTERS, Touches
 from phytac_design.simulation.scenario.contact_placement import (
     PlaceSampler,
@@ -119,14 +120,7 @@ def given_contacts(
 
 
 def draw_presses(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    scenario: Scenario,
-    *,
-    seed: int,
-    samples: int,
-    alone: bool = False,
+    sensor: Sensor, scenario: Scenario, *, seed: int, samples: int, alone: bool = False
 ) -> Touches:
     """Draw the contacts of independent samples; a sample depends on the seed and its number only.
 
@@ -151,6 +145,7 @@ def draw_presses(
     DesignError
         If a sample's contacts find no room.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     touch, limits = scenario.touch, contact_ranges(design, scenario.touch)
     place = place_sampler(surface, markers, touch, limits.radius_mm[0])
     route = traverse(surface, markers, touch) if touch.placement == "columns" else None

@@ -14,6 +14,7 @@ from phytac_design.engine.cache import lookup, publish, stage_key
 from phytac_design.engine.stage import Context, Stage, write_arrays
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import cameras_of, stand_off_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.loaded_visibility import FUSED_PX
 from phytac_design.optics.visibility import FRACTION_MIN, best_of
 from phytac_design.rules.check import check_design
@@ -145,10 +146,11 @@ def force_figures(force_N: FloatArray, middle: BoolArray) -> dict[str, float]:
     }
 
 
-def strain_of(design: Design, surface: Surface, markers: Markers) -> float:
+def strain_of(sensor: Sensor) -> float:
     """Greatest bending strain at the greatest force, closed form, as in the level ``sampled``."""
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     seen = np.ones(markers.count, dtype=np.bool_)
-    return float(predict(design, surface, markers, cameras_of(design, surface), seen).strain.max())
+    return float(predict(sensor, cameras_of(design, surface), seen).strain.max())
 
 
 def evaluate_design(design: Design, accuracy: Accuracy, *, seed: int = 0) -> EvaluatedDesign:
@@ -181,7 +183,7 @@ def evaluate_design(design: Design, accuracy: Accuracy, *, seed: int = 0) -> Eva
         "load_visible_least": float(load["least_fraction"].min()),
         "load_gap_px": float(load["least_gap_same_px"].min()),
         "crosstalk_px": float(load["crosstalk_px"].max()),
-        "strain": strain_of(design, surface, markers),
+        "strain": strain_of(Sensor.of(design, surface, markers)),
         "occluded": int(views["occluded"].sum()),
         "fused": int(views["fused"].sum()),
         "load_hidden": int(load["hidden"].max(initial=0)),
@@ -214,7 +216,9 @@ def _cached(name: str, inputs: Any, compute: Callable[[Path], None]) -> tuple[Pa
 
 def _view_at_rest(context: Context, folder: Path) -> None:
     design, surface, markers = context.design, context.surface, context.markers
-    each, views = views_at_rest(design, surface, markers, cameras_of(design, surface), context.seed)
+    each, views = views_at_rest(
+        Sensor.of(design, surface, markers), cameras_of(design, surface), context.seed
+    )
     best = best_of(each)[0]
     points = [np.where(one.lost[:, None], markers.tip_mm, one.paint_point_mm) for one in each]
     write_arrays(

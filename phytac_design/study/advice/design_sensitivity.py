@@ -7,6 +7,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.study.advice.design_evaluation import FORCES, EvaluatedDesign, strain_of
 from phytac_design.study.advice.design_variables import ROW, DesignVariable
 from phytac_design.study.advice.local_model import LocalModel
@@ -63,7 +64,7 @@ def sensitivities(
         strain = base.figures["strain"]
         if variable and variable.name.partition(".")[0] in ("wall", "material", "shape"):
             surface = design.surface()
-            strain = strain_of(design, surface, make_markers(design, surface))
+            strain = strain_of(Sensor.of(design, surface, make_markers(design, surface)))
         held = variable is not None and variable.kind == ROW
         found = model.figures(design, held=held) | {"strain": strain}
         logs = {name: float(np.log(found[name])) for name in SENSITIVE if name not in GAPS}

@@ -6,6 +6,7 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import tolerance_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.incremental_renderer import Watch
 from phytac_design.optics.loaded_visibility import FUSED_PX, WALL_BACK, sight_of
 from phytac_design.optics.render_scene import build_scene
@@ -40,7 +41,7 @@ def render_faults(model: LocalModel, design: Design, *, held: bool) -> dict[str,
         if not own.any():
             continue
         scene = build_scene(
-            design, design.surface(), markers, tolerance_mm=tolerance_mm(camera, markers)
+            Sensor.of(design, design.surface(), markers), tolerance_mm=tolerance_mm(camera, markers)
         )
         poses = [sight_of(Watch(scene, camera).look(scene), scene).of(own)]
         renderer = Watch(scene, camera, wall_back=WALL_BACK)

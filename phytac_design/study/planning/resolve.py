@@ -9,6 +9,7 @@ from phytac_design.design.scene import ContactSection, Scene
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage
 from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.large.linear_error import LINEAR_ERROR_SAFETY, check_linear
 from phytac_design.mechanics.meshing.mesh import marker_size_mm, plain_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
@@ -144,7 +145,7 @@ def resolve(design: Design, scene: Scene, accuracy: Accuracy) -> Resolved:
     names = {stage.name for stage in stages}
     off = float("nan")
     if names & {"places", "underload"}:
-        off = linear_error(design, surface, markers, scope)
+        off = linear_error(Sensor.of(design, surface, markers), scope)
         accuracy = _theory(accuracy, scene, off, why)
     return Resolved(
         design=design,
@@ -261,12 +262,13 @@ def _theory(accuracy: Accuracy, scene: Scene, off: float, why: dict[str, str]) -
     return replace(accuracy, place_orders=orders, press_tolerance=press)
 
 
-def linear_error(design: Design, surface: Surface, markers: Markers, scope: Scope | None) -> float:
+def linear_error(sensor: Sensor, scope: Scope | None) -> float:
     """Error of linear theory at the largest force, over the largest motion, with its safety factor.
 
     The worst of up to three presses on a coarse mesh: in the middle of each region, or of the whole
     surface, where the wall is softest. Takes less than a second.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     mesh = plain_mesh(
         surface,
         thickness_mm=design.wall.thickness_mm,

@@ -25,6 +25,7 @@ from phytac_design.fabrication.documents.densities import mass_g
 from phytac_design.geometry.envelope import edge_mm
 from phytac_design.layout import Markers
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.density import density_of
 from phytac_design.optics.gaps import outline_gaps
@@ -73,25 +74,21 @@ class Candidate:
     @cached_property
     def visibility(self) -> tuple[list[Visibility], dict[str, Any]]:
         """Exact visibility at rest by camera, and the arrays that mechanics and load read."""
-        return views_at_rest(self.design, self.surface, self.markers, self.cameras, self.study.seed)
+        return views_at_rest(
+            Sensor.of(self.design, self.surface, self.markers), self.cameras, self.study.seed
+        )
 
 
 def views_at_rest(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    cameras: tuple[Camera, ...],
-    seed: int,
+    sensor: Sensor, cameras: tuple[Camera, ...], seed: int
 ) -> tuple[list[Visibility], dict[str, Any]]:
     """Exact visibility at rest by camera, and arrays of the stage ``views`` that others read."""
     rng = np.random.default_rng(seed)
-    each = [
-        check_visibility(design, surface, markers, rng=rng, camera=camera) for camera in cameras
-    ]
+    each = [check_visibility(sensor, rng=rng, camera=camera) for camera in cameras]
     best, camera_of = best_of(each)
     return each, {
         "camera": camera_of,
-        "paint_slopes": paint_slopes(design, surface, markers, each),
+        "paint_slopes": paint_slopes(sensor, each),
         "seen_by": np.stack([~one.occluded for one in each]),
         "gap_same_colour_px": best.gap_same_colour_px,
         "gap_other_colour_px": best.gap_other_colour_px,
@@ -148,7 +145,8 @@ def sampled(candidate: Candidate) -> Measures:
         [
             sampled_fraction(
                 build_scene(
-                    design, surface, markers, tolerance_mm=coarse * tolerance_mm(camera, markers)
+                    Sensor.of(design, surface, markers),
+                    tolerance_mm=coarse * tolerance_mm(camera, markers),
                 ),
                 camera,
             ).fraction
@@ -156,7 +154,9 @@ def sampled(candidate: Candidate) -> Measures:
         ]
     )
     fraction = fractions.max(axis=0)
-    predicted = predict(design, surface, markers, candidate.cameras, fraction >= FRACTION_MIN)
+    predicted = predict(
+        Sensor.of(design, surface, markers), candidate.cameras, fraction >= FRACTION_MIN
+    )
     bound = predicted.bound
     return {
         "sampled_visible_least": float(fraction.min()),

@@ -22,9 +22,8 @@ import numpy as np
 from scipy.special import j1
 
 from phytac_decoder.camera.camera import Camera, stack_views
-from phytac_design.design.spec import Design
-from phytac_design.layout import Markers
 from phytac_design.layout.arc import CELLS
+from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.cramer_rao import CramerRaoBound, cell_prior, contact_signals
 from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray
@@ -195,13 +194,7 @@ class Predicted:
 
 
 def predict(
-    design: Design,
-    surface: Surface,
-    markers: Markers,
-    cameras: tuple[Camera, ...],
-    seen: BoolArray,
-    *,
-    sources: int = 5,
+    sensor: Sensor, cameras: tuple[Camera, ...], seen: BoolArray, *, sources: int = 5
 ) -> Predicted:
     """Cramér-Rao bound and deflections of a design by the closed form.
 
@@ -212,6 +205,7 @@ def predict(
     sources : int
         Receptors at which the bound is taken, from the near end to the far one.
     """
+    design, surface, markers = sensor.design, sensor.surface, sensor.markers
     training, camera = design.training, design.camera
     wall = Wall(
         thickness=design.wall.thickness_mm,

@@ -10,6 +10,7 @@ import numpy as np
 
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design
+from phytac_design.layout.sensor import Sensor
 from phytac_design.study.tradeoff.force import ForceError, fit_forces, rms
 from phytac_shapes.arrays import FloatArray
 
@@ -53,7 +54,7 @@ def _view(
     markers = make_markers(design, surface)
     camera = cameras_of(design, surface)[0]
     tolerance = facets * tolerance_mm(camera, markers)
-    scene = build_scene(design, surface, markers, tolerance_mm=tolerance)
+    scene = build_scene(Sensor.of(design, surface, markers), tolerance_mm=tolerance)
     if sampled:
         return sampled_fraction(scene, camera).fraction, np.full((markers.count, 2), np.nan)
     owner = paint_owner(rasterise(scene, camera).part)

@@ -20,6 +20,7 @@ import numpy as np
 from phytac_design.design.accuracy import Accuracy
 from phytac_design.engine.stage import Context
 from phytac_design.layout.cameras import tolerance_mm
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.optics.loaded_visibility import UnderLoad, press_all
 from phytac_design.optics.render_scene import build_scene
@@ -113,7 +114,7 @@ class VolumePilot:
     def _volume_mm3(self, tolerance_mm: float) -> float:
         error = self.error
         solid = shell_manifold(
-            error.design, error.surface, error.markers, tolerance_mm=tolerance_mm
+            Sensor.of(error.design, error.surface, error.markers), tolerance_mm=tolerance_mm
         )
         return float(solid.volume())
 
@@ -184,7 +185,9 @@ class VisibilityPilot:
             tolerance = tolerance_mm(camera, markers)
             look = partial(
                 press_all,
-                build_scene(error.design, error.surface, markers, tolerance_mm=tolerance),
+                build_scene(
+                    Sensor.of(error.design, error.surface, markers), tolerance_mm=tolerance
+                ),
                 camera,
                 pivots_mm=markers.mid_mm,
                 counted=own,

@@ -6,6 +6,7 @@ import pytest
 from phytac_design.design.scene import SceneRegionSection
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.contacts import draw_contacts
 from phytac_design.simulation.response_tables import rings
 from phytac_design.simulation.scenario.scene_scope import MARGIN_SPACINGS, Scope, windows_of
@@ -78,9 +79,7 @@ def test_contacts_are_drawn_inside() -> None:
     markers = make_markers(design, scope.surface)
     for placement in ("receptor", "anywhere"):
         contacts = draw_contacts(
-            design,
-            scope.surface,
-            markers,
+            Sensor.of(design, scope.surface, markers),
             samples=40,
             rng=np.random.default_rng(0),
             placement=placement,
@@ -91,9 +90,7 @@ def test_contacts_are_drawn_inside() -> None:
         assert scope.holds(contacts.uv).all()
     with pytest.raises(DesignError, match="widen along and around"):
         draw_contacts(
-            design,
-            scope.surface,
-            markers,
+            Sensor.of(design, scope.surface, markers),
             samples=1,
             rng=np.random.default_rng(0),
             inside=lambda uv: np.zeros(len(uv), dtype=np.bool_),

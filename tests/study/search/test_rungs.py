@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from phytac_design.design.design_file import design_hash
+from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.visibility import check_visibility
 from phytac_design.study.search import fidelity_levels
 from phytac_design.study.search.fidelity_levels import Candidate
@@ -69,7 +70,8 @@ def test_exact_is_what_a_check_sees() -> None:
     candidate = Candidate(small(layout=rows, receptor={"band_marker_mm": 3.0}), tiny())
     found = fidelity_levels.exact(candidate)
     seen = check_visibility(
-        candidate.design, candidate.surface, candidate.markers, rng=np.random.default_rng(3)
+        Sensor.of(candidate.design, candidate.surface, candidate.markers),
+        rng=np.random.default_rng(3),
     ).summary()
     assert found["fused"] == seen["fused"] > 0
     assert found["gap_px"] == seen["min_gap_px"]
