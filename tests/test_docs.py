@@ -58,7 +58,8 @@ def test_tables_are_made_from_the_committed_results() -> None:
 
 
 def test_every_dependency_earns_its_line() -> None:
-    pins = re.findall(r'^    "([a-z0-9-]+)==', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
+    facts = (ROOT / "pyproject.toml").read_text()
+    pins = re.findall(r'^    "([A-Za-z0-9-]+)>=', facts.split("dev = [")[0], re.MULTILINE)
     table = README.split("## Dependencies")[1]
     assert len(pins) > 15
     assert [name for name in pins if not re.search(rf"\b{re.escape(name)}\b", table)] == []

@@ -93,10 +93,10 @@ def test_a_solid_can_be_moved_by_next_to_nothing() -> None:
 @pytest.mark.parametrize(
     ("field", "value", "says"),
     [
-        ("networks", [], "not of the kind"),
-        ("cameras", None, "not of the kind"),
-        ("threshold_N", 10**400, "not of the kind"),
-        ("noise_centroid_px", -1.0, "noise_centroid_px must lie within 0"),
+        ("networks", [], "wrong type or size"),
+        ("cameras", None, "wrong type or size"),
+        ("threshold_N", 10**400, "wrong type or size"),
+        ("noise_centroid_px", -1.0, "noise_centroid_px must lie between 0"),
         ("force_max_N", float("nan"), "NaN is no number of JSON"),
     ],
     ids=["list", "null", "digits", "negative", "nan"],

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from phytac_design.core import figures
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import Context, write_arrays, write_facts
 from phytac_design.geometry import flat_map
@@ -137,15 +138,15 @@ def test_the_colour_bar_is_as_tall_as_the_map(sides: tuple[float, float]) -> Non
     assert wide / tall == pytest.approx(extent[0] / extent[1], rel=1e-6)
     data = report_figures.value_map(flat, places[:, 0], label="mm", colours=["blue"] * 50)
     image: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-    top = report_figures.ABOVE_IN * report_figures.DPI
-    bottom = top + tall * report_figures.DPI
+    top = report_figures.ABOVE_IN * figures.DPI
+    bottom = top + tall * figures.DPI
     at = round(
         (report_figures.LEFT_IN + wide + report_figures.BAR_GAP_IN + report_figures.BAR_IN / 2.0)
-        * report_figures.DPI
+        * figures.DPI
     )
     bar = np.flatnonzero(np.ptp(image[:, at].astype(int), axis=1) > 40)
     assert (bar[0], bar[-1]) == (pytest.approx(top, abs=3), pytest.approx(bottom, abs=3))
-    edge = round(report_figures.LEFT_IN * report_figures.DPI)
+    edge = round(report_figures.LEFT_IN * figures.DPI)
     frame = np.flatnonzero((image[:, edge - 2 : edge + 3] < 90).all(axis=2).any(axis=1))
     assert frame[0] == pytest.approx(top, abs=3)
     assert bottom - 3 <= frame[-1]

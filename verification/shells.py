@@ -16,6 +16,7 @@ from phytac_design.mechanics.shell.discretisation import ProbedShell
 from phytac_design.mechanics.shell.shell_element import DRILLING, GAUSS, SHEAR_FACTOR, shape
 from phytac_design.mechanics.shell.solve import ShellModel
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
+from verification.free_edge import FreeEdgeShell
 
 Lines = int | FloatArray
 """Number of elements along a side, or the lines of nodes themselves, 0 … 1."""
@@ -203,7 +204,7 @@ def probed(case: ShellProblem, points: FloatArray) -> ProbedShell:
     from scipy.spatial import cKDTree
 
     nodes = cKDTree(case.mesh.nodes).query(points)[1][:, None]
-    return ProbedShell(
+    return FreeEdgeShell(
         model=case.model(),
         loads=case.loads.reshape(-1, 1),
         nodes=nodes,

@@ -136,7 +136,7 @@ def test_the_seed_is_all_that_draws(name: str) -> None:
 def test_chunks_of_samples_are_one(monkeypatch: pytest.MonkeyPatch) -> None:
     own = _asked(DRAWN["anywhere"], 30)
     whole = plan(own)
-    monkeypatch.setattr(draw_plan, "BLOCK", 7)
+    monkeypatch.setattr("phytac_design.simulation.scenario.draw_plan.BLOCK", 7)
     monkeypatch.setattr("phytac_design.simulation.scenario.presses.CHUNK", 11)
     parts = plan(own)
     for name, array in vars(whole.switching).items():
