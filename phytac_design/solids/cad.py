@@ -166,11 +166,12 @@ def write_assembly(bodies: Sequence[CadBody], path: Path, *, name: str) -> None:
     text = path.read_text(encoding="latin-1")
     head, data = text.split("DATA;", 1)
     head = re.sub(r"'\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d'", f"'{STEP_DATE}'", head)
-    # OpenCASCADE numbers the places of bodies on from file to file.
+    # OpenCASCADE's numbers of the places of bodies grow from file to file, and with their digits
+    # the place where it breaks the line.
     count = itertools.count(1)
     data = re.sub(
-        r"(NEXT_ASSEMBLY_USAGE_OCCURRENCE\()'\d+'",
-        lambda found: f"{found[1]}'{next(count)}'",
+        r"(NEXT_ASSEMBLY_USAGE_OCCURRENCE\()'\d+'([^;]*;)",
+        lambda found: f"{found[1]}'{next(count)}'{''.join(map(str.strip, found[2].splitlines()))}",
         data,
     )
     colours = list({id(body.shape): body.colour for body in bodies}.values())
