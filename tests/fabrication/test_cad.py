@@ -158,8 +158,9 @@ def test_step_opens_again_and_repeats_byte_for_byte(tmp_path: Path) -> None:
 def test_another_process_writes_the_same_step(tmp_path: Path) -> None:
     code = (
         "import sys;from pathlib import Path;from tests.fabrication.cases import *;"
-        "from phytac_design.solids.cad import *;"
-        "write_step(shell_cad(*built(design(layout={'rows':1,'columns':3}))),Path(sys.argv[1]))"
+        "from phytac_design.solids.cad import *;from phytac_design.layout.sensor import Sensor;"
+        "one=Sensor.of(*built(design(layout={'rows':1,'columns':3})));"
+        "write_step(shell_cad(one),Path(sys.argv[1]))"
     )
     root = Path(__file__).parents[2]
     target = tmp_path / "other.step"

@@ -142,7 +142,8 @@ def test_stage_writes_the_same_bytes_again(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
-    bodies: list[Any] = sensor_bodies(Sensor.of(*_tiny()))[:1]
+    *parts, made = _tiny()
+    bodies: list[Any] = sensor_bodies(Sensor.of(*parts), made)[:1]
     with pytest.raises(OutputError, match="cannot write STEP"):
         write_assembly(bodies, tmp_path / "none" / "a.step", name="case")
 
