@@ -68,8 +68,15 @@ NEEDS_CAD = (
 )
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """On a machine without the libraries that CadQuery links, tests of STEP say so."""
+SLOW_FILES = frozenset((Path(__file__).parent / "slow_files.txt").read_text().split())
+"""Test files of more than four seconds on the development machine; `make check` leaves them out."""
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark slow files, and skip tests of STEP where the libraries of CadQuery are missing."""
+    for item in items:
+        if item.path.relative_to(config.rootpath).as_posix() in SLOW_FILES:
+            item.add_marker(pytest.mark.slow)
     missing = [name for name, found in graphics_libraries().items() if not found]
     if not missing:
         return

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -35,6 +36,12 @@ def modules() -> dict[str, Path]:
 MODULES = modules()
 
 
+@cache
+def parsed(path: Path) -> ast.Module:
+    """Syntax tree of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def imports(node: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
     """Import statements anywhere below a node, those for type checkers alone left out."""
     for child in ast.iter_child_nodes(node):
@@ -45,10 +52,11 @@ def imports(node: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
         yield from imports(child)
 
 
+@cache
 def imported(path: Path) -> set[str]:
     """Dotted names that a file imports: modules, or names in them."""
     names: set[str] = set()
-    for node in imports(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in imports(parsed(path)):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         else:
@@ -115,7 +123,7 @@ def test_each_heavy_library_has_one_module(library: str) -> None:
 def test_no_class_name_stands_for_two_things() -> None:
     where: dict[str, list[str]] = defaultdict(list)
     for module, path in MODULES.items():
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for node in parsed(path).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 where[node.name].append(module)
     assert {name: users for name, users in where.items() if len(users) > 1} == {}
