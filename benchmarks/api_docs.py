@@ -23,6 +23,7 @@ import phytac_design.engine.stage
 import phytac_design.layout.cameras
 import phytac_design.layout.marker_layout
 import phytac_design.layout.markers
+import phytac_design.layout.sensor
 import phytac_design.mechanics.large.load_path
 import phytac_design.mechanics.meshing.mesh
 import phytac_design.mechanics.pressing.press
@@ -44,7 +45,11 @@ MODULES: dict[str, tuple[ModuleType, ...]] = {
     "Surfaces": (phytac_shapes, phytac_shapes.surface, phytac_shapes.variables),
     "Errors": (phytac_shapes.errors,),
     "Designs": (phytac_design.design.design_file, phytac_design.rules.design_review),
-    "Markers": (phytac_design.layout.markers, phytac_design.layout.marker_layout),
+    "Sensor and markers": (
+        phytac_design.layout.sensor,
+        phytac_design.layout.markers,
+        phytac_design.layout.marker_layout,
+    ),
     "Builds": (
         phytac_design.stages.build,
         phytac_design.design.accuracy,

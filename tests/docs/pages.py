@@ -1,4 +1,4 @@
-"""What the docs say in commands: every line of every shell block, and commands in running text."""
+"""Commands of the docs: every line of every shell block, and commands in running text."""
 
 import re
 import shlex
@@ -16,11 +16,13 @@ PAGES = sorted(
 )
 BLOCK = re.compile(r"^```(\S*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`(phytac [^`]+)`")
+ASSIGNMENT = re.compile(r"[A-Z_]+=\S*")
+"""An environment variable before a command."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """One command of a page, in words as a shell would hand them on."""
+    """One command of a page, split into words as a shell does."""
 
     page: str
     words: tuple[str, ...]
@@ -60,6 +62,8 @@ def split(line: str) -> list[list[str]]:
     parser.commenters = "#"
     parts: list[list[str]] = [[]]
     for word in parser:
+        if not parts[-1] and ASSIGNMENT.fullmatch(word):
+            continue
         if set(word) <= set(";&|"):
             parts.append([])
         else:

@@ -1,4 +1,4 @@
-"""Commands held against the programs' own parsers: words, options, and names that are shipped."""
+"""Commands checked by the programs' own parsers: words, options, and names that are shipped."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -17,7 +17,7 @@ from phytac_shapes.errors import PhytacError
 from tests.docs.pages import ROOT
 
 PLACEHOLDER = re.compile(r"^[A-Z][A-Z.…]*$")
-"""``DESIGN``, ``LOG``, ``DATA…``: words that stand for what the reader has."""
+"""``DESIGN``, ``LOG``, ``DATA…``: placeholders for the reader's own names."""
 GROUP: Any = get_command(app)
 
 
@@ -32,7 +32,7 @@ def file_or(known: Sequence[str]) -> Callable[[str], bool]:
     return lambda word: word in known or word.endswith(".toml") or bool(PLACEHOLDER.match(word))
 
 
-def _knobs(word: str) -> bool:
+def is_setting(word: str) -> bool:
     from phytac_design.design.accuracy import PRESETS
 
     try:
@@ -52,8 +52,8 @@ CHECKS: dict[tuple[str, str], Callable[[str], bool]] = {
     ("sweep", "study"): file_or(shipped("studies")),
     ("optimise", "study"): file_or(shipped("studies")),
     ("shapes", "name"): lambda word: word in (*REGISTRY, *OWN_SHAPES),
-    ("*", "settings"): _knobs,
-    ("*", "assignments"): _knobs,
+    ("*", "settings"): is_setting,
+    ("*", "assignments"): is_setting,
 }
 
 
@@ -147,5 +147,5 @@ PROGRAMS: dict[str, Callable[[Sequence[str]], str]] = {
     "make": make_fault,
     "dask": dask_fault,
 }
-FREE = {"cd", "ls", "cat", "cp", "ssh", "git", "pip", "sbatch", "srun", "jupyter", "source"}
-"""Programs of others, whose words are not looked at."""
+FREE = {"cd", "ls", "cat", "cp", "ssh", "git", "pip", "uv", "sbatch", "srun", "jupyter", "source"}
+"""Programs of others, whose words are not checked."""

@@ -1,4 +1,4 @@
-"""Every command of README and docs: run on a small sensor, or held against the program's parser."""
+"""Every command of README and docs: run on a small sensor, or checked by the program's parser."""
 
 import os
 import re
@@ -22,11 +22,11 @@ RUN = {
     "check", "new", "shapes", "press", "mesh", "decode", "scenarios", "plan", "cache",
     "sweep", "optimise",
 }  # fmt: skip
-"""Commands that run here where their files are in the shop (below); all others are parsed only."""
+"""Commands that run here if the fixture ``shop`` has their files; all others are parsed only."""
 PARSED = {
     "build": "minutes; tests/test_build.py, tests/test_cli_build.py",
     "switch": "solves a bowl, a quarter of a minute; tests/mechanics/switch",
-    "compare": "needs two whole builds; tests/page",
+    "compare": "needs two whole builds; tests/report",
     "studio": "needs a browser; tests/studio",
     "advise": "a minute; tests/study/advice",
     "train": "needs data; tests/test_train.py",
@@ -36,7 +36,6 @@ PARSED = {
     "calibrate": "needs measurements; tests/test_calibrate_cli.py",
     "simulate": "minutes; tests/test_simulate.py",
     "tradeoff": "minutes; tests/study",
-    "stability": "minutes; tests/study/stability",
     "import": "needs a decoder of the rig; tests/simulation/test_rig.py",
 }
 """Commands that are parsed only, why, and where they are tested."""
@@ -48,7 +47,7 @@ DEVICES = ("0", "--serial", "--scheduler", "--workers", "--build", "--from-step"
 
 @pytest.fixture(scope="module")
 def shop(tmp_path_factory: pytest.TempPathFactory, built: BuildResult) -> Path:
-    """A reader's folder: design, build, frames, by the names that the docs give them."""
+    """A reader's folder: design, build and frames under the names that the docs use."""
     folder = tmp_path_factory.mktemp("shop")
     (folder / "mine.toml").write_text(to_toml(small(name="mine")))
     shutil.copytree(built.out, folder / "exports" / "mine")
@@ -67,7 +66,7 @@ def runs(command: Command) -> bool:
     words = command.words
     if words[0] != "phytac" or words[1] not in RUN or set(words) & {*DEVICES, *OWN_SHAPES}:
         return False
-    # What the reader brings along and the shop has not; what is written (--out) need not be there.
+    # Files that the shop has; what is written (--out) need not exist.
     had = {"mine.toml", "exports/mine/decoder", "my-decoder", "frame.png", "rest.png", "frames/"}
     return all(
         word in had or words[k] == "--out" for k, word in enumerate(words[1:]) if FILE.search(word)
@@ -97,7 +96,7 @@ def test_quick_commands_run_as_they_stand(words: tuple[str, ...], shop: Path) ->
     home = Path.cwd()
     os.chdir(shop)
     try:
-        # What `new` made the last time is in its way.
+        # Delete what an earlier `new` wrote.
         for made in ("--out", "new"):
             if made in words:
                 name = words[words.index(made) + 1]
@@ -115,7 +114,7 @@ def test_quick_commands_run_as_they_stand(words: tuple[str, ...], shop: Path) ->
 
 
 def test_help_imports_nothing_heavy() -> None:
-    """What keeps ``phytac --help`` quick: libraries are imported when a command needs them."""
+    """``phytac --help`` is fast: libraries are imported when a command needs them."""
     code = (
         "import sys\nimport phytac_design.cli.app\n"
         "heavy = 'scipy numba cv2 pydantic matplotlib cadquery torch pyrender optuna distributed'\n"
