@@ -299,9 +299,12 @@ def named_regions(
     InputError
         See :func:`phytac_design.layout.region_chart.bundle_regions`.
     """
+    if path is None:
+        return bundle.regions
+    # Regions by rows and columns need the design; decoding alone must not.
     from phytac_design.layout.region_chart import bundle_regions
 
-    return bundle_regions(path, bundle, folder, design) if path else bundle.regions
+    return bundle_regions(path, bundle, folder, design)
 
 
 def rest_images(
