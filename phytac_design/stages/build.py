@@ -85,7 +85,7 @@ def select_stages(only: Sequence[str] | None) -> list[Stage]:
         raise DesignError(f"unknown stage {name!r}{hint} (stages: {', '.join(known)})")
     for stage in reversed(STAGES):
         if stage.name in wanted:
-            wanted |= set(stage.needs)
+            wanted |= set(stage.depends_on)
     return [stage for stage in STAGES if stage.name in wanted]
 
 
@@ -207,14 +207,16 @@ def run_stages(
     timing: dict[str, float] = {}
     with ExitStack() as own:
         for number, stage in enumerate(stages, start=1):
-            needed = {name: context.folders[name] for name in stage.needs}
+            needed = {name: context.folders[name] for name in stage.depends_on}
             key = keys[stage.name] = cache.stage_key(stage.name, stage.inputs(context, keys))
             turn = f"[{number}/{len(stages)}] {stage.name}"
             folder = cache.lookup(stage.name, key, report=progress)
             while folder is None or not (keep or own).enter_context(cache.held(folder)):
-                work = Work(stage, replace(context, folders=needed, uses=stage.uses), turn)
-                folder = cache.publish(stage.name, key, work, waiting=work.waiting)
-                if work.done and stage.name not in ran:
+                task = StageTask(
+                    stage, replace(context, folders=needed, array_names=stage.arrays), turn
+                )
+                folder = cache.publish(stage.name, key, task, waiting=task.waiting)
+                if task.done and stage.name not in ran:
                     ran.append(stage.name)
             context.folders[stage.name] = folder
             timing[stage.name] = float(cache.record(folder)["seconds"])
@@ -227,7 +229,7 @@ def run_stages(
 
 
 @dataclass
-class Work:
+class StageTask:
     """A stage to run, as the cache calls it; ``done`` says whether this process ran it."""
 
     stage: Stage

@@ -58,8 +58,17 @@ def run(context: Context, folder: Path) -> None:
 
 KIT = Stage(
     name="kit",
-    reads=("name", "markers", "wall", "receptor", "switch", "training.force_min_N", *TOUCH, "kit"),
-    knobs=("cad_tolerance_mm",),
-    needs=("switch",),
+    design_fields=(
+        "name",
+        "markers",
+        "wall",
+        "receptor",
+        "switch",
+        "training.force_min_N",
+        *TOUCH,
+        "kit",
+    ),
+    settings=("cad_tolerance_mm",),
+    depends_on=("switch",),
     run=run,
 )

@@ -8,7 +8,7 @@ from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, writ
 from phytac_design.layout.sensor import Sensor
 from phytac_design.stages.switch_stage import switches_of, without_switches
 
-READS = (
+DESIGN_FIELDS = (
     "name",
     "description",
     "markers",
@@ -141,8 +141,8 @@ def pictures(context: Context) -> dict[str, bytes]:
 
 BENCH = Stage(
     name="bench",
-    reads=READS,
-    knobs=("cad_tolerance_mm",),
-    needs=("shell", "switch", "printing", *LISTS),
+    design_fields=DESIGN_FIELDS,
+    settings=("cad_tolerance_mm",),
+    depends_on=("shell", "switch", "printing", *LISTS),
     run=run,
 )

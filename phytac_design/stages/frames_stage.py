@@ -212,9 +212,9 @@ def run(context: Context, folder: Path) -> None:
 
 FRAMES = Stage(
     name="frames",
-    reads=(*MECHANICS, "markers", "bodies", "trips", "training", "camera.noise_pixel"),
-    knobs=("truth_refine", "frames", "place_orders"),
-    needs=("decoder",),
+    design_fields=(*MECHANICS, "markers", "bodies", "trips", "training", "camera.noise_pixel"),
+    settings=("truth_refine", "frames", "place_orders"),
+    depends_on=("decoder",),
     seeded=True,
     scene=("regions", "reach_mm", "at_once"),
     run=run,

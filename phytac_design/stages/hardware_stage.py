@@ -12,7 +12,7 @@ from phytac_shapes.errors import CadKernelError, DesignError, MissingPartError, 
 if TYPE_CHECKING:
     from phytac_design.fabrication.hardware.parts import HardwareAssembly
 
-READS = (
+DESIGN_FIELDS = (
     "name", "markers", "cameras", "bodies", "camera.pixel_um", "switch", "print_rules", "hardware"
 )  # fmt: skip
 
@@ -139,9 +139,9 @@ def _write_step(
 
 HARDWARE = Stage(
     name="hardware",
-    reads=READS,
-    knobs=("cad_tolerance_mm",),
-    needs=("switch",),
+    design_fields=DESIGN_FIELDS,
+    settings=("cad_tolerance_mm",),
+    depends_on=("switch",),
     graphics=True,
     run=run,
 )

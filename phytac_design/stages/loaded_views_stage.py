@@ -296,10 +296,10 @@ def load_verdict(context: Context) -> str:
 
 UNDERLOAD = Stage(
     name="underload",
-    reads=(*MECHANICS, "markers", "bodies", *TOUCH, "demands"),
-    knobs=("refine", "receptors", "press_places", "press_tolerance"),
-    needs=("views",),
-    uses={"views": ("gap_same_colour_px", "gap_other_colour_px", "camera")},
+    design_fields=(*MECHANICS, "markers", "bodies", *TOUCH, "demands"),
+    settings=("refine", "receptors", "press_places", "press_tolerance"),
+    depends_on=("views",),
+    arrays={"views": ("gap_same_colour_px", "gap_other_colour_px", "camera")},
     scene=("regions", "reach_mm"),
     gate=load_verdict,
     run=run_underload,

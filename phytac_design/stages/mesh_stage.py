@@ -34,7 +34,7 @@ def run(context: Context, folder: Path) -> None:
 
 MESH = Stage(
     name="mesh",
-    reads=("name", "feet", "material", "training.patch_radius_max_mm"),
-    knobs=("refine",),
+    design_fields=("name", "feet", "material", "training.patch_radius_max_mm"),
+    settings=("refine",),
     run=run,
 )

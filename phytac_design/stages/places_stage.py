@@ -93,10 +93,10 @@ def locator_of(context: Context) -> "ContactLocator":
 
 PLACES = Stage(
     name="places",
-    reads=(*MECHANICS, *TOUCH),
-    knobs=("refine", "receptors", "place_share", "place_orders"),
-    needs=("views",),
-    uses=IMAGE_ARRAYS,
+    design_fields=(*MECHANICS, *TOUCH),
+    settings=("refine", "receptors", "place_share", "place_orders"),
+    depends_on=("views",),
+    arrays=IMAGE_ARRAYS,
     scene=("regions", "reach_mm"),
     run=run_places,
 )

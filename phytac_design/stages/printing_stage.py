@@ -114,8 +114,8 @@ def _part(context: Context, folder: Path) -> dict[str, Any]:
 
 PRINTING = Stage(
     name="printing",
-    reads=("name", "tubes", "wall", "receptor", "print_rules"),
-    knobs=("cad_tolerance_mm", "print_tools"),
-    needs=("shell", *OTHERS),
+    design_fields=("name", "tubes", "wall", "receptor", "print_rules"),
+    settings=("cad_tolerance_mm", "print_tools"),
+    depends_on=("shell", *OTHERS),
     run=run,
 )

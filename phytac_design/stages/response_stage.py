@@ -233,19 +233,19 @@ def samples_of(design: Design, share: float) -> dict[str, int]:
 
 RESPONSE = Stage(
     name="response",
-    reads=MECHANICS,
-    knobs=("refine", "receptors"),
-    needs=("views",),
-    uses=IMAGE_ARRAYS,
+    design_fields=MECHANICS,
+    settings=("refine", "receptors"),
+    depends_on=("views",),
+    arrays=IMAGE_ARRAYS,
     scene=("regions", "reach_mm"),
     run=run_response,
 )
 TWIN = Stage(
     name="twin",
-    reads=(*MECHANICS, "trips", "training", "camera.noise_centroid_px"),
-    knobs=("truth_refine", "sample_share"),
-    needs=("views",),
-    uses=IMAGE_ARRAYS,
+    design_fields=(*MECHANICS, "trips", "training", "camera.noise_centroid_px"),
+    settings=("truth_refine", "sample_share"),
+    depends_on=("views",),
+    arrays=IMAGE_ARRAYS,
     seeded=True,
     scene=("regions", "reach_mm", "at_once", "samples"),
     run=run_twin,

@@ -88,14 +88,14 @@ def _compare_finer(context: Context, step_mm3: float) -> None:
 
 SHELL = Stage(
     name="shell",
-    reads=("name", "markers", "wall", "receptor"),
-    knobs=("cad_tolerance_mm",),
+    design_fields=("name", "markers", "wall", "receptor"),
+    settings=("cad_tolerance_mm",),
     run=run_shell,
 )
 STEP = Stage(
     name="step",
-    reads=("name", "tubes", "wall", "receptor"),
-    needs=("shell",),
+    design_fields=("name", "tubes", "wall", "receptor"),
+    depends_on=("shell",),
     graphics=True,
     run=run_step,
 )

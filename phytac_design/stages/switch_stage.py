@@ -15,7 +15,7 @@ from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
 RED = {"views": ("tip_red_rest_px", "tip_red_on_px")}
-READS = ("tubes", "cameras", "wall", "receptor", "switch", "mold", "print_rules")
+DESIGN_FIELDS = ("tubes", "cameras", "wall", "receptor", "switch", "mold", "print_rules")
 
 
 def run(context: Context, folder: Path) -> None:
@@ -140,4 +140,11 @@ def _set_of(context: Context, made: list[dict[str, Any]]) -> SwitchSet:
     return make_switches(context.sensor, made, thresholds)
 
 
-SWITCH = Stage(name="switch", reads=READS, needs=("views",), uses=RED, gate=refusal, run=run)
+SWITCH = Stage(
+    name="switch",
+    design_fields=DESIGN_FIELDS,
+    depends_on=("views",),
+    arrays=RED,
+    gate=refusal,
+    run=run,
+)

@@ -270,11 +270,11 @@ def run_compare(context: Context, folder: Path) -> None:
 
 VIEWS = Stage(
     name="views",
-    reads=(*PICTURES, *SHARPNESS),
+    design_fields=(*PICTURES, *SHARPNESS),
     seeded=True,
     graphics=True,
     scene=("pictures",),
     gate=told_apart,
     run=run_views,
 )
-COMPARE = Stage(name="compare", reads=PICTURES, seeded=True, graphics=True, run=run_compare)
+COMPARE = Stage(name="compare", design_fields=PICTURES, seeded=True, graphics=True, run=run_compare)

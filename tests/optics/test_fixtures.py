@@ -190,7 +190,7 @@ def test_bad_fixtures_are_explained(change: dict[str, Any], message: str) -> Non
 
 def test_every_stage_that_draws_the_light_bar_draws_fixtures() -> None:
     design = load_design("cylinder60")
-    reads = {stage.name: set(fields_of(design, stage.reads)) for stage in STAGES}
+    reads = {stage.name: set(fields_of(design, stage.design_fields)) for stage in STAGES}
     fixtures = {name for name, fields in reads.items() if "fixtures" in fields}
     assert {"views", "compare", "underload", "frames"} <= fixtures
     for stage in STAGES:

@@ -197,8 +197,8 @@ def evaluate_design(design: Design, accuracy: Accuracy, *, seed: int = 0) -> Eva
 def _inputs(stage: Stage, context: Context) -> Any:
     """Everything that a stage's result depends on, the views included."""
     settings = context.accuracy.as_dict()
-    fields = values_of(context.design, {*stage.reads, *PICTURES})
-    return [fields, {name: settings[name] for name in stage.knobs}, context.seed]
+    fields = values_of(context.design, {*stage.design_fields, *PICTURES})
+    return [fields, {name: settings[name] for name in stage.settings}, context.seed]
 
 
 def _cached(name: str, inputs: Any, compute: Callable[[Path], None]) -> tuple[Path, dict[str, Any]]:
