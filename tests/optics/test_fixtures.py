@@ -175,7 +175,7 @@ def test_files_that_are_not_fixtures(content: bytes, words: str, tmp_path: Path)
             BOX | {"size_mm": [0.0, 1.0, 1.0]},
             "fixtures.0.size_mm.0: input should be greater",
         ),
-        (ROD, "fixtures.0.from_mm is missing; a fixture of its kind"),
+        (ROD, "fixtures.0.from_mm is missing; kind 'cylinder' needs it"),
         (
             {"name": "x", "kind": "mesh", "vertices_mm": [[0, 0, 0]], "triangles": [[0, 0, 1]]},
             "name corners 0 to 1; it has 0 to 0",
