@@ -108,9 +108,8 @@ def red_of(context: Context) -> dict[str, Any]:
 
 
 def _camera_position_mm(context: Context) -> FloatArray:
-    from phytac_design.layout.cameras import cameras_of
 
-    return cameras_of(context.design, context.surface)[0].position_mm
+    return context.sensor.cameras[0].position_mm
 
 
 def switches_of(context: Context) -> SwitchSet:

@@ -104,9 +104,10 @@ def test_another_process_writes_the_same_bytes() -> None:
         "import hashlib;from tests.fabrication.cases import *;"
         "from phytac_design.solids.solid_mesh import *;"
         "from phytac_design.solids.mesh_export import *;"
-        "c=built(shipped('cylinder60'));h=hashlib.sha256();"
-        "h.update(stl_bytes(to_triangles(shell_manifold(*c))));"
-        "h.update(threemf_bytes({k:to_triangles(b) for k,b in painted_manifolds(*c).items()},"
+        "from phytac_design.layout.sensor import Sensor;"
+        "c=Sensor.of(*built(shipped('cylinder60')));h=hashlib.sha256();"
+        "h.update(stl_bytes(to_triangles(shell_manifold(c))));"
+        "h.update(threemf_bytes({k:to_triangles(b) for k,b in painted_manifolds(c).items()},"
         "name='x'));print(h.hexdigest())"
     )
     own = io.StringIO()
@@ -159,10 +160,8 @@ needs_admesh = pytest.mark.skipif(shutil.which("admesh") is None, reason="admesh
 @pytest.mark.parametrize("name", ["cylinder60", "cylinder40", "patch"])
 def test_admesh_finds_nothing_to_repair(name: str, tmp_path: Path) -> None:
     case = shipped(name)
-    surface, markers = check_design(case)
-    write_stl(
-        to_triangles(shell_manifold(Sensor.of(case, surface, markers))), tmp_path / "shell.stl"
-    )
+    sensor = check_design(case)
+    write_stl(to_triangles(shell_manifold(sensor)), tmp_path / "shell.stl")
     assert_admesh_finds_nothing(tmp_path / "shell.stl")
 
 
