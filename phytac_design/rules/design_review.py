@@ -125,13 +125,13 @@ def blurred(sensor: Sensor, camera: Camera, seen: Visibility, own: BoolArray) ->
     if share[worst] < BLUR_MAX:
         return []
     stop = design.camera.f_number
-    mend = np.ceil(10.0 * stop * share[worst] / BLUR_MAX) / 10.0
+    fix = np.ceil(10.0 * stop * share[worst] / BLUR_MAX) / 10.0
     said = (
         f"the image of a point at marker {worst} is {blur[worst]:.2g} px wide (camera.f_number = "
         f"{stop:g}), {seen.gap_same_colour_px[worst]:.2g} px from the next marker of its colour; "
         "`phytac simulate` shows it in its frames, a build does not"
     )
-    return [f"{said}: raise camera.f_number to {mend:g}, or set camera.focus_mm"]
+    return [f"{said}: raise camera.f_number to {fix:g}, or set camera.focus_mm"]
 
 
 def too_close(sensor: Sensor, camera: Camera, seen: Visibility) -> list[str]:
@@ -158,5 +158,5 @@ def too_close(sensor: Sensor, camera: Camera, seen: Visibility) -> list[str]:
             return [
                 f"{said}; set camera.stand_off_mm = {step * stand_off:.1f}: every marker is seen"
             ]
-    mend = "use a longer camera.focal_px, taller far receptors or fewer markers"
-    return [f"{said}; {STEPS[0]:g} to {STEPS[-1]:g} times that distance do not mend it: {mend}"]
+    fix = "use a longer camera.focal_px, taller far receptors or fewer markers"
+    return [f"{said}; {STEPS[0]:g} to {STEPS[-1]:g} times that distance do not help: {fix}"]

@@ -62,7 +62,7 @@ def red_centroids(part: Any, count: int) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class Shot:
-    """What one camera sees, and what the decoder's eyes will see through it."""
+    """What one camera sees, and what the decoder's marker detector expects in its image."""
 
     camera: "Camera"
     seen: "Visibility"
@@ -141,7 +141,7 @@ def write_pictures(
 
 
 def run_views(context: Context, folder: Path) -> None:
-    """Visibility, density, expectations of the decoder's eyes, and pictures."""
+    """Visibility, density, expectations of the marker detector, and pictures."""
     from phytac_design.layout.cameras import stand_off_mm
     from phytac_design.optics.density import density_of
     from phytac_design.optics.lens_facts import lens_facts
@@ -218,7 +218,7 @@ def run_views(context: Context, folder: Path) -> None:
 
 
 def told_apart(context: Context) -> str:
-    """Say why nothing should be made of markers that hide or fuse at rest; "" if all are seen.
+    """Reason to stop if markers are hidden or fuse at rest; "" if all are seen.
 
     In a scene, of those in play.
     """
