@@ -30,7 +30,6 @@ from phytac_design.datasets.samples import (
 from phytac_design.design.accuracy import Preset
 from phytac_design.design.design_file import design_hash, load_design
 from phytac_design.engine.stage import Context
-from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.large import rotations as rot
 from phytac_design.simulation.contacts import Contacts, switch_states
 from phytac_design.stages.response_stage import image_response_of
@@ -66,7 +65,7 @@ def shifts_px(context: Context, item: Solved) -> FloatArray:
 
 def samples_of(context: Context, solved: list[Solved]) -> Samples:
     """Solved contacts as samples of the sensor."""
-    design, surface, markers = context.design, context.surface, context.markers
+    design = context.design
     rng = np.random.default_rng(SEED)
     sizes = [len(item.contact.uv) for item in solved]
     contacts = Contacts(
@@ -76,14 +75,14 @@ def samples_of(context: Context, solved: list[Solved]) -> Samples:
         force_N=np.concatenate([item.contact.force_N for item in solved]),
         samples=len(solved),
     )
-    state = switch_states(Sensor.of(design, surface, markers), contacts)
+    state = switch_states(context.sensor, contacts)
     shift = np.stack([shifts_px(context, item) for item in solved])
     shift += rng.normal(0.0, NOISE_FACTOR * design.camera.noise_centroid_px, shift.shape)
     count, number = len(solved), len(contacts.sample)
     total = np.zeros(count)
     np.add.at(total, contacts.sample, contacts.force_N)
     return Samples(
-        markers=markers.count,
+        markers=context.markers.count,
         time_s=np.arange(count, dtype=np.float64),
         sequence=np.arange(count),
         light=np.ones(count),
@@ -97,7 +96,7 @@ def samples_of(context: Context, solved: list[Solved]) -> Samples:
         touches=TouchRows(
             sample=contacts.sample,
             uv=contacts.uv,
-            point_mm=surface.point(contacts.uv),
+            point_mm=context.surface.point(contacts.uv),
             radius_mm=contacts.radius_mm,
             force_N=contacts.force_N,
             indenter=np.zeros(number, dtype=np.int64),

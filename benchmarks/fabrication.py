@@ -23,8 +23,7 @@ from benchmarks import (
 from benchmarks.fabrication_outside import repair_row, slice_row
 from benchmarks.harness import Table, median_of, run_parts
 from phytac_design.design.design_file import load_design, shipped_designs
-from phytac_design.design.spec import Design, WallSection
-from phytac_design.layout import Markers
+from phytac_design.design.spec import WallSection
 from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
 from phytac_design.solids.cad import cad_facts, shell_cad, write_step
@@ -37,27 +36,25 @@ from phytac_design.solids.solid_mesh import (
     to_triangles,
 )
 from phytac_design.solids.wall_mesh import wall_mesh
-from phytac_shapes import Surface
 from tests.fabrication.cad_files import read_step, write_stl_by_cad
 
 ANGLE_rad = 0.5
 """Angular tolerance of OpenCASCADE's mesher: loose, so that the chord alone decides."""
-CheckedDesign = tuple[Design, Surface, Markers]
 
 
-def load(name: str, *, rows: int | None = None) -> CheckedDesign:
+def load(name: str, *, rows: int | None = None) -> Sensor:
     """Read a shipped design, checked; ``rows`` shortens the lattice for a smoke run."""
     design = load_design(name)
     if rows is not None:
         layout = design.layout.model_copy(update={"rows": rows})
         design = design.model_copy(update={"layout": layout})
-    return design, *check_design(design)
+    return check_design(design)
 
 
-def facts(table: Table, case: CheckedDesign) -> None:
+def facts(table: Table, case: Sensor) -> None:
     """Facts of the mesh, by manifold3d and by trimesh, against what the holes make them."""
-    design, surface, markers = case
-    solid = shell_manifold(Sensor.of(*case))
+    design, surface, markers = case.design, case.surface, case.markers
+    solid = shell_manifold(case)
     genus = expected_genus(surface, markers)
     for program, found in (
         ("manifold3d", manifold_facts(solid)),
@@ -73,7 +70,7 @@ def facts(table: Table, case: CheckedDesign) -> None:
     row = f"{design.name}: triangles"
     source = "within this distance (mm) of the true faces"
     table.add(row, int(solid.num_tri()), "-", TOLERANCE_mm, source)
-    tiles = sum(body.volume() for body in painted_manifolds(Sensor.of(*case)).values())
+    tiles = sum(body.volume() for body in painted_manifolds(case).values())
     row = f"{design.name}: resin and paints against shell, volume"
     value = abs(tiles / solid.volume() - 1.0)
     table.add(row, value, "relative", float(solid.volume()), "shell, mm3", "<= 1e-9")
@@ -81,7 +78,7 @@ def facts(table: Table, case: CheckedDesign) -> None:
 
 def wall(table: Table) -> None:
     """Wall of cylinder60 against the closed form, without and with rims."""
-    surface = load("cylinder60")[1]
+    surface = load("cylinder60").surface
     bare = np.pi * (30.0**2 - 29.2**2) * 120.0
     rims = 2.0 * np.pi * (31.6**2 - 29.2**2) * 4.0
     for label, section, closed in (
@@ -94,17 +91,17 @@ def wall(table: Table) -> None:
         table.add(row, abs(volume / closed - 1.0), "relative", closed, source, "<= 1e-5")
 
 
-def routes(table: Table, case: CheckedDesign, folder: Path) -> None:
+def routes(table: Table, case: Sensor, folder: Path) -> None:
     """Time design → STL by manifold3d and by CadQuery/OCC in the same run, and STEP."""
-    design = case[0]
+    design = case.design
     check = median_of(lambda: check_design(design))
     table.add(f"{design.name}: rules", 1e3 * check, "ms", reference="-", source="median of 5")
     mesh_time = median_of(
-        lambda: write_stl(to_triangles(shell_manifold(Sensor.of(*case))), folder / "shell.stl")
+        lambda: write_stl(to_triangles(shell_manifold(case)), folder / "shell.stl")
     )
-    cad_facts(shell_cad(Sensor.of(*load("cylinder60", rows=1))))  # imports are not timed
+    cad_facts(shell_cad(load("cylinder60", rows=1)))  # imports are not timed
     start = time.perf_counter()
-    solid = shell_cad(Sensor.of(*case))
+    solid = shell_cad(case)
     solid_time = time.perf_counter() - start
     write_stl_by_cad(solid, folder / "occ.stl", tolerance_mm=TOLERANCE_mm, angle_rad=ANGLE_rad)
     cad_time = time.perf_counter() - start
@@ -122,10 +119,14 @@ def routes(table: Table, case: CheckedDesign, folder: Path) -> None:
     sizes(table, design.name, folder)
 
 
-def agreement(table: Table, case: CheckedDesign, solid: Any, folder: Path) -> None:
+def agreement(table: Table, case: Sensor, solid: Any, folder: Path) -> None:
     """Volumes of mesh, CAD solid, and STEP file opened again; validity."""
-    name, mine, again = case[0].name, cad_facts(solid), cad_facts(read_step(folder / "shell.step"))
-    mesh = shell_manifold(Sensor.of(*case)).volume()
+    name, mine, again = (
+        case.design.name,
+        cad_facts(solid),
+        cad_facts(read_step(folder / "shell.step")),
+    )
+    mesh = shell_manifold(case).volume()
     row = f"{name}: volume, manifold3d against OCC"
     source = "OpenCASCADE GProp, mm3"
     value = abs(mesh / mine.volume_mm3 - 1.0)
@@ -146,14 +147,12 @@ def sizes(table: Table, name: str, folder: Path) -> None:
     table.add(row, ours / theirs, "ratio", theirs, f"bytes of OCC's STL, angle {ANGLE_rad} rad")
 
 
-def outside(table: Table, case: CheckedDesign, folder: Path) -> None:
+def outside(table: Table, case: Sensor, folder: Path) -> None:
     """Run admesh and prusa-slicer on the files as they are."""
-    label, stl = f"{case[0].name}: ", folder / "shell.stl"
-    write_stl(to_triangles(shell_manifold(Sensor.of(*case))), stl)
-    bodies = {
-        name: to_triangles(body) for name, body in painted_manifolds(Sensor.of(*case)).items()
-    }
-    write_3mf(bodies, folder / "shell.3mf", name=case[0].name)
+    label, stl = f"{case.design.name}: ", folder / "shell.stl"
+    write_stl(to_triangles(shell_manifold(case)), stl)
+    bodies = {name: to_triangles(body) for name, body in painted_manifolds(case).items()}
+    write_3mf(bodies, folder / "shell.3mf", name=case.design.name)
     repair_row(table, label, [stl])
     slice_row(table, label, [stl, folder / "shell.3mf"])
 
@@ -165,18 +164,18 @@ def shapes_rows(table: Table, names: list[str], folder: Path, *, rows: int | Non
         facts(table, case)
         bare_wall(table, case)
         start = time.perf_counter()
-        solid = shell_cad(Sensor.of(*case))
+        solid = shell_cad(case)
         write_step(solid, folder / "shell.step", name=name)
         seconds = time.perf_counter() - start
         row = f"{name}: STEP, solid and file"
-        table.add(row, seconds, "s", case[2].count, "receptors; one fuse, one cut, no pcurves")
+        table.add(row, seconds, "s", case.markers.count, "receptors; one fuse, one cut, no pcurves")
         agreement(table, case, solid, folder)
         outside(table, case, folder)
 
 
-def bare_wall(table: Table, case: CheckedDesign) -> None:
+def bare_wall(table: Table, case: Sensor) -> None:
     """Wall without rims against offset areas integrated through it (Steiner)."""
-    design, surface, _ = case
+    design, surface = case.design, case.surface
     thickness = design.wall.thickness_mm
     x, w = np.polynomial.legendre.leggauss(3)
     areas = [surface.area_mm2(-thickness * (node + 1.0) / 2.0) for node in x]

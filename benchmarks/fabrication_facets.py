@@ -3,18 +3,14 @@
 import numpy as np
 
 from benchmarks.harness import Table
-from phytac_design.design.spec import Design
 from phytac_design.fabrication.printing.receptors import owners
 from phytac_design.fabrication.printing.surface_samples import sample_faces
 from phytac_design.geometry.ray_tree import RayTree
-from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.solids.solid_mesh import TOLERANCE_mm, shell_manifold, to_triangles
-from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.cylinder import Cylinder
 
-CheckedDesign = tuple[Design, Surface, Markers]
 SPACING_mm = 0.35
 """Between the points at which the chordal error is measured."""
 
@@ -27,14 +23,14 @@ def sides(radius_mm: float, tolerance_mm: float) -> int:
     return int(np.ceil(np.pi / np.arccos(1.0 - 2.0 * tolerance_mm / radius_mm)))
 
 
-def fewest(case: CheckedDesign, tolerance_mm: float) -> int:
+def fewest(case: Sensor, tolerance_mm: float) -> int:
     """Triangles of the best tessellation of a cylindrical shell, counted without the crossings.
 
     A plane region with V corners on its rims and h holes takes V + 2·h − 2 triangles, a strip of n
     quadrilaterals 2·n. Edges of the wall's facets that cross holes would add more: left out, so
     that no tessellation can have fewer than this.
     """
-    design, surface, markers = case
+    design, surface, markers = case.design, case.surface, case.markers
     assert isinstance(surface, Cylinder)
     receptor, wall = design.receptor, design.wall
     outer = surface.diameter_outer_mm / 2.0
@@ -49,12 +45,12 @@ def fewest(case: CheckedDesign, tolerance_mm: float) -> int:
     return walls + markers.count * each
 
 
-def chordal_errors(case: CheckedDesign) -> FloatArray:
+def chordal_errors(case: Sensor) -> FloatArray:
     """Distance from the true faces (n,) of points all over the mesh of a cylindrical shell, mm."""
-    design, surface, markers = case
+    design, surface, markers = case.design, case.surface, case.markers
     assert isinstance(surface, Cylinder)
     receptor, wall = design.receptor, design.wall
-    mesh = to_triangles(shell_manifold(Sensor.of(*case)))
+    mesh = to_triangles(shell_manifold(case))
     points = sample_faces(RayTree(mesh), SPACING_mm).point_mm
     points = np.concatenate([points, mesh.vertices_mm])
     radius, z = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
@@ -64,7 +60,7 @@ def chordal_errors(case: CheckedDesign) -> FloatArray:
         + [np.abs(z - end) for end in (-rim, 0.0, length, length + rim)],
         axis=0,
     )
-    owner = owners(Sensor.of(*case), points)
+    owner = owners(case, points)
     own = np.flatnonzero(owner >= 0)
     arm, axis = points[own] - markers.tip_mm[owner[own]], markers.direction[owner[own]]
     along = np.einsum("ni,ni->n", arm, axis)
@@ -75,10 +71,10 @@ def chordal_errors(case: CheckedDesign) -> FloatArray:
     return np.asarray(near)
 
 
-def facet_rows(table: Table, case: CheckedDesign) -> None:
+def facet_rows(table: Table, case: Sensor) -> None:
     """Chordal error and facet count of a cylinder's shell."""
-    name = case[0].name
-    count = int(shell_manifold(Sensor.of(*case)).num_tri())
+    name = case.design.name
+    count = int(shell_manifold(case).num_tri())
     best = fewest(case, TOLERANCE_mm)
     row = f"{name}: facets over the fewest possible"
     source = f"counted for wall, rims, tubes, holes at {TOLERANCE_mm} mm both ways"

@@ -16,34 +16,30 @@ from phytac_design.fabrication.printing.parting import part_shell
 from phytac_design.fabrication.printing.print_checks import PrintReport, check_shell
 from phytac_design.geometry.ray_tree import RayTree
 from phytac_design.geometry.triangles import TriangleMesh
-from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
 from phytac_design.solids.mesh_export import read_stl, write_stl
 from phytac_design.solids.mesh_facts import trimesh_facts
 from phytac_design.solids.solid_mesh import shell_manifold, to_triangles
-from phytac_shapes import Surface
-
-CheckedDesign = tuple[Design, Surface, Markers]
 
 
-def load(name: str, **changes: Any) -> CheckedDesign:
+def load(name: str, **changes: Any) -> Sensor:
     """Read a shipped design with changes of its tables, checked."""
     data = load_design(name).model_dump()
     for table, values in changes.items():
         data[table] = {**data[table], **values}
     design = Design.model_validate(data)
-    return design, *check_design(design)
+    return check_design(design)
 
 
-def checked(case: CheckedDesign, mesh: TriangleMesh) -> tuple[PrintReport, float]:
+def checked(case: Sensor, mesh: TriangleMesh) -> tuple[PrintReport, float]:
     """Report of a shell as its STL file holds it, and the seconds that the check took."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "shell.stl"
         write_stl(mesh, path)
         again = read_stl(path)
     start = time.perf_counter()
-    report = check_shell(Sensor.of(*case), again)
+    report = check_shell(case, again)
     return report, time.perf_counter() - start
 
 
@@ -51,12 +47,12 @@ def shipped_rows(table: Table, names: list[str]) -> None:
     """No violations on shipped designs, and how they are best turned."""
     for name in names:
         case = load(name)
-        mesh = to_triangles(shell_manifold(Sensor.of(*case)))
+        mesh = to_triangles(shell_manifold(case))
         report, seconds = checked(case, mesh)
         row = f"{name}: violations of the SLA rules"
         source = f"chord 0.01 mm, {len(mesh.triangles)} triangles, {seconds:.1f} s"
         table.add(row, len(report.violations), "-", 0, source, "== 0")
-        rules, tree = case[0].print_rules, RayTree(mesh)
+        rules, tree = case.design.print_rules, RayTree(mesh)
         upright = stand(mesh, tree, np.array([0.0, 0.0, 1.0]), rules)
         best = report.standing
         row = f"{name}: overhang as suggested over axis upright"
@@ -70,13 +66,13 @@ def shipped_rows(table: Table, names: list[str]) -> None:
         table.add(row, value, "ratio", upright.overhang_area_mm2, source)
 
 
-def parting_rows(table: Table, label: str, case: CheckedDesign) -> None:
+def parting_rows(table: Table, label: str, case: Sensor) -> None:
     """A shell larger than the bed: pieces fit, volumes add up, pieces do not collide."""
-    solid = shell_manifold(Sensor.of(*case))
+    solid = shell_manifold(case)
     start = time.perf_counter()
-    parting = part_shell(Sensor.of(*case), solid)
+    parting = part_shell(case, solid)
     seconds = time.perf_counter() - start
-    rules = case[0].print_rules
+    rules = case.design.print_rules
     meshes = [to_triangles(piece) for piece in parting.pieces]
     fitting = sum(suggest(mesh, RayTree(mesh), rules)[0].fits for mesh in meshes)
     sound = sum(f.watertight and f.bodies == 1 for f in map(trimesh_facts, meshes))
@@ -96,10 +92,9 @@ def parting_rows(table: Table, label: str, case: CheckedDesign) -> None:
     shared = sum((a ^ b).volume() for a, b in combinations(parting.pieces, 2))
     row = f"{label}: pieces collide"
     table.add(row, float(shared), "mm3", 0, "volume that two pieces share", "<= 1e-6")
-    gap = min(
-        float(np.abs(case[2].tip_mm @ cut.normal - cut.offset_mm).min()) for cut in parting.cuts
-    )
-    radius = case[0].receptor.diameter_outer_mm / 2.0
+    tips = case.markers.tip_mm
+    gap = min(float(np.abs(tips @ cut.normal - cut.offset_mm).min()) for cut in parting.cuts)
+    radius = case.design.receptor.diameter_outer_mm / 2.0
     row = f"{label}: cuts pass receptors at"
     source = "from the tubes' sides, across which the cut runs"
     table.add(

@@ -56,7 +56,7 @@ def _drawn(base: str, number: int, rng: np.random.Generator) -> Design | None:
     data["name"] = f"random-{number}-{base}"
     try:
         design = parse_design(data, data["name"])
-        _, markers = check_design(design)
+        markers = check_design(design).markers
     except PhytacError:
         return None
     return design if MARKERS[0] <= markers.count <= MARKERS[1] else None

@@ -13,7 +13,7 @@ from typing import Any
 
 from phytac_design.engine import cache
 from phytac_design.engine.stage import Context, Stage
-from phytac_design.stages.build import Work
+from phytac_design.stages.build import StageTask
 from phytac_design.study.planning.run_plan import cpu_s, peak_MB
 from phytac_shapes.errors import NumericalError
 
@@ -54,8 +54,8 @@ def measure_stages(
         keys[stage.name] = cache.stage_key(stage.name, stage.inputs(context, keys))
         if cache.lookup(stage.name, keys[stage.name]) is None:
             progress(f"measuring {stage.name}")
-            needed = {name: context.folders[name] for name in stage.needs}
-            inner = replace(context, folders=needed, uses=stage.uses)
+            needed = {name: context.folders[name] for name in stage.depends_on}
+            inner = replace(context, folders=needed, array_names=stage.arrays)
             _forked(stage, keys[stage.name], inner)
         folder = cache.lookup(stage.name, keys[stage.name])
         if folder is None:
@@ -83,7 +83,7 @@ def _forked(stage: Stage, key: str, context: Context) -> None:
 
 def _record(stage: Stage, context: Context, folder: Path) -> dict[str, Any]:
     cpu = cpu_s()
-    return Work(stage, context, f"measuring {stage.name}")(folder) | {
+    return StageTask(stage, context, f"measuring {stage.name}")(folder) | {
         "cpu_s": round(cpu_s() - cpu, 3),
         "peak_MB": round(peak_MB(), 1),
     }

@@ -355,8 +355,8 @@ def test_rest_positions_are_close_in_mm(built: BuildResult) -> None:
 def test_shipped_designs_pass_their_checks(name: str) -> None:
     from phytac_design.rules.check import check_design
 
-    surface, markers = check_design(load_design(name))
-    assert markers.count == make_markers(load_design(name), surface).count
+    sensor = check_design(load_design(name))
+    assert sensor.markers.count == make_markers(load_design(name), sensor.surface).count
 
 
 def test_resolved_file_is_stable() -> None:

@@ -68,7 +68,7 @@ def test_switches_that_cannot_be_made_stop_the_build_unless_forced(
 ) -> None:
     monkeypatch.setattr(bowl_check, "FILLETS", bowl_check.FILLETS[::3])
     design = small(name="unmade", switch={"modulus_MPa": 0.1})
-    with pytest.raises(DesignError, match=r"or take a rubber of .* MPa; or go on .*--force"):
+    with pytest.raises(DesignError, match=r"or take a rubber of .* MPa; or continue .*--force"):
         build(design, tmp_path / "x", accuracy="draft", progress=quiet)
     assert not (tmp_path / "x").exists()
     only = ["printing", "bench"]

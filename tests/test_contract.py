@@ -15,7 +15,6 @@ from phytac_decoder.pipeline.decode import measure_frame, rest_positions
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, graphics_libraries
-from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.rules.check import check_design
 from phytac_design.rules.design_review import checkup
@@ -54,7 +53,8 @@ def not_finite(value: Any, name: str = "") -> list[str]:
 @given(seed=seeds)
 def test_markers_lie_on_the_wall_and_are_nodes_of_its_mesh(kind: str, seed: int) -> None:
     design = drawn(kind, seed)
-    surface, markers = check_design(design)
+    sensor = check_design(design)
+    surface, markers = sensor.surface, sensor.markers
     wall = design.wall.thickness_mm
     size = float(np.ptp(surface.bounds_mm(), axis=0).max())
     on_face = markers.mid_mm + wall / 2.0 * markers.normal
@@ -90,7 +90,7 @@ def one_press(context: Context, marker: int) -> FrameContacts:
     )
     return FrameContacts(
         contacts=contacts,
-        switching=switch_states(Sensor.of(design, surface, markers), contacts),
+        switching=switch_states(context.sensor, contacts),
         motion=superpose(unit, contacts),
     )
 

@@ -175,7 +175,7 @@ def test_nothing_left_is_refused() -> None:
 @pytest.mark.parametrize("name", shipped_designs())
 def test_shipped_designs_pass_the_rules(name: str) -> None:
     design = load_design(name)
-    _, markers = check_design(design)
+    markers = check_design(design).markers
     assert 80 <= markers.count <= 744
 
 
@@ -251,8 +251,9 @@ def test_a_marker_may_sit_on_the_pole() -> None:
     pole = 10.0 + 20.0 * np.pi / 2.0
     positions = [[pole, 0.0], *([25.0, float(v)] for v in range(6))]
     design = designed("hemisphere", "explicit", positions=positions)
-    surface, markers = check_design(design)
-    assert np.allclose(surface.point(markers.uv)[-1], [0.0, 0.0, 30.0])
+    sensor = check_design(design)
+    markers = sensor.markers
+    assert np.allclose(sensor.surface.point(markers.uv)[-1], [0.0, 0.0, 30.0])
     assert np.allclose(markers.direction[-1], [0.0, 0.0, -1.0])
     # All six around it are its neighbours, each in a sector of its own.
     assert set(markers.neighbours[-1]) == {-1, 0, 1, 2, 3, 4, 5}

@@ -192,17 +192,19 @@ def test_refusals_say_what_got_and_fix(changes: Sections, text: str) -> None:
 @pytest.mark.parametrize("name", ["cylinder60", "cylinder40"])
 def test_shipped_designs_pass(name: str) -> None:
     case = shipped(name)
-    surface, markers = check_design(case)
+    sensor = check_design(case)
+    markers = sensor.markers
     assert markers.count == case.layout.rows * case.layout.columns
-    assert surface == case.surface()
+    assert sensor.surface == case.surface()
     gap, _ = smallest_receptor_gap_mm(case, markers)
     assert gap >= 2.0
 
 
 def test_cylinder40_is_as_its_comments_say() -> None:
     case = shipped("cylinder40")
-    surface, markers = check_design(case)
-    assert 100.0 * markers.count / surface.area_mm2() == pytest.approx(2.15, abs=0.005)
+    sensor = check_design(case)
+    markers = sensor.markers
+    assert 100.0 * markers.count / sensor.surface.area_mm2() == pytest.approx(2.15, abs=0.005)
     assert np.diff(np.unique(markers.height_mm)) == pytest.approx(0.5)
     assert np.hypot(*markers.tip_mm[:, :2].T).min() == pytest.approx(10.2)
 

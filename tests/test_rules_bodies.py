@@ -129,7 +129,7 @@ def test_a_cable_beside_a_receptor(aside: float, overlap: str) -> None:
     along = np.array([0.0, 0.0, 2.0])
     design = with_fixtures(rod(centre - along, centre + along, 1.0))
     if not overlap:
-        assert check_design(design)[1].count == 12
+        assert check_design(design).markers.count == 12
         return
     said = rf"fixture 'cable' overlaps the receptor \(row 2, column 1\) by {overlap}; move it away"
     with pytest.raises(DesignError, match=said):

@@ -11,7 +11,6 @@ from phytac_design.design.design_file import parse_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.receptor_distances import smallest_receptor_gap_mm
-from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
 from phytac_design.rules.receptor_spacing import edge_distance_mm
 from phytac_design.solids.receptor_tubes import receptor_axes
@@ -114,7 +113,7 @@ def test_edges_of_a_box_do_not_limit_its_faces() -> None:
 def test_one_marker_passes(shape: str) -> None:
     kind = "phyllotaxis" if shape == "hemisphere" else "straight"
     design = designed(shape, kind, rows=1, columns=1, count=1)
-    _, markers = check_design(design)
+    markers = check_design(design).markers
     assert markers.count == 1
     assert smallest_receptor_gap_mm(design, markers) == (np.inf, None)
 
@@ -139,8 +138,9 @@ def test_leaning_tubes_root_inside_the_wall() -> None:
         {"rows": 8, "columns": 10, "height_far_mm": 5.0},
         receptor={"direction": "tilted", "tilt_deg": 8.0, "diameter_outer_mm": 2.6},
     )
-    surface, markers = check_design(design)
-    axes = receptor_axes(Sensor.of(design, surface, markers))
+    sensor = check_design(design)
+    surface, markers = sensor.surface, sensor.markers
+    axes = receptor_axes(sensor)
     along = axes.tip_mm - axes.root_mm
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     assert np.allclose(along, markers.direction)
@@ -177,7 +177,7 @@ def test_ten_thousand_receptors_by_the_golden_angle(shape: str) -> None:
         receptor={"diameter_outer_mm": 2.4},
     )
     start = time.process_time()
-    _, markers = check_design(design)
+    markers = check_design(design).markers
     assert markers.count == 10_000
     assert time.process_time() - start < 5.0
 

@@ -59,7 +59,7 @@ def test_every_field_of_the_layout_is_of_one_part() -> None:
 def test_every_name_is_of_the_design_file() -> None:
     for stage in STAGES:
         for design in (load_design("cylinder60-dense"), load_design("hemisphere")):
-            assert values_of(design, stage.reads)
+            assert values_of(design, stage.design_fields)
 
 
 def test_reads_depend_on_the_layout() -> None:
@@ -151,7 +151,7 @@ def undeclared(design: Design, trace: Trace) -> dict[str, list[str]]:
     """Fields read by stages that do not say so."""
     out = {}
     for stage in STAGES:
-        mine = allowed(design, stage.reads)
+        mine = allowed(design, stage.design_fields)
         wrong = [
             name
             for name in sorted(trace.reads[stage.name])
@@ -177,15 +177,15 @@ def watch(design: Design, trace: Trace, folder: Path, stages: set[str]) -> None:
             accuracy=COARSE,
             seed=0,
             progress=lambda _: None,
-            folders={name: folders[name] for name in stage.needs},
-            uses=stage.uses,
+            folders={name: folders[name] for name in stage.depends_on},
+            array_names=stage.arrays,
         )
         # Made before: what of them is used is watched, not how they are made.
         assert context.markers.count
         with trace.watched(stage.name):
             stage.run(context, own)
             if stage.gate:
-                stage.gate(replace(context, folders={**folders, stage.name: own}, uses={}))
+                stage.gate(replace(context, folders={**folders, stage.name: own}, array_names={}))
         folders[stage.name] = own
 
 

@@ -79,7 +79,7 @@ from phytac_design.rules.check import check_design
 from phytac_design.design.scene import load_scene
 from phytac_design.study.search.study_file import load_study
 from phytac_design.simulation.scenario.scenario_file import load_scenario
-print(len(shipped_designs()), check_design(load_design("cylinder60"))[1].count)
+print(len(shipped_designs()), check_design(load_design("cylinder60")).markers.count)
 print(load_scene("fingertip").name, load_study("dense-cone")[0].name, load_scenario("smoke").name)
 """
     done = subprocess.run(

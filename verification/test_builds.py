@@ -21,7 +21,6 @@ from phytac_decoder.io.bundle import load_bundle
 from phytac_design.design.design_file import to_toml
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import camera_of, tolerance_mm
-from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.render_scene import build_scene, paint_owner
 from phytac_design.rules.check import check_design
@@ -90,11 +89,10 @@ def check_report(values: Mapping[str, Any], found: Evidence) -> None:
 def check_crowd(values: Mapping[str, Any], found: Evidence) -> None:
     """Layout, rules and exact map of 10 000 markers: each shows where it projects to."""
     design = design_of(values)
-    surface, markers = check_design(design)
-    view = camera_of(design, surface)
-    scene = build_scene(
-        Sensor.of(design, surface, markers), tolerance_mm=tolerance_mm(view, markers)
-    )
+    sensor = check_design(design)
+    markers = sensor.markers
+    view = camera_of(design, sensor.surface)
+    scene = build_scene(sensor, tolerance_mm=tolerance_mm(view, markers))
     owner = paint_owner(rasterise(scene, view).part)
     y, x = np.nonzero(owner >= 0)
     number = np.bincount(owner[y, x], minlength=markers.count)

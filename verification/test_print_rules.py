@@ -22,7 +22,8 @@ def check_rule(values: Mapping[str, Any], found: Evidence) -> None:
     """A design that keeps all rules has the gaps that geometry says; a refusal says by how much."""
     design = design_of(values)
     try:
-        surface, markers = check_design(design)
+        sensor = check_design(design)
+        surface, markers = sensor.surface, sensor.markers
     except DesignError as error:
         said = str(error)
         for figure in values.get("figures", []):

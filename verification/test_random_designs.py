@@ -63,7 +63,8 @@ def check_drawn(values: Mapping[str, Any], found: Evidence) -> None:
     from verification.test_shell import balances
 
     design = design_of(values)
-    surface, markers = check_design(design)
+    sensor = check_design(design)
+    surface, markers = sensor.surface, sensor.markers
     table = {**changed(base(values["shape"]), values["changes"])["shape"]}
     known = face_of(surface.name, {"skirt_mm": 0.0, "end": "open", "tilt_deg": 0.0, **table})
     low, high = surface.bounds_mm()

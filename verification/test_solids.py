@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
 from phytac_design.solids.solid_mesh import shell_manifold, to_triangles
 from phytac_shapes import Surface
@@ -97,9 +96,10 @@ def _receptors_mm3(design: Any, surface: Surface, heights: FloatArray) -> float:
 def check_solid(values: Mapping[str, Any], found: Evidence) -> None:
     """Every edge used twice, once each way; genus by Euler; volume by the divergence theorem."""
     design = design_of(values)
-    surface, markers = check_design(design)
+    sensor = check_design(design)
+    surface, markers = sensor.surface, sensor.markers
     tolerance = float(values["tolerance_mm"])
-    mesh = to_triangles(shell_manifold(Sensor.of(design, surface, markers), tolerance_mm=tolerance))
+    mesh = to_triangles(shell_manifold(sensor, tolerance_mm=tolerance))
     p, tri = mesh.vertices_mm, mesh.triangles
     found.true("every coordinate is finite", np.isfinite(p))
     edges = np.concatenate([tri[:, [0, 1]], tri[:, [1, 2]], tri[:, [2, 0]]])

@@ -8,7 +8,6 @@ import numpy as np
 from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import camera_of, tolerance_mm
-from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.render_scene import FIRST_MARKER, RenderScene, build_scene, paint_owner
 from phytac_design.optics.visibility import check_visibility
@@ -67,14 +66,13 @@ def first_hits(
 def check_seen(values: Mapping[str, Any], found: Evidence) -> None:
     """Map against rays; each marker's figures against the map; the same at another size."""
     design = design_of(values)
-    surface, markers = check_design(design)
-    camera = camera_of(design, surface)
-    scene = build_scene(
-        Sensor.of(design, surface, markers), tolerance_mm=tolerance_mm(camera, markers)
-    )
+    sensor = check_design(design)
+    markers = sensor.markers
+    camera = camera_of(design, sensor.surface)
+    scene = build_scene(sensor, tolerance_mm=tolerance_mm(camera, markers))
     part = rasterise(scene, camera).part
     _rays(scene, camera, part, found)
-    seen = check_visibility(Sensor.of(design, surface, markers), rng=np.random.default_rng(0))
+    seen = check_visibility(sensor, rng=np.random.default_rng(0))
     owner = paint_owner(part)
     counted = np.bincount(owner[owner >= 0], minlength=markers.count)
     found.true("visible pixels are those of the map", seen.visible_px == counted)
@@ -117,8 +115,8 @@ def _sizes(design: Design, visible_px: IntArray, found: Evidence) -> None:
         other = sized(design, factor)
         if other is None:
             continue
-        surface, markers = check_design(other)
-        again = check_visibility(Sensor.of(other, surface, markers), rng=np.random.default_rng(0))
+        sensor = check_design(other)
+        again = check_visibility(sensor, rng=np.random.default_rng(0))
         found.add(
             f"{factor:g} times as large: pixels of a marker that differ",
             np.abs(again.visible_px - visible_px).max(),

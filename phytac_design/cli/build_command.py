@@ -44,7 +44,9 @@ def build(
     seed: SeedOption = 0,
     force: Annotated[
         bool,
-        typer.Option(help="Overwrite another design's folder; go on though markers hide or fuse."),
+        typer.Option(
+            help="Overwrite another design's folder; continue although markers hide or fuse."
+        ),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -110,7 +112,7 @@ def build(
             progress=say,
         )
     except KeyboardInterrupt:
-        say("stopped; run the same command again to go on where it was")
+        say("stopped; run the same command again to resume")
         raise typer.Exit(130) from None
     if as_json:
         summary = {

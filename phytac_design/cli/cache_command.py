@@ -1,4 +1,4 @@
-"""``phytac cache``: what the stage cache holds, and making room."""
+"""``phytac cache``: contents of the stage cache, and eviction."""
 
 import json
 import re
@@ -31,8 +31,8 @@ def cache(
 
     limit = float("inf") if prune is None else size_bytes(prune)
     oldest_s = float("inf") if older_than is None else duration_s(older_than)
-    spoilt = cache_eviction.damaged() if verify else []
-    kept = [folder for folder in spoilt if not cache_eviction.drop(folder)]
+    damaged = cache_eviction.damaged() if verify else []
+    kept = [folder for folder in damaged if not cache_eviction.drop(folder)]
     done = None
     if prune is not None or older_than is not None:
         done = cache_eviction.prune(limit_bytes=limit, older_than_s=oldest_s)
@@ -57,7 +57,7 @@ def cache(
         },
     }
     if verify:
-        facts["damaged"] = len(spoilt)
+        facts["damaged"] = len(damaged)
     if done is not None:
         facts["pruned"] = {
             "results": done.dropped,
@@ -71,7 +71,7 @@ def cache(
         typer.echo(json.dumps(facts, indent=1))
         return
     if verify:
-        typer.echo(f"{len(spoilt)} damaged results dropped; the next build makes them again")
+        typer.echo(f"{len(damaged)} damaged results dropped; the next build makes them again")
     if done is not None:
         stay = f"; {done.in_use} stay, a build reads them" if done.in_use else ""
         typer.echo(f"dropped {done.dropped} results, {done.freed_bytes / 1e6:.1f} MB{stay}")

@@ -25,7 +25,7 @@ SeedOption = Annotated[int, typer.Option(help="Seed of everything random.", min=
 def say(text: str) -> None:
     """Progress goes to standard error, so that standard output stays clean.
 
-    Whoever reads it may have gone; the work goes on.
+    The reader may have closed the pipe; the work continues.
     """
     try:
         typer.echo(text, err=True)

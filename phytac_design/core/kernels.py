@@ -18,7 +18,7 @@ def kernel(function: Kernel) -> Kernel:
 
     Machine code is kept beside the source or in the user's cache folder. Where neither can be
     written (read-only containers, services without a home folder) it goes to
-    :func:`cache_root`, and if that fails too it is compiled anew by each process.
+    :func:`cache_root`, and if that fails too it is compiled again by each process.
     """
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
     try:

@@ -155,7 +155,7 @@ def _four(matrix: Any) -> tuple[float, float, float, float]:
 
 
 def _read_opencv(path: Path) -> Lens:
-    """Read the file of OpenCV's calibration samples; ``camera_model`` or ``xi`` tell fisheyes."""
+    """Read the file of OpenCV's calibration samples; ``camera_model`` or ``xi`` marks a fisheye."""
     store = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     try:
         values = {key: store.getNode(key) for key in store.root().keys()}  # noqa: SIM118 - not a dict
@@ -167,13 +167,13 @@ def _read_opencv(path: Path) -> Lens:
             raise ValueError("camera_matrix or distortion_coefficients is missing")
         size = (values["image_width"].real(), values["image_height"].real())
         bent = np.ravel(bent)
-        told = values["camera_model"].string() if "camera_model" in values else ""
+        name = values["camera_model"].string() if "camera_model" in values else ""
         fisheye = "fisheye_model" in values and values["fisheye_model"].real() != 0
         if "xi" in values:
             node = values["xi"]
             xi = float(np.ravel(node.mat())[0]) if node.isMap() else node.real()
             return _make("omnidirectional", size, _four(matrix), [xi, *bent])
-        model = "kannala_brandt" if fisheye or told == "fisheye" else "brown_conrady"
+        model = "kannala_brandt" if fisheye or name == "fisheye" else "brown_conrady"
         return _make(model, size, _four(matrix), bent)
     finally:
         store.release()
@@ -239,9 +239,9 @@ def _opencv_text(lens: Lens, name: str) -> str:
     store = cv2.FileStorage(
         ".yaml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML
     )
-    told = {"kannala_brandt": "fisheye", "omnidirectional": "omnidir"}
+    names = {"kannala_brandt": "fisheye", "omnidirectional": "omnidir"}
     store.write("camera_name", name)
-    store.write("camera_model", told.get(lens.model, "pinhole"))
+    store.write("camera_model", names.get(lens.model, "pinhole"))
     store.write("image_width", lens.width_px)
     store.write("image_height", lens.height_px)
     store.write("camera_matrix", np.array(_matrix(lens)).reshape(3, 3))

@@ -99,7 +99,7 @@ class LayoutSection(Section):
 
     @property
     def wanted(self) -> int:
-        """Markers asked for, before any are left out."""
+        """Number of markers before any are left out."""
         if self.kind == "phyllotaxis":
             return self.count
         return len(self.positions) if self.kind == "explicit" else self.rows * self.columns

@@ -1,15 +1,11 @@
 """Scene files: the outputs, contacts and regions that a build is limited to, in TOML."""
 
-from difflib import get_close_matches
-from importlib import resources
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from phytac_design.design.base_table import Section
-from phytac_shapes.bounded_reader import joined, read_text, toml_table
-from phytac_shapes.errors import DesignError
+from phytac_design.design.toml_files import TomlFileKind
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -145,12 +141,14 @@ SCENE_DEFAULTS: dict[str, Any] = {
 """Properties that stages read of a scene, and their values without one."""
 
 
+SCENE_FILES = TomlFileKind(
+    noun="scene", folder="scenes", missing="see docs/plan.md for what it means"
+)
+
+
 def shipped_scenes() -> list[str]:
     """Names of the scenes that come with the package."""
-    folder = resources.files("phytac_design") / "data" / "scenes"
-    return sorted(
-        item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml")
-    )
+    return SCENE_FILES.shipped()
 
 
 def load_scene(name_or_path: str) -> Scene:
@@ -161,15 +159,7 @@ def load_scene(name_or_path: str) -> Scene:
     DesignError
         If there is no such scene, it is not TOML, or a key or value is not acceptable.
     """
-    text, where = _read(name_or_path)
-    try:
-        data = toml_table(text)
-    except ValueError as error:
-        raise DesignError(
-            f"{where} is not TOML: {error}; start from a shipped scene "
-            f"({', '.join(shipped_scenes())})"
-        ) from None
-    return parse_scene(data, where)
+    return parse_scene(*SCENE_FILES.read(name_or_path))
 
 
 def parse_scene(data: dict[str, Any], where: str) -> Scene:
@@ -180,47 +170,4 @@ def parse_scene(data: dict[str, Any], where: str) -> Scene:
     DesignError
         With every unknown key and every invalid value.
     """
-    try:
-        return Scene.model_validate(data)
-    except ValidationError as error:
-        lines = joined(_explain(item) for item in error.errors())
-        raise DesignError(f"scene {where}: {lines}") from None
-
-
-def _read(name_or_path: str) -> tuple[str, str]:
-    path, shipped = Path(name_or_path), shipped_scenes()
-    if name_or_path in shipped and not path.is_file():
-        source = resources.files("phytac_design") / "data" / "scenes" / f"{name_or_path}.toml"
-        return source.read_text(encoding="utf-8"), name_or_path
-    try:
-        return read_text(path), str(path)
-    except UnicodeDecodeError:
-        raise DesignError(f"{path} is not TOML: it is not even text; give a scene file") from None
-    except OSError as error:
-        near = get_close_matches(name_or_path, shipped, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise DesignError(
-            f"no scene {name_or_path!r} ({error.strerror}){hint} "
-            f"(shipped: {', '.join(shipped)}; or give the path of a scene file)"
-        ) from None
-
-
-def _explain(item: Any) -> str:
-    """One problem as a sentence: where, what, got, and the valid values."""
-    where = ".".join(str(part) for part in item["loc"])
-    if item["type"] == "extra_forbidden":
-        table = [part for part in item["loc"][:-1] if isinstance(part, str)]
-        tables: dict[str, type[Section]] = {
-            "contacts": ContactSection,
-            "regions": SceneRegionSection,
-        }
-        model = tables.get(table[0], Scene) if table else Scene
-        known = list(model.model_fields)
-        near = get_close_matches(str(item["loc"][-1]), known, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else f" (known: {', '.join(known)})"
-        return f"unknown key {where!r}{hint}"
-    if item["type"] == "missing":
-        return f"{where} is missing; see docs/plan.md for what it means"
-    message = item["msg"][0].lower() + item["msg"][1:]
-    got = "" if isinstance(item["input"], dict | Section) else f" (got {item['input']!r})"
-    return f"{where or 'file'}: {message.removeprefix('value error, ')}{got}"
+    return SCENE_FILES.validate(Scene, data, f"scene {where}")

@@ -284,7 +284,7 @@ class Design(Section):
     training: TrainingSection = TrainingSection()
     demands: DemandsSection = DemandsSection()
     regions: tuple[RegionSection, ...] = Field((), max_length=TABLES_MAX)
-    """Named parts of the surface, such as fingers and a palm, whose forces the decoder tells."""
+    """Named parts of the surface, such as fingers and a palm, whose forces the decoder reports."""
     fixtures: tuple[AnyFixture, ...] = Field((), max_length=FIXTURES_MAX)
     """Bodies that the camera sees and that can hide markers: `cylinder`, `box` or `mesh` (STL)."""
 

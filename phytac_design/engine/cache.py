@@ -178,11 +178,11 @@ def _unwritable(error: OSError) -> OutputError:
 @contextmanager
 def _alone(path: Path, waiting: Callable[[], None]) -> Iterator[None]:
     """Hold the lock file ``path``; it is gone afterwards."""
-    told = False
+    reported = False
     while True:
         with path.open("w") as stream:
-            if not told and not locked(stream, fcntl.LOCK_EX):
-                told = True
+            if not reported and not locked(stream, fcntl.LOCK_EX):
+                reported = True
                 waiting()
             fcntl.flock(stream, fcntl.LOCK_EX)
             # The one before us took the file away as it left: then ours is nobody's lock.

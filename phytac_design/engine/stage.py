@@ -26,7 +26,7 @@ EXPORT = "export"
 
 @dataclass(frozen=True, kw_only=True)
 class Context:
-    """What a running stage sees.
+    """Inputs of a running stage.
 
     Attributes
     ----------
@@ -37,13 +37,13 @@ class Context:
     seed : int
         Seed of everything random.
     folders : dict
-        Result folder of each stage that this one needs.
+        Result folder of each stage that this one depends on.
     progress : callable
-        Called with a short text about what is being done.
-    uses : dict
-        Arrays that the running stage may read of those stages of which it does not read all.
+        Called with a short progress text.
+    array_names : dict
+        For the stages of which the running stage reads only some arrays, the names of those.
     scene : Scene, optional
-        What the build is limited to; None: everything.
+        Scope of the build; None for everything.
     """
 
     design: Design
@@ -51,7 +51,7 @@ class Context:
     seed: int
     folders: dict[str, Path] = field(default_factory=dict)
     progress: Callable[[str], None] = print
-    uses: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    array_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     scene: Scene | None = None
 
     @cached_property
@@ -70,14 +70,14 @@ class Context:
         return self.sensor.markers
 
     def facts(self, stage: str) -> dict[str, Any]:
-        """Figures that an earlier stage reported."""
+        """Figures of an earlier stage."""
         data: dict[str, Any] = json.loads((self.folders[stage] / "facts.json").read_text())
         return data
 
     def arrays(self, stage: str) -> dict[str, Any]:
-        """Arrays that an earlier stage left."""
+        """Arrays of an earlier stage."""
         with np.load(self.folders[stage] / "arrays.npz") as data:
-            return {name: data[name] for name in self.uses.get(stage, data.files)}
+            return {name: data[name] for name in self.array_names.get(stage, data.files)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,15 +88,15 @@ class Stage:
     ----------
     name : str
         As in ``--only`` and the timings.
-    reads : tuple of str
-        What of the design file it reads, in the names of :mod:`field_groups`: a change
-        elsewhere does not run it again.
-    knobs : tuple of str
+    design_fields : tuple of str
+        Design fields that it reads, in the names of :mod:`field_groups`. A change of any other
+        field does not rerun it.
+    settings : tuple of str
         Settings of the accuracy preset that it reads.
-    needs : tuple of str
-        Stages it reads from.
-    uses : dict
-        Of some of them, the arrays alone that it reads: others may change.
+    depends_on : tuple of str
+        Stages whose results it reads.
+    arrays : dict
+        For some of these stages, the only arrays that it reads; the others may change.
     seeded : bool
         Whether it draws random numbers.
     graphics : bool
@@ -104,20 +104,20 @@ class Stage:
     scene : tuple of str
         Properties of a scene that it reads.
     gate : callable or None
-        Reads the stage's result and says why a build should stop here; "" to go on.
+        Reads the stage's result and returns why the build should stop here; "" to continue.
     finish : callable or None
-        Called with the exports folder once the files are there: marks them with what the result
-        itself does not depend on, such as the design's name.
+        Called with the exports folder after the files are written. Adds what the cached result
+        does not depend on, such as the design's name.
     run : callable
-        Writes ``facts.json``, ``arrays.npz`` and ``export/…`` into the folder it is given.
+        Writes ``facts.json``, ``arrays.npz`` and ``export/…`` into the given folder.
     """
 
     name: str
-    reads: tuple[str, ...]
+    design_fields: tuple[str, ...]
     run: Callable[[Context, Path], None]
-    knobs: tuple[str, ...] = ()
-    needs: tuple[str, ...] = ()
-    uses: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    settings: tuple[str, ...] = ()
+    depends_on: tuple[str, ...] = ()
+    arrays: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     seeded: bool = False
     graphics: bool = False
     scene: tuple[str, ...] = ()
@@ -127,31 +127,31 @@ class Stage:
     def inputs(self, context: Context, keys: dict[str, str]) -> dict[str, Any]:
         """Everything the result depends on, as plain values.
 
-        Of needed stages whose results ``context.folders`` holds, their contents count: what came
-        out the same runs nothing again. Of others their key stands for it.
+        A dependency with a result in ``context.folders`` enters by the hashes of its contents, so
+        an unchanged result reruns nothing. Any other enters by its key.
         """
         settings = context.accuracy.as_dict()
         values = context.scene.inputs(self.scene) if context.scene else {}
-        if "regions" in values:  # what is in play there depends on it
+        if "regions" in values:  # which markers belong to a region depends on the footprint
             values["footprint_mm"] = context.design.switch.footprint_diameter_mm
         # A build without a scene keeps its keys.
         limits = {"scene": values} if values else {}
         return limits | {
-            "reads": values_of(context.design, self.reads),
-            "knobs": {knob: settings[knob] for knob in self.knobs},
-            "needs": {name: self._needed(name, context, keys) for name in self.needs},
+            "reads": values_of(context.design, self.design_fields),
+            "knobs": {name: settings[name] for name in self.settings},
+            "needs": {name: self._dependency(name, context, keys) for name in self.depends_on},
             "seed": context.seed if self.seeded else None,
             "graphics": graphics_libraries() if self.graphics else None,
         }
 
-    def _needed(self, name: str, context: Context, keys: dict[str, str]) -> Any:
-        """What stands for a needed result in the key."""
+    def _dependency(self, name: str, context: Context, keys: dict[str, str]) -> Any:
+        """What represents a dependency in the key."""
         folder = context.folders.get(name)
         if folder is None:
             return keys[name]
         made = cache_record(folder)
-        if name in self.uses:
-            return {array: made["arrays"][array] for array in self.uses[name]}
+        if name in self.arrays:
+            return {array: made["arrays"][array] for array in self.arrays[name]}
         return made["files"]
 
 
@@ -171,7 +171,7 @@ def array_hashes(folder: Path) -> dict[str, str]:
 
 @cache
 def graphics_libraries() -> dict[str, bool]:
-    """Which of the system's graphics libraries can be loaded: installing one runs stages again."""
+    """Which of the system's graphics libraries can be loaded; installing one reruns stages."""
     found = {}
     for name in ("libEGL.so.1", "libGL.so.1", "libX11.so.6"):
         try:

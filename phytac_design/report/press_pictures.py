@@ -9,7 +9,6 @@ import numpy as np
 from phytac_decoder.camera.camera import Camera
 from phytac_design.engine.stage import Context
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
-from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.render_scene import build_scene
 from phytac_design.report import page
@@ -104,7 +103,7 @@ def press_pictures(context: Context) -> PressPictures | None:
         force_N=force,
         samples=STEPS,
     )
-    bits = switch_states(Sensor.of(design, surface, markers), contacts).bits
+    bits = switch_states(context.sensor, contacts).bits
     views = {
         "whole": window(camera, np.zeros(2), camera.width_px, WIDTH_PX),
         "close": close_to(camera, markers.tip_mm[marker]),
@@ -113,7 +112,7 @@ def press_pictures(context: Context) -> PressPictures | None:
     for step in range(STEPS):
         for name, view in views.items():
             scene = build_scene(
-                Sensor.of(design, surface, markers),
+                context.sensor,
                 tolerance_mm=tolerance_mm(view, markers),
                 switch_on=bits[step],
             )

@@ -1,10 +1,7 @@
 """Rules on the bodies before the camera, and on where cameras stand: nothing runs into anything."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh
 from phytac_design.geometry.overlaps import distance_mm, tube_overlaps_mm, within
@@ -140,12 +137,12 @@ def _halved(pieces: FloatArray) -> FloatArray:
     return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
 
 
-def check_cameras(sensor: Sensor, cameras: Sequence[Camera]) -> None:
+def check_cameras(sensor: Sensor) -> None:
     """Check that no camera's centre lies in a receptor, in a fixture, or behind the wall."""
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     tolerance = ROUND * design.receptor.diameter_outer_mm / 2.0
     bodies = [(f.name, fixture_mesh(f, tolerance_mm=tolerance)) for f in design.fixtures]
-    for camera in cameras:
+    for camera in sensor.cameras:
         centre = camera.position_mm
         place = f"its centre is at {_at(centre)}"
         _check_tubes(design, markers, centre, place)

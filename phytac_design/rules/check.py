@@ -1,9 +1,8 @@
-"""Every refusal of a design in one place, before anything is written or computed."""
+"""All rules of a design in one place, checked before anything is computed or written."""
 
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.hardware_assembly import check_hardware
-from phytac_design.layout import Markers, make_markers
-from phytac_design.layout.cameras import cameras_of, refuse_swallowed
+from phytac_design.layout.cameras import refuse_swallowed
 from phytac_design.layout.region_chart import design_regions
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.switch.switch_inputs import rubber_of
@@ -14,49 +13,39 @@ from phytac_design.rules.clearance import check_heights, check_reach, check_wall
 from phytac_design.rules.receptor_spacing import check_ends, check_footprints, check_receptor_gaps
 from phytac_design.rules.sizes import check_sizes, check_training
 from phytac_design.solids.receptor_tubes import root_depth_mm
-from phytac_shapes import Surface
 
 
-def check_design(design: Design) -> tuple[Surface, Markers]:
+def check_design(design: Design) -> Sensor:
     """Check everything that makes a design impossible to print or to see.
 
     Returns
     -------
-    surface : Surface
-        The sensing surface.
-    markers : Markers
-        The markers on it.
+    sensor : Sensor
+        The design with its surface, markers and cameras.
 
     Raises
     ------
     DesignError
-        At the first rule that the design breaks: what is wrong, what was got, and the fix.
+        At the first rule that the design breaks: what failed, what was got, and the fix.
     """
-    surface, markers = _check_geometry(design)
-    check_paints(design)
-    cameras = cameras_of(design, surface)
-    check_cameras(Sensor.of(design, surface, markers), cameras)
-    for camera in cameras:
-        sharpness(design.camera, camera, surface, markers)
-    refuse_swallowed(design, surface, markers)
-    rubber_of(design)
-    check_hardware(design, surface)
-    return surface, markers
-
-
-def _check_geometry(design: Design) -> tuple[Surface, Markers]:
-    """Check everything that needs no camera."""
+    sensor = Sensor(design)
     check_sizes(design)
-    surface = design.surface()
-    check_wall(design, surface)
-    markers = make_markers(design, surface)
+    check_wall(design, sensor.surface)
+    markers = sensor.markers
     design_regions(design)
-    check_heights(Sensor.of(design, surface, markers))
-    check_reach(Sensor.of(design, surface, markers))
-    check_ends(Sensor.of(design, surface, markers))
-    check_receptor_gaps(Sensor.of(design, surface, markers))
-    check_footprints(Sensor.of(design, surface, markers))
-    root_depth_mm(Sensor.of(design, surface, markers))
-    check_training(Sensor.of(design, surface, markers))
-    check_fixtures(Sensor.of(design, surface, markers))
-    return surface, markers
+    check_heights(sensor)
+    check_reach(sensor)
+    check_ends(sensor)
+    check_receptor_gaps(sensor)
+    check_footprints(sensor)
+    root_depth_mm(sensor)
+    check_training(sensor)
+    check_fixtures(sensor)
+    check_paints(design)
+    check_cameras(sensor)
+    for camera in sensor.cameras:
+        sharpness(design.camera, camera, sensor.surface, markers)
+    refuse_swallowed(design, sensor.surface, markers)
+    rubber_of(design)
+    check_hardware(design, sensor.surface)
+    return sensor

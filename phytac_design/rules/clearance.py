@@ -1,4 +1,4 @@
-"""Rules on the room inside: wall, receptor heights, light bar."""
+"""Rules on the clearance inside: wall, receptor heights, light bar."""
 
 import numpy as np
 
@@ -31,11 +31,11 @@ def check_wall(design: Design, surface: Surface) -> None:
 def check_heights(sensor: Sensor) -> None:
     """Check that no receptor is longer than the way to where the normals meet below it."""
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
-    room = surface.reach_mm(markers.uv) - design.wall.thickness_mm
-    worst = int(np.argmax(markers.height_mm - np.minimum(room, 1e9)))
-    height, free = markers.height_mm[worst], room[worst]
+    clearance = surface.reach_mm(markers.uv) - design.wall.thickness_mm
+    worst = int(np.argmax(markers.height_mm - np.minimum(clearance, 1e9)))
+    height, free = markers.height_mm[worst], clearance[worst]
     if height >= free:
-        mend = lower_heights(sensor) or (
+        fix = lower_heights(sensor) or (
             "no height fits there: lower wall.thickness_mm, receptor.diameter_outer_mm or the "
             "number of markers, or keep them off such tightly curved places"
         )
@@ -44,7 +44,7 @@ def check_heights(sensor: Sensor) -> None:
         limit = "inner radius" if round_about else "depth there"
         refuse(
             f"receptor tips of {markers.place(worst)} collide {where} (height {height:.1f} mm ≥ "
-            f"{limit} {free:.1f} mm); {mend}"
+            f"{limit} {free:.1f} mm); {fix}"
         )
 
 
@@ -55,12 +55,12 @@ def check_reach(sensor: Sensor) -> None:
     for what, free, least in _bar_clearances(sensor):
         worst = int(np.argmin(free))
         if free[worst] < least - SLACK_mm:
-            mend = lower_heights(sensor)
+            fix = lower_heights(sensor)
             refuse(
                 f"{what} tips of {markers.place(worst)} reach the light bar (they end "
                 f"{free[worst]:.1f} mm from the axis, height {markers.height_mm[worst]:.1f} mm; "
                 f"the bar of radius {bar:g} mm needs {least:.1f} mm); "
-                f"{mend or 'lower the heights'}, or lower light.bar_radius_mm"
+                f"{fix or 'lower the heights'}, or lower light.bar_radius_mm"
             )
 
 
@@ -81,7 +81,7 @@ def lower_heights(sensor: Sensor) -> str:
         middle = (fitting + failing) // 2
         heights = {field: min(value, middle / 10.0) for field, value in fields.items()}
         trial = design.model_copy(update={"layout": layout.model_copy(update=heights)})
-        if _room_mm(Sensor.of(trial, surface, markers)) > 0.0:
+        if _clearance_mm(Sensor.of(trial, surface, markers)) > 0.0:
             fitting = middle
         else:
             failing = middle
@@ -91,7 +91,7 @@ def lower_heights(sensor: Sensor) -> str:
     return f"lower {' and '.join(lower)} to {fitting / 10.0:g}"
 
 
-def _room_mm(sensor: Sensor) -> float:
+def _clearance_mm(sensor: Sensor) -> float:
     """Least clearance of the receptors beyond what the rules ask: axis, light bar, each other."""
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     if design.layout.heights == "line-of-sight":
@@ -103,13 +103,13 @@ def _room_mm(sensor: Sensor) -> float:
         heights = profile_heights_mm(design, surface, markers.uv, in_rows=markers.in_rows)
         lowered = with_heights(design, surface, markers, heights)
     reach = surface.reach_mm(lowered.uv) - design.wall.thickness_mm
-    room = float((reach - lowered.height_mm).min())
+    clearance = float((reach - lowered.height_mm).min())
     gap, _ = smallest_receptor_gap_mm(design, lowered)
     free = [
         (free - least).min()
         for _, free, least in _bar_clearances(Sensor.of(design, surface, lowered))
     ]
-    return float(min(room, gap - design.print_rules.gap_min_mm + SLACK_mm, *free))
+    return float(min(clearance, gap - design.print_rules.gap_min_mm + SLACK_mm, *free))
 
 
 def _bar_clearances(sensor: Sensor) -> list[tuple[str, FloatArray, float]]:

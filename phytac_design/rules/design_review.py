@@ -9,7 +9,7 @@ import numpy as np
 from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import edge_mm
-from phytac_design.layout.cameras import cameras_of, stand_off_mm
+from phytac_design.layout.cameras import stand_off_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.density import density_of
 from phytac_design.optics.lens_facts import lens_facts
@@ -43,13 +43,11 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
         If the design cannot be printed or seen at all.
     """
     start = time.perf_counter()
-    surface, markers = check_design(design)
-    cameras = cameras_of(design, surface)
+    sensor = check_design(design)
+    surface, markers = sensor.surface, sensor.markers
+    cameras = sensor.cameras
     rng = np.random.default_rng(seed)
-    each = [
-        check_visibility(Sensor.of(design, surface, markers), rng=rng, camera=camera)
-        for camera in cameras
-    ]
+    each = [check_visibility(sensor, rng=rng, camera=camera) for camera in cameras]
     seen, best = best_of(each)
     density = density_of(surface, markers)
     summary = seen.summary()
@@ -79,7 +77,7 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
             np.flatnonzero(seen.fused),
             seen.hidden_by,
         ),
-        "warnings": warnings_of(Sensor.of(design, surface, markers), cameras, each, best),
+        "warnings": warnings_of(sensor, cameras, each, best),
         "stand_off_mm": stand_off_mm(design, surface, cameras[0]),
         "cameras": [
             {
@@ -87,7 +85,7 @@ def checkup(design: Design, *, seed: int = 0) -> dict[str, Any]:
                 "stand_off_mm": stand_off_mm(design, surface, camera),
                 "best_for": int((best == number).sum()),
                 "visibility": own.summary(),
-                "lens": lens_facts(Sensor.of(design, surface, markers), camera),
+                "lens": lens_facts(sensor, camera),
             }
             for number, (end, camera, own) in enumerate(
                 zip(design.camera.end_numbers, cameras, each, strict=True)
@@ -127,13 +125,13 @@ def blurred(sensor: Sensor, camera: Camera, seen: Visibility, own: BoolArray) ->
     if share[worst] < BLUR_MAX:
         return []
     stop = design.camera.f_number
-    mend = np.ceil(10.0 * stop * share[worst] / BLUR_MAX) / 10.0
+    fix = np.ceil(10.0 * stop * share[worst] / BLUR_MAX) / 10.0
     said = (
         f"the image of a point at marker {worst} is {blur[worst]:.2g} px wide (camera.f_number = "
         f"{stop:g}), {seen.gap_same_colour_px[worst]:.2g} px from the next marker of its colour; "
         "`phytac simulate` shows it in its frames, a build does not"
     )
-    return [f"{said}: raise camera.f_number to {mend:g}, or set camera.focus_mm"]
+    return [f"{said}: raise camera.f_number to {fix:g}, or set camera.focus_mm"]
 
 
 def too_close(sensor: Sensor, camera: Camera, seen: Visibility) -> list[str]:
@@ -160,5 +158,5 @@ def too_close(sensor: Sensor, camera: Camera, seen: Visibility) -> list[str]:
             return [
                 f"{said}; set camera.stand_off_mm = {step * stand_off:.1f}: every marker is seen"
             ]
-    mend = "use a longer camera.focal_px, taller far receptors or fewer markers"
-    return [f"{said}; {STEPS[0]:g} to {STEPS[-1]:g} times that distance do not mend it: {mend}"]
+    fix = "use a longer camera.focal_px, taller far receptors or fewer markers"
+    return [f"{said}; {STEPS[0]:g} to {STEPS[-1]:g} times that distance do not help: {fix}"]

@@ -69,7 +69,7 @@ def check_ends(sensor: Sensor) -> None:
         for what, field, radius in sizes:
             if distance[worst] < radius - SLACK_mm:
                 edge = "end" if axis == 0 else "side"
-                mend = {
+                fix = {
                     "phyllotaxis": f"lower {field}",
                     "explicit": f"move it inward or lower {field}",
                 }.get(
@@ -79,7 +79,7 @@ def check_ends(sensor: Sensor) -> None:
                 refuse(
                     f"receptor {markers.name(worst)} lies {distance[worst]:.2f} mm from the {edge} "
                     f"of the surface, less than the radius of its {what} ({radius:.2f} mm): it "
-                    f"cuts the rim; {mend}"
+                    f"cuts the rim; {fix}"
                 )
 
 
@@ -98,10 +98,10 @@ def check_receptor_gaps(sensor: Sensor) -> None:
     state = f"overlap by {-gap:.2f} mm" if gap < 0.0 else f"are {gap:.2f} mm apart"
     one_row = markers.row[pair[0]] == markers.row[pair[1]]
     spacing = fewer(design, "columns" if one_row else "rows or columns")
-    mend = lower_heights(sensor)
+    fix = lower_heights(sensor)
     refuse(
         f"receptors {first} and {second} meet: they {state} (the printer needs a gap of "
-        f"{least:g} mm); {mend + ', or ' if mend else ''}{spacing} "
+        f"{least:g} mm); {fix + ', or ' if fix else ''}{spacing} "
         "receptor.diameter_outer_mm"
     )
 

@@ -1,4 +1,4 @@
-"""How rules refuse: one error with what fails, by how much, and what mends it."""
+"""Errors of rules: what fails, by how much, and the fix."""
 
 from typing import NoReturn
 
@@ -10,7 +10,7 @@ SLACK_mm = 1e-9
 
 
 def refuse(text: str) -> NoReturn:
-    """Raise the refusal."""
+    """Raise the error of a broken rule."""
     raise DesignError(text)
 
 

@@ -9,7 +9,7 @@ from phytac_design.rules.refusal import SLACK_mm, refuse
 from phytac_shapes import Surface
 
 MARKERS_MAX = 50_000
-"""Most markers that a design may ask for; far beyond what any camera tells apart."""
+"""Maximum number of markers of a design; far more than any camera resolves."""
 
 
 def check_sizes(design: Design) -> None:

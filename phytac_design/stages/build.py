@@ -85,7 +85,7 @@ def select_stages(only: Sequence[str] | None) -> list[Stage]:
         raise DesignError(f"unknown stage {name!r}{hint} (stages: {', '.join(known)})")
     for stage in reversed(STAGES):
         if stage.name in wanted:
-            wanted |= set(stage.needs)
+            wanted |= set(stage.depends_on)
     return [stage for stage in STAGES if stage.name in wanted]
 
 
@@ -161,7 +161,7 @@ def build(
 
 
 class GateError(DesignError):
-    """A stage says that nothing should be made of its result."""
+    """A stage stops the build because of its result."""
 
 
 def run_stages(
@@ -177,7 +177,7 @@ def run_stages(
 ) -> tuple[Context, list[str], dict[str, float]]:
     """Bring stages, in order, into the cache; nothing is exported.
 
-    Results are held against eviction until this returns, or until ``keep`` is closed.
+    Results are protected from eviction until this returns, or until ``keep`` is closed.
 
     Returns
     -------
@@ -191,7 +191,7 @@ def run_stages(
     Raises
     ------
     GateError
-        If a stage objects to going on and ``force`` is not set.
+        If a stage stops the build and ``force`` is not set.
     DesignError
         If the design cannot be built.
     """
@@ -207,27 +207,29 @@ def run_stages(
     timing: dict[str, float] = {}
     with ExitStack() as own:
         for number, stage in enumerate(stages, start=1):
-            needed = {name: context.folders[name] for name in stage.needs}
+            needed = {name: context.folders[name] for name in stage.depends_on}
             key = keys[stage.name] = cache.stage_key(stage.name, stage.inputs(context, keys))
             turn = f"[{number}/{len(stages)}] {stage.name}"
             folder = cache.lookup(stage.name, key, report=progress)
             while folder is None or not (keep or own).enter_context(cache.held(folder)):
-                work = Work(stage, replace(context, folders=needed, uses=stage.uses), turn)
-                folder = cache.publish(stage.name, key, work, waiting=work.waiting)
-                if work.done and stage.name not in ran:
+                task = StageTask(
+                    stage, replace(context, folders=needed, array_names=stage.arrays), turn
+                )
+                folder = cache.publish(stage.name, key, task, waiting=task.waiting)
+                if task.done and stage.name not in ran:
                     ran.append(stage.name)
             context.folders[stage.name] = folder
             timing[stage.name] = float(cache.record(folder)["seconds"])
             reason = stage.gate(context) if stage.gate and not force else ""
             if reason:
                 raise GateError(
-                    f"{reason}; or go on all the same with --force, which marks the report"
+                    f"{reason}; or continue anyway with --force, which marks the report"
                 )
     return context, ran, timing
 
 
 @dataclass
-class Work:
+class StageTask:
     """A stage to run, as the cache calls it; ``done`` says whether this process ran it."""
 
     stage: Stage
@@ -250,12 +252,12 @@ class Work:
         }
 
     def waiting(self) -> None:
-        """Say that another process is at the same result."""
+        """Report that another process computes the same result."""
         self.context.progress(f"{self.turn}: waiting for another build that is making it")
 
 
 def _claim(out: Path, design: Design, *, force: bool) -> None:
-    """Make the folder ours, before any long work: refuse another design's or an unwritable one."""
+    """Claim the folder before any long work; reject another design's or an unwritable one."""
     if (out / MANIFEST).is_file() or (out / OLD_MANIFEST).is_file():
         other = _old_manifest(out).get("design")
         name = other.get("name") if isinstance(other, dict) else None
@@ -288,7 +290,7 @@ def _alone_in(out: Path) -> Iterator[None]:
     """Wait until no other build writes into the folder; sweep what a killed one left there."""
     handle = os.open(out, os.O_RDONLY)
     try:
-        # Some network disks have no locks; there the user sees to it.
+        # Some network disks have no locks; there the user must avoid parallel builds.
         with suppress(OSError):
             fcntl.flock(handle, fcntl.LOCK_EX)
         try:
@@ -378,13 +380,13 @@ def _version(name: str) -> str:
 
 
 def _check_copy(copy: Path, source: Path, digest: str) -> None:
-    """Refuse a copy that is not, byte for byte, what the stage wrote."""
+    """Reject a copy that differs from what the stage wrote."""
     if cache.file_hash(copy) == digest:
         return
     copy.unlink()
     raise OutputError(
         f"{source} was damaged while it was exported (its SHA-256 is not {digest[:12]}…); run the "
-        "same command again, which computes it anew, and check the disk if this happens again"
+        "same command again, which computes it again, and check the disk if this happens again"
     )
 
 

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
-from phytac_design.layout.sensor import Sensor
 from phytac_design.stages.response_stage import TOUCH
 from phytac_design.stages.switch_stage import switches_of, without_switches
 
@@ -21,12 +20,13 @@ def run(context: Context, folder: Path) -> None:
 
     if without_switches(context, folder):
         return
-    design, surface, markers = context.design, context.surface, context.markers
-    regions = make_regions(Sensor.of(design, surface, markers))
+    sensor = context.sensor
+    design, markers = context.design, context.markers
+    regions = make_regions(sensor)
     switches = switches_of(context)
     bowl = max(float(switches.profile(kind)[:, 1].max()) for kind in switches.kinds)
     kit = kit_bodies(
-        Sensor.of(design, surface, markers),
+        sensor,
         regions,
         bowl_mm=bowl,
         tolerance_mm=context.accuracy.cad_tolerance_mm,
@@ -37,7 +37,7 @@ def run(context: Context, folder: Path) -> None:
     def write(name: str, text: str) -> None:
         export_path(folder, f"kit/{name}").write_text(text, encoding="utf-8")
 
-    program = make_program(Sensor.of(design, surface, markers), regions, bowl_mm=bowl)
+    program = make_program(sensor, regions, bowl_mm=bowl)
     write("program.csv", program_csv(program, markers))
     write("shell.gcode", gcode(program, "shell", name=design.name))
     write("decoder.gcode", gcode(program, "decoder", name=design.name))
@@ -58,8 +58,17 @@ def run(context: Context, folder: Path) -> None:
 
 KIT = Stage(
     name="kit",
-    reads=("name", "markers", "wall", "receptor", "switch", "training.force_min_N", *TOUCH, "kit"),
-    knobs=("cad_tolerance_mm",),
-    needs=("switch",),
+    design_fields=(
+        "name",
+        "markers",
+        "wall",
+        "receptor",
+        "switch",
+        "training.force_min_N",
+        *TOUCH,
+        "kit",
+    ),
+    settings=("cad_tolerance_mm",),
+    depends_on=("switch",),
     run=run,
 )

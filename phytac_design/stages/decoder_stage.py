@@ -266,8 +266,8 @@ def finish(design: Design, out: Path) -> None:
 
 DECODER = Stage(
     name="decoder",
-    reads=("markers", "cameras", "trips", "camera.noise_centroid_px", *TOUCH),
-    needs=("views", "response", "places", "twin"),
+    design_fields=("markers", "cameras", "trips", "camera.noise_centroid_px", *TOUCH),
+    depends_on=("views", "response", "places", "twin"),
     seeded=True,
     scene=("name", "networks", "regions", "reach_mm"),
     finish=finish,

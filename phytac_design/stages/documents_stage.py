@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
-from phytac_design.layout.sensor import Sensor
 from phytac_design.stages.switch_stage import switches_of, without_switches
 
-READS = (
+DESIGN_FIELDS = (
     "name",
     "description",
     "markers",
@@ -39,19 +38,19 @@ def run(context: Context, folder: Path) -> None:
 
     if without_switches(context, folder):
         return
-    design, surface, markers = context.design, context.surface, context.markers
+    design, markers = context.design, context.markers
     switches = switches_of(context)
 
     def write(name: str, text: str) -> None:
         export_path(folder, f"bench/{name}").write_text(text, encoding="utf-8")
 
-    drawn = make_map(Sensor.of(design, surface, markers), switches)
+    drawn = make_map(context.sensor, switches)
     write("paint_map.svg", svg_text(whole_page(drawn)))
     write("paint_map_inside.svg", svg_text(whole_page(drawn, inside=True)))
     pages = paper_pages(drawn)
     pdf = pdf_bytes(pages, title=f"{design.name}: paint map")
     export_path(folder, "bench/paint_map.pdf").write_bytes(pdf)
-    write("switch_placement.csv", placement_csv(surface, markers, switches, drawn))
+    write("switch_placement.csv", placement_csv(context.surface, markers, switches, drawn))
 
     lists, hardware = parts_of(context), context.facts("hardware")
     shell_volume = float(context.facts("shell")["volume_mm3"])
@@ -122,11 +121,11 @@ def pictures(context: Context) -> dict[str, bytes]:
     from phytac_design.fabrication.hardware.sensor_solids import exploded_bodies
     from phytac_design.solids.mesh_export import DISPLAY_COLOURS, read_stl
 
-    design, surface, markers = context.design, context.surface, context.markers
+    markers = context.markers
     out = {}
     if "hardware_left_out" not in context.facts("hardware"):
         tolerance = context.accuracy.cad_tolerance_mm
-        parts = exploded_bodies(Sensor.of(design, surface, markers), tolerance_mm=tolerance)
+        parts = exploded_bodies(context.sensor, tolerance_mm=tolerance)
         bodies = [
             Body(mesh=mesh.moved(shift), colour=part_colour(name))
             for name, (mesh, shift) in parts.items()
@@ -134,15 +133,15 @@ def pictures(context: Context) -> dict[str, bytes]:
         out["Shell, camera, light and their holders, pulled apart."] = picture(bodies)
     stl = context.folders["shell"] / EXPORT / "shell/shell.stl"
     shell = Body(mesh=read_stl(stl), colour=DISPLAY_COLOURS["resin"][:3])
-    switches = switch_bodies(surface, markers, switches_of(context), pull_mm)
+    switches = switch_bodies(context.surface, markers, switches_of(context), pull_mm)
     out[f"Shell and {markers.count} switches, pulled out."] = picture([shell, *switches])
     return out
 
 
 BENCH = Stage(
     name="bench",
-    reads=READS,
-    knobs=("cad_tolerance_mm",),
-    needs=("shell", "switch", "printing", *LISTS),
+    design_fields=DESIGN_FIELDS,
+    settings=("cad_tolerance_mm",),
+    depends_on=("shell", "switch", "printing", *LISTS),
     run=run,
 )

@@ -10,7 +10,6 @@ import numpy as np
 from phytac_design.design.scene import ALL_AT_ONCE
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
 from phytac_design.layout.heights_along import along_mm, middle_mm
-from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.contacts import Contacts, Switching
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
 from phytac_design.simulation.scenario.scene_scope import scope_of
@@ -59,11 +58,10 @@ def draw_frame_contacts(context: Context) -> FrameContacts:
     from phytac_design.simulation.contacts import draw_contacts, switch_states
     from phytac_design.simulation.linear_response import motion_responses, superpose
 
-    design, surface, markers = context.design, context.surface, context.markers
     rng = np.random.default_rng([context.seed, 2])
     scope = scope_of(context)
     contacts = draw_contacts(
-        Sensor.of(design, surface, markers),
+        context.sensor,
         samples=context.accuracy.frames,
         rng=rng,
         most=context.scene.at_once if context.scene else ALL_AT_ONCE,
@@ -71,9 +69,9 @@ def draw_frame_contacts(context: Context) -> FrameContacts:
     )
     mesh, model = truth_model(context)
     responses = motion_responses(
-        model, mesh, surface, markers, uv=contacts.uv, radius_mm=contacts.radius_mm
+        model, mesh, context.surface, context.markers, uv=contacts.uv, radius_mm=contacts.radius_mm
     )
-    switching = switch_states(Sensor.of(design, surface, markers), contacts)
+    switching = switch_states(context.sensor, contacts)
     motion = superpose(responses, contacts)
     pressed = FrameContacts(contacts=contacts, switching=switching, motion=motion)
     if context.accuracy.place_orders == 1:
@@ -109,19 +107,17 @@ def render_sample(
 
     ``motion`` (n, 6) stands in for the sample's own.
     """
-    from phytac_design.layout.cameras import cameras_of, tolerance_mm
+    from phytac_design.layout.cameras import tolerance_mm
     from phytac_design.optics.frame_renderer import render_frame
     from phytac_design.optics.render_scene import build_scene
 
-    design, surface, markers = context.design, context.surface, context.markers
+    design, markers = context.design, context.markers
     bits = None if index is None else pressed.switching.bits[index]
     rng = np.random.default_rng([context.seed, 3, 0 if index is None else index + 1])
     frames = []
-    for camera in cameras_of(design, surface):
+    for camera in context.sensor.cameras:
         tolerance = tolerance_mm(camera, markers)
-        scene = build_scene(
-            Sensor.of(design, surface, markers), tolerance_mm=tolerance, switch_on=bits
-        )
+        scene = build_scene(context.sensor, tolerance_mm=tolerance, switch_on=bits)
         if index is not None:
             motion = pressed.motion[index] if motion is None else motion
             scene = scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm)
@@ -212,9 +208,9 @@ def run(context: Context, folder: Path) -> None:
 
 FRAMES = Stage(
     name="frames",
-    reads=(*MECHANICS, "markers", "bodies", "trips", "training", "camera.noise_pixel"),
-    knobs=("truth_refine", "frames", "place_orders"),
-    needs=("decoder",),
+    design_fields=(*MECHANICS, "markers", "bodies", "trips", "training", "camera.noise_pixel"),
+    settings=("truth_refine", "frames", "place_orders"),
+    depends_on=("decoder",),
     seeded=True,
     scene=("regions", "reach_mm", "at_once"),
     run=run,

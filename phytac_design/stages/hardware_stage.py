@@ -5,14 +5,13 @@ from typing import TYPE_CHECKING, Any
 
 from phytac_design.design.hardware_table import HardwareSection
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
-from phytac_design.layout.sensor import Sensor
 from phytac_design.stages.switch_stage import refusal, switches_of
 from phytac_shapes.errors import CadKernelError, DesignError, MissingPartError, NumericalError
 
 if TYPE_CHECKING:
     from phytac_design.fabrication.hardware.parts import HardwareAssembly
 
-READS = (
+DESIGN_FIELDS = (
     "name", "markers", "cameras", "bodies", "camera.pixel_um", "switch", "print_rules", "hardware"
 )  # fmt: skip
 
@@ -68,18 +67,17 @@ def _checked(context: Context) -> tuple["HardwareAssembly", dict[str, Any], dict
     from phytac_design.fabrication.hardware.assembly_checks import hardware_facts, verdict
     from phytac_design.fabrication.hardware.hardware_assembly import make_hardware
     from phytac_design.fabrication.hardware.sensor_solids import hardware_solids, sensor_solids
-    from phytac_design.layout.cameras import cameras_of
 
-    design, surface, markers = context.design, context.surface, context.markers
+    design, surface = context.design, context.surface
     kit = make_hardware(design, surface)
     if not kit.parts:
         return kit, {}, {}
     switches = switches_of(context)
     tolerance = context.accuracy.cad_tolerance_mm
-    solids = sensor_solids(Sensor.of(design, surface, markers), switches, tolerance_mm=tolerance)
+    solids = sensor_solids(context.sensor, switches, tolerance_mm=tolerance)
     solids |= hardware_solids(design, surface, kit, tolerance_mm=tolerance)
-    cameras = list(cameras_of(design, surface))
-    found = verdict(Sensor.of(design, surface, markers), switches, cameras, kit, solids)
+    cameras = list(context.sensor.cameras)
+    found = verdict(context.sensor, switches, cameras, kit, solids)
     found.raise_failure()
     return kit, solids, hardware_facts(design, kit, found, solids)
 
@@ -116,7 +114,7 @@ def _write_step(
     from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodies, wall_body
     from phytac_design.solids.cad import write_assembly, write_step
 
-    design, surface, markers = context.design, context.surface, context.markers
+    design = context.design
     for part in kit.parts:
         if part.printed:
             path = export_path(folder, f"fixtures/{part.name}.step")
@@ -126,12 +124,12 @@ def _write_step(
     if whole:
         context.progress("hardware: STEP of the whole sensor")
         try:
-            sensor = sensor_bodies(Sensor.of(design, surface, markers), switches_of(context))
+            sensor = sensor_bodies(context.sensor, switches_of(context))
         except CadKernelError as error:
             context.progress(f"hardware: the assembly holds the wall without receptors ({error})")
             whole = False
     if not whole:
-        sensor = [wall_body(design, surface)]
+        sensor = [wall_body(design, context.surface)]
     bodies = sensor + bodies
     write_assembly(bodies, export_path(folder, "fixtures/assembly.step"), name=design.name)
     return {"bodies": len(bodies), "shell_with_receptors_and_switches": whole}
@@ -139,9 +137,9 @@ def _write_step(
 
 HARDWARE = Stage(
     name="hardware",
-    reads=READS,
-    knobs=("cad_tolerance_mm",),
-    needs=("switch",),
+    design_fields=DESIGN_FIELDS,
+    settings=("cad_tolerance_mm",),
+    depends_on=("switch",),
     graphics=True,
     run=run,
 )

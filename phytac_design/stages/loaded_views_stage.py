@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
-from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.worst_places import SAME_mm, press_places
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.response_stage import MECHANICS, TOUCH
@@ -138,7 +137,7 @@ def press_and_see(
     camera_number : (n,) int, optional
         Camera that each marker is read through; the first by default.
     """
-    from phytac_design.layout.cameras import cameras_of, tolerance_mm
+    from phytac_design.layout.cameras import tolerance_mm
     from phytac_design.optics.loaded_visibility import press_all
     from phytac_design.optics.render_scene import build_scene
 
@@ -147,12 +146,10 @@ def press_and_see(
     views = [
         (
             camera,
-            build_scene(
-                Sensor.of(design, surface, markers), tolerance_mm=tolerance_mm(camera, markers)
-            ),
+            build_scene(context.sensor, tolerance_mm=tolerance_mm(camera, markers)),
             reader == number,
         )
-        for number, camera in enumerate(cameras_of(design, surface))
+        for number, camera in enumerate(context.sensor.cameras)
     ]
     force = design.training.force_max_N
     shell = PressedShell(context)
@@ -296,10 +293,10 @@ def load_verdict(context: Context) -> str:
 
 UNDERLOAD = Stage(
     name="underload",
-    reads=(*MECHANICS, "markers", "bodies", *TOUCH, "demands"),
-    knobs=("refine", "receptors", "press_places", "press_tolerance"),
-    needs=("views",),
-    uses={"views": ("gap_same_colour_px", "gap_other_colour_px", "camera")},
+    design_fields=(*MECHANICS, "markers", "bodies", *TOUCH, "demands"),
+    settings=("refine", "receptors", "press_places", "press_tolerance"),
+    depends_on=("views",),
+    arrays={"views": ("gap_same_colour_px", "gap_other_colour_px", "camera")},
     scene=("regions", "reach_mm"),
     gate=load_verdict,
     run=run_underload,

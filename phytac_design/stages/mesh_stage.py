@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from phytac_design.engine.stage import EXPORT, Context, Stage, write_facts
-from phytac_design.layout.sensor import Sensor
 
 LOAD_N = 10.0
 """Force of the ready load step: a fingertip in the middle of the sensor."""
@@ -14,27 +13,24 @@ def run(context: Context, folder: Path) -> None:
     from phytac_design.mechanics.pressing.contact_patch import middle_marker, parse_contact_patch
     from phytac_design.mechanics.solid.mesh_files import make_folder, write_shell_files
 
-    design, surface, markers = context.design, context.surface, context.markers
-    place = parse_contact_patch(Sensor.of(design, surface, markers), force_N=LOAD_N)
+    place = parse_contact_patch(context.sensor, force_N=LOAD_N)
     target = folder / EXPORT / "mesh"
     make_folder(target)
-    facts = write_shell_files(
-        target, Sensor.of(design, surface, markers), place, refine=context.accuracy.refine
-    )
+    facts = write_shell_files(target, context.sensor, place, refine=context.accuracy.refine)
     write_facts(
         folder,
         facts
         | {
             "load_N": LOAD_N,
             "load_radius_mm": place.radius_mm,
-            "load_marker": middle_marker(surface, markers),
+            "load_marker": middle_marker(context.surface, context.markers),
         },
     )
 
 
 MESH = Stage(
     name="mesh",
-    reads=("name", "feet", "material", "training.patch_radius_max_mm"),
-    knobs=("refine",),
+    design_fields=("name", "feet", "material", "training.patch_radius_max_mm"),
+    settings=("refine",),
     run=run,
 )

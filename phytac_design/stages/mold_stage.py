@@ -130,8 +130,8 @@ def _parts(sets: list[dict[str, Any]], poured: list[dict[str, float]]) -> list[d
 
 MOLD = Stage(
     name="mold",
-    reads=("tubes", "switch", "mold", "print_rules"),
-    knobs=("cad_tolerance_mm",),
-    needs=("switch",),
+    design_fields=("tubes", "switch", "mold", "print_rules"),
+    settings=("cad_tolerance_mm",),
+    depends_on=("switch",),
     run=run,
 )

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
-from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.response_stage import (
@@ -27,16 +26,16 @@ def run_places(context: Context, folder: Path) -> None:
     from phytac_decoder.io.bundle_locator import response_arrays
     from phytac_design.simulation.response_tables import place_spacing_mm, tabulate_responses
 
-    design, surface, markers = context.design, context.surface, context.markers
+    design = context.design
     training, accuracy, scope = design.training, context.accuracy, scope_of(context)
     mesh, model, _ = decoder_shell(context)
     radius = (training.patch_radius_min_mm + training.patch_radius_max_mm) / 2.0
     done = tabulate_responses(
-        Sensor.of(design, surface, markers),
+        context.sensor,
         mesh=mesh,
         model=model,
         see=image_response_of(context),
-        spacing_mm=place_spacing_mm(surface, accuracy.place_share, radius),
+        spacing_mm=place_spacing_mm(context.surface, accuracy.place_share, radius),
         orders=accuracy.place_orders,
         near=scope.near if scope else None,
         progress=context.progress,
@@ -93,10 +92,10 @@ def locator_of(context: Context) -> "ContactLocator":
 
 PLACES = Stage(
     name="places",
-    reads=(*MECHANICS, *TOUCH),
-    knobs=("refine", "receptors", "place_share", "place_orders"),
-    needs=("views",),
-    uses=IMAGE_ARRAYS,
+    design_fields=(*MECHANICS, *TOUCH),
+    settings=("refine", "receptors", "place_share", "place_orders"),
+    depends_on=("views",),
+    arrays=IMAGE_ARRAYS,
     scene=("regions", "reach_mm"),
     run=run_places,
 )

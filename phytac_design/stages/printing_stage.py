@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
-from phytac_design.layout.sensor import Sensor
 from phytac_shapes.errors import DesignError
 
 OTHERS = ("mold", "hardware", "kit")
@@ -25,9 +24,7 @@ def run(context: Context, folder: Path) -> None:
     design, rules = context.design, context.design.print_rules
     tolerance = context.accuracy.cad_tolerance_mm
     mesh = read_stl(context.folders["shell"] / EXPORT / SHELL_FILE)
-    report = check_shell(
-        Sensor.of(design, context.surface, context.markers), mesh, tolerance_mm=tolerance
-    )
+    report = check_shell(context.sensor, mesh, tolerance_mm=tolerance)
     picture = draw_report(RayTree(mesh), report, rules, f"{design.name}: the shell, as printed")
     export_path(folder, "shell/print_report.svg").write_text(picture, encoding="utf-8")
     parts = {SHELL_FILE: report.as_dict()}
@@ -81,10 +78,10 @@ def _part(context: Context, folder: Path) -> dict[str, Any]:
     from phytac_design.solids.mesh_export import write_stl
     from phytac_design.solids.solid_mesh import shell_manifold, to_triangles
 
-    design, surface, markers = context.design, context.surface, context.markers
+    design = context.design
     tolerance = context.accuracy.cad_tolerance_mm
-    solid = shell_manifold(Sensor.of(design, surface, markers), tolerance_mm=tolerance)
-    parting = part_shell(Sensor.of(design, surface, markers), solid, tolerance_mm=tolerance)
+    solid = shell_manifold(context.sensor, tolerance_mm=tolerance)
+    parting = part_shell(context.sensor, solid, tolerance_mm=tolerance)
     pieces = []
     for number, piece in enumerate(parting.pieces, start=1):
         file = f"shell/shell_part_{number}.stl"
@@ -114,8 +111,8 @@ def _part(context: Context, folder: Path) -> dict[str, Any]:
 
 PRINTING = Stage(
     name="printing",
-    reads=("name", "tubes", "wall", "receptor", "print_rules"),
-    knobs=("cad_tolerance_mm", "print_tools"),
-    needs=("shell", *OTHERS),
+    design_fields=("name", "tubes", "wall", "receptor", "print_rules"),
+    settings=("cad_tolerance_mm", "print_tools"),
+    depends_on=("shell", *OTHERS),
     run=run,
 )

@@ -24,7 +24,7 @@ from phytac_design.stages.loaded_views_stage import UNDERLOAD
 from phytac_design.stages.switch_stage import SWITCH
 from phytac_design.stages.views_stage import VIEWS
 
-NEEDS = (
+DEPENDS_ON = (
     "views",
     "switch",
     "compare",
@@ -56,7 +56,7 @@ def gather(context: Context) -> dict[str, Any]:
     decoder, frames, twin = (context.facts(name) for name in ("decoder", "frames", "twin"))
     density = views["density"]
     reasons = forced_past(context)
-    timing = {name: cache.record(context.folders[name])["seconds"] for name in NEEDS}
+    timing = {name: cache.record(context.folders[name])["seconds"] for name in DEPENDS_ON}
     return {
         "schema_version": "1.3",
         "design": design.name,
@@ -144,7 +144,7 @@ def _write(folder: Path, name: str, text: str) -> None:
 
 REPORT = Stage(
     name="report",
-    reads=tuple(Design.model_fields),
-    needs=NEEDS,
+    design_fields=tuple(Design.model_fields),
+    depends_on=DEPENDS_ON,
     run=run,
 )

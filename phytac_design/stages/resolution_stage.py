@@ -98,10 +98,10 @@ def run_resolution(context: Context, folder: Path) -> None:
 
 RESOLUTION = Stage(
     name="resolution",
-    reads=(*MECHANICS, "camera.noise_centroid_px", *TOUCH),
-    knobs=("refine", "receptors"),
-    needs=("views",),
-    uses={"views": ("paint_slopes", "seen_by", "camera")},
+    design_fields=(*MECHANICS, "camera.noise_centroid_px", *TOUCH),
+    settings=("refine", "receptors"),
+    depends_on=("views",),
+    arrays={"views": ("paint_slopes", "seen_by", "camera")},
     scene=("regions", "reach_mm"),
     run=run_resolution,
 )

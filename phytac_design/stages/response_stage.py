@@ -8,7 +8,6 @@ import numpy as np
 from phytac_design.design.scene import ALL_AT_ONCE
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
-from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
@@ -35,9 +34,9 @@ def arms_mm(context: Context) -> FloatArray:
 
 def readers_of(context: Context) -> "Readers":
     """The cameras, each marker read through the one that sees it best (of the stage ``views``)."""
-    from phytac_design.layout.cameras import Readers, cameras_of
+    from phytac_design.layout.cameras import Readers
 
-    cameras = cameras_of(context.design, context.surface)
+    cameras = context.sensor.cameras
     return Readers(cameras=cameras, read_by=context.arrays("views")["camera"])
 
 
@@ -132,7 +131,7 @@ def run_twin(context: Context, folder: Path) -> None:
     from phytac_design.simulation.dataset import Dataset
     from phytac_design.simulation.linear_response import motion_responses, superpose
 
-    design, surface, markers = context.design, context.surface, context.markers
+    design = context.design
     rng = np.random.default_rng([context.seed, 1])
     count = samples_of(design, context.accuracy.sample_share)
     if context.scene is not None and not context.scene.samples:
@@ -140,7 +139,7 @@ def run_twin(context: Context, folder: Path) -> None:
     scope = scope_of(context)
     drawn = {
         name: draw_contacts(
-            Sensor.of(design, surface, markers),
+            context.sensor,
             samples=samples,
             rng=rng,
             placement="anywhere" if name == "anywhere" else "receptor",
@@ -153,8 +152,8 @@ def run_twin(context: Context, folder: Path) -> None:
     responses = motion_responses(
         model,
         mesh,
-        surface,
-        markers,
+        context.surface,
+        context.markers,
         uv=np.concatenate([item.uv for item in drawn.values()]),
         radius_mm=np.concatenate([item.radius_mm for item in drawn.values()]),
         progress=context.progress,
@@ -168,7 +167,7 @@ def run_twin(context: Context, folder: Path) -> None:
         shift = see.shift(superpose(responses[start:end], item), linear=True)
         start = end
         noise = rng.normal(0.0, design.camera.noise_centroid_px, shift.shape)
-        switching = switch_states(Sensor.of(design, surface, markers), item)
+        switching = switch_states(context.sensor, item)
         arrays |= Dataset(contacts=item, switching=switching, shift_px=shift + noise).arrays(name)
     write_arrays(folder, arrays)
     wall = "plain shell" if unknown_receptors(design) else "shell with receptors"
@@ -233,19 +232,19 @@ def samples_of(design: Design, share: float) -> dict[str, int]:
 
 RESPONSE = Stage(
     name="response",
-    reads=MECHANICS,
-    knobs=("refine", "receptors"),
-    needs=("views",),
-    uses=IMAGE_ARRAYS,
+    design_fields=MECHANICS,
+    settings=("refine", "receptors"),
+    depends_on=("views",),
+    arrays=IMAGE_ARRAYS,
     scene=("regions", "reach_mm"),
     run=run_response,
 )
 TWIN = Stage(
     name="twin",
-    reads=(*MECHANICS, "trips", "training", "camera.noise_centroid_px"),
-    knobs=("truth_refine", "sample_share"),
-    needs=("views",),
-    uses=IMAGE_ARRAYS,
+    design_fields=(*MECHANICS, "trips", "training", "camera.noise_centroid_px"),
+    settings=("truth_refine", "sample_share"),
+    depends_on=("views",),
+    arrays=IMAGE_ARRAYS,
     seeded=True,
     scene=("regions", "reach_mm", "at_once", "samples"),
     run=run_twin,

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
-from phytac_design.layout.sensor import Sensor
 from phytac_shapes.errors import CadKernelError, MissingPartError, NumericalError
 
 VOLUME_TOL = 1e-3
@@ -18,13 +17,13 @@ def run_shell(context: Context, folder: Path) -> None:
     from phytac_design.solids.mesh_facts import shell_facts
     from phytac_design.solids.solid_mesh import painted_manifolds, shell_manifold, to_triangles
 
-    design, surface, markers = context.design, context.surface, context.markers
+    design = context.design
     tolerance = context.accuracy.cad_tolerance_mm
-    solid = shell_manifold(Sensor.of(design, surface, markers), tolerance_mm=tolerance)
-    facts = shell_facts(solid, surface, markers).as_dict()
+    solid = shell_manifold(context.sensor, tolerance_mm=tolerance)
+    facts = shell_facts(solid, context.surface, context.markers).as_dict()
     write_stl(to_triangles(solid), export_path(folder, "shell/shell.stl"))
     context.progress("shell: painted bodies")
-    painted = painted_manifolds(Sensor.of(design, surface, markers), tolerance_mm=tolerance)
+    painted = painted_manifolds(context.sensor, tolerance_mm=tolerance)
     bodies = {name: to_triangles(body) for name, body in painted.items()}
     write_3mf(bodies, export_path(folder, "shell/shell.3mf"), name=design.name)
     facts["body_volume_mm3"] = {name: body.volume() for name, body in painted.items()}
@@ -88,14 +87,14 @@ def _compare_finer(context: Context, step_mm3: float) -> None:
 
 SHELL = Stage(
     name="shell",
-    reads=("name", "markers", "wall", "receptor"),
-    knobs=("cad_tolerance_mm",),
+    design_fields=("name", "markers", "wall", "receptor"),
+    settings=("cad_tolerance_mm",),
     run=run_shell,
 )
 STEP = Stage(
     name="step",
-    reads=("name", "tubes", "wall", "receptor"),
-    needs=("shell",),
+    design_fields=("name", "tubes", "wall", "receptor"),
+    depends_on=("shell",),
     graphics=True,
     run=run_step,
 )

@@ -15,7 +15,7 @@ from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
 RED = {"views": ("tip_red_rest_px", "tip_red_on_px")}
-READS = ("tubes", "cameras", "wall", "receptor", "switch", "mold", "print_rules")
+DESIGN_FIELDS = ("tubes", "cameras", "wall", "receptor", "switch", "mold", "print_rules")
 
 
 def run(context: Context, folder: Path) -> None:
@@ -108,9 +108,8 @@ def red_of(context: Context) -> dict[str, Any]:
 
 
 def _camera_position_mm(context: Context) -> FloatArray:
-    from phytac_design.layout.cameras import cameras_of
 
-    return cameras_of(context.design, context.surface)[0].position_mm
+    return context.sensor.cameras[0].position_mm
 
 
 def switches_of(context: Context) -> SwitchSet:
@@ -140,4 +139,11 @@ def _set_of(context: Context, made: list[dict[str, Any]]) -> SwitchSet:
     return make_switches(context.sensor, made, thresholds)
 
 
-SWITCH = Stage(name="switch", reads=READS, needs=("views",), uses=RED, gate=refusal, run=run)
+SWITCH = Stage(
+    name="switch",
+    design_fields=DESIGN_FIELDS,
+    depends_on=("views",),
+    arrays=RED,
+    gate=refusal,
+    run=run,
+)

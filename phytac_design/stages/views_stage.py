@@ -9,7 +9,6 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage, export_path, write_arrays, write_facts
-from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
 from phytac_design.simulation.scenario.scene_scope import scope_of
@@ -63,7 +62,7 @@ def red_centroids(part: Any, count: int) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class Shot:
-    """What one camera sees, and what the decoder's eyes will see through it."""
+    """What one camera sees, and what the decoder's marker detector expects in its image."""
 
     camera: "Camera"
     seen: "Visibility"
@@ -89,11 +88,12 @@ def shoot(
     from phytac_design.simulation.expected_image import measure_expected
     from phytac_design.simulation.imaging.nominal_view import paint_slope
 
-    design, surface, markers = context.design, context.surface, context.markers
+    sensor = context.sensor
+    design, markers = context.design, context.markers
     tolerance = tolerance_mm(camera, markers)
     all_on = np.ones(markers.count, dtype=np.bool_)
-    rest = build_scene(Sensor.of(design, surface, markers), tolerance_mm=tolerance)
-    on = build_scene(Sensor.of(design, surface, markers), tolerance_mm=tolerance, switch_on=all_on)
+    rest = build_scene(sensor, tolerance_mm=tolerance)
+    on = build_scene(sensor, tolerance_mm=tolerance, switch_on=all_on)
     seen = see(rest, on, camera, noise_std=design.camera.noise_pixel, rng=rng)
     part_on = rasterise(on, camera).part
     away = camera.project(markers.tip_mm) if alone else np.nan
@@ -114,7 +114,7 @@ def shoot(
         camera=camera,
         seen=seen,
         expected=replace(expected, rest_px=rest_px),
-        paint_slope=paint_slope(Sensor.of(design, surface, markers), camera, rest=rest, seen=seen),
+        paint_slope=paint_slope(sensor, camera, rest=rest, seen=seen),
         renderer=renderer,
     )
 
@@ -141,15 +141,15 @@ def write_pictures(
 
 
 def run_views(context: Context, folder: Path) -> None:
-    """Visibility, density, expectations of the decoder's eyes, and pictures."""
-    from phytac_design.layout.cameras import cameras_of, stand_off_mm
+    """Visibility, density, expectations of the marker detector, and pictures."""
+    from phytac_design.layout.cameras import stand_off_mm
     from phytac_design.optics.density import density_of
     from phytac_design.optics.lens_facts import lens_facts
     from phytac_design.optics.visibility import best_of
 
     design, surface, markers = context.design, context.surface, context.markers
     rng = np.random.default_rng(context.seed)
-    cameras = cameras_of(design, surface)
+    cameras = context.sensor.cameras
     shots = [
         shoot(context, folder, camera, mark, rng, alone=len(cameras) == 1)
         for camera, mark in zip(cameras, CAMERA_SUFFIXES, strict=False)
@@ -205,7 +205,7 @@ def run_views(context: Context, folder: Path) -> None:
                     "stand_off_mm": stand_off_mm(design, surface, shot.camera),
                     "best_for": int((camera == number).sum()),
                     "visibility": shot.seen.summary(),
-                    "lens": lens_facts(Sensor.of(design, surface, markers), shot.camera),
+                    "lens": lens_facts(context.sensor, shot.camera),
                 }
                 for number, (end, shot) in enumerate(
                     zip(design.camera.end_numbers, shots, strict=True)
@@ -218,7 +218,7 @@ def run_views(context: Context, folder: Path) -> None:
 
 
 def told_apart(context: Context) -> str:
-    """Say why nothing should be made of markers that hide or fuse at rest; "" if all are seen.
+    """Reason to stop if markers are hidden or fuse at rest; "" if all are seen.
 
     In a scene, of those in play.
     """
@@ -241,40 +241,34 @@ def straight_of(design: Design) -> Design:
 
 def run_compare(context: Context, folder: Path) -> None:
     """Visibility of the straight layout with the same counts, and its picture, for spirals."""
-    from phytac_design.layout.cameras import cameras_of, tolerance_mm
+    from phytac_design.layout.cameras import tolerance_mm
     from phytac_design.optics.render_scene import build_scene
     from phytac_design.optics.visibility import best_of, check_visibility
 
     if context.design.layout.kind != "spiral":
         write_facts(folder, {"straight": None})
         return
-    design, surface = straight_of(context.design), context.surface
+    sensor = Sensor(straight_of(context.design))
     try:
-        markers = make_markers(design, surface)
+        markers = sensor.markers
     except DesignError as error:  # straight rows of so many have no line of sight at any height
         write_facts(folder, {"straight": None, "why": str(error)})
         return
-    cameras = cameras_of(design, surface)
     rng = np.random.default_rng(context.seed)
-    each = [
-        check_visibility(Sensor.of(design, surface, markers), rng=rng, camera=eye)
-        for eye in cameras
-    ]
-    near = cameras[0]
-    scene = build_scene(
-        Sensor.of(design, surface, markers), tolerance_mm=tolerance_mm(near, markers)
-    )
+    each = [check_visibility(sensor, rng=rng, camera=camera) for camera in sensor.cameras]
+    near = sensor.cameras[0]
+    scene = build_scene(sensor, tolerance_mm=tolerance_mm(near, markers))
     write_image(export_path(folder, "views/straight.png"), picture_or_frame(scene, near)[0])
     write_facts(folder, {"straight": best_of(each)[0].summary()})
 
 
 VIEWS = Stage(
     name="views",
-    reads=(*PICTURES, *SHARPNESS),
+    design_fields=(*PICTURES, *SHARPNESS),
     seeded=True,
     graphics=True,
     scene=("pictures",),
     gate=told_apart,
     run=run_views,
 )
-COMPARE = Stage(name="compare", reads=PICTURES, seeded=True, graphics=True, run=run_compare)
+COMPARE = Stage(name="compare", design_fields=PICTURES, seeded=True, graphics=True, run=run_compare)

@@ -103,16 +103,16 @@ def draft(design: Design, check: Check, side_px: int = SIDE_px) -> Json:
 def _drawn(candidate: Candidate, refused: str, side_px: int, check: Check) -> Json:
     """What ``draft`` returns."""
     design = candidate.design
-    surface, markers = candidate.checked
+    surface, markers = candidate.sensor.surface, candidate.sensor.markers
     check()
     pictures = []
-    for camera in candidate.cameras:
+    for camera in candidate.sensor.cameras:
         pictures.append(_picture(candidate, camera, side_px))
         check()
     fractions = np.stack(
         [
             sampled_fraction(_scene(candidate, camera, 2.5), camera).fraction
-            for camera in candidate.cameras
+            for camera in candidate.sensor.cameras
         ]
     )
     check()
@@ -120,7 +120,7 @@ def _drawn(candidate: Candidate, refused: str, side_px: int, check: Check) -> Js
     density = density_map(surface, markers)
     check()
     seen = fraction >= FRACTION_MIN
-    predicted = predict(Sensor.of(design, surface, markers), candidate.cameras, seen)
+    predicted = predict(candidate.sensor, candidate.sensor.cameras, seen)
     found = rules(candidate) | {
         "density_least_per_cm2": float(density.per_cm2.min()),
         "sampled_visible_least": float(fraction.min()),
@@ -179,11 +179,12 @@ def _broken_rule(candidate: Candidate) -> str:
         If no marker can be placed.
     """
     try:
-        candidate.checked  # noqa: B018 - computed here, so that its error is caught here
+        candidate.sensor  # noqa: B018 - computed here, so that its error is caught here
     except DesignError as error:
         surface = candidate.design.surface()
         try:
-            candidate.checked = surface, make_markers(candidate.design, surface)
+            markers = make_markers(candidate.design, surface)
+            candidate.sensor = Sensor.of(candidate.design, surface, markers)
         except PhytacError:
             raise error from None
         return str(error)
@@ -206,7 +207,7 @@ def _warnings(candidate: Candidate, found: Json) -> list[str]:
 
 def _view(candidate: Candidate, fraction: FloatArray, per_cm2: FloatArray) -> Json:
     """Shell and map, coloured by visibility and density."""
-    surface, markers = candidate.checked
+    markers = candidate.sensor.markers
     own = [
         Colouring(
             key="visible",
@@ -217,9 +218,9 @@ def _view(candidate: Candidate, fraction: FloatArray, per_cm2: FloatArray) -> Js
         Colouring(key="density", label="local density", values=per_cm2, unit="/cm²"),
     ]
     view = viewer_data(
-        Sensor.of(candidate.design, surface, markers),
+        candidate.sensor,
         [*own, *base_colourings(markers)],
-        cameras=candidate.cameras,
+        cameras=candidate.sensor.cameras,
     )
     # A scale fitted to the values would show differences where all are wholly visible.
     view["colourings"][0] |= {"low": 0.0, "high": 1.0}
@@ -251,15 +252,15 @@ def _scene(candidate: Candidate, camera: Camera, coarse: float) -> RenderScene:
 
     Polygons are never finer than 0.5 % of a receptor's radius, however near the camera.
     """
-    surface, markers = candidate.checked
+    markers = candidate.sensor.markers
     least = 0.005 * candidate.design.receptor.diameter_outer_mm / 2.0
     tolerance = np.maximum(coarse * tolerance_mm(camera, markers), least)
-    return build_scene(Sensor.of(candidate.design, surface, markers), tolerance_mm=tolerance)
+    return build_scene(candidate.sensor, tolerance_mm=tolerance)
 
 
 def _picture(candidate: Candidate, camera: Camera, side_px: int) -> Json:
     """Image and marker numbers of one camera, and the image position of each marker's end, px."""
-    surface, markers = candidate.checked
+    surface, markers = candidate.sensor.surface, candidate.sensor.markers
     small = small_camera(camera, side_px)
     scene = _scene(candidate, small, 2.0)
     frame = render_frame(scene, small, samples=2)

@@ -31,7 +31,7 @@ from phytac_design.training.training_data import (
 TABLE = "training.json"
 FORMAT, SCHEMA = "phytac-training", "1.0"
 PARTS = ("training", "validation", "test")
-MECHANICS = [name for name in DECODER.needs if name != "twin"]
+MECHANICS = [name for name in DECODER.depends_on if name != "twin"]
 """Stages of a build that the decoder needs, without its simulated data."""
 
 

@@ -162,7 +162,7 @@ def test_counts_of_the_comparison_are_those_of_the_designs() -> None:
     text = (ROOT / "docs" / "published-sensors.md").read_text()
     for name, count in (("cylinder60", 368), ("cylinder60-dense", 744), ("cone", 196),
                         ("hemisphere", 84), ("plane", 130)):  # fmt: skip
-        _, markers = check_design(load_design(name))
+        markers = check_design(load_design(name)).markers
         assert markers.count == count
         (row,) = [line for line in text.splitlines() if f"**here**, `{name}`," in line]
         assert f" {count}" in row

@@ -160,10 +160,8 @@ needs_admesh = pytest.mark.skipif(shutil.which("admesh") is None, reason="admesh
 @pytest.mark.parametrize("name", ["cylinder60", "cylinder40", "patch"])
 def test_admesh_finds_nothing_to_repair(name: str, tmp_path: Path) -> None:
     case = shipped(name)
-    surface, markers = check_design(case)
-    write_stl(
-        to_triangles(shell_manifold(Sensor.of(case, surface, markers))), tmp_path / "shell.stl"
-    )
+    sensor = check_design(case)
+    write_stl(to_triangles(shell_manifold(sensor)), tmp_path / "shell.stl")
     assert_admesh_finds_nothing(tmp_path / "shell.stl")
 
 

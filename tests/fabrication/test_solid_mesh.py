@@ -182,8 +182,8 @@ def test_scale_cubes_the_volume(factor: float) -> None:
 
 def test_cylinder60_is_one_watertight_body_of_genus_369() -> None:
     case = shipped("cylinder60")
-    surface, markers = check_design(case)
-    facts = shell_facts(shell_manifold(Sensor.of(case, surface, markers)), surface, markers)
+    sensor = check_design(case)
+    facts = shell_facts(shell_manifold(sensor), sensor.surface, sensor.markers)
     assert (facts.watertight, facts.bodies, facts.genus) == (True, 1, 369)
     assert facts.bounds_mm[0][2] == pytest.approx(-4.0, abs=1e-9)
     assert facts.bounds_mm[1][2] == pytest.approx(124.0, abs=1e-9)
@@ -285,12 +285,12 @@ def small_designs() -> st.SearchStrategy[Design]:
 @given(case=small_designs())
 def test_every_accepted_design_builds_one_body_of_the_right_genus(case: Design) -> None:
     try:
-        surface, markers = check_design(case)
+        sensor = check_design(case)
     except DesignError as refusal:
         assert "lower" in str(refusal) or "raise" in str(refusal)  # noqa: PT017 - checked by design
         return
-    solid = shell_manifold(Sensor.of(case, surface, markers), tolerance_mm=0.02)
-    facts = shell_facts(solid, surface, markers)
-    bodies = painted_manifolds(Sensor.of(case, surface, markers), tolerance_mm=0.02)
+    solid = shell_manifold(sensor, tolerance_mm=0.02)
+    facts = shell_facts(solid, sensor.surface, sensor.markers)
+    bodies = painted_manifolds(sensor, tolerance_mm=0.02)
     total = sum(body.volume() for body in bodies.values())
     assert total == pytest.approx(facts.volume_mm3, rel=1e-9)

@@ -175,7 +175,7 @@ def test_files_that_are_not_fixtures(content: bytes, words: str, tmp_path: Path)
             BOX | {"size_mm": [0.0, 1.0, 1.0]},
             "fixtures.0.size_mm.0: input should be greater",
         ),
-        (ROD, "fixtures.0.from_mm is missing; a fixture of its kind"),
+        (ROD, "fixtures.0.from_mm is missing; kind 'cylinder' needs it"),
         (
             {"name": "x", "kind": "mesh", "vertices_mm": [[0, 0, 0]], "triangles": [[0, 0, 1]]},
             "name corners 0 to 1; it has 0 to 0",
@@ -190,7 +190,7 @@ def test_bad_fixtures_are_explained(change: dict[str, Any], message: str) -> Non
 
 def test_every_stage_that_draws_the_light_bar_draws_fixtures() -> None:
     design = load_design("cylinder60")
-    reads = {stage.name: set(fields_of(design, stage.reads)) for stage in STAGES}
+    reads = {stage.name: set(fields_of(design, stage.design_fields)) for stage in STAGES}
     fixtures = {name for name, fields in reads.items() if "fixtures" in fields}
     assert {"views", "compare", "underload", "frames"} <= fixtures
     for stage in STAGES:

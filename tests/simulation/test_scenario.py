@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+from phytac_design.design.toml_files import table_models
 from phytac_design.simulation.scenario.scenario_file import (
     Scenario,
-    _inner,
     load_scenario,
     parse_scenario,
     scenario_hash,
@@ -143,8 +143,8 @@ def test_the_page_explains_every_field() -> None:
 
 def _models(model: type[BaseModel]) -> set[type[BaseModel]]:
     """A model and all that it holds."""
-    held = [_inner(info.annotation) for info in model.model_fields.values()]
-    return {model}.union(*(_models(item) for item in held if item))
+    fields = model.model_fields.values()
+    return {model}.union(*(_models(m) for info in fields for m in table_models(info.annotation)))
 
 
 def test_examples_of_the_page_are_scenarios() -> None:

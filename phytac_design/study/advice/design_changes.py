@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from phytac_design.design.spec import Design
-from phytac_design.layout.sensor import Sensor
 from phytac_design.rules.check import check_design
 from phytac_design.study.advice.design_evaluation import (
     FIGURES,
@@ -152,7 +151,7 @@ def _largest(base: EvaluatedDesign, slope: Sensitivity, goal: str, sign: float) 
         if not why:
             try:
                 design = slope.variable.moved(base.design, amount)
-                strain = strain_of(Sensor.of(design, *check_design(design)))
+                strain = strain_of(check_design(design))
                 why = broken_margin(base.figures, {"strain": strain})
             except PhytacError as error:
                 why = str(error)

@@ -161,7 +161,8 @@ def evaluate_design(design: Design, accuracy: Accuracy, *, seed: int = 0) -> Eva
     DesignError
         If the design breaks a rule.
     """
-    surface, markers = check_design(design)
+    sensor = check_design(design)
+    surface, markers = sensor.surface, sensor.markers
     context = Context(
         design=design, accuracy=accuracy, seed=seed, progress=lambda _: None, scene=None
     )
@@ -183,7 +184,7 @@ def evaluate_design(design: Design, accuracy: Accuracy, *, seed: int = 0) -> Eva
         "load_visible_least": float(load["least_fraction"].min()),
         "load_gap_px": float(load["least_gap_same_px"].min()),
         "crosstalk_px": float(load["crosstalk_px"].max()),
-        "strain": strain_of(Sensor.of(design, surface, markers)),
+        "strain": strain_of(sensor),
         "occluded": int(views["occluded"].sum()),
         "fused": int(views["fused"].sum()),
         "load_hidden": int(load["hidden"].max(initial=0)),
@@ -197,8 +198,8 @@ def evaluate_design(design: Design, accuracy: Accuracy, *, seed: int = 0) -> Eva
 def _inputs(stage: Stage, context: Context) -> Any:
     """Everything that a stage's result depends on, the views included."""
     settings = context.accuracy.as_dict()
-    fields = values_of(context.design, {*stage.reads, *PICTURES})
-    return [fields, {name: settings[name] for name in stage.knobs}, context.seed]
+    fields = values_of(context.design, {*stage.design_fields, *PICTURES})
+    return [fields, {name: settings[name] for name in stage.settings}, context.seed]
 
 
 def _cached(name: str, inputs: Any, compute: Callable[[Path], None]) -> tuple[Path, dict[str, Any]]:
@@ -215,12 +216,12 @@ def _cached(name: str, inputs: Any, compute: Callable[[Path], None]) -> tuple[Pa
 
 
 def _view_at_rest(context: Context, folder: Path) -> None:
-    design, surface, markers = context.design, context.surface, context.markers
-    each, views = views_at_rest(
-        Sensor.of(design, surface, markers), cameras_of(design, surface), context.seed
-    )
+    design = context.design
+    each, views = views_at_rest(context.sensor, cameras_of(design, context.surface), context.seed)
     best = best_of(each)[0]
-    points = [np.where(one.lost[:, None], markers.tip_mm, one.paint_point_mm) for one in each]
+    points = [
+        np.where(one.lost[:, None], context.markers.tip_mm, one.paint_point_mm) for one in each
+    ]
     write_arrays(
         folder,
         asdict(best)

@@ -30,7 +30,7 @@ def render_faults(model: LocalModel, design: Design, *, held: bool) -> dict[str,
     DesignError
         If the design breaks a rule.
     """
-    _, markers = check_design(design)
+    markers = check_design(design).markers
     view = model.view(design, markers=markers, held=held)
     load = model.base.load
     order = np.lexsort((load["press_gap_same_px"], -load["hidden"], -load["fused"]))

@@ -251,7 +251,7 @@ def why_of(name: str, resolved: Resolved) -> str:
     outputs = [o for o in resolved.scene.outputs if name in STAGES_OF[o]]
     if outputs:
         return "output " + ", ".join(outputs)
-    readers = [stage.name for stage in resolved.stages if name in stage.needs]
+    readers = [stage.name for stage in resolved.stages if name in stage.depends_on]
     if readers:
         return "read by " + ", ".join(readers)
     if name == "places" and "decoder" in {stage.name for stage in resolved.stages}:

@@ -241,8 +241,8 @@ def _stages(scene: Scene) -> tuple[Stage, ...]:
             continue
         own = stage
         if stage.name == "decoder" and scene.estimator != "auto" and "report" not in scene.outputs:
-            own = replace(stage, needs=tuple(n for n in stage.needs if n != "places"))
-        wanted |= set(own.needs)
+            own = replace(stage, depends_on=tuple(n for n in stage.depends_on if n != "places"))
+        wanted |= set(own.depends_on)
         chosen.append(own)
     return tuple(reversed(chosen))
 

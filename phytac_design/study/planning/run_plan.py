@@ -13,7 +13,6 @@ from phytac_decoder.io.bundle import load_bundle
 from phytac_design.core.json_values import finite
 from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.layout.arc import by_area
-from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
 from phytac_design.simulation.contacts import Contacts, Switching, switch_states
@@ -148,7 +147,7 @@ def reference_presses(
             shift[k] = vision.shift(kinematics.large(motion.ravel()))
     return ReferencePresses(
         contacts=contacts,
-        switching=switch_states(Sensor.of(design, surface, markers), contacts),
+        switching=switch_states(context.sensor, contacts),
         shift_px=shift,
     )
 

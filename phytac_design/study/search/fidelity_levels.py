@@ -24,7 +24,7 @@ from phytac_design.engine.stage import Context, write_arrays
 from phytac_design.fabrication.documents.densities import mass_g
 from phytac_design.geometry.envelope import edge_mm
 from phytac_design.layout import Markers
-from phytac_design.layout.cameras import cameras_of, tolerance_mm
+from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.density import density_of
@@ -52,31 +52,20 @@ class Candidate:
     study: Study
 
     @cached_property
-    def checked(self) -> tuple[Surface, Markers]:
-        """Surface and markers; raises ``DesignError`` if the design breaks a rule."""
+    def sensor(self) -> Sensor:
+        """The design with its surface, markers and cameras.
+
+        Raises
+        ------
+        DesignError
+            If the design breaks a rule.
+        """
         return check_design(self.design)
-
-    @property
-    def surface(self) -> Surface:
-        """The sensing surface."""
-        return self.checked[0]
-
-    @property
-    def markers(self) -> Markers:
-        """The markers on it."""
-        return self.checked[1]
-
-    @cached_property
-    def cameras(self) -> tuple[Camera, ...]:
-        """Its cameras."""
-        return cameras_of(self.design, self.surface)
 
     @cached_property
     def visibility(self) -> tuple[list[Visibility], dict[str, Any]]:
         """Exact visibility at rest by camera, and the arrays that mechanics and load read."""
-        return views_at_rest(
-            Sensor.of(self.design, self.surface, self.markers), self.cameras, self.study.seed
-        )
+        return views_at_rest(self.sensor, self.sensor.cameras, self.study.seed)
 
 
 def views_at_rest(
@@ -97,14 +86,14 @@ def views_at_rest(
 
 def rules(candidate: Candidate) -> Measures:
     """Layout, print rules, camera; sizes, mass and cost."""
-    design, surface, markers = candidate.design, candidate.surface, candidate.markers
+    design, surface, markers = candidate.design, candidate.sensor.surface, candidate.sensor.markers
     outer = surface.point(markers.uv)
     pitch = np.inf
     if markers.count > 1:
         pitch = float(cKDTree(outer).query(outer, k=2)[0][:, 1].min())
     z = surface.bounds_mm()[:, 2]
-    lenses = [float(camera.position_mm[2]) for camera in candidate.cameras]
-    outside = ~np.any([camera.sees(markers.tip_mm) for camera in candidate.cameras], axis=0)
+    lenses = [float(camera.position_mm[2]) for camera in candidate.sensor.cameras]
+    outside = ~np.any([camera.sees(markers.tip_mm) for camera in candidate.sensor.cameras], axis=0)
     mass = mass_g("resin", resin_mm3(design, surface, markers.height_mm)) or 0.0
     prices = candidate.study.prices
     return {
@@ -118,7 +107,7 @@ def rules(candidate: Candidate) -> Measures:
         "mass_g": mass,
         "cost": prices.resin_per_kg * mass / 1000.0
         + prices.switch_each * markers.count
-        + prices.camera_each * len(candidate.cameras),
+        + prices.camera_each * len(candidate.sensor.cameras),
     }
 
 
@@ -139,24 +128,22 @@ def resin_mm3(design: Design, surface: Surface, height_mm: FloatArray) -> float:
 
 def sampled(candidate: Candidate) -> Measures:
     """Sampled visibility at rest, density, and resolution by the closed form."""
-    design, surface, markers = candidate.design, candidate.surface, candidate.markers
+    surface, markers = candidate.sensor.surface, candidate.sensor.markers
     coarse = 2.5  # polygons 0.25 px off their circles are near enough for few rays
     fractions = np.stack(
         [
             sampled_fraction(
                 build_scene(
-                    Sensor.of(design, surface, markers),
+                    candidate.sensor,
                     tolerance_mm=coarse * tolerance_mm(camera, markers),
                 ),
                 camera,
             ).fraction
-            for camera in candidate.cameras
+            for camera in candidate.sensor.cameras
         ]
     )
     fraction = fractions.max(axis=0)
-    predicted = predict(
-        Sensor.of(design, surface, markers), candidate.cameras, fraction >= FRACTION_MIN
-    )
+    predicted = predict(candidate.sensor, candidate.sensor.cameras, fraction >= FRACTION_MIN)
     bound = predicted.bound
     return {
         "sampled_visible_least": float(fraction.min()),
@@ -187,10 +174,10 @@ def band_rings(design: Design, markers: Markers, count: int = 16) -> FloatArray:
 
 def outlined_gap_px(candidate: Candidate, camera_of: IntArray) -> float:
     """Least distance of painted outlines of one colour, px; occlusion is ignored."""
-    markers = candidate.markers
+    markers = candidate.sensor.markers
     points = band_rings(candidate.design, markers)
     least = np.inf
-    for number, camera in enumerate(candidate.cameras):
+    for number, camera in enumerate(candidate.sensor.cameras):
         own = np.flatnonzero(camera_of == number)
         pixels = camera.project(points[own].reshape(-1, 3)).reshape(len(own), -1, 2)
         own = own[known := np.isfinite(pixels).all(axis=(1, 2))]
@@ -225,7 +212,7 @@ def switch(candidate: Candidate) -> Measures:
     )
     rubber, space = rubber_of(design), space_of(design)
     worst = 0.0
-    for force in np.unique(thresholds_N(design, candidate.markers)).tolist():
+    for force in np.unique(thresholds_N(design, candidate.sensor.markers)).tolist():
         key = repr((force, rubber, space, tolerance))
         if key not in _SNAP_FORCES_N:
             _SNAP_FORCES_N[key] = design_switch(force, rubber, space, tolerance).snap.limit_N

@@ -3,15 +3,14 @@
 import json
 from difflib import get_close_matches
 from hashlib import sha256
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from phytac_design.design.base_table import Section
+from phytac_design.design.toml_files import TomlFileKind
 from phytac_design.study.search.measures import LEVELS, MEASURES, measure_of, measures_up_to
-from phytac_shapes.bounded_reader import joined, read_text, toml_table
 from phytac_shapes.errors import DesignError
 
 Value = int | float | str
@@ -180,11 +179,14 @@ class Study(Section):
         return sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
+STUDY_FILES = TomlFileKind(
+    noun="study", folder="studies", missing="docs/study.md shows a complete study", label="field"
+)
+
+
 def shipped_studies() -> list[str]:
     """Names of the studies that come with the package."""
-    folder = resources.files("phytac_design") / "data" / "studies"
-    names = (item.name for item in folder.iterdir() if item.name.endswith(".toml"))
-    return sorted(name.removesuffix(".toml") for name in names)
+    return STUDY_FILES.shipped()
 
 
 def load_study(name_or_path: str) -> tuple[Study, Path]:
@@ -195,34 +197,13 @@ def load_study(name_or_path: str) -> tuple[Study, Path]:
     DesignError
         If there is no such study, or its file is not valid.
     """
-    path = Path(name_or_path)
-    if name_or_path in shipped_studies() and not path.is_file():
-        source = resources.files("phytac_design") / "data" / "studies" / f"{name_or_path}.toml"
-        return parse_study(source.read_text(encoding="utf-8"), name_or_path), Path()
-    try:
-        text = read_text(path)
-    except (OSError, UnicodeDecodeError) as error:
-        near = get_close_matches(name_or_path, shipped_studies(), n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        why = getattr(error, "strerror", None) or "it is not text"
-        raise DesignError(
-            f"no study {name_or_path!r} ({why}){hint} (shipped: {', '.join(shipped_studies())}; "
-            "or give the path of a study file)"
-        ) from None
-    return parse_study(text, str(path)), path.parent
+    data, where = STUDY_FILES.read(name_or_path)
+    return parse_study(data, where), Path(where).parent
 
 
-def parse_study(text: str, where: str) -> Study:
-    """Validate the text of a study file; every problem of its form is in the one error."""
-    try:
-        data = toml_table(text)
-    except ValueError as error:
-        raise DesignError(f"{where} is not TOML: {error}; docs/study.md shows one") from None
-    try:
-        study = Study.model_validate(data)
-    except ValidationError as error:
-        lines = joined(_explain(item, data) for item in error.errors())
-        raise DesignError(f"{where}: {lines}") from None
+def parse_study(data: dict[str, Any], where: str) -> Study:
+    """Validate a parsed study file; the error lists every problem of its form."""
+    study = STUDY_FILES.validate(Study, data, where)
     _check_measures(study, where)
     _check_levels(study, where)
     return study
@@ -283,26 +264,3 @@ def _check_levels(study: Study, where: str) -> None:
                 f"{where}: no level of ladder.rungs measures {name} ({', '.join(study.levels)}); "
                 f"add {MEASURES[name].rung!r}, or leave ladder.rungs out"
             )
-
-
-def _explain(item: Any, data: dict[str, Any]) -> str:
-    """One problem of a study file as a sentence."""
-    place = ".".join(str(part) for part in item["loc"])
-    if item["type"] == "extra_forbidden":
-        tables = {"variable": Variable, "constraint": Constraint, "objective": Objective}
-        model: Any = Study
-        if len(item["loc"]) > 1:
-            name = str(item["loc"][0])
-            model = tables.get(name) or type(Study.model_fields[name].default)
-        near = get_close_matches(str(item["loc"][-1]), list(model.model_fields), n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        return f"unknown key {place!r}{hint}"
-    if item["type"] == "missing":
-        return f"{place} is missing; docs/study.md shows a complete study"
-    message = item["msg"][0].lower() + item["msg"][1:]
-    got = item["input"]
-    shown = "" if isinstance(got, dict | list) else f" (got {got!r})"
-    if item["loc"][:1] == ("variable",) and len(item["loc"]) > 1:
-        named = data["variable"][int(item["loc"][1])]
-        place += f" ({named.get('field', '?')})" if isinstance(named, dict) else ""
-    return f"{place or 'study'}: {message.removeprefix('value error, ')}{shown}"

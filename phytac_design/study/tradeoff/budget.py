@@ -178,4 +178,4 @@ def _replanned(plan: BudgetPlan, number: int) -> Accuracy:
 
 def fields_used_by(names: Sequence[str]) -> set[str]:
     """Fields of the settings that some stages depend on."""
-    return {field for stage in STAGES if stage.name in names for field in stage.knobs}
+    return {field for stage in STAGES if stage.name in names for field in stage.settings}

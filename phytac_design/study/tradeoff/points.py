@@ -130,7 +130,7 @@ def prepare(design: Design, point: Point) -> dict[str, Any]:
     """Run the stages that the measured ones depend on."""
     from phytac_design.stages import STAGES
 
-    needs = {need for stage in STAGES if stage.name in point.stages for need in stage.needs}
+    needs = {need for stage in STAGES if stage.name in point.stages for need in stage.depends_on}
     if needs - {*point.stages}:
         _run(design, sorted(needs - {*point.stages}), point)
     return {}

@@ -46,7 +46,7 @@ class Setting:
     @property
     def stages(self) -> tuple[str, ...]:
         """Stages of a build that depend on it."""
-        return tuple(stage.name for stage in STAGES if self.name in stage.knobs)
+        return tuple(stage.name for stage in STAGES if self.name in stage.settings)
 
 
 def _choice(

@@ -36,8 +36,9 @@ def test_gap_of_discs_square_before_the_camera() -> None:
     )  # fmt: skip
     from phytac_design.rules.check import check_design
 
-    surface, markers = check_design(design)
-    camera = cameras_of(design, surface)[0]
+    sensor = check_design(design)
+    markers = sensor.markers
+    camera = cameras_of(design, sensor.surface)[0]
     found = gaps_px(camera, band_rings(design, markers), markers.colour)
     apart = np.linalg.norm(markers.tip_mm[:, None] - markers.tip_mm[None], axis=2)
     np.fill_diagonal(apart, np.inf)

@@ -7,7 +7,12 @@ import pytest
 
 from phytac_design.study.search.design_space import make_space
 from phytac_design.study.search.measures import LEVELS, MEASURES, best_proxy
-from phytac_design.study.search.study_file import load_study, parse_study, shipped_studies
+from phytac_design.study.search.study_file import (
+    STUDY_FILES,
+    load_study,
+    parse_study,
+    shipped_studies,
+)
 from phytac_shapes.errors import DesignError
 from tests.designs import small
 from tests.study.search.studies import space_of, tiny
@@ -81,7 +86,7 @@ REFUSED: dict[str, tuple[str, str]] = {
 def test_a_bad_study_is_refused_with_the_reason(case: str) -> None:
     text, words = REFUSED[case]
     with pytest.raises(DesignError) as caught:
-        parse_study(text, "s.toml")
+        parse_study(STUDY_FILES.parse(text, "s.toml"), "s.toml")
     assert words in str(caught.value)
 
 
@@ -99,7 +104,7 @@ FIELDS: dict[str, tuple[str, str]] = {
 @pytest.mark.parametrize("field", sorted(FIELDS))
 def test_a_field_that_does_not_take_its_values_is_refused(field: str) -> None:
     rest, words = FIELDS[field]
-    study = parse_study(HEAD + variable(field, rest), "s.toml")
+    study = parse_study(STUDY_FILES.parse(HEAD + variable(field, rest), "s.toml"), "s.toml")
     with pytest.raises(DesignError) as caught:
         make_space(study, Path(), small())
     assert words in str(caught.value)

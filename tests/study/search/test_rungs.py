@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from phytac_design.design.design_file import design_hash
-from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.visibility import check_visibility
 from phytac_design.study.search import fidelity_levels
 from phytac_design.study.search.fidelity_levels import Candidate
@@ -43,14 +42,16 @@ def test_mass_is_that_of_a_ring_with_tubes() -> None:
     design = small(wall={"rim_length_mm": 0.0})
     candidate = Candidate(design, tiny())
     ring = np.pi * (30.0**2 - 29.2**2) * 60.0
-    tubes = np.pi * (1.5**2 - 0.8**2) * float(candidate.markers.height_mm.sum())
+    tubes = np.pi * (1.5**2 - 0.8**2) * float(candidate.sensor.markers.height_mm.sum())
     holes = np.pi * 0.8**2 * 0.8 * 112
     assert fidelity_levels.rules(candidate)["mass_g"] == pytest.approx(
         1.15e-3 * (ring + tubes - holes), rel=1e-6
     )
-    rims = Candidate(small(), tiny())
+    rims = Candidate(small(), tiny()).sensor
     more = fidelity_levels.resin_mm3(rims.design, rims.surface, rims.markers.height_mm)
-    less = fidelity_levels.resin_mm3(design, candidate.surface, candidate.markers.height_mm)
+    less = fidelity_levels.resin_mm3(
+        design, candidate.sensor.surface, candidate.sensor.markers.height_mm
+    )
     assert more - less == pytest.approx(2 * np.pi * 2 * 29.6 * 4.0 * (0.8 + 1.6), rel=1e-3)
 
 
@@ -70,7 +71,7 @@ def test_exact_is_what_a_check_sees() -> None:
     candidate = Candidate(small(layout=rows, receptor={"band_marker_mm": 3.0}), tiny())
     found = fidelity_levels.exact(candidate)
     seen = check_visibility(
-        Sensor.of(candidate.design, candidate.surface, candidate.markers),
+        candidate.sensor,
         rng=np.random.default_rng(3),
     ).summary()
     assert found["fused"] == seen["fused"] > 0

@@ -75,7 +75,7 @@ def test_curvatures_and_lengths_of_a_cone_and_a_dome() -> None:
 def test_a_deflection_under_disc_the_cylinder_is_near_finite_elements() -> None:
     design = small()
     candidate = Candidate(design, tiny())
-    surface, markers = candidate.checked
+    surface, markers = candidate.sensor.surface, candidate.sensor.markers
     mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=4)
     model = sensor_model(design, markers, mesh, receptors=False)
     middle = int(np.argmin(np.abs(markers.mid_mm[:, 2] - 30.0)))
