@@ -118,7 +118,7 @@ def tube_point(design: Design, marker: int, share: float, aside: float) -> Float
     """Point beside a receptor's axis, a share of the way from its foot to its tip."""
     markers = make_markers(design, design.surface())
     across = np.cross(markers.direction[marker], [0.0, 0.0, 1.0])
-    on = markers.foot_mm[marker] + share * (markers.tip_mm - markers.foot_mm)[marker]
+    on = markers.base_mm[marker] + share * (markers.tip_mm - markers.base_mm)[marker]
     return np.asarray(on + aside * across)
 
 

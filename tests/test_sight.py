@@ -11,7 +11,7 @@ from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.layout.dents import dent_motions
 from phytac_design.layout.line_of_sight import clearance_under_load_mm, pressed_markers
 from phytac_design.layout.sensor import Sensor
-from phytac_design.optics.loaded_visibility import sight
+from phytac_design.optics.loaded_visibility import scene_state
 from phytac_design.optics.render_scene import build_scene
 from phytac_design.optics.visibility import check_visibility
 from phytac_shapes.errors import DesignError
@@ -88,7 +88,7 @@ def test_gap_of_two_tubes_by_hand() -> None:
     height = np.array([18.0, 12.0])
     two = replace(
         markers,
-        foot_mm=foot,
+        base_mm=foot,
         tip_mm=foot + height[:, None] * inward,
         direction=inward,
         height_mm=height,
@@ -166,7 +166,7 @@ def test_heights_under_load_stay_clear_where_those_at_rest_do_not() -> None:
     above = settled.height_mm > design.receptor.band_marker_mm
     for motion in motions:
         moved = scene.moved(motion[:, :3], motion[:, 3:], settled.mid_mm)
-        assert sight(moved, camera).fraction[above].min() > 0.99
+        assert scene_state(moved, camera).fraction[above].min() > 0.99
 
 
 def test_a_stated_dent_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:

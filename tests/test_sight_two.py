@@ -8,7 +8,7 @@ import pytest
 
 from phytac_design.layout import Markers, clearance_mm, make_markers, sight_heights_mm, with_heights
 from phytac_design.layout.cameras import cameras_of
-from phytac_design.layout.line_of_sight import clearance_under_load_mm, nearest_eye
+from phytac_design.layout.line_of_sight import clearance_under_load_mm, nearest_camera
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.visibility import best_of, check_visibility
 from phytac_shapes.arrays import FloatArray
@@ -72,8 +72,8 @@ def test_each_camera_sees_what_is_nearest_to_it(tables: dict[str, Any]) -> None:
     margin = design.layout.sight_margin_mm
     gap = clearance_mm(design, markers, eyes)
     assert gap.min() >= margin - 1e-9
-    eye = nearest_eye(markers, eyes)
-    away = np.linalg.norm(markers.foot_mm[:, None] - eyes, axis=2)
+    eye = nearest_camera(markers, eyes)
+    away = np.linalg.norm(markers.base_mm[:, None] - eyes, axis=2)
     if not markers.in_rows:
         np.testing.assert_array_equal(eye, away.argmin(axis=1))
     for number, centre in enumerate(eyes):
@@ -84,7 +84,7 @@ def test_each_camera_sees_what_is_nearest_to_it(tables: dict[str, Any]) -> None:
 
 def test_by_the_exact_id_map_markers_are_seen_and_told_apart() -> None:
     design, surface, markers, eyes = case()
-    eye = nearest_eye(markers, eyes)
+    eye = nearest_camera(markers, eyes)
     each = [
         check_visibility(
             Sensor.of(design, surface, markers), rng=np.random.default_rng(0), camera=camera
@@ -126,7 +126,7 @@ def test_heights_stay_clear_under_load_for_both() -> None:
     height = sight_heights_mm(design, markers, eyes, motions=motions)
     settled = with_heights(design, surface, markers, height)
     after = clearance_under_load_mm(design, settled, eyes, motions)
-    far = nearest_eye(markers, eyes) == 1
+    far = nearest_camera(markers, eyes) == 1
     # A press in either half takes room away, and gets it back.
     assert before[far].min() < 0.4
     assert before[~far].min() < 0.4

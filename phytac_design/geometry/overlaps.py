@@ -7,9 +7,6 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 PAIRS_MAX = 2_000_000
 """Pairs that are worked on at once."""
-RAY = np.array([0.541, 0.283, 0.792])
-"""Direction of the rays that count crossings: along no edge of anything drawn by hand."""
-PAIRS_OF_EDGES = ((0, 1), (1, 2), (2, 0))
 
 
 def box_pairs(low: FloatArray, high: FloatArray, first: FloatArray, last: FloatArray) -> IntArray:
@@ -84,9 +81,10 @@ def _reach(
     The part of a triangle in a tube is convex: its extremes lie on the triangle's edges, on its
     sections with the planes, where the axis crosses it, or where its plane's ellipse is lowest.
     """
+    pairs_of_edges = ((0, 1), (1, 2), (2, 0))
     near, low = np.full(len(length), np.inf), np.full(len(length), np.inf)
     crossings: list[list[tuple[FloatArray, BoolArray]]] = [[], []]
-    for i, j in PAIRS_OF_EDGES:
+    for i, j in pairs_of_edges:
         rise = along[:, j] - along[:, i]
         level = rise == 0.0
         safe = np.where(level, 1.0, rise)
@@ -105,7 +103,7 @@ def _reach(
             low = np.where(hit, np.minimum(low, along[:, i] + end * rise), low)
     zero = 0.0 * length
     for kept, plane in zip(crossings, (zero, length), strict=True):
-        for i, j in PAIRS_OF_EDGES:
+        for i, j in pairs_of_edges:
             (p, there), (q, too) = kept[i], kept[j]
             away, _, _ = _to_origin(p, q, zero, zero + 1.0, radius)
             hit = there & too & (away <= radius)
@@ -163,6 +161,8 @@ def within(points_mm: FloatArray, mesh: Mesh) -> BoolArray:
 
     Counts crossings of a ray, so that triangles may turn either way.
     """
+    # Direction of the rays that count crossings: along no edge of anything drawn by hand.
+    ray = np.array([0.541, 0.283, 0.792])
     inside = np.zeros(len(points_mm), dtype=np.bool_)
     corners = mesh.vertices[mesh.triangles]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
@@ -171,7 +171,7 @@ def within(points_mm: FloatArray, mesh: Mesh) -> BoolArray:
         return inside
     a = corners[:, 0]
     first, second = corners[:, 1] - a, corners[:, 2] - a
-    p = np.cross(RAY, second)
+    p = np.cross(ray, second)
     twice = np.sum(first * p, axis=1)
     real = twice != 0.0
     a, first, second, p, twice = a[real], first[real], second[real], p[real], twice[real]
@@ -181,7 +181,7 @@ def within(points_mm: FloatArray, mesh: Mesh) -> BoolArray:
         arm = points_mm[part, None] - a
         s = np.sum(arm * p, axis=-1) / twice
         q = np.cross(arm, first)
-        t = q @ RAY / twice
+        t = q @ ray / twice
         away = np.sum(q * second, axis=-1) / twice
         hits = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0) & (away > 0.0)
         inside[part] = hits.sum(axis=1) % 2 == 1

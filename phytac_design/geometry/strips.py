@@ -8,9 +8,6 @@ from numpy.typing import NDArray
 
 from phytac_shapes.arrays import FloatArray
 
-MOST_ALONG = 0.9
-"""Cosine to the y axis from which a cylinder's polygon starts along another one."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Mesh:
@@ -67,9 +64,11 @@ def cylinder_mesh(
 
     Its polygon stays within ``tolerance_mm`` of the circle.
     """
+    # Cosine to the y axis from which a cylinder's polygon starts along another one.
+    most_along = 0.9
     axis = (end_mm - start_mm) / np.linalg.norm(end_mm - start_mm)
     # For an axis along z these are x and y.
-    first = np.cross(np.eye(3)[1 if abs(axis[1]) < MOST_ALONG else 0], axis)
+    first = np.cross(np.eye(3)[1 if abs(axis[1]) < most_along else 0], axis)
     first /= np.linalg.norm(first)
     second = np.cross(axis, first)
     ratio = min(max(tolerance_mm / radius_mm, 1e-6), 0.1)

@@ -27,13 +27,12 @@ def make_markers(
     """Place every receptor of a design on its surface.
 
     Markers where the surface does not sense are left out. ``camera_mm`` is the camera's centre
-    (3,), or those of several (c, 3), for ``line-of-sight`` heights; without it the design's own
-    are asked.
+    (3,), or those of several (c, 3), for ``line-of-sight`` heights; by default those of the design.
 
     Raises
     ------
     DesignError
-        If the layout does not go with the surface, or no marker is left.
+        If the layout does not fit the surface, or no marker lies on it.
     """
     in_rows = design.layout.kind in {"spiral", "straight"}
     found = _lattice_markers(design, surface) if in_rows else _scattered(design, surface)
@@ -52,13 +51,13 @@ def with_heights(
     if design.receptor.direction == "normal":
         tip = surface.point(markers.uv, -design.wall.thickness_mm - height_mm)
     else:
-        tip = markers.foot_mm + height_mm[:, None] * markers.direction
+        tip = markers.base_mm + height_mm[:, None] * markers.direction
     return replace(markers, height_mm=height_mm, tip_mm=tip)
 
 
 def _camera_centres_mm(design: Design, surface: Surface) -> FloatArray:
     """Centres (c, 3) of the design's cameras."""
-    # Only this profile asks for the cameras, which are a matter of optics.
+    # Imported here: only line-of-sight heights need the cameras.
     from phytac_design.layout.cameras import cameras_of
 
     return np.stack([camera.position_mm for camera in cameras_of(design, surface)])
@@ -165,7 +164,7 @@ def _assemble(
         column=column,
         colour=colour,
         height_mm=height_mm,
-        foot_mm=foot,
+        base_mm=foot,
         tip_mm=tip,
         mid_mm=mid,
         normal=normal,

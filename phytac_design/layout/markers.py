@@ -49,7 +49,7 @@ class Markers:
         Place in the lattice (row 0 nearest the camera) and index into the design's colour list.
     height_mm : (n,) float
         Receptor height, from the inner face of the wall to the end face.
-    foot_mm, tip_mm : (n, 3) float
+    base_mm, tip_mm : (n, 3) float
         Axis of the receptor on the inner face, and in the plane of its end face.
     mid_mm : (n, 3) float
         Point of the middle face of the wall under the marker, on the axis: the mesh node.
@@ -69,7 +69,7 @@ class Markers:
     column: IntArray
     colour: IntArray
     height_mm: FloatArray
-    foot_mm: FloatArray
+    base_mm: FloatArray
     tip_mm: FloatArray
     mid_mm: FloatArray
     normal: FloatArray

@@ -9,7 +9,7 @@ from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Lens, Pinhole
 from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.optics.clip import clip_near
-from phytac_design.optics.distorted_triangles import bent_view
+from phytac_design.optics.distorted_triangles import distorted_view
 from phytac_design.optics.render_scene import FIRST_MARKER, RenderScene
 from phytac_design.optics.zbuffer import View, fill
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
@@ -42,7 +42,7 @@ def project_scene(scene: RenderScene, camera: Camera, *, rays: FloatArray | None
     points = camera.to_camera(scene.vertices)
     lens = camera.lens
     if not isinstance(lens, Pinhole):
-        return bent_view(points, scene.triangles, camera, rays)
+        return distorted_view(points, scene.triangles, camera, rays)
     points, triangles, source = clip_near(points, scene.triangles)
     # Vertices left behind the near plane belong to no triangle any more.
     depth = np.where(points[:, 2] > 0.0, points[:, 2], np.nan)

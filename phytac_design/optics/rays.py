@@ -1,9 +1,9 @@
 """The direction of every pixel of a lens, once per lens.
 
-Most lenses have no closed inverse. It is taken exactly on a coarse grid of pixels and interpolated
-between (Lagrange, six nodes each way). Each cell is checked in its middle; where it is off by more
-than ``RAY_ERROR``, or a node lies beyond the field, it is quartered, and the pixels of the cells
-that are left at last are taken exactly.
+Most lenses have no closed inverse. It is computed exactly on a coarse grid of pixels and
+interpolated between (Lagrange, six nodes each way). A cell whose error at its middle exceeds
+``RAY_ERROR``, or with a node beyond the field, is split into four; pixels of the remaining cells
+are computed exactly.
 """
 
 from dataclasses import dataclass
@@ -18,8 +18,6 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 STEPS = (32, 16, 8, 4)
 """Sides of the cells, coarse to fine, px."""
-FIELD_CELLS = 16.0
-"""Cells are at least this much smaller than the field, so that none skips over it."""
 RAY_ERROR = 1e-8
 """Largest error of an interpolated unit direction: 1e-5 px at a focal length of 1000 px."""
 TAPS = 6
@@ -43,10 +41,12 @@ class RayGrid:
     """Exact directions on grids of pixels around the image, and what each cell of them needs."""
 
     def __init__(self, lens: Lens) -> None:
+        # Cells are at least this much smaller than the field, so that none spans it.
+        field_cells = 16.0
         self.lens = lens
         self.levels: list[Level] = []
         finest = STEPS[-1]
-        most = max(finest, float(lens.focal_px.min()) * min(lens.field_rad, 1.0) / FIELD_CELLS)
+        most = max(finest, float(lens.focal_px.min()) * min(lens.field_rad, 1.0) / field_cells)
         steps = [step for step in STEPS if step <= most]
         first = steps[0]
         rows, columns = -(-lens.height_px // first), -(-lens.width_px // first)

@@ -30,7 +30,6 @@ FIRST_FIXTURE = 4
 """Codes from here up to ``FIRST_MARKER``: the design's fixtures."""
 FIRST_MARKER = 16
 """Codes from here: ``16 + 2 i`` is the paint of marker i, ``17 + 2 i`` its switch's red tip."""
-SIDES_MIN = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,9 +125,10 @@ def red_owner(part: NDArray[np.int32]) -> NDArray[np.int32]:
 
 def sides_of(radius_mm: float, tolerance_mm: FloatArray) -> IntArray:
     """Sides (n,) of polygons on a circle that stay within tolerances (n,) of it; multiples of 4."""
+    sides_min = 12
     ratio = np.clip(tolerance_mm / radius_mm, 1e-7, 0.5)
     quarter = np.ceil(np.pi / np.arccos(1.0 - ratio) / 4.0).astype(np.int64)
-    return np.maximum(SIDES_MIN, 4 * quarter)
+    return np.maximum(sides_min, 4 * quarter)
 
 
 def build_scene(
@@ -180,7 +180,7 @@ def _receptors(
 ) -> tuple[Mesh, NDArray[np.int32], NDArray[np.int32]]:
     """Chosen receptors: mesh, part of each triangle, owner of each vertex; marker after marker."""
     tip, normal = markers.tip_mm[chosen], markers.normal[chosen]
-    axis = tip - markers.foot_mm[chosen]
+    axis = tip - markers.base_mm[chosen]
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     sine = np.linalg.norm(np.cross(axis, normal), axis=1)
     slope = sine / np.maximum(np.abs(np.sum(axis * normal, axis=1)), 1e-12)

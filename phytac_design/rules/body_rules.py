@@ -67,7 +67,7 @@ def _check_receptors(design: Design, markers: Markers, mesh: Mesh, name: str) ->
         ),
     )
     for what, end, radius in parts:
-        depth = tube_overlaps_mm(markers.foot_mm, end, radius, mesh)
+        depth = tube_overlaps_mm(markers.base_mm, end, radius, mesh)
         depth = np.where(within(end, mesh), np.maximum(depth, radius), depth)
         met = depth > TOUCH * radius
         if not met.any():
@@ -168,7 +168,7 @@ def check_cameras(sensor: Sensor, cameras: Sequence[Camera]) -> None:
 
 def _check_tubes(design: Design, markers: Markers, centre: FloatArray, place: str) -> None:
     """Refuse a camera in a tube or before a red tip."""
-    arm = centre - markers.foot_mm
+    arm = centre - markers.base_mm
     along = np.sum(arm * markers.direction, axis=1)
     aside = np.linalg.norm(arm - along[:, None] * markers.direction, axis=1)
     out = max(design.switch.stroke_mm - design.switch.tip_recess_mm, 0.0)

@@ -3,7 +3,7 @@
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.hardware.hardware_assembly import check_hardware
 from phytac_design.layout import Markers, make_markers
-from phytac_design.layout.cameras import cameras_of, refuse_swallowed
+from phytac_design.layout.cameras import cameras_of, check_bar_clearance
 from phytac_design.layout.region_chart import design_regions
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.switch.switch_inputs import rubber_of
@@ -38,7 +38,7 @@ def check_design(design: Design) -> tuple[Surface, Markers]:
     check_cameras(Sensor.of(design, surface, markers), cameras)
     for camera in cameras:
         sharpness(design.camera, camera, surface, markers)
-    refuse_swallowed(design, surface, markers)
+    check_bar_clearance(design, surface, markers)
     rubber_of(design)
     check_hardware(design, surface)
     return surface, markers

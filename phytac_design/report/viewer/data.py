@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh, shell_mesh
-from phytac_design.geometry.flat_map import family, flat_map
+from phytac_design.geometry.flat_map import flat_map, surface_topology
 from phytac_design.geometry.strips import Mesh
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
@@ -140,7 +140,7 @@ def base_colourings(markers: Markers) -> list[Colouring]:
 
 def eye_of(surface: Surface, markers: Markers) -> FloatArray:
     """Unit vector (3,) towards the first viewpoint: beside tubes, on the marker side of others."""
-    if family(surface) == "tube":
+    if surface_topology(surface) == "tube":
         return np.asarray(TUBE_VIEW / np.linalg.norm(TUBE_VIEW))
     inward = -markers.normal.mean(axis=0)
     inward /= max(float(np.linalg.norm(inward)), 1e-9)
@@ -168,14 +168,14 @@ def viewer_data(
     lines = np.concatenate([np.zeros((0, 2, 3)), *(_field(camera, size) for camera in cameras)])
     everything = [mesh.vertices for _, _, mesh in meshes if len(mesh.vertices)]
     box = Box.around(
-        np.concatenate([*everything, lines.reshape(-1, 3), markers.foot_mm, markers.tip_mm])
+        np.concatenate([*everything, lines.reshape(-1, 3), markers.base_mm, markers.tip_mm])
     )
     flat = flat_map(surface, markers.uv)
     return {
         "version": 1,
         "box": {"low": box.low.tolist(), "step": box.step.tolist()},
         "eye": eye_of(surface, markers).round(4).tolist(),
-        "wall": "clear" if family(surface) == "sheet" else "cut",
+        "wall": "clear" if surface_topology(surface) == "sheet" else "cut",
         "bodies": [
             {
                 "name": name,
@@ -188,7 +188,7 @@ def viewer_data(
         ],
         "lines": box.pack(lines),
         "tubes": {
-            "foot": box.pack(markers.foot_mm),
+            "foot": box.pack(markers.base_mm),
             "tip": box.pack(markers.tip_mm),
             "band_mm": design.receptor.band_marker_mm,
             "radius_mm": design.receptor.diameter_outer_mm / 2.0,
