@@ -110,9 +110,9 @@ def bar_span_mm(design: Design, surface: Surface) -> tuple[float, float]:
     In a tube the bar begins ``light.bar_start_mm`` inside the rim of each camera and ends at the
     rim of an end without one; in a dome, or before a sheet, a little in front of the inner face.
     """
-    # Room, as a share of the wall's thickness, between the bar's far end and the face.
+    # Gap, as a share of the wall's thickness, between the bar's far end and the face.
     bar_step = 0.1
-    # Rays up the light bar's side, besides its axis, that look for the face it ends at.
+    # Rays along the light bar's side, besides its axis, that find the face at its end.
     bar_rays = 12
     offset, near = -design.wall.thickness_mm, design.light.bar_start_mm
     if open_far(surface):

@@ -14,7 +14,7 @@ def profile_heights_mm(
 ) -> FloatArray:
     """Heights (n,) by the distance along the surface, from its near to its far end.
 
-    With rows from the first row to the last, so that these have what the design says.
+    With rows, from the first row to the last, so that these have the heights of the design.
     ``line-of-sight`` starts from the near height.
     """
     layout = design.layout
@@ -31,14 +31,14 @@ def profile_heights_mm(
 
 
 def directions(design: Design, surface: Surface, uv: FloatArray, normal: FloatArray) -> FloatArray:
-    """Unit vectors from foot to tip, (n, 3).
+    """Unit vectors from base to tip, (n, 3).
 
     Raises
     ------
     DesignError
         If a receptor would lie more in the wall than on it.
     """
-    # Cosine of the most that a receptor may lean from the wall's normal.
+    # Cosine of the largest angle between a receptor and the wall's normal.
     lean_max = np.cos(np.radians(60.0))
     receptor = design.receptor
     inward = np.asarray(-normal + 0.0)

@@ -295,9 +295,9 @@ def pressed_markers(markers: Markers, motion: FloatArray) -> Markers:
     direction = markers.direction + np.cross(turn, markers.direction)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     below = np.linalg.norm(markers.base_mm - markers.mid_mm, axis=1, keepdims=True)
-    foot = markers.mid_mm + shift + below * direction
-    tip = foot + markers.height_mm[:, None] * direction
-    return replace(markers, base_mm=foot, direction=direction, tip_mm=tip)
+    base = markers.mid_mm + shift + below * direction
+    tip = base + markers.height_mm[:, None] * direction
+    return replace(markers, base_mm=base, direction=direction, tip_mm=tip)
 
 
 def clearance_under_load_mm(

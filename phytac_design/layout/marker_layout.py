@@ -26,7 +26,7 @@ def make_markers(
 ) -> Markers:
     """Place every receptor of a design on its surface.
 
-    Markers where the surface does not sense are left out. ``camera_mm`` is the camera's centre
+    Markers on parts that do not sense are dropped. ``camera_mm`` is the camera's centre
     (3,), or those of several (c, 3), for ``line-of-sight`` heights; by default those of the design.
 
     Raises
@@ -151,20 +151,20 @@ def _assemble(
     thickness = design.wall.thickness_mm
     mid = surface.point(uv, -thickness / 2.0)
     if design.receptor.direction == "normal":
-        foot = surface.point(uv, -thickness)
+        base = surface.point(uv, -thickness)
         tip = surface.point(uv, -thickness - height_mm)
     else:
         # A leaning axis goes through the mesh node and meets the inner face on the way.
         cosine = -np.sum(direction * normal, axis=1)
-        foot = mid + (thickness / 2.0 / cosine)[:, None] * direction
-        tip = foot + height_mm[:, None] * direction
+        base = mid + (thickness / 2.0 / cosine)[:, None] * direction
+        tip = base + height_mm[:, None] * direction
     return Markers(
         uv=uv,
         row=row,
         column=column,
         colour=colour,
         height_mm=height_mm,
-        base_mm=foot,
+        base_mm=base,
         tip_mm=tip,
         mid_mm=mid,
         normal=normal,

@@ -56,12 +56,12 @@ class Markers:
     normal : (n, 3) float
         Outward unit normal.
     direction : (n, 3) float
-        Unit vector from foot to tip; minus the normal unless the design leans its receptors.
+        Unit vector from base to tip; minus the normal unless the design leans its receptors.
     neighbours : (n, 8) int
         Ids in the order of ``NEIGHBOUR_STEPS``; -1 beyond a rim. Off a lattice: the nearest
         marker in each of eight sectors around.
     lattice : Lattice or None
-        The full lattice the markers came from; None if they are on none, or some are left out.
+        The full lattice the markers came from; None if they are on none, or some are dropped.
     """
 
     uv: FloatArray

@@ -41,7 +41,7 @@ def nearest_pair(points_mm: FloatArray) -> tuple[float, tuple[int, int]]:
     distance, other = cKDTree(points_mm).query(points_mm, k=min(len(points_mm), 8))
     first = _least(distance[:, 1])
     least = float(distance[first, 1])
-    # Coincident points may list a point after its duplicate; of equals the lowest id is named.
+    # Coincident points may list a point after its duplicate; the lowest of equal ids is used.
     equal = other[first][distance[first] <= least + 1e-9]
     second = int(equal[equal != first].min())
     return least, (min(first, second), max(first, second))

@@ -11,13 +11,13 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
 REACH = 2.0
-"""A neighbour is at most this many times as far as the median of the nearest six."""
+"""A neighbour is at most this multiple of the median distance of the nearest six away."""
 
 
 def phyllotaxis(surface: Surface, count: int, *, inset_mm: float) -> FloatArray:
     """Chart places (count, 2), ordered along u: one after the other turned by the golden angle.
 
-    What lies within ``inset_mm`` of an open edge is left free. Of the rest marker k holds the
+    A margin of ``inset_mm`` at open edges stays free. Of the remaining area marker k holds the
     k-th of ``count`` equal areas, counted from the pole where there is one, and lies at (k · golden
     angle) of the area around. On a sheet, where v does not close, the same rule is a Fibonacci
     lattice.
@@ -70,8 +70,8 @@ def explicit(design: Design, surface: Surface) -> tuple[FloatArray, IntArray]:
 def spread_colours(points_mm: FloatArray, colours: int) -> IntArray:
     """Colours (n,) such that near markers differ where they can.
 
-    One after the other takes the colour whose nearest marker so far is farthest; of equals the
-    one used least.
+    Each marker in turn takes the colour whose nearest marker so far is farthest; ties go to the
+    colour used least.
     """
     n = len(points_mm)
     out = np.full(n, -1, dtype=np.int64)

@@ -65,10 +65,6 @@ class DensityMap:
     cell_cm2: FloatArray
     per_cm2: FloatArray
 
-    def over_surface(self) -> FloatArray:
-        """Local density (m,) of each piece, per cm²."""
-        return self.per_cm2[self.owner]
-
 
 def surface_class(markers: Markers) -> str:
     """Return how the surface under the markers lies to the optical axis."""

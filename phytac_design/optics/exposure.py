@@ -1,7 +1,7 @@
 """A physical camera behind the linear light of a scene: lens, vignetting, electrons, 8 bits, JPEG.
 
 Blur needs no filter: each of a pixel's samples looks through another point of the aperture
-(Haeberli and Akeley 1990), so that what hides what is right for every point of the lens.
+(Haeberli and Akeley 1990), so that occlusion is exact for every point of the lens.
 Diffraction is a Gaussian of the Airy disc's core.
 """
 
@@ -79,7 +79,7 @@ CLEAN = Exposure(lens_blur=False, fall_off=False, vignetting=0.0, noise_pixel=0.
 
 @dataclass(frozen=True, kw_only=True)
 class LensBlur:
-    """The lens of a camera as far as it blurs.
+    """Blur parameters of a lens.
 
     Attributes
     ----------
@@ -104,8 +104,8 @@ class LensBlur:
 def disc_points(count: int) -> FloatArray:
     """Points (count, 2) of the unit disc on Vogel's spiral, with a disc's mean and variance.
 
-    Of many orders that is taken in which they go least with ``sample_offsets``: blur then widens
-    edges by as much as it should, wherever those lie.
+    Of many orders the one with the least correlation with ``sample_offsets`` is used: blur then
+    widens edges correctly, wherever they lie.
     """
     if count == 1:
         return np.zeros((1, 2))
@@ -126,7 +126,7 @@ def disc_points(count: int) -> FloatArray:
 
 
 def lens_blur(sensor: Sensor, camera: Camera) -> LensBlur:
-    """Blur of a design's lens, set as ``sharpness`` says for the nominal ``camera``.
+    """Blur of a design's lens, focused by ``sharpness`` for the nominal ``camera``.
 
     Raises
     ------

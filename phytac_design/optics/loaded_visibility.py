@@ -240,44 +240,35 @@ def visibility_under_load(
     counted : (n,) bool, optional
         Markers that are read through this camera; all by default.
     """
-    # A marker that moves by less than this share of the greatest image shift counts as
-    # stationary.
-    stationary_share = 0.1
+    stationary_share = 0.1  # of the largest image shift, below which a marker counts as stationary
     own = np.ones(scene.count, dtype=bool) if counted is None else counted
-    presses = _PressedSensor(scene, camera, own, pivots_mm, forces_N)
-    rest, count = presses.rest, len(motions)
-    per_press = {name: np.zeros(count) for name in ("same", "other", "crosstalk", "shift")}
-    hidden, fused = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    sensor = _PressedSensor(scene, camera, own, pivots_mm, forces_N)
+    rest, count = sensor.rest, len(motions)
+    states = []
     first, marker = np.full(count, np.inf), np.full(count, -1)
-    fraction, crosstalk = rest.fraction.copy(), np.zeros((2, scene.count))
-    same, other = rest.gap_same_px.copy(), rest.gap_other_px.copy()
     for press, path in enumerate(motions):
-        seen = presses.at(path, float(presses.forces_N[-1]))
-        shift, stray = seen.shift_px(rest), seen.crosstalk_px(rest)
-        still = shift <= stationary_share * shift.max()
-        hidden[press], fused[press] = int(seen.hidden.sum()), int(seen.fused.sum())
-        per_press["same"][press] = float(seen.gap_same_px.min())
-        per_press["other"][press] = float(seen.gap_other_px.min())
-        per_press["crosstalk"][press] = float(stray.max())
-        per_press["shift"][press] = float(shift.max())
-        fraction = np.minimum(fraction, seen.fraction)
-        same, other = np.minimum(same, seen.gap_same_px), np.minimum(other, seen.gap_other_px)
-        crosstalk = np.maximum(crosstalk, np.stack([stray, np.where(still, stray, 0.0)]))
-        if presses.lost(seen).any():
-            first[press], marker[press] = presses.first(path, seen)
+        state = sensor.at(path, float(sensor.forces_N[-1]))
+        states.append(state)
+        if sensor.lost(state).any():
+            first[press], marker[press] = sensor.first(path, state)
         progress(f"under load: {press + 1} of {count} presses")
+    shape = (count, scene.count)
+    shift = np.array([state.shift_px(rest) for state in states]).reshape(shape)
+    crosstalk = np.array([state.crosstalk_px(rest) for state in states]).reshape(shape)
+    still = shift <= stationary_share * shift.max(axis=1, keepdims=True)
+    every = [rest, *states]
     return LoadedVisibility(
-        hidden=hidden,
-        fused=fused,
-        press_gap_same_px=per_press["same"],
-        press_gap_other_px=per_press["other"],
-        press_crosstalk_px=per_press["crosstalk"],
-        shift_px=per_press["shift"],
+        hidden=np.array([int(state.hidden.sum()) for state in states]),
+        fused=np.array([int(state.fused.sum()) for state in states]),
+        press_gap_same_px=np.array([float(state.gap_same_px.min()) for state in states]),
+        press_gap_other_px=np.array([float(state.gap_other_px.min()) for state in states]),
+        press_crosstalk_px=crosstalk.max(axis=1),
+        shift_px=shift.max(axis=1),
         first_force_N=first,
         first_marker=marker,
-        least_fraction=fraction,
-        least_gap_same_px=same,
-        least_gap_other_px=other,
-        crosstalk_px=crosstalk[0],
-        crosstalk_still_px=crosstalk[1],
+        least_fraction=np.min([state.fraction for state in every], axis=0),
+        least_gap_same_px=np.min([state.gap_same_px for state in every], axis=0),
+        least_gap_other_px=np.min([state.gap_other_px for state in every], axis=0),
+        crosstalk_px=crosstalk.max(axis=0, initial=0.0),
+        crosstalk_still_px=np.where(still, crosstalk, 0.0).max(axis=0, initial=0.0),
     )

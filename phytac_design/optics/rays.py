@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from phytac_decoder.camera.lens import Lens
@@ -112,22 +113,13 @@ def _level(lens: Lens, step: int, wanted: BoolArray) -> Level:
     nodes[y, x] = lens.unproject(
         np.column_stack([x - BEFORE, y - BEFORE]).astype(np.float64) * step
     )
-    seen = np.isfinite(nodes[..., 2])
-    count = np.zeros((rows, columns), dtype=np.int64)
-    near = np.zeros((rows, columns), dtype=np.bool_)
-    for m in range(TAPS):
-        for n in range(TAPS):
-            part = seen[m : m + rows, n : n + columns]
-            count += part
-            if 0 < m < TAPS - 1 and 0 < n < TAPS - 1:
-                near |= part
+    seen = sliding_window_view(np.isfinite(nodes[..., 2]), (TAPS, TAPS))
+    near = seen[:, :, 1:-1, 1:-1].any(axis=(2, 3))
     state = np.where(wanted & near, EXACT, ELSEWHERE).astype(np.uint8)
-    y, x = np.nonzero(wanted & (count == TAPS * TAPS))
+    y, x = np.nonzero(wanted & seen.all(axis=(2, 3)))
     weights = _weights(np.array([0.5]))[0]
-    middle = np.zeros((len(y), 3))
-    for m in range(TAPS):
-        for n in range(TAPS):
-            middle += weights[m] * weights[n] * nodes[y + m, x + n]
+    around = sliding_window_view(nodes, (TAPS, TAPS), axis=(0, 1))[y, x]
+    middle = np.einsum("kcmn,m,n->kc", around, weights, weights)
     exact = lens.unproject(np.column_stack([x + 0.5, y + 0.5]) * float(step))
     good = np.abs(middle - exact).max(axis=1) <= RAY_ERROR
     state[y[good], x[good]] = SMOOTH

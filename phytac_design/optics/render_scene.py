@@ -1,6 +1,6 @@
 r"""Triangles of everything the camera can see, each with a part code.
 
-A receptor is one solid of revolution about the line from its foot to its tip; depth is measured
+A receptor is one solid of revolution about the line from its base to its tip; depth is measured
 from the end face back towards the wall::
 
       wall  |  resin side    | painted band |
@@ -139,8 +139,8 @@ def build_scene(
     Parameters
     ----------
     tolerance_mm : float or (n,) float
-        Largest distance between a receptor's polygons and the circles that they stand for; the
-        least of them holds for shell, bar and fixtures. See ``view.tolerance_mm``.
+        Largest distance between a receptor's polygons and the circles that they approximate; the
+        minimum applies to shell, bar and fixtures. See ``cameras.tolerance_mm``.
     switch_on : (n,) bool, optional
         Switches whose red tip is out; none by default.
     """
@@ -223,18 +223,18 @@ def _profile(
 ) -> tuple[FloatArray, FloatArray]:
     """Radius (9,) and depth behind the end face (n, 9) of the rings of a receptor, mm.
 
-    The foot is sunk by half the wall, and by what a receptor that leans against the normal (tangent
-    of the angle: ``slope``) lifts on its one side: no light passes under it on any surface. The red
+    The base is sunk by half the wall, and by the lift of one side of a receptor that leans from
+    the normal (``slope``: tangent of the angle), so that no light passes under it. The red
     side is one stroke and one recess long; the hole is closed behind it.
     """
     outer, hole = design.receptor.diameter_outer_mm / 2.0, design.receptor.diameter_hole_mm / 2.0
     tip = design.switch.tip_diameter_mm / 2.0
     switch = design.switch
-    foot = height + design.wall.thickness_mm / 2.0 + outer * slope
+    base = height + design.wall.thickness_mm / 2.0 + outer * slope
     band = np.minimum(design.receptor.band_marker_mm, height)
     front = switch.tip_recess_mm - np.where(on, switch.stroke_mm, 0.0)
     back = front + switch.stroke_mm + switch.tip_recess_mm
     face = np.zeros_like(height)
     radius = np.array([outer, outer, outer, hole, hole, 0.0, tip, tip, 0.0])
-    depth = np.stack([foot, band, face, face, back, back, back, front, front], axis=1)
+    depth = np.stack([base, band, face, face, back, back, back, front, front], axis=1)
     return radius, depth

@@ -215,7 +215,7 @@ def _gather(
 ) -> int:
     """Write the pieces that may lie before a marker's paint into ``near``; how many there are.
 
-    ``wanted`` is the marker's own group, which is left out, the least 1 / z or 1 / distance of its
+    ``wanted`` is the marker's own group, which is excluded, the least 1 / z or 1 / distance of its
     paint, and which of the two it is. ``stamp`` says which marker last met each group.
     """
     bounds, boxes, nearest = groups
@@ -302,7 +302,7 @@ def _count(
         found = _gather(view, chosen, groups, tiles, (grid, rows, columns), wanted, stamp, near)
         other = np.full((rows, columns), -1, dtype=np.int32)
         front = np.zeros((rows, columns))
-        # In the scene's order: of equals the first wins, as in the whole map.
+        # In the scene's order: of equal depths the first wins, as in the full image.
         fill(here, np.sort(near[:found]), grid, other, front)
         for row in range(max(0, -(top // step)), min(rows, (size[1] - 1 - top) // step + 1)):
             for column in range(

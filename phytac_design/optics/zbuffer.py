@@ -118,7 +118,7 @@ Sides = tuple[Line, Line, Line, Line]
 def _sides(a: Pixel, b: Pixel, c: Pixel, margin: float) -> Sides:
     """Edges of a triangle of positive area, moved out by ``margin`` px or a little more.
 
-    Level edges are left out: they bound rows, not what lies in one.
+    Horizontal edges are skipped: they bound the rows, not the columns within one.
     """
     left, left_2 = (-np.inf, 0.0, 0.0), (-np.inf, 0.0, 0.0)
     right, right_2 = (np.inf, 0.0, 0.0), (np.inf, 0.0, 0.0)

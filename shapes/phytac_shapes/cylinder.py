@@ -43,14 +43,11 @@ class Cylinder(PathRevolved):
         return self.diameter_outer_mm / 2.0
 
     @cached_property
-    def _path(self) -> Path:
+    def profile(self) -> Path:
+        """Straight generator, parallel to the axis."""
         return Path(
             parts=(Line(start=(self.radius_mm, 0.0), end=(self.radius_mm, self.length_mm)),)
         )
-
-    def profile(self) -> Path:
-        """Straight generator, parallel to the axis."""
-        return self._path
 
     def unwrap(self, uv: FloatArray) -> FloatArray:
         """(R·angle, z) in mm, (n, 2)."""

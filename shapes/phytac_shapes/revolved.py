@@ -150,22 +150,23 @@ class Revolved(Surface):
 class PathRevolved(Revolved):
     """A profile of straight lines and arcs; u is its arc length in mm."""
 
+    @property
     @abstractmethod
     def profile(self) -> Path:
         """Path in the (r, z) half-plane, from the near rim on."""
 
     def span(self) -> tuple[float, float]:
         """0 to the profile's length."""
-        return (0.0, self.profile().length)
+        return (0.0, self.profile.length)
 
     def curve(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Points, headings and curvature of the profile."""
-        path = self.profile()
+        path = self.profile
         return *path.at(u), path.curvature(u)
 
     def foot(self, rz: FloatArray) -> FloatArray:
         """Nearest arc length; at most the pole where there is one."""
-        s = self.profile().foot(rz)
+        s = self.profile.foot(rz)
         return np.minimum(s, self.span()[1]) if self.poles[1] else s
 
     def arc_length_mm(self, u: FloatArray) -> FloatArray:
@@ -174,7 +175,7 @@ class PathRevolved(Revolved):
 
     def area_mm2(self, offset_mm: float = 0.0) -> float:
         """Closed form, part by part (Pappus)."""
-        return float(sum(_swept(part, offset_mm) for part in self.profile().parts))
+        return float(sum(_swept(part, offset_mm) for part in self.profile.parts))
 
 
 def _swept(part: Line | Arc, offset: float) -> float:
