@@ -217,7 +217,7 @@ def test_cones_from_needle_to_disc(half_angle_deg: float) -> None:
     assert np.allclose(cone.chart(cone.point(uv, 0.1))[:, 0], uv[:, 0], atol=1e-9 * near)
 
 
-def test_cuboid_faces_sense_where_asked() -> None:
+def test_only_the_chosen_cuboid_faces_sense() -> None:
     box = phytac_shapes.Cuboid(
         width_mm=50.0, depth_mm=40.0, length_mm=10.0, edge_radius_mm=5.0, faces=("+y",)
     )

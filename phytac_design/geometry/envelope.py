@@ -4,7 +4,8 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.boundary_loops import Loop, chart_loops
-from phytac_design.geometry.strips import Mesh, cylinder_mesh, empty_mesh, grid_mesh, joined
+from phytac_design.geometry.strips import cylinder_mesh, empty_mesh, grid_mesh
+from phytac_design.geometry.triangles import TriangleMesh, merged
 from phytac_design.geometry.wall_sampling import untwisted
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
@@ -49,7 +50,7 @@ def divisions(surface: Surface, offset_mm: float, along: int, tolerance_mm: floa
     return cells
 
 
-def shell_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> Mesh:
+def shell_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> TriangleMesh:
     """Inner face over the whole domain, a rim flush with it along every open edge, rims' ends.
 
     Only what the cameras see: the outer face, and the end of a tube without a camera before it, are
@@ -64,7 +65,7 @@ def shell_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> Mesh
         for number, loop in enumerate(chart_loops(surface, u, v)):
             hidden = closed and ends[number] not in visible_ends
             meshes.append(_rim(design, surface, loop, ended=not hidden))
-    return joined(meshes)
+    return merged(meshes)
 
 
 def _inner_face(
@@ -84,7 +85,7 @@ def _inner_face(
     return u, v, face.reshape(len(u), len(v), 3)
 
 
-def _rim(design: Design, surface: Surface, loop: Loop, *, ended: bool) -> Mesh:
+def _rim(design: Design, surface: Surface, loop: Loop, *, ended: bool) -> TriangleMesh:
     """Rim around one loop of edges along their conormals; ``ended`` with its outer end face."""
     wall = design.wall
     edge = loop.points_mm(surface, -wall.thickness_mm, 0.0)
@@ -94,9 +95,9 @@ def _rim(design: Design, surface: Surface, loop: Loop, *, ended: bool) -> Mesh:
         curves.append(loop.points_mm(surface, wall.rim_flange_mm, wall.rim_length_mm))
     strip = grid_mesh(np.stack(curves), closed=True)
     # The stations of a mitre are one point on the edge itself.
-    a, b, c = np.moveaxis(strip.vertices[strip.triangles], 1, 0)
+    a, b, c = np.moveaxis(strip.vertices_mm[strip.triangles], 1, 0)
     real = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0.0
-    return Mesh(vertices=strip.vertices, triangles=strip.triangles[real])
+    return TriangleMesh(vertices_mm=strip.vertices_mm, triangles=strip.triangles[real])
 
 
 def open_far(surface: Surface) -> bool:
@@ -135,10 +136,10 @@ def bar_span_mm(design: Design, surface: Surface) -> tuple[float, float]:
     return near, far - clearance
 
 
-def _heights_mm(mesh: Mesh, places_mm: FloatArray) -> FloatArray:
+def _heights_mm(mesh: TriangleMesh, places_mm: FloatArray) -> FloatArray:
     """Z of every crossing of the mesh with lines along z at ``places_mm`` (n, 2), flat."""
     slack = 1e-9  # how far outside a triangle, in its own coordinates, a line still meets it
-    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
+    a, b, c = np.moveaxis(mesh.vertices_mm[mesh.triangles], 1, 0)
     first, second = b - a, c - a
     twice = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     flat = twice != 0.0
@@ -151,7 +152,7 @@ def _heights_mm(mesh: Mesh, places_mm: FloatArray) -> FloatArray:
     return np.asarray(height[inside])
 
 
-def bar_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> Mesh:
+def bar_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> TriangleMesh:
     """Light bar on the axis, a cylinder with a cap towards each camera; empty for radius 0."""
     radius = design.light.bar_radius_mm
     if radius <= 0.0:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from phytac_design.geometry.strips import Mesh
+from phytac_design.geometry.triangles import TriangleMesh
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 PAIRS_MAX = 2_000_000
@@ -28,7 +28,7 @@ def box_pairs(low: FloatArray, high: FloatArray, first: FloatArray, last: FloatA
 
 
 def tube_overlaps_mm(
-    start_mm: FloatArray, end_mm: FloatArray, radius_mm: float, mesh: Mesh
+    start_mm: FloatArray, end_mm: FloatArray, radius_mm: float, mesh: TriangleMesh
 ) -> FloatArray:
     """How far a surface of triangles reaches into solid tubes with flat ends, (n,) mm.
 
@@ -38,7 +38,7 @@ def tube_overlaps_mm(
         Ends of the tubes' axes.
     radius_mm : float
         Of all tubes.
-    mesh : Mesh
+    mesh : TriangleMesh
         The triangles; only their surface counts.
 
     Returns
@@ -48,7 +48,7 @@ def tube_overlaps_mm(
         out of its end: from the surface's point nearest to the axis, and the one farthest in.
     """
     out = np.zeros(len(start_mm))
-    corners = mesh.vertices[mesh.triangles]
+    corners = mesh.vertices_mm[mesh.triangles]
     low, high = np.minimum(start_mm, end_mm) - radius_mm, np.maximum(start_mm, end_mm) + radius_mm
     pairs = box_pairs(low, high, corners.min(axis=1), corners.max(axis=1))
     length = np.linalg.norm(end_mm - start_mm, axis=1)
@@ -156,7 +156,7 @@ def _over(
     return (whole != 0.0) & (share >= 0.0).all(axis=1) & (at >= 0.0) & (at <= length), at
 
 
-def within(points_mm: FloatArray, mesh: Mesh) -> BoolArray:
+def within(points_mm: FloatArray, mesh: TriangleMesh) -> BoolArray:
     """Whether points (n, 3) lie inside a closed surface, (n,); never inside an open one.
 
     Counts crossings of a ray, so that triangles may turn either way.
@@ -164,7 +164,7 @@ def within(points_mm: FloatArray, mesh: Mesh) -> BoolArray:
     # Direction of the rays that count crossings: along no edge of anything drawn by hand.
     ray = np.array([0.541, 0.283, 0.792])
     inside = np.zeros(len(points_mm), dtype=np.bool_)
-    corners = mesh.vertices[mesh.triangles]
+    corners = mesh.vertices_mm[mesh.triangles]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     some = np.flatnonzero(((points_mm >= low) & (points_mm <= high)).all(axis=1))
     if not len(some) or not _closed(mesh):
@@ -188,19 +188,19 @@ def within(points_mm: FloatArray, mesh: Mesh) -> BoolArray:
     return inside
 
 
-def _closed(mesh: Mesh) -> bool:
+def _closed(mesh: TriangleMesh) -> bool:
     """Whether every edge, between places and not corners' numbers, has an even number of sides."""
     # Adding 0 makes -0 the same place as 0.
-    _, same = np.unique(mesh.vertices + 0.0, axis=0, return_inverse=True)
+    _, same = np.unique(mesh.vertices_mm + 0.0, axis=0, return_inverse=True)
     corners = same.reshape(-1)[mesh.triangles]
     edges = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, number = np.unique(edges[edges[:, 0] < edges[:, 1]], axis=0, return_counts=True)
     return bool((number % 2 == 0).all())
 
 
-def distance_mm(point_mm: FloatArray, mesh: Mesh) -> float:
+def distance_mm(point_mm: FloatArray, mesh: TriangleMesh) -> float:
     """Distance of a point (3,) from the nearest triangle, mm."""
-    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles] - point_mm, 1, 0)
+    a, b, c = np.moveaxis(mesh.vertices_mm[mesh.triangles] - point_mm, 1, 0)
     best = np.inf
     for p, q in ((a, b), (b, c), (c, a)):
         d = q - p

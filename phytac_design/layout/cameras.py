@@ -229,7 +229,7 @@ def check_bar_clearance(design: Design, surface: Surface, markers: Markers) -> N
     if least <= radius:
         row = int(markers.row[distance.min(axis=0).argmin()])
         raise DesignError(
-            f"the light bar swallows receptor tips: in row {row} a tip with its switch on comes "
+            f"the light bar intersects receptor tips: in row {row} a tip with its switch on comes "
             f"within {least:.2f} mm of the axis, the bar's radius is {radius:g} mm; lower "
             f"light.bar_radius_mm below {least:.2f} or layout.height_far_mm"
         )

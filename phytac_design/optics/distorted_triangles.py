@@ -19,7 +19,6 @@ from phytac_design.optics.rays import pixel_rays
 from phytac_design.optics.zbuffer import View
 from phytac_shapes.arrays import FloatArray
 
-BORDER = 512
 DROP, KEEP, SPLIT = 0, 1, 2
 
 
@@ -51,7 +50,7 @@ def _edge_rad(lens: Lens) -> float:
     margin_rad = 0.02
     w, h = lens.width_px, lens.height_px
     left, top, right, bottom = -w / 2.0 - 1.0, -h / 2.0 - 1.0, 1.5 * w + 1.0, 1.5 * h + 1.0
-    x, y = np.linspace(left, right, BORDER), np.linspace(top, bottom, BORDER)
+    x, y = np.linspace(left, right, 512), np.linspace(top, bottom, 512)
     border = np.concatenate(
         [np.column_stack([x, np.full_like(x, side)]) for side in (top, bottom)]
         + [np.column_stack([np.full_like(y, side), y]) for side in (left, right)]

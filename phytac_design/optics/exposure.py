@@ -26,9 +26,6 @@ from phytac_design.optics.render_scene import RenderScene
 from phytac_design.optics.sharpness import sharpness
 from phytac_shapes.arrays import FloatArray, ImageArray
 
-ORDERS = 500
-"""Orders of the lens points that are tried."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Exposure:
@@ -120,7 +117,7 @@ def disc_points(count: int) -> FloatArray:
     spread = np.linalg.cholesky(points.T @ points / count)
     points = 0.5 * np.linalg.solve(spread, points.T).T
     rng, offsets = np.random.default_rng(0), sample_offsets(count)
-    orders = [rng.permutation(count) for _ in range(ORDERS)]
+    orders = [rng.permutation(count) for _ in range(500)]
     least = min(orders, key=lambda order: float(np.abs(offsets.T @ points[order]).max()))
     return np.asarray(points[least])
 

@@ -15,10 +15,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh, shell_mesh
-from phytac_design.geometry.strips import Mesh, joined
+from phytac_design.geometry.triangles import TriangleMesh, merged
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.fixture_bodies import fixture_mesh
@@ -75,7 +76,7 @@ class RenderScene:
     ) -> "RenderScene":
         """Scene with each receptor moved as a rigid body; shell and bar stay.
 
-        ``p' = pivot + R(rotation) (p - pivot) + translation``, with Rodrigues' exact rotation.
+        ``p' = pivot + R(rotation) (p - pivot) + translation``, with the exact rotation.
 
         Parameters
         ----------
@@ -88,7 +89,7 @@ class RenderScene:
         """
         own = self.vertex_owner >= 0
         owner = self.vertex_owner[own]
-        turns = rotation_matrices(np.asarray(rotation, dtype=np.float64))
+        turns = Rotation.from_rotvec(rotation).as_matrix()
         pivot = np.asarray(pivots, dtype=np.float64)[owner]
         arm = self.vertices[own] - pivot
         vertices = self.vertices.copy()
@@ -96,19 +97,6 @@ class RenderScene:
         change = np.einsum("nij,nj->ni", turns[owner] - np.eye(3), arm)
         vertices[own] += change + np.asarray(translation, dtype=np.float64)[owner]
         return replace(self, vertices=vertices)
-
-
-def rotation_matrices(vectors: FloatArray) -> FloatArray:
-    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3), Rodrigues' formula."""
-    angle = np.linalg.norm(vectors, axis=1)
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    first = np.sinc(angle / np.pi)  # sin(a) / a
-    second = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2  # (1 - cos(a)) / a²
-    return np.asarray(
-        np.eye(3) + first[:, None, None] * cross + second[:, None, None] * (cross @ cross)
-    )
 
 
 def paint_owner(part: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -162,12 +150,12 @@ def build_scene(
         _receptors(design, markers, on, np.flatnonzero(sides == value), int(value))
         for value in np.unique(sides)
     ]
-    whole = joined([mesh for mesh, _ in fixed] + [mesh for mesh, _, _ in groups])
+    whole = merged([mesh for mesh, _ in fixed] + [mesh for mesh, _, _ in groups])
     codes = [np.full(len(mesh.triangles), code, dtype=np.int32) for mesh, code in fixed]
-    owners = [np.full(len(mesh.vertices), -1, dtype=np.int32) for mesh, _ in fixed]
+    owners = [np.full(len(mesh.vertices_mm), -1, dtype=np.int32) for mesh, _ in fixed]
     return RenderScene(
-        vertices=whole.vertices,
-        triangles=whole.triangles,
+        vertices=whole.vertices_mm,
+        triangles=whole.triangles.astype(np.int32),
         part=np.concatenate([*codes, *(part for _, part, _ in groups)]),
         vertex_owner=np.concatenate([*owners, *(owner for _, _, owner in groups)]),
         colour=markers.colour,
@@ -177,7 +165,7 @@ def build_scene(
 
 def _receptors(
     design: Design, markers: Markers, on: BoolArray, chosen: IntArray, sides: int
-) -> tuple[Mesh, NDArray[np.int32], NDArray[np.int32]]:
+) -> tuple[TriangleMesh, NDArray[np.int32], NDArray[np.int32]]:
     """Chosen receptors: mesh, part of each triangle, owner of each vertex; marker after marker."""
     tip, normal = markers.tip_mm[chosen], markers.normal[chosen]
     axis = tip - markers.base_mm[chosen]
@@ -211,9 +199,9 @@ def _receptors(
     base = (np.arange(n) * rings * sides)[:, None, None]
     marker = chosen.astype(np.int32)
     part = code[None] + np.where(code >= FIRST_MARKER, 2, 0)[None] * marker[:, None]
-    mesh = Mesh(
-        vertices=vertices.reshape(-1, 3),
-        triangles=(template[None] + base).reshape(-1, 3).astype(np.int32),
+    mesh = TriangleMesh(
+        vertices_mm=vertices.reshape(-1, 3),
+        triangles=(template[None] + base).reshape(-1, 3),
     )
     return mesh, part.reshape(-1).astype(np.int32), np.repeat(marker, rings * sides)
 

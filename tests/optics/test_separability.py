@@ -1,4 +1,4 @@
-"""Paints told apart: chromaticity against the standard, margins against drawn noise."""
+"""Separable paints: chromaticity against the standard, margins against drawn noise."""
 
 import cv2
 import numpy as np

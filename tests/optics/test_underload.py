@@ -54,9 +54,9 @@ def finer(design: Design, factor: int) -> Design:
 
 def over(markers: Markers, camera: Camera, front: int, back: int) -> np.ndarray:
     """Move that puts a marker on the line of sight to another one's tip, nearer the camera."""
-    eye, target = camera.position_mm, markers.tip_mm[back]
-    share = np.linalg.norm(markers.tip_mm[front] - eye) / np.linalg.norm(target - eye)
-    return np.asarray(eye + min(share, 0.85) * (target - eye) - markers.tip_mm[front])
+    camera_mm, target = camera.position_mm, markers.tip_mm[back]
+    share = np.linalg.norm(markers.tip_mm[front] - camera_mm) / np.linalg.norm(target - camera_mm)
+    return np.asarray(camera_mm + min(share, 0.85) * (target - camera_mm) - markers.tip_mm[front])
 
 
 def test_at_rest_like_plain_visibility(sensor: tuple[Design, Markers, RenderScene, Camera]) -> None:
@@ -129,7 +129,7 @@ def test_first_force_is_found_and_nothing_before(
     assert found.first_marker.tolist() in ([0, -1], [near, -1])
 
 
-def test_still_markers_are_told_from_moving_ones(
+def test_stationary_markers_are_separated_from_moving_ones(
     sensor: tuple[Design, Markers, RenderScene, Camera],
 ) -> None:
     _, markers, scene, camera = sensor
