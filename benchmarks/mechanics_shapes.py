@@ -46,6 +46,7 @@ class Disc(PathRevolved):
 
     radius_mm: float
 
+    @property
     def profile(self) -> Profile:
         """From the rim to the centre."""
         return Profile(parts=(Line(start=(self.radius_mm, 0.0), end=(0.0, 0.0)),))

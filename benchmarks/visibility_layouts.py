@@ -15,8 +15,12 @@ from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.worst_places import press_places
 from phytac_design.optics.gaps import marker_gaps, outline_gaps
-from phytac_design.optics.incremental_renderer import Watch
-from phytac_design.optics.loaded_visibility import UnderLoad, press_all, sight_of
+from phytac_design.optics.incremental_renderer import IncrementalRenderer
+from phytac_design.optics.loaded_visibility import (
+    LoadedVisibility,
+    marker_state,
+    visibility_under_load,
+)
 from phytac_design.optics.raster import pixels_alone, rasterise
 from phytac_design.optics.render_scene import build_scene, paint_owner
 from phytac_design.optics.visibility import Visibility, check_visibility
@@ -69,7 +73,7 @@ class LayoutCase:
     name: str
     context: Context
     rest: Visibility
-    load: UnderLoad
+    load: LoadedVisibility
 
     @property
     def label(self) -> str:
@@ -187,11 +191,11 @@ def add_places(table: Table, design: Design, counts: tuple[int, ...]) -> None:
     )
     gap = seen_at_rest(context)[1]
     shell = PressedShell(context)
-    found: dict[int, UnderLoad] = {}
+    found: dict[int, LoadedVisibility] = {}
     for count in counts:
         uv = press_places(surface, markers, gap, count, repeats=shell.repeats)
         motions = LINEAR_TIMES * shell.motions(uv, (1.0,))[0]
-        found[count] = press_all(
+        found[count] = visibility_under_load(
             scene,
             camera,
             pivots_mm=markers.mid_mm,
@@ -220,13 +224,13 @@ def add_speed(table: Table, design: Design, repeats: int) -> None:
     )
     motion = np.random.default_rng(0).normal(scale=0.2, size=(markers.count, 3))
     moved = scene.moved(motion, 0.1 * motion, markers.mid_mm)
-    watch = Watch(scene, camera)
-    sight_of(watch.look(moved), moved)
+    renderer = IncrementalRenderer(scene, camera)
+    marker_state(renderer.render(moved), moved)
     times = np.zeros((repeats, 2))
     for k in range(repeats):
         begin = time.perf_counter()
-        glance = watch.look(moved)
-        gaps = outline_gaps(glance.pixels, glance.starts, scene.colour)
+        sample = renderer.render(moved)
+        gaps = outline_gaps(sample.pixels, sample.starts, scene.colour)
         middle = time.perf_counter()
         owner = paint_owner(rasterise(moved, camera).part)
         plain = marker_gaps(owner, scene.colour)
@@ -234,8 +238,8 @@ def add_speed(table: Table, design: Design, repeats: int) -> None:
         times[k] = middle - begin, time.perf_counter() - middle
     own, whole = np.median(times, axis=0)
     label = f"{design.name} {camera.width_px}x{camera.height_px}, one press seen"
-    differs = int((np.bincount(owner[owner >= 0]) != glance.visible[:, 0]).sum())
-    differs += int((glance.alone[:, 0] != alone).sum())
+    differs = int((np.bincount(owner[owner >= 0]) != sample.visible[:, 0]).sum())
+    differs += int((sample.alone[:, 0] != alone).sum())
     differs += sum(int((a != b).sum()) for a, b in zip(gaps, plain, strict=True))
     source = "whole ID map, gaps and pixels alone, same run"
     table.add(f"{label}: figures of markers that differ", differs, "figures", 0, source, "== 0")

@@ -22,7 +22,7 @@ from phytac_design.design.spec import CameraSection, Design
 from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.layout.sensor import Sensor
-from phytac_design.optics.distorted_triangles import reach_of
+from phytac_design.optics.distorted_triangles import lens_bounds
 from phytac_design.optics.raster import pixels_alone, rasterise
 from phytac_design.optics.rays import pixel_rays, ray_grid
 from phytac_design.optics.render_scene import RenderScene, build_scene, paint_owner
@@ -135,7 +135,7 @@ def in_turn(works: Sequence[Callable[[], object]], repeats: int) -> list[float]:
 
 def forget() -> None:
     """Have the tables of lenses rebuilt at the next call."""
-    for table in (ray_grid, pixel_rays, reach_of):
+    for table in (ray_grid, pixel_rays, lens_bounds):
         table.cache_clear()
 
 

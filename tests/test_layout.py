@@ -63,12 +63,12 @@ def test_checkerboard_moves_on_by_one_colour_a_row() -> None:
 def test_points_stand_on_the_wall() -> None:
     design = small()
     markers = make_markers(design, design.surface())
-    radius = np.linalg.norm(markers.foot_mm[:, :2], axis=1)
+    radius = np.linalg.norm(markers.base_mm[:, :2], axis=1)
     assert np.allclose(radius, 30.0 - 0.8)
     assert np.allclose(
-        markers.foot_mm - markers.tip_mm, markers.height_mm[:, None] * markers.normal
+        markers.base_mm - markers.tip_mm, markers.height_mm[:, None] * markers.normal
     )
-    assert np.allclose(markers.mid_mm - markers.foot_mm, 0.4 * markers.normal)
+    assert np.allclose(markers.mid_mm - markers.base_mm, 0.4 * markers.normal)
     assert np.allclose(markers.direction, -markers.normal)
 
 
@@ -150,7 +150,7 @@ def test_receptors_point_where_the_design_says() -> None:
         made(direction="tilted", tilt_deg=10.0),
     )
     assert np.allclose(axis.direction[:, 2], 0.0)
-    out = axis.foot_mm[:, :2] / np.linalg.norm(axis.foot_mm[:, :2], axis=1, keepdims=True)
+    out = axis.base_mm[:, :2] / np.linalg.norm(axis.base_mm[:, :2], axis=1, keepdims=True)
     assert np.allclose(axis.direction[:, :2], -out)
     lean = np.degrees(np.arccos(-np.sum(tilted.direction * tilted.normal, axis=1)))
     assert lean == pytest.approx(10.0)
@@ -158,10 +158,10 @@ def test_receptors_point_where_the_design_says() -> None:
     assert (tilted.tip_mm[:, 2] < plain.tip_mm[:, 2]).all()
     for markers in (axis, plain, tilted):
         assert np.allclose(
-            markers.tip_mm - markers.foot_mm, markers.height_mm[:, None] * markers.direction
+            markers.tip_mm - markers.base_mm, markers.height_mm[:, None] * markers.direction
         )
         # The axis passes through the mesh node and meets the inner face (a cone is straight).
-        arm = markers.foot_mm - markers.mid_mm
+        arm = markers.base_mm - markers.mid_mm
         assert np.allclose(np.cross(arm, markers.direction), 0.0, atol=1e-12)
         assert np.sum(arm * markers.normal, axis=1) == pytest.approx(-0.4)
 

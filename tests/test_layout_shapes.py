@@ -62,7 +62,7 @@ def test_markers_of_every_shape(shape: str, kind: str) -> None:
     low, high = surface.domain.T
     assert ((markers.uv >= low) & (markers.uv <= high)).all()
     wall = design.wall.thickness_mm
-    assert np.allclose(markers.foot_mm, surface.point(markers.uv, -wall))
+    assert np.allclose(markers.base_mm, surface.point(markers.uv, -wall))
     assert np.allclose(markers.tip_mm, surface.point(markers.uv, -wall - markers.height_mm))
     # Near first, heights from near to far.
     assert (np.diff(markers.uv[:, 0]) > -1e-9).all()

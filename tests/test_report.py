@@ -91,7 +91,7 @@ def test_maps_have_the_sense_that_they_state(kind: str) -> None:
     surface = design.surface()
     markers = make_markers(design, surface)
     flat = flat_map.flat_map(surface, markers.uv)
-    assert flat_map.family(surface) == FAMILIES[kind]
+    assert flat_map.surface_topology(surface) == FAMILIES[kind]
     assert len(np.unique(flat.points.round(6), axis=0)) == markers.count
     (low, high), places = flat.limits, flat.points
     assert ((places > low) & (places < high)).all()

@@ -270,7 +270,7 @@ def test_crossing_tubes_are_found_though_their_ends_are_apart(apart: float) -> N
     case, _, markers = built(design(layout={"rows": 1, "columns": 2}))
     crossed = replace(
         markers,
-        foot_mm=np.array([[0.0, 0.0, 0.0], [3.75, -3.75, apart]]),
+        base_mm=np.array([[0.0, 0.0, 0.0], [3.75, -3.75, apart]]),
         tip_mm=np.array([[10.0, 0.0, 0.0], [3.75, 6.25, apart]]),
         height_mm=np.array([10.0, 10.0]),
     )
@@ -304,7 +304,7 @@ def test_gap_against_all_pairs() -> None:
     markers = make_markers(case, case.surface())
     i, j = np.triu_indices(markers.count, 1)
     every = segment_distance_mm(
-        markers.foot_mm[i], markers.tip_mm[i], markers.foot_mm[j], markers.tip_mm[j]
+        markers.base_mm[i], markers.tip_mm[i], markers.base_mm[j], markers.tip_mm[j]
     )
     gap, _ = smallest_receptor_gap_mm(case, markers)
     assert gap == pytest.approx(every.min() - 3.0, abs=1e-9)

@@ -8,7 +8,8 @@ import pytest
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.overlaps import distance_mm, tube_overlaps_mm, within
-from phytac_design.geometry.strips import Mesh, cylinder_mesh
+from phytac_design.geometry.strips import cylinder_mesh
+from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import make_markers
 from phytac_design.optics.fixture_bodies import fixture_mesh
 from phytac_design.rules.body_rules import wall_overlap_mm
@@ -30,7 +31,7 @@ def with_fixtures(*fixtures: dict[str, Any], **tables: Any) -> Design:
     return Design.model_validate(design.model_dump(mode="json") | {"fixtures": fixtures})
 
 
-def meshed(fixture: dict[str, Any]) -> Mesh:
+def meshed(fixture: dict[str, Any]) -> TriangleMesh:
     return fixture_mesh(with_fixtures(fixture).fixtures[0], tolerance_mm=1e-5)
 
 
@@ -58,7 +59,7 @@ def test_triangles_meet_tubes_just_where_their_points_do() -> None:
     met = 0
     for _ in range(40):
         triangle = rng.normal(size=(3, 3)) * rng.choice([0.3, 1.0, 4.0])
-        mesh = Mesh(vertices=triangle, triangles=np.array([[0, 1, 2]], dtype=np.int32))
+        mesh = TriangleMesh(vertices_mm=triangle, triangles=np.array([[0, 1, 2]]))
         depth = tube_overlaps_mm(start, end, 0.4, mesh)
         arm = sampled(triangle)[None] - start[:, None]
         along = np.einsum("npi,ni->np", arm, axis)
@@ -110,7 +111,7 @@ def test_points_inside_bodies() -> None:
     for point, wanted in zip(points[:200], gap[:200], strict=True):
         assert distance_mm(point, cube) == pytest.approx(wanted, abs=1e-12)
     # A screen has no inside.
-    screen = Mesh(vertices=cube.vertices, triangles=cube.triangles[:5])
+    screen = TriangleMesh(vertices_mm=cube.vertices_mm, triangles=cube.triangles[:5])
     assert not within(points, screen).any()
 
 
@@ -118,7 +119,7 @@ def tube_point(design: Design, marker: int, share: float, aside: float) -> Float
     """Point beside a receptor's axis, a share of the way from its foot to its tip."""
     markers = make_markers(design, design.surface())
     across = np.cross(markers.direction[marker], [0.0, 0.0, 1.0])
-    on = markers.foot_mm[marker] + share * (markers.tip_mm - markers.foot_mm)[marker]
+    on = markers.base_mm[marker] + share * (markers.tip_mm - markers.base_mm)[marker]
     return np.asarray(on + aside * across)
 
 
@@ -156,7 +157,7 @@ def test_a_body_in_the_way_of_a_red_tip_or_around_a_receptor() -> None:
 def test_a_mesh_from_a_file_is_checked_by_its_triangles() -> None:
     plain = with_fixtures()
     cube = meshed(block(tube_point(plain, 2, 0.8, 0.0), 1.0, 20.0))
-    table = {"vertices_mm": cube.vertices.tolist(), "triangles": cube.triangles.tolist()}
+    table = {"vertices_mm": cube.vertices_mm.tolist(), "triangles": cube.triangles.tolist()}
     with pytest.raises(DesignError, match=r"fixture 'mine' overlaps the receptor \(row 0, col"):
         check_design(with_fixtures({"name": "mine", "kind": "mesh"} | table))
 

@@ -167,20 +167,6 @@ def test_area_and_wall_volume_match_quadrature(kind: str, seed: int) -> None:
 
 
 @every_shape
-@settings(max_examples=5, deadline=None)
-@given(seed=seeds)
-def test_rays_hit_the_point_they_aim_at(kind: str, seed: int) -> None:
-    surface, uv, size = draw(kind, seed)
-    uv = uv[:20]
-    target = surface.point(uv)
-    origin = surface.point(uv, -0.5 * safe_depth(surface))
-    along = (target - origin) / np.linalg.norm(target - origin, axis=1, keepdims=True)
-    t = surface.intersect(origin, along)
-    assert np.allclose(origin + t[:, None] * along, target, atol=1e-6 * size)
-    assert np.isinf(surface.intersect(surface.point(uv, size), along)).all()
-
-
-@every_shape
 def test_poles_and_edges(kind: str) -> None:
     surface, _, size = draw(kind, 7)
     (u0, u1), (v0, v1) = surface.domain
@@ -231,21 +217,13 @@ def test_cones_from_needle_to_disc(half_angle_deg: float) -> None:
     assert np.allclose(cone.chart(cone.point(uv, 0.1))[:, 0], uv[:, 0], atol=1e-9 * near)
 
 
-def test_cuboid_faces_sense_where_asked() -> None:
+def test_only_the_chosen_cuboid_faces_sense() -> None:
     box = phytac_shapes.Cuboid(
         width_mm=50.0, depth_mm=40.0, length_mm=10.0, edge_radius_mm=5.0, faces=("+y",)
     )
     uv = box.chart(np.array([[0.0, 20.0, 5.0], [25.0, 0.0, 5.0], [0.0, -20.0, 5.0]]))
     assert box.sensing(uv).tolist() == [True, False, False]
     assert box.reach_mm(uv).tolist() == [20.0, 25.0, 20.0]
-
-
-def test_rays_of_the_cylinder() -> None:
-    surface = phytac_shapes.Cylinder(diameter_outer_mm=60.0, length_mm=120.0)
-    origin = np.array([[0.0, 0.0, -30.0], [0.0, 0.0, 60.0], [0.0, 0.0, -30.0]])
-    direction = np.array([[30.0, 0.0, 60.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    assert np.allclose(surface.intersect(origin, direction), [1.0, 30.0, np.inf])
-    assert surface.intersect(origin[1:2], direction[1:2], -0.8)[0] == pytest.approx(29.2)
 
 
 def test_unknown_family_names_the_nearest() -> None:
@@ -255,7 +233,7 @@ def test_unknown_family_names_the_nearest() -> None:
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
 def test_absurd_sizes_are_refused(bad: float) -> None:
-    with pytest.raises(DesignError, match="length_mm must be a positive length"):
+    with pytest.raises(DesignError, match="length_mm must lie between"):
         phytac_shapes.Cylinder(diameter_outer_mm=60.0, length_mm=bad)
     with pytest.raises(DesignError, match="length_mm must lie between"):
         phytac_shapes.Cone(diameter_near_mm=60.0, diameter_far_mm=30.0, length_mm=bad)

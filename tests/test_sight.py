@@ -11,7 +11,7 @@ from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.layout.dents import dent_motions
 from phytac_design.layout.line_of_sight import clearance_under_load_mm, pressed_markers
 from phytac_design.layout.sensor import Sensor
-from phytac_design.optics.loaded_visibility import sight
+from phytac_design.optics.loaded_visibility import scene_state
 from phytac_design.optics.render_scene import build_scene
 from phytac_design.optics.visibility import check_visibility
 from phytac_shapes.errors import DesignError
@@ -88,7 +88,7 @@ def test_gap_of_two_tubes_by_hand() -> None:
     height = np.array([18.0, 12.0])
     two = replace(
         markers,
-        foot_mm=foot,
+        base_mm=foot,
         tip_mm=foot + height[:, None] * inward,
         direction=inward,
         height_mm=height,
@@ -148,12 +148,12 @@ def dents(markers: Any) -> Any:
 
 def test_heights_under_load_stay_clear_where_those_at_rest_do_not() -> None:
     design, surface, markers, camera = case(sight_margin_mm=0.2)
-    eye, motions = camera.position_mm, dents(markers)
+    camera_mm, motions = camera.position_mm, dents(markers)
     found = {}
     for name, given in (("rest", None), ("load", motions)):
-        height = sight_heights_mm(design, markers, eye, motions=given)
+        height = sight_heights_mm(design, markers, camera_mm, motions=given)
         settled = with_heights(design, surface, markers, height)
-        found[name] = settled, clearance_under_load_mm(design, settled, eye, motions)
+        found[name] = settled, clearance_under_load_mm(design, settled, camera_mm, motions)
     assert found["rest"][1].min() < 0.1
     assert found["load"][1].min() >= 0.2 - 0.005
     assert (found["load"][0].height_mm >= found["rest"][0].height_mm - 1e-9).all()
@@ -166,7 +166,7 @@ def test_heights_under_load_stay_clear_where_those_at_rest_do_not() -> None:
     above = settled.height_mm > design.receptor.band_marker_mm
     for motion in motions:
         moved = scene.moved(motion[:, :3], motion[:, 3:], settled.mid_mm)
-        assert sight(moved, camera).fraction[above].min() > 0.99
+        assert scene_state(moved, camera).fraction[above].min() > 0.99
 
 
 def test_a_stated_dent_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -179,17 +179,17 @@ def test_a_stated_dent_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
         sight_dent_mm=0.5,
         sight_dent_radius_mm=16.0,
     )
-    eye = camera.position_mm
+    camera_mm = camera.position_mm
     assert dent_motions(plain[0], surface, plain[2]) is None
     own = dent_motions(design, surface, markers)
     assert own is not None
-    assert clearance_under_load_mm(design, markers, eye, own).min() >= 0.2 - 0.005
+    assert clearance_under_load_mm(design, markers, camera_mm, own).min() >= 0.2 - 0.005
     depth = -np.einsum("pni,ni->pn", own[:, :, :3], markers.normal)
     assert depth.max() == pytest.approx(0.5)
     others = dents(markers) * (0.5 / 1.2)
-    before = clearance_under_load_mm(design, plain[2], eye, others).min()
+    before = clearance_under_load_mm(design, plain[2], camera_mm, others).min()
     assert before < 0.12
-    assert clearance_under_load_mm(design, markers, eye, others).min() > 0.15
+    assert clearance_under_load_mm(design, markers, camera_mm, others).min() > 0.15
 
 
 def test_a_dent_leans_the_wall_by_its_slope() -> None:
@@ -232,7 +232,7 @@ def test_what_no_height_keeps_clear_under_load_is_refused() -> None:
         sight_heights_mm(design, markers, camera.position_mm, motions=motions)
 
 
-def test_only_what_a_dent_touches_is_looked_at_and_nothing_is_missed() -> None:
+def test_only_receptors_near_a_dent_are_checked_and_none_is_missed() -> None:
     design, surface, _, camera = case(sight_margin_mm=0.2)
     markers = make_markers(design, surface)
     # One receptor alone, into the line of sight of those behind it, which stand still.

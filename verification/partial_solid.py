@@ -174,7 +174,7 @@ def subset(markers: Markers, ids: IntArray) -> Markers:
         column=markers.column[ids],
         colour=markers.colour[ids],
         height_mm=markers.height_mm[ids],
-        foot_mm=markers.foot_mm[ids],
+        base_mm=markers.base_mm[ids],
         tip_mm=markers.tip_mm[ids],
         mid_mm=markers.mid_mm[ids],
         normal=markers.normal[ids],

@@ -39,7 +39,7 @@ def check_markers(values: Mapping[str, Any], found: Evidence) -> None:
             (markers.tip_mm - outer - reach[:, None] * inward) / size,
             EXACT,
         )
-    axis = markers.tip_mm - markers.foot_mm
+    axis = markers.tip_mm - markers.base_mm
     found.close(
         "tubes are as long as their heights", np.linalg.norm(axis, axis=1), markers.height_mm, 1e-9
     )

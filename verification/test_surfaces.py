@@ -62,8 +62,6 @@ def check_face(values: Mapping[str, Any], found: Evidence) -> None:
     )
     back = surface.chart(surface.point(uv, -depth))
     found.add("chart of a point gives its place back", (surface.point(back) - point) / size, SOUGHT)
-    if values.get("rays", True):
-        _rays(surface, known, uv, point, normal, size, found)
     _maps(surface, table, uv, found)
     _units(surface, uv, found)
 
@@ -98,36 +96,6 @@ def _on_face(
     ahead = rise / (2.0 * step)
     noise = 1e-15 * size / float(step.min())
     found.add("normals: steepest ascent of the face's equation", ahead - 1.0, 1e-5 + noise)
-
-
-def _rays(
-    surface: Surface,
-    known: Face,
-    uv: FloatArray,
-    point: FloatArray,
-    normal: FloatArray,
-    size: float,
-    found: Evidence,
-) -> None:
-    """Rays straight down on the face from near it, and from far where nothing else is met."""
-    way = 0.2 * np.minimum(surface.reach_mm(uv), 0.2 * size)
-    if known.convex:
-        way = np.full(len(uv), size)
-    chosen = slice(0, 60 if known.gap is not None else 12)
-    hit = surface.intersect((point + way[:, None] * normal)[chosen], -normal[chosen])
-    if known.convex:
-        found.add("rays down the normals meet the face", (hit - way[chosen]) / size, SOUGHT)
-    else:
-        # Something else may stand in between; never anything beyond.
-        there = (point + way[:, None] * normal)[chosen] - hit[:, None] * normal[chosen]
-        foot = surface.point(surface.chart(there))
-        found.add("rays end on the face", (there - foot) / size, SOUGHT)
-        late = (hit - way[chosen]) / size
-        found.add("no hit behind the known one", np.maximum(late, 0.0), SOUGHT)
-    miss = surface.intersect(
-        (point + way[:, None] * normal)[chosen] + 5.0 * size * normal[chosen], normal[chosen]
-    )
-    found.true("rays that point away hit nothing", np.isinf(miss))
 
 
 def _maps(surface: Surface, table: Mapping[str, Any], uv: FloatArray, found: Evidence) -> None:

@@ -4,19 +4,11 @@ import numpy as np
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.boundary_loops import Loop, chart_loops
-from phytac_design.geometry.strips import Mesh, cylinder_mesh, empty_mesh, grid_mesh, joined
+from phytac_design.geometry.strips import cylinder_mesh, empty_mesh, grid_mesh
+from phytac_design.geometry.triangles import TriangleMesh, merged
 from phytac_design.geometry.wall_sampling import untwisted
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
-
-DIVISIONS_MAX = 4096
-BAR_RAYS = 12
-"""Rays up the light bar's side, besides its axis, that look for the face it ends at."""
-BAR_STEP = 0.1
-"""Room, as a share of the wall's thickness, between the bar's far end and the face."""
-
-SLACK = 1e-9
-"""How far outside a triangle, in its own coordinates, a line still meets it."""
 
 
 def edge_mm(
@@ -42,10 +34,11 @@ def boundary_mm(surface: Surface, offset_mm: float, count: int = 256) -> FloatAr
 
 def divisions(surface: Surface, offset_mm: float, along: int, tolerance_mm: float) -> int:
     """Cells along chart axis ``along`` whose chords stay within ``tolerance_mm`` of the face."""
+    divisions_max = 4096
     limits = surface.domain
     other = np.linspace(limits[1 - along, 0], limits[1 - along, 1], 17)
     cells = 16
-    while cells < DIVISIONS_MAX:
+    while cells < divisions_max:
         steps = np.linspace(limits[along, 0], limits[along, 1], 2 * cells + 1)
         uv = np.zeros((len(other), len(steps), 2))
         uv[..., along], uv[..., 1 - along] = steps[None], other[:, None]
@@ -57,7 +50,7 @@ def divisions(surface: Surface, offset_mm: float, along: int, tolerance_mm: floa
     return cells
 
 
-def shell_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> Mesh:
+def shell_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> TriangleMesh:
     """Inner face over the whole domain, a rim flush with it along every open edge, rims' ends.
 
     Only what the cameras see: the outer face, and the end of a tube without a camera before it, are
@@ -68,11 +61,11 @@ def shell_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> Mesh
     meshes = [grid_mesh(face, closed=closed, poles=surface.poles)]
     if design.wall.rim_length_mm > 0.0:
         ends = surface.edges()
-        watched = {(0, end) for end in design.camera.end_numbers}
+        visible_ends = {(0, end) for end in design.camera.end_numbers}
         for number, loop in enumerate(chart_loops(surface, u, v)):
-            hidden = closed and ends[number] not in watched
+            hidden = closed and ends[number] not in visible_ends
             meshes.append(_rim(design, surface, loop, ended=not hidden))
-    return joined(meshes)
+    return merged(meshes)
 
 
 def _inner_face(
@@ -92,7 +85,7 @@ def _inner_face(
     return u, v, face.reshape(len(u), len(v), 3)
 
 
-def _rim(design: Design, surface: Surface, loop: Loop, *, ended: bool) -> Mesh:
+def _rim(design: Design, surface: Surface, loop: Loop, *, ended: bool) -> TriangleMesh:
     """Rim around one loop of edges along their conormals; ``ended`` with its outer end face."""
     wall = design.wall
     edge = loop.points_mm(surface, -wall.thickness_mm, 0.0)
@@ -102,9 +95,9 @@ def _rim(design: Design, surface: Surface, loop: Loop, *, ended: bool) -> Mesh:
         curves.append(loop.points_mm(surface, wall.rim_flange_mm, wall.rim_length_mm))
     strip = grid_mesh(np.stack(curves), closed=True)
     # The stations of a mitre are one point on the edge itself.
-    a, b, c = np.moveaxis(strip.vertices[strip.triangles], 1, 0)
+    a, b, c = np.moveaxis(strip.vertices_mm[strip.triangles], 1, 0)
     real = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0.0
-    return Mesh(vertices=strip.vertices, triangles=strip.triangles[real])
+    return TriangleMesh(vertices_mm=strip.vertices_mm, triangles=strip.triangles[real])
 
 
 def open_far(surface: Surface) -> bool:
@@ -118,30 +111,35 @@ def bar_span_mm(design: Design, surface: Surface) -> tuple[float, float]:
     In a tube the bar begins ``light.bar_start_mm`` inside the rim of each camera and ends at the
     rim of an end without one; in a dome, or before a sheet, a little in front of the inner face.
     """
+    # Gap, as a share of the wall's thickness, between the bar's far end and the face.
+    bar_step = 0.1
+    # Rays along the light bar's side, besides its axis, that find the face at its end.
+    bar_rays = 12
     offset, near = -design.wall.thickness_mm, design.light.bar_start_mm
     if open_far(surface):
         low = float(edge_mm(surface, 0, offset)[:, 2].min())
         high = float(edge_mm(surface, 1, offset)[:, 2].max())
         ends = design.camera.end_numbers
         return near if 0 in ends else low, high - near if 1 in ends else high
-    room = BAR_STEP * design.wall.thickness_mm
+    clearance = bar_step * design.wall.thickness_mm
     face = grid_mesh(
-        _inner_face(design, surface, room / 2.0)[2],
+        _inner_face(design, surface, clearance / 2.0)[2],
         closed=surface.periodic[1],
         poles=surface.poles,
     )
-    turn = 2.0 * np.pi * np.arange(BAR_RAYS) / BAR_RAYS
+    turn = 2.0 * np.pi * np.arange(bar_rays) / bar_rays
     around = design.light.bar_radius_mm * np.column_stack([np.cos(turn), np.sin(turn)])
     heights = _heights_mm(face, np.concatenate([np.zeros((1, 2)), around]))
     far = float(heights.min(initial=np.inf))
     if not np.isfinite(far):
         far = float(boundary_mm(surface, offset)[:, 2].max())
-    return near, far - room
+    return near, far - clearance
 
 
-def _heights_mm(mesh: Mesh, places_mm: FloatArray) -> FloatArray:
+def _heights_mm(mesh: TriangleMesh, places_mm: FloatArray) -> FloatArray:
     """Z of every crossing of the mesh with lines along z at ``places_mm`` (n, 2), flat."""
-    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
+    slack = 1e-9  # how far outside a triangle, in its own coordinates, a line still meets it
+    a, b, c = np.moveaxis(mesh.vertices_mm[mesh.triangles], 1, 0)
     first, second = b - a, c - a
     twice = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     flat = twice != 0.0
@@ -149,12 +147,12 @@ def _heights_mm(mesh: Mesh, places_mm: FloatArray) -> FloatArray:
     arm = places_mm[:, None] - a[None, :, :2]
     s = (arm[..., 0] * second[:, 1] - arm[..., 1] * second[:, 0]) / twice
     t = (first[:, 0] * arm[..., 1] - first[:, 1] * arm[..., 0]) / twice
-    inside = (s >= -SLACK) & (t >= -SLACK) & (s + t <= 1.0 + SLACK)
+    inside = (s >= -slack) & (t >= -slack) & (s + t <= 1.0 + slack)
     height = a[:, 2] + s * first[:, 2] + t * second[:, 2]
     return np.asarray(height[inside])
 
 
-def bar_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> Mesh:
+def bar_mesh(design: Design, surface: Surface, *, tolerance_mm: float) -> TriangleMesh:
     """Light bar on the axis, a cylinder with a cap towards each camera; empty for radius 0."""
     radius = design.light.bar_radius_mm
     if radius <= 0.0:

@@ -14,9 +14,7 @@ import numpy as np
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
-Family = Literal["tube", "sheet", "dome"]
-BORDER = 181
-"""Points along each edge of an outline."""
+Topology = Literal["tube", "sheet", "dome"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +52,7 @@ class FlatMap:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Words:
+class DirectionNames:
     """What the two directions on a surface are called in sentences."""
 
     along: str
@@ -63,20 +61,20 @@ class Words:
     around_short: str
 
 
-WORDS: dict[Family, Words] = {
-    "tube": Words(
+DIRECTION_NAMES: dict[Topology, DirectionNames] = {
+    "tube": DirectionNames(
         along="along the sensor",
         around="around the sensor",
         along_short="along",
         around_short="around",
     ),
-    "sheet": Words(
+    "sheet": DirectionNames(
         along="along the sheet's u side",
         around="along the sheet's v side",
         along_short="along u",
         around_short="along v",
     ),
-    "dome": Words(
+    "dome": DirectionNames(
         along="along the meridian to the pole",
         around="around the axis",
         along_short="to the pole",
@@ -85,21 +83,21 @@ WORDS: dict[Family, Words] = {
 }
 
 
-def family(surface: Surface) -> Family:
+def surface_topology(surface: Surface) -> Topology:
     """Whether a surface closes around (tube), also ends in a pole (dome), or neither (sheet)."""
     if not surface.periodic[1]:
         return "sheet"
     return "dome" if any(surface.poles) else "tube"
 
 
-def words(surface: Surface) -> Words:
+def direction_names(surface: Surface) -> DirectionNames:
     """Names of the directions along (u) and around (v)."""
-    return WORDS[family(surface)]
+    return DIRECTION_NAMES[surface_topology(surface)]
 
 
 def flat_map(surface: Surface, uv: FloatArray) -> FlatMap:
     """Map chart positions (n, 2) to the plane, mm."""
-    kind = family(surface)
+    kind = surface_topology(surface)
     if kind == "dome":
         return FlatMap(
             points=_azimuthal(surface, uv),
@@ -148,15 +146,16 @@ def picture_map(pixels: FloatArray, size_px: tuple[int, int], end: str = "") -> 
 
 def _edges(surface: Surface) -> list[FloatArray]:
     """Chart positions along the chart's edges, poles left out; a tube's seam is an edge of it."""
+    border = 181  # points along each edge of an outline
     (u0, u1), (v0, v1) = surface.domain
-    u, v = np.linspace(u0, u1, BORDER), np.linspace(v0, v1, BORDER)
+    u, v = np.linspace(u0, u1, border), np.linspace(v0, v1, border)
     out = [
-        np.column_stack([np.full(BORDER, at), v])
+        np.column_stack([np.full(border, at), v])
         for at, pole in zip((u0, u1), surface.poles, strict=True)
         if not pole
     ]
-    if family(surface) != "dome":
-        out += [np.column_stack([u, np.full(BORDER, at)]) for at in (v0, v1)]
+    if surface_topology(surface) != "dome":
+        out += [np.column_stack([u, np.full(border, at)]) for at in (v0, v1)]
     return out
 
 

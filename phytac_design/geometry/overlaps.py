@@ -2,14 +2,11 @@
 
 import numpy as np
 
-from phytac_design.geometry.strips import Mesh
+from phytac_design.geometry.triangles import TriangleMesh
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 PAIRS_MAX = 2_000_000
 """Pairs that are worked on at once."""
-RAY = np.array([0.541, 0.283, 0.792])
-"""Direction of the rays that count crossings: along no edge of anything drawn by hand."""
-PAIRS_OF_EDGES = ((0, 1), (1, 2), (2, 0))
 
 
 def box_pairs(low: FloatArray, high: FloatArray, first: FloatArray, last: FloatArray) -> IntArray:
@@ -31,7 +28,7 @@ def box_pairs(low: FloatArray, high: FloatArray, first: FloatArray, last: FloatA
 
 
 def tube_overlaps_mm(
-    start_mm: FloatArray, end_mm: FloatArray, radius_mm: float, mesh: Mesh
+    start_mm: FloatArray, end_mm: FloatArray, radius_mm: float, mesh: TriangleMesh
 ) -> FloatArray:
     """How far a surface of triangles reaches into solid tubes with flat ends, (n,) mm.
 
@@ -41,7 +38,7 @@ def tube_overlaps_mm(
         Ends of the tubes' axes.
     radius_mm : float
         Of all tubes.
-    mesh : Mesh
+    mesh : TriangleMesh
         The triangles; only their surface counts.
 
     Returns
@@ -51,7 +48,7 @@ def tube_overlaps_mm(
         out of its end: from the surface's point nearest to the axis, and the one farthest in.
     """
     out = np.zeros(len(start_mm))
-    corners = mesh.vertices[mesh.triangles]
+    corners = mesh.vertices_mm[mesh.triangles]
     low, high = np.minimum(start_mm, end_mm) - radius_mm, np.maximum(start_mm, end_mm) + radius_mm
     pairs = box_pairs(low, high, corners.min(axis=1), corners.max(axis=1))
     length = np.linalg.norm(end_mm - start_mm, axis=1)
@@ -84,9 +81,10 @@ def _reach(
     The part of a triangle in a tube is convex: its extremes lie on the triangle's edges, on its
     sections with the planes, where the axis crosses it, or where its plane's ellipse is lowest.
     """
+    pairs_of_edges = ((0, 1), (1, 2), (2, 0))
     near, low = np.full(len(length), np.inf), np.full(len(length), np.inf)
     crossings: list[list[tuple[FloatArray, BoolArray]]] = [[], []]
-    for i, j in PAIRS_OF_EDGES:
+    for i, j in pairs_of_edges:
         rise = along[:, j] - along[:, i]
         level = rise == 0.0
         safe = np.where(level, 1.0, rise)
@@ -105,7 +103,7 @@ def _reach(
             low = np.where(hit, np.minimum(low, along[:, i] + end * rise), low)
     zero = 0.0 * length
     for kept, plane in zip(crossings, (zero, length), strict=True):
-        for i, j in PAIRS_OF_EDGES:
+        for i, j in pairs_of_edges:
             (p, there), (q, too) = kept[i], kept[j]
             away, _, _ = _to_origin(p, q, zero, zero + 1.0, radius)
             hit = there & too & (away <= radius)
@@ -158,20 +156,22 @@ def _over(
     return (whole != 0.0) & (share >= 0.0).all(axis=1) & (at >= 0.0) & (at <= length), at
 
 
-def within(points_mm: FloatArray, mesh: Mesh) -> BoolArray:
+def within(points_mm: FloatArray, mesh: TriangleMesh) -> BoolArray:
     """Whether points (n, 3) lie inside a closed surface, (n,); never inside an open one.
 
     Counts crossings of a ray, so that triangles may turn either way.
     """
+    # Direction of the rays that count crossings: along no edge of anything drawn by hand.
+    ray = np.array([0.541, 0.283, 0.792])
     inside = np.zeros(len(points_mm), dtype=np.bool_)
-    corners = mesh.vertices[mesh.triangles]
+    corners = mesh.vertices_mm[mesh.triangles]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     some = np.flatnonzero(((points_mm >= low) & (points_mm <= high)).all(axis=1))
     if not len(some) or not _closed(mesh):
         return inside
     a = corners[:, 0]
     first, second = corners[:, 1] - a, corners[:, 2] - a
-    p = np.cross(RAY, second)
+    p = np.cross(ray, second)
     twice = np.sum(first * p, axis=1)
     real = twice != 0.0
     a, first, second, p, twice = a[real], first[real], second[real], p[real], twice[real]
@@ -181,26 +181,26 @@ def within(points_mm: FloatArray, mesh: Mesh) -> BoolArray:
         arm = points_mm[part, None] - a
         s = np.sum(arm * p, axis=-1) / twice
         q = np.cross(arm, first)
-        t = q @ RAY / twice
+        t = q @ ray / twice
         away = np.sum(q * second, axis=-1) / twice
         hits = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0) & (away > 0.0)
         inside[part] = hits.sum(axis=1) % 2 == 1
     return inside
 
 
-def _closed(mesh: Mesh) -> bool:
+def _closed(mesh: TriangleMesh) -> bool:
     """Whether every edge, between places and not corners' numbers, has an even number of sides."""
     # Adding 0 makes -0 the same place as 0.
-    _, same = np.unique(mesh.vertices + 0.0, axis=0, return_inverse=True)
+    _, same = np.unique(mesh.vertices_mm + 0.0, axis=0, return_inverse=True)
     corners = same.reshape(-1)[mesh.triangles]
     edges = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, number = np.unique(edges[edges[:, 0] < edges[:, 1]], axis=0, return_counts=True)
     return bool((number % 2 == 0).all())
 
 
-def distance_mm(point_mm: FloatArray, mesh: Mesh) -> float:
+def distance_mm(point_mm: FloatArray, mesh: TriangleMesh) -> float:
     """Distance of a point (3,) from the nearest triangle, mm."""
-    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles] - point_mm, 1, 0)
+    a, b, c = np.moveaxis(mesh.vertices_mm[mesh.triangles] - point_mm, 1, 0)
     best = np.inf
     for p, q in ((a, b), (b, c), (c, a)):
         d = q - p

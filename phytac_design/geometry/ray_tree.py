@@ -13,8 +13,6 @@ from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_shapes.arrays import FloatArray, IntArray
 
-LEAF = 6
-"""Most triangles of a box that is not halved again."""
 START_mm = 1e-4
 """How far from its face a ray starts, so that it does not meet that face."""
 
@@ -83,6 +81,7 @@ def _build(low: FloatArray, high: FloatArray) -> tuple[IntArray, FloatArray, Int
 
     A node is (left child or -1, first, last): children are neighbours in the list.
     """
+    leaf = 6  # most triangles of a box that is not halved again
     count = len(low)
     order = np.arange(count)
     middle = (low + high) / 2.0
@@ -103,7 +102,7 @@ def _build(low: FloatArray, high: FloatArray) -> tuple[IntArray, FloatArray, Int
                 box[3 + axis] = max(box[3 + axis], high[t, axis])
                 span_low[axis] = min(span_low[axis], middle[t, axis])
                 span_high[axis] = max(span_high[axis], middle[t, axis])
-        if last - first > LEAF:
+        if last - first > leaf:
             widest = np.argmax(span_high - span_low)
             part = order[first:last]
             order[first:last] = part[np.argsort(middle[part, widest])]

@@ -1,38 +1,14 @@
-"""Triangle meshes as plain arrays, and strips between curves."""
-
-from collections.abc import Sequence
-from dataclasses import dataclass
+"""Triangle meshes of grids and strips between curves."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phytac_design.geometry.triangles import TriangleMesh
 from phytac_shapes.arrays import FloatArray
-
-MOST_ALONG = 0.9
-"""Cosine to the y axis from which a cylinder's polygon starts along another one."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Mesh:
-    """Vertices (V, 3) mm, sensor frame, and triangles (T, 3) int32."""
-
-    vertices: FloatArray
-    triangles: NDArray[np.int32]
-
-
-def joined(meshes: Sequence[Mesh]) -> Mesh:
-    """One mesh of several; vertices keep their order."""
-    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])[:-1]
-    parts = [m.triangles + np.int32(s) for m, s in zip(meshes, starts, strict=True)]
-    return Mesh(
-        vertices=np.concatenate([mesh.vertices for mesh in meshes]),
-        triangles=np.concatenate(parts).astype(np.int32),
-    )
 
 
 def grid_mesh(
     points: FloatArray, *, closed: bool, poles: tuple[bool, bool] = (False, False)
-) -> Mesh:
+) -> TriangleMesh:
     """Two triangles per cell of a grid of points (rows, columns, 3).
 
     ``closed`` joins the last column to the first. ``poles`` says whether the first, and the last,
@@ -47,12 +23,12 @@ def grid_mesh(
     first = np.column_stack([a, b, c])[row > 0 if poles[0] else slice(None)]
     second = np.column_stack([b, d, c])[row < rows - 2 if poles[1] else slice(None)]
     triangles = np.concatenate([first, second])
-    return Mesh(vertices=points.reshape(-1, 3).copy(), triangles=triangles.astype(np.int32))
+    return TriangleMesh(vertices_mm=points.reshape(-1, 3).copy(), triangles=triangles)
 
 
-def empty_mesh() -> Mesh:
+def empty_mesh() -> TriangleMesh:
     """Mesh without any vertex."""
-    return Mesh(vertices=np.zeros((0, 3)), triangles=np.zeros((0, 3), dtype=np.int32))
+    return TriangleMesh(vertices_mm=np.zeros((0, 3)), triangles=np.zeros((0, 3), dtype=np.int64))
 
 
 def cylinder_mesh(
@@ -62,14 +38,16 @@ def cylinder_mesh(
     *,
     tolerance_mm: float,
     caps: tuple[bool, bool] = (True, True),
-) -> Mesh:
+) -> TriangleMesh:
     """Cylinder between two points (3,), with caps at its start and end as wanted.
 
     Its polygon stays within ``tolerance_mm`` of the circle.
     """
+    # Cosine to the y axis from which a cylinder's polygon starts along another one.
+    most_along = 0.9
     axis = (end_mm - start_mm) / np.linalg.norm(end_mm - start_mm)
     # For an axis along z these are x and y.
-    first = np.cross(np.eye(3)[1 if abs(axis[1]) < MOST_ALONG else 0], axis)
+    first = np.cross(np.eye(3)[1 if abs(axis[1]) < most_along else 0], axis)
     first /= np.linalg.norm(first)
     second = np.cross(axis, first)
     ratio = min(max(tolerance_mm / radius_mm, 1e-6), 0.1)

@@ -124,7 +124,7 @@ def sides_for(radius_mm: float, tolerance_mm: float, *, minimum: int = 12) -> in
 
 
 def prisms(start_mm: FloatArray, end_mm: FloatArray, radius_mm: float, sides: int) -> TriangleMesh:
-    """Closed prisms that stand for round rods, all in one mesh of separate components.
+    """Closed prisms that approximate round rods, all in one mesh of separate components.
 
     Parameters
     ----------

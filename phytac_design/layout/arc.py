@@ -42,7 +42,7 @@ def by_area(surface: Surface, shares: FloatArray, *, inset_mm: float = 0.0) -> F
 
     The first share is the area with smaller u, the second the area with smaller v at that u: equal
     boxes of shares are equal areas of the surface. Area within ``inset_mm`` of an open edge (along
-    the chart's lines) is left out.
+    the chart's lines) is excluded.
     """
     (u0, u1), (v0, v1) = _inset_domain(surface, inset_mm)
     edges_u, edges_v = np.linspace(u0, u1, AREA_U + 1), np.linspace(v0, v1, AREA_V + 1)

@@ -1,4 +1,4 @@
-"""The design's cameras, and the refusal of those that cannot work."""
+"""The design's cameras, and checks that they can work."""
 
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -16,11 +16,9 @@ from phytac_shapes.arrays import FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
 TOLERANCE_PX = 0.1
-"""Polygons stay this close to the circles they stand for, in pixels."""
+"""Distance between polygons and the circles that they approximate, in pixels."""
 LEAST_SHARE = 0.05
 """Stand-off, as a share of the rim's radius, that `fit` gives a lens too wide for it to fill."""
-NEAREST_SHARE = 1e-4
-"""Such a lens fits its rim even this near: it looks more than 89.99° aside."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +48,7 @@ class Readers:
         return np.asarray(np.stack(each)[self.read_by, np.arange(len(self.read_by))])
 
     def _own(self, each: list[FloatArray]) -> FloatArray:
-        """Of pixels (..., n, 2) in every image those in each marker's own."""
+        """Select from pixels (..., n, 2) of every image those of each marker's own camera."""
         out = each[0]
         for number, other in enumerate(each[1:], start=1):
             out = np.where((self.read_by == number)[:, None], other, out)
@@ -129,8 +127,8 @@ def _camera_at(design: Design, surface: Surface, end: int) -> Camera:
             f"the {side} rim's plane at z = {plane:.2f} mm (got stand_off_mm = {stand_off:g}); "
             f"{fix}"
         )
-    _refuse_wall(design, surface, camera, fix)
-    # Without a bar its span is not worth finding.
+    _check_wall(design, surface, camera, fix)
+    # The span is not needed without a bar.
     near, far = bar_span_mm(design, surface) if design.light.bar_radius_mm > 0.0 else (0.0, 0.0)
     if near < far and near <= z <= far:
         raise DesignError(
@@ -140,15 +138,15 @@ def _camera_at(design: Design, surface: Surface, end: int) -> Camera:
         )
     where = f"stand-off {stand_off:.2f} mm, focal length {camera.focal_px:g} px"
     if not camera.sees(rim).all():
-        mend = f"move it back to at least {fit(1.0):.2f} mm or {fix}"
-        _refuse_blind(camera, rim, side, where, mend)
+        fix_rim = f"move it back to at least {fit(1.0):.2f} mm or {fix}"
+        _raise_rim_hidden(camera, rim, side, where, fix_rim)
     return camera
 
 
 def fit_stand_off_mm(
     lens: Lens, rim: FloatArray, *, end: int, start_mm: float, fill: float
 ) -> float:
-    """Least stand-off at which a rim stays within ``fill`` of half the smaller image side.
+    """Smallest stand-off at which a rim stays within ``fill`` of half the smaller image side.
 
     Where it does so at any distance, as in a lens that looks back, ``LEAST_SHARE`` of its radius.
 
@@ -171,7 +169,9 @@ def fit_stand_off_mm(
 
 @lru_cache(maxsize=32)
 def _fitted(lens: Lens, rim_bytes: bytes, end: int, start_mm: float, fill: float) -> float:
-    """:func:`fit_stand_off_mm`; a design's cameras are asked for by several checks."""
+    """:func:`fit_stand_off_mm`, cached: several checks need a design's cameras."""
+    # A lens that fits its rim at this stand-off sees more than 89.99° from its axis.
+    nearest_share = 1e-4
     rim = np.frombuffer(rim_bytes).reshape(-1, 3)
     frame = Camera.at(lens, z_mm=start_mm, backward=end == 1)
     points = frame.to_camera(rim)
@@ -181,11 +181,11 @@ def _fitted(lens: Lens, rim_bytes: bytes, end: int, start_mm: float, fill: float
     def reach(distance: float) -> FloatArray:
         return np.asarray(points + np.array([0.0, 0.0, distance - nearest]))
 
-    found = fit_distance_mm(lens, reach, fill=fill, least_mm=NEAREST_SHARE * widest)
-    return (found if found > NEAREST_SHARE * widest else LEAST_SHARE * widest) - nearest
+    found = fit_distance_mm(lens, reach, fill=fill, least_mm=nearest_share * widest)
+    return (found if found > nearest_share * widest else LEAST_SHARE * widest) - nearest
 
 
-def _refuse_wall(design: Design, surface: Surface, camera: Camera, fix: str) -> None:
+def _check_wall(design: Design, surface: Surface, camera: Camera, fix: str) -> None:
     """Raise if the camera's centre lies in the wall of the sensing surface."""
     centre = camera.position_mm[None]
     foot = surface.chart(centre)
@@ -198,29 +198,29 @@ def _refuse_wall(design: Design, surface: Surface, camera: Camera, fix: str) -> 
         )
 
 
-def _refuse_blind(camera: Camera, rim: FloatArray, side: str, where: str, mend: str) -> NoReturn:
-    """Raise, as some point of the rim before the camera projects outside of the image."""
+def _raise_rim_hidden(camera: Camera, rim: FloatArray, side: str, where: str, fix: str) -> NoReturn:
+    """Raise the error for a rim that is not completely in the image."""
     pixels = camera.project(rim)
     if np.isnan(pixels).any():
         raise DesignError(
             f"the camera cannot see the {side} rim: part of it lies beyond the lens's field of "
-            f"{np.rad2deg(camera.lens.field_rad):.1f}° from the axis ({where}); {mend}"
+            f"{np.rad2deg(camera.lens.field_rad):.1f}° from the axis ({where}); {fix}"
         )
     reach = np.abs(pixels - camera.centre_px).max(axis=0)
     raise DesignError(
         f"the camera cannot see the {side} rim: it projects {reach[0]:.0f} x {reach[1]:.0f} px "
         f"from the image centre, the image ends at {camera.width_px / 2:.0f} x "
-        f"{camera.height_px / 2:.0f} px ({where}); {mend}"
+        f"{camera.height_px / 2:.0f} px ({where}); {fix}"
     )
 
 
-def refuse_swallowed(design: Design, surface: Surface, markers: Markers) -> None:
-    """Raise a ``DesignError`` if the light bar reaches a receptor's end face or its red tip."""
+def check_bar_clearance(design: Design, surface: Surface, markers: Markers) -> None:
+    """Raise a ``DesignError`` if the light bar intersects a receptor's end face or its red tip."""
     radius = design.light.bar_radius_mm
     near, far = bar_span_mm(design, surface) if radius > 0.0 else (0.0, 0.0)
     if near >= far:
         return
-    axis = (markers.tip_mm - markers.foot_mm) / markers.height_mm[:, None]
+    axis = (markers.tip_mm - markers.base_mm) / markers.height_mm[:, None]
     out = max(design.switch.stroke_mm - design.switch.tip_recess_mm, 0.0)
     reach = markers.tip_mm + np.linspace(0.0, out, 5)[:, None, None] * axis
     beside = (reach[..., 2] > near) & (reach[..., 2] < far)
@@ -229,7 +229,7 @@ def refuse_swallowed(design: Design, surface: Surface, markers: Markers) -> None
     if least <= radius:
         row = int(markers.row[distance.min(axis=0).argmin()])
         raise DesignError(
-            f"the light bar swallows receptor tips: in row {row} a tip with its switch on comes "
+            f"the light bar intersects receptor tips: in row {row} a tip with its switch on comes "
             f"within {least:.2f} mm of the axis, the bar's radius is {radius:g} mm; lower "
             f"light.bar_radius_mm below {least:.2f} or layout.height_far_mm"
         )

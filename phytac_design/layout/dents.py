@@ -1,8 +1,8 @@
-"""Dents of the wall of a stated depth, without mechanics: what line-of-sight heights must bear.
+"""Dents of the wall of a given depth, without mechanics, for line-of-sight heights under load.
 
 A dent is a bell, ``w = depth · exp(-r² / 2 s²)`` along the inward normal, r the distance from its
-middle and ``s = radius / 2``; the wall leans by its slope. Depth and radius are the user's: a
-press of the sensor says what they are at a force.
+middle and ``s = radius / 2``; the wall leans by its slope. The user gives depth and
+radius; a press of the sensor shows them at a force.
 """
 
 import numpy as np
@@ -15,13 +15,12 @@ from phytac_shapes.arrays import FloatArray
 
 DENTS = 40
 """Dents at most, spread over the surface."""
-ROUND_TOL_mm = 1e-6
 
 
 def dent_motions(design: Design, surface: Surface, markers: Markers) -> FloatArray | None:
-    """Translation (mm) and rotation (rad) under each marker (p, n, 6); None if no dent is asked.
+    """Translation (mm) and rotation (rad) under each marker (p, n, 6); None without a dent.
 
-    Where rows are rings of equal markers dents in one sector stand for all.
+    Where rows are rings of equal markers dents in one sector represent all.
     """
     layout = design.layout
     if layout.sight_dent_mm <= 0.0:
@@ -39,8 +38,9 @@ def dent_motions(design: Design, surface: Surface, markers: Markers) -> FloatArr
 
 def _rings(markers: Markers) -> bool:
     """Whether each row of the lattice is a ring about the axis."""
+    round_tol_mm = 1e-6
     if markers.lattice is None:
         return False
     columns = markers.lattice.columns
     place = np.column_stack([np.hypot(*markers.mid_mm[:, :2].T), markers.mid_mm[:, 2]])
-    return bool(np.ptp(place.reshape(-1, columns, 2), axis=1).max() < ROUND_TOL_mm)
+    return bool(np.ptp(place.reshape(-1, columns, 2), axis=1).max() < round_tol_mm)

@@ -8,16 +8,13 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
-LEAN_MAX = np.cos(np.radians(60.0))
-"""Cosine of the most that a receptor may lean from the wall's normal."""
-
 
 def profile_heights_mm(
     design: Design, surface: Surface, uv: FloatArray, *, in_rows: bool
 ) -> FloatArray:
     """Heights (n,) by the distance along the surface, from its near to its far end.
 
-    With rows from the first row to the last, so that these have what the design says.
+    With rows, from the first row to the last, so that these have the heights of the design.
     ``line-of-sight`` starts from the near height.
     """
     layout = design.layout
@@ -34,13 +31,15 @@ def profile_heights_mm(
 
 
 def directions(design: Design, surface: Surface, uv: FloatArray, normal: FloatArray) -> FloatArray:
-    """Unit vectors from foot to tip, (n, 3).
+    """Unit vectors from base to tip, (n, 3).
 
     Raises
     ------
     DesignError
         If a receptor would lie more in the wall than on it.
     """
+    # Cosine of the largest angle between a receptor and the wall's normal.
+    lean_max = np.cos(np.radians(60.0))
     receptor = design.receptor
     inward = np.asarray(-normal + 0.0)
     if receptor.direction == "normal" or (
@@ -57,7 +56,7 @@ def directions(design: Design, surface: Surface, uv: FloatArray, normal: FloatAr
     out = to_axis / np.maximum(size, 1e-300)[:, None]
     cosine = np.sum(out * inward, axis=1)
     worst = int(np.argmin(cosine))
-    if cosine[worst] < LEAN_MAX:
+    if cosine[worst] < lean_max:
         raise DesignError(
             f"receptors towards the axis would lie in the wall of the {surface.name} (marker "
             f"{worst} leans {np.degrees(np.arccos(np.clip(cosine[worst], -1.0, 1.0))):.0f}° from "

@@ -1,4 +1,4 @@
-"""Heights along the sensor, by which accuracies are grouped."""
+"""Distances along the sensor, by which accuracies are grouped."""
 
 import numpy as np
 

@@ -1,8 +1,8 @@
-r"""Line-of-sight heights: the least at which no receptor hides another from the camera.
+r"""Line-of-sight heights: the smallest at which no receptor hides another from the camera.
 
-What the camera should see of a receptor is its painted part: the end face and the band below it.
-What hides it is the whole tube of a nearer one. Both are the hull of two discs, and stay convex in
-the picture; two convex outlines are apart by the greatest gap between them along any direction::
+The camera should see the painted part of a receptor: the end face and the band below it. A nearer
+receptor hides it with its whole tube. Both are convex hulls of two discs, and stay convex in the
+picture; the gap between two convex outlines is the largest one along any direction::
 
        wall ______________________________________        gap: measured in the picture, given in
              | |      | |       |#|  <- painted band      mm at the depth of the receptor that
@@ -10,21 +10,20 @@ the picture; two convex outlines are apart by the greatest gap between them alon
                       |_|    .-´               (from the camera, at the left)
        camera ◁  . - ´  ^ gap
 
-Heights are settled from near to far: a receptor is hidden by nearer ones only. The wall itself
-is not considered here; the visibility check renders it.
+Heights are assigned from near to far: a receptor is hidden by nearer ones only. The wall is not
+considered here; the visibility check renders it.
 
-Of several cameras each has to see the receptors that are nearer to it than to the others. Going
-by the distance to the own camera, whatever can hide a receptor from it is then settled before:
-what is nearer to that camera is no farther from its own. Where the halves meet, a receptor also
-keeps clear of those of the other half that are settled, as their own camera sees them: just
-behind them, and no taller, its paint would merge with theirs.
+With two cameras, each has to see the receptors that are nearest to it. In the order of distance to
+the own camera, every possible occluder has its height already. Where the two halves meet, a
+receptor also keeps clear of the assigned receptors of the other half in their camera's picture:
+just behind them, and no taller, its paint would merge with theirs.
 
-Under load receptors move and lean. Given their motions for a set of presses, heights are settled
-again with more room at rest where a press takes some away, until all of it stays clear in every
-one. (By less than ``LOAD_TOL_mm``; the heights are then near to the least, not the least.)
+Under load receptors move and lean. Given their motions under a set of presses, heights are assigned
+again with a larger margin at rest where a press reduces the gap, until the margin holds in every
+press within ``load_tolerance_mm``. These heights are near the smallest ones, not exactly equal.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,23 +32,32 @@ from phytac_design.layout.markers import Markers
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
-DIRECTIONS = 64
-"""Directions in the picture along which outlines are kept apart; few make gaps too small."""
-CIRCLE = 24
-LEVELS = 33
-HALVINGS = 8
-"""Heights are searched on ``LEVELS`` steps, then the first that clears is halved this often."""
-DEPTH_MIN_mm = 1e-3
-STATIONARY_SHARE = 0.02
-LOAD_TOL_mm = 0.005
-LOAD_ROUNDS = 12
+
+@dataclass(frozen=True, kw_only=True)
+class LineOfSightSettings:
+    """Numbers of the search, chosen so that heights are converged to about 0.01 mm."""
+
+    directions: int = 64
+    """Directions in the picture along which outlines are separated; few make gaps too small."""
+    circle_sides: int = 24
+    height_steps: int = 33
+    """Equal steps on which heights are searched."""
+    bisections: int = 8
+    """Halvings of the step below the first height that is clear."""
+    depth_min_mm: float = 1e-3
+    stationary_share: float = 0.02
+    load_tolerance_mm: float = 0.005
+    load_iterations: int = 12
+
+
+SETTINGS = LineOfSightSettings()
 
 
 class _Outlines:
     """Outlines of tubes in the picture of a camera that looks along the axis at the sensor.
 
-    An outline is its support: how far it reaches along each of ``DIRECTIONS`` directions, in
-    units of the distance from the camera (tangents of the angle from the axis).
+    An outline is given by its support along ``SETTINGS.directions`` directions (D), in units
+    of the distance from the camera (tangents of the angle from the axis).
     """
 
     def __init__(self, design: Design, markers: Markers, camera_mm: FloatArray) -> None:
@@ -58,28 +66,28 @@ class _Outlines:
         self.markers = markers
         self.camera = np.asarray(camera_mm, dtype=np.float64)
         # A camera beyond the far end looks back.
-        back = float(np.median(markers.foot_mm[:, 2])) < float(self.camera[2])
+        back = float(np.median(markers.base_mm[:, 2])) < float(self.camera[2])
         self.sign = -1.0 if back else 1.0
-        turn = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        turn = 2.0 * np.pi * np.arange(SETTINGS.directions) / SETTINGS.directions
         self.along = np.stack([np.cos(turn), np.sin(turn)])
         axis = markers.direction
         first = np.cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
         first /= np.linalg.norm(first, axis=1, keepdims=True)
         second = np.cross(axis, first)
-        around = 2.0 * np.pi * np.arange(CIRCLE) / CIRCLE
+        around = 2.0 * np.pi * np.arange(SETTINGS.circle_sides) / SETTINGS.circle_sides
         # The polygon lies around the circle: outlines are never too small.
-        size = self.radius / np.cos(np.pi / CIRCLE)
+        size = self.radius / np.cos(np.pi / SETTINGS.circle_sides)
         self.ring = size * (
             np.cos(around)[:, None] * first[:, None] + np.sin(around)[:, None] * second[:, None]
         )
 
     def _disc(self, ids: IntArray, depth: FloatArray) -> FloatArray:
-        """Support (m, h, D) of discs at depths (m, h) along the axes from the feet."""
+        """Support (m, h, D) of discs at depths (m, h) along the axes from the bases."""
         axis = self.markers.direction[ids]
-        centre = self.markers.foot_mm[ids][:, None] + depth[..., None] * axis[:, None]
+        centre = self.markers.base_mm[ids][:, None] + depth[..., None] * axis[:, None]
         points = centre[:, :, None] + self.ring[ids][:, None] - self.camera
         ahead = self.sign * points[..., 2:]
-        if float(ahead.min()) <= DEPTH_MIN_mm:
+        if float(ahead.min()) <= SETTINGS.depth_min_mm:
             raise DesignError(
                 "line-of-sight heights need all receptors in front of the camera (one reaches "
                 f"{-ahead.min():.2f} mm behind its plane); raise camera.stand_off_mm or set "
@@ -99,13 +107,13 @@ class _Outlines:
         )
 
     def depth(self, ids: IntArray) -> FloatArray:
-        """Distance of feet from the camera's plane, (m,) mm."""
-        return np.asarray(self.sign * (self.markers.foot_mm[ids, 2] - self.camera[2]))
+        """Distance of bases from the camera's plane, (m,) mm."""
+        return np.asarray(self.sign * (self.markers.base_mm[ids, 2] - self.camera[2]))
 
 
 def _gaps(paint: FloatArray, tubes: FloatArray) -> FloatArray:
     """Gap (h, j) between painted parts (h, D) and tubes (j, D), in the picture."""
-    half = DIRECTIONS // 2
+    half = SETTINGS.directions // 2
     # min over the paint of n·x is minus its support along -n.
     least = -np.roll(paint, half, axis=-1)
     return np.asarray((least[:, None] - tubes[None]).max(axis=2))
@@ -113,7 +121,7 @@ def _gaps(paint: FloatArray, tubes: FloatArray) -> FloatArray:
 
 def _box(support: FloatArray) -> FloatArray:
     """[-x0, -y0, x1, y1] of outlines (..., D): bounds, lower ones with their sign turned."""
-    quarter = DIRECTIONS // 4
+    quarter = SETTINGS.directions // 4
     return support[..., [2 * quarter, 3 * quarter, 0, quarter]]
 
 
@@ -131,19 +139,19 @@ def _groups(markers: Markers) -> list[IntArray]:
     return [np.flatnonzero(markers.row == row) for row in np.unique(markers.row)]
 
 
-def _away(markers: Markers, groups: list[IntArray], eyes_mm: FloatArray) -> FloatArray:
+def _away(markers: Markers, groups: list[IntArray], cameras_mm: FloatArray) -> FloatArray:
     """Mean distance (c, g) of groups from cameras (c, 3)."""
-    away = np.linalg.norm(markers.foot_mm - eyes_mm[:, None], axis=2)
+    away = np.linalg.norm(markers.base_mm - cameras_mm[:, None], axis=2)
     return np.array([[float(own[ids].mean()) for ids in groups] for own in away])
 
 
-def nearest_eye(markers: Markers, eyes_mm: FloatArray) -> IntArray:
-    """Number (n,) of the camera that has to see each marker: of (c, 3) the one nearest its row."""
+def nearest_camera(markers: Markers, cameras_mm: FloatArray) -> IntArray:
+    """Number (n,) of the camera, of (c, 3), that is nearest to each marker's row."""
     groups = _groups(markers)
-    nearest = _away(markers, groups, np.atleast_2d(eyes_mm)).argmin(axis=0)
+    nearest = _away(markers, groups, np.atleast_2d(cameras_mm)).argmin(axis=0)
     out = np.zeros(markers.count, dtype=np.int64)
-    for ids, eye in zip(groups, nearest, strict=True):
-        out[ids] = eye
+    for ids, camera in zip(groups, nearest, strict=True):
+        out[ids] = camera
     return out
 
 
@@ -154,10 +162,10 @@ def sight_heights_mm(
     *,
     motions: FloatArray | None = None,
 ) -> FloatArray:
-    """Least heights (n,) at which each painted part is seen past all nearer receptors.
+    """Smallest heights (n,) at which all nearer receptors leave each painted part visible.
 
-    From near to far, each row (each marker, where there are no rows) takes the least height from
-    ``height_near_mm`` on at which ``sight_margin_mm`` stays clear beside its painted part.
+    From near to far, each row (each marker, where there are no rows) takes the smallest height from
+    ``height_near_mm`` up at which ``sight_margin_mm`` stays clear beside its painted part.
 
     Parameters
     ----------
@@ -166,11 +174,11 @@ def sight_heights_mm(
     markers : Markers
         Their heights are not used.
     camera_mm : (3,) float or (c, 3) float
-        Centre of the camera, which looks along the sensor axis at it; of several, each sees what
-        is nearest to it (:func:`nearest_eye`).
+        Centre of the camera, which looks along the sensor axis at it; of several, each sees the
+        receptors nearest to it (:func:`nearest_camera`).
     motions : (p, n, 6) float, optional
         Translation (mm) and rotation (rad) of the middle face under each marker for p presses:
-        the margin is kept under each of these too.
+        the margin also holds under each of these.
 
     Raises
     ------
@@ -179,78 +187,80 @@ def sight_heights_mm(
     """
     margin = design.layout.sight_margin_mm
     needed = np.full(markers.count, margin)
-    heights = _settled(design, markers, camera_mm, needed)
+    heights = _least_heights(design, markers, camera_mm, needed)
     if motions is None:
         return heights
-    for _ in range(LOAD_ROUNDS):
+    for _ in range(SETTINGS.load_iterations):
         trial = replace(markers, height_mm=heights)
         short = margin - clearance_under_load_mm(design, trial, camera_mm, motions)
-        if float(short.max()) <= LOAD_TOL_mm:
+        if float(short.max()) <= SETTINGS.load_tolerance_mm:
             return heights
         needed += np.maximum(short, 0.0)
         try:
-            heights = _settled(design, markers, camera_mm, needed)
+            heights = _least_heights(design, markers, camera_mm, needed)
         except DesignError as error:
             text = f"with the wall pressed in {error}, or layout.sight_dent_mm"
             raise DesignError(text) from None
     worst = int(short.argmax())
     raise DesignError(
-        f"no heights keep {margin:g} mm clear under load ({markers.place(worst)} is left with "
+        f"no heights keep {margin:g} mm clear under load ({markers.place(worst)} keeps "
         f"{margin - short[worst]:.2f} mm); lower layout.sight_margin_mm or layout.sight_dent_mm, "
         "or use fewer markers"
     )
 
 
-class _Settling:
-    """Groups of receptors whose heights are settled one after the other, in every picture."""
+class _HeightSearch:
+    """Groups of receptors whose heights are assigned one after the other, in every picture."""
 
-    def __init__(self, design: Design, markers: Markers, eyes_mm: FloatArray) -> None:
+    def __init__(self, design: Design, markers: Markers, cameras_mm: FloatArray) -> None:
         self.groups = _groups(markers)
-        self.pictures = [_Outlines(design, markers, eye) for eye in eyes_mm]
-        self.away = _away(markers, self.groups, eyes_mm)
-        # The place of each group, and of each marker's, in the order of nearness to a camera.
+        self.pictures = [_Outlines(design, markers, camera) for camera in cameras_mm]
+        self.away = _away(markers, self.groups, cameras_mm)
+        # Rank of each group, and of each marker, by distance from a camera.
         self.order = np.argsort(np.argsort(self.away, axis=1, kind="stable"), axis=1)
-        self.place = np.zeros((len(eyes_mm), markers.count), dtype=np.int64)
+        self.place = np.zeros((len(cameras_mm), markers.count), dtype=np.int64)
         for number, ids in enumerate(self.groups):
             self.place[:, ids] = self.order[:, [number]]
-        self.tubes = np.zeros((len(eyes_mm), markers.count, DIRECTIONS))
+        self.tubes = np.zeros((len(cameras_mm), markers.count, SETTINGS.directions))
         self.done = np.zeros(markers.count, dtype=bool)
 
-    def slack(self, eye: int, number: int, height: FloatArray) -> FloatArray:
+    def slack(self, camera: int, number: int, height: FloatArray) -> FloatArray:
         """Least gap (m, h) of a group's painted parts to nearer tubes, as one camera sees it."""
-        nearer = self.done & (self.place[eye] < self.order[eye, number])
+        nearer = self.done & (self.place[camera] < self.order[camera, number])
         ids = self.groups[number]
-        return _slack(self.pictures[eye], ids, height, self.tubes[eye, nearer])
+        return _slack(self.pictures[camera], ids, height, self.tubes[camera, nearer])
 
-    def settle(self, number: int, height: FloatArray) -> None:
-        """Let a group's tubes have heights (m,)."""
+    def assign(self, number: int, height: FloatArray) -> None:
+        """Assign heights (m,) to a group's tubes."""
         ids = self.groups[number]
         self.done[ids] = True
         for tubes, picture in zip(self.tubes, self.pictures, strict=True):
             tubes[ids] = picture.tubes(ids, height)
 
 
-def _settled(
+def _least_heights(
     design: Design, markers: Markers, camera_mm: FloatArray, margin_mm: FloatArray
 ) -> FloatArray:
-    """Least heights (n,) that leave each marker its margin (n,) at rest."""
+    """Smallest heights (n,) that keep each marker's margin (n,) at rest."""
     layout = design.layout
-    settling = _Settling(design, markers, np.atleast_2d(camera_mm))
-    away = settling.away
+    search = _HeightSearch(design, markers, np.atleast_2d(camera_mm))
+    away = search.away
     heights = np.full(markers.count, layout.height_near_mm)
     levels = np.linspace(
-        layout.height_near_mm, max(layout.height_far_mm, layout.height_near_mm), LEVELS
+        layout.height_near_mm,
+        max(layout.height_far_mm, layout.height_near_mm),
+        SETTINGS.height_steps,
     )
     for number in np.argsort(away.min(axis=0), kind="stable"):
-        group, own = settling.groups[number], int(away[:, number].argmin())
+        group, own = search.groups[number], int(away[:, number].argmin())
         margin = margin_mm[group, None]
         grid = np.tile(levels, (len(group), 1))
-        watching, slack = [own], settling.slack(own, number, grid) - margin
-        for eye in (k for k in range(len(away)) if k != own):
-            both = np.minimum(slack, settling.slack(eye, number, grid) - margin)
-            # What another camera asks beyond the own one's need is left if no height gives it.
+        cameras_used, slack = [own], search.slack(own, number, grid) - margin
+        for camera in (k for k in range(len(away)) if k != own):
+            both = np.minimum(slack, search.slack(camera, number, grid) - margin)
+            # The demand of the other camera is dropped if no height meets both.
             if (both >= 0.0).all(axis=0).any():
-                watching, slack = [*watching, eye], both
+                cameras_used, slack = [*cameras_used, camera], both
         clear = np.flatnonzero((slack >= 0.0).all(axis=0))
         if clear.size == 0:
             level = int(slack.min(axis=0).argmax())
@@ -265,15 +275,17 @@ def _settled(
         high = levels[clear[0]]
         if clear[0] > 0:
             low = levels[clear[0] - 1]
-            for _ in range(HALVINGS):
+            for _ in range(SETTINGS.bisections):
                 middle = (low + high) / 2.0
                 trial = np.full((len(group), 1), middle)
-                if all((settling.slack(eye, number, trial) >= margin).all() for eye in watching):
+                if all(
+                    (search.slack(camera, number, trial) >= margin).all() for camera in cameras_used
+                ):
                     high = middle
                 else:
                     low = middle
         heights[group] = high
-        settling.settle(number, heights[group])
+        search.assign(number, heights[group])
     return heights
 
 
@@ -282,10 +294,10 @@ def pressed_markers(markers: Markers, motion: FloatArray) -> Markers:
     shift, turn = motion[:, :3], motion[:, 3:]
     direction = markers.direction + np.cross(turn, markers.direction)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    below = np.linalg.norm(markers.foot_mm - markers.mid_mm, axis=1, keepdims=True)
-    foot = markers.mid_mm + shift + below * direction
-    tip = foot + markers.height_mm[:, None] * direction
-    return replace(markers, foot_mm=foot, direction=direction, tip_mm=tip)
+    below = np.linalg.norm(markers.base_mm - markers.mid_mm, axis=1, keepdims=True)
+    base = markers.mid_mm + shift + below * direction
+    tip = base + markers.height_mm[:, None] * direction
+    return replace(markers, base_mm=base, direction=direction, tip_mm=tip)
 
 
 def clearance_under_load_mm(
@@ -293,54 +305,54 @@ def clearance_under_load_mm(
 ) -> FloatArray:
     """Least :func:`clearance_mm` (n,) at rest and under each of the motions (p, n, 6).
 
-    Receptors that move by less than ``STATIONARY_SHARE`` of the most are taken as still.
+    Receptors that move by less than ``stationary_share`` of the maximum count as stationary.
     """
-    eyes = np.atleast_2d(camera_mm)
-    nearest = nearest_eye(markers, eyes)
+    cameras = np.atleast_2d(camera_mm)
+    nearest = nearest_camera(markers, cameras)
     least = np.full(markers.count, np.inf)
-    for number, eye in enumerate(eyes):
+    for number, camera in enumerate(cameras):
         own = nearest == number
-        least[own] = _under_load(design, markers, eye, motions, own)[own]
+        least[own] = _under_load(design, markers, camera, motions, own)[own]
     return least
 
 
 def _under_load(
-    design: Design, markers: Markers, eye_mm: FloatArray, motions: FloatArray, own: BoolArray
+    design: Design, markers: Markers, camera_mm: FloatArray, motions: FloatArray, own: BoolArray
 ) -> FloatArray:
-    """The same for the markers (n,) that one camera has to see."""
-    least = clearance_mm(design, markers, eye_mm, chosen=own)
-    rest = _Outlines(design, markers, eye_mm)
+    """Smallest clearance (n,) of the ``own`` markers (n,) of one camera."""
+    least = clearance_mm(design, markers, camera_mm, chosen=own)
+    rest = _Outlines(design, markers, camera_mm)
     every = np.arange(markers.count)
     boxes = _box(rest.tubes(every, markers.height_mm))
     for motion in motions:
         size = np.linalg.norm(motion[:, :3], axis=1)
-        moves = size > STATIONARY_SHARE * size.max()
+        moves = size > SETTINGS.stationary_share * size.max()
         now = pressed_markers(markers, np.where(moves[:, None], motion, 0.0))
-        after = _box(_Outlines(design, now, eye_mm).tubes(every, markers.height_mm))
+        after = _box(_Outlines(design, now, camera_mm).tubes(every, markers.height_mm))
         reach = np.maximum(boxes, after)
-        # Only what moves, or has something that moves before or beside it in the picture.
-        room = reach[moves].max(axis=0, initial=-np.inf)
-        near = -np.roll(reach, 2, axis=1) - room
+        # Only receptors that move, or overlap a moving one in the picture.
+        span = reach[moves].max(axis=0, initial=-np.inf)
+        near = -np.roll(reach, 2, axis=1) - span
         touched = (near < 2.0 * rest.radius / rest.depth(every)[:, None]).all(axis=1)
         chosen = own & (moves | touched)
-        seen = clearance_mm(design, now, eye_mm, chosen=chosen)
+        seen = clearance_mm(design, now, camera_mm, chosen=chosen)
         least[chosen] = np.minimum(least, seen)[chosen]
     return least
 
 
 def _slack(
-    outlines: _Outlines, group: IntArray, height: FloatArray, settled: FloatArray
+    outlines: _Outlines, group: IntArray, height: FloatArray, tubes: FloatArray
 ) -> FloatArray:
-    """Least gap (m, h) in mm between painted parts at heights (m, h) and the settled tubes."""
+    """Least gap (m, h) in mm between painted parts at heights (m, h) and assigned tubes."""
     out = np.full(height.shape, np.inf)
-    if len(settled) == 0 or len(group) == 0:
+    if len(tubes) == 0 or len(group) == 0:
         return out
     paint, depth = outlines.paints(group, height), outlines.depth(group)
     for k in range(len(group)):
-        # Beyond one diameter a gap need not be known.
-        close = _near(paint[k], settled, 2.0 * outlines.radius / depth[k])
+        # Gaps beyond one diameter are not needed.
+        close = _near(paint[k], tubes, 2.0 * outlines.radius / depth[k])
         if close.size:
-            out[k] = _gaps(paint[k], settled[close]).min(axis=1) * depth[k]
+            out[k] = _gaps(paint[k], tubes[close]).min(axis=1) * depth[k]
     return out
 
 
@@ -357,16 +369,16 @@ def clearance_mm(
     those that are not ``chosen`` (n,). Of several cameras (c, 3) each marker's nearest counts.
     """
     wanted = np.ones(markers.count, dtype=bool) if chosen is None else chosen
-    eyes, groups = np.atleast_2d(camera_mm), _groups(markers)
-    away, nearest = _away(markers, groups, eyes), nearest_eye(markers, eyes)
+    cameras, groups = np.atleast_2d(camera_mm), _groups(markers)
+    away, nearest = _away(markers, groups, cameras), nearest_camera(markers, cameras)
     out = np.full(markers.count, np.inf)
-    for number, eye in enumerate(eyes):
-        outlines = _Outlines(design, markers, eye)
+    for number, camera in enumerate(cameras):
+        outlines = _Outlines(design, markers, camera)
         own = wanted & (nearest == number)
-        settled = np.zeros((0, DIRECTIONS))
+        tubes = np.zeros((0, SETTINGS.directions))
         for place in np.argsort(away[number], kind="stable"):
             group = groups[place]
             some = group[own[group]]
-            out[some] = _slack(outlines, some, markers.height_mm[some, None], settled)[:, 0]
-            settled = np.concatenate([settled, outlines.tubes(group, markers.height_mm[group])])
+            out[some] = _slack(outlines, some, markers.height_mm[some, None], tubes)[:, 0]
+            tubes = np.concatenate([tubes, outlines.tubes(group, markers.height_mm[group])])
     return out

@@ -26,14 +26,13 @@ def make_markers(
 ) -> Markers:
     """Place every receptor of a design on its surface.
 
-    Markers where the surface does not sense are left out. ``camera_mm`` is the camera's centre
-    (3,), or those of several (c, 3), for ``line-of-sight`` heights; without it the design's own
-    are asked.
+    Markers on parts that do not sense are dropped. ``camera_mm`` is the camera's centre
+    (3,), or those of several (c, 3), for ``line-of-sight`` heights; by default those of the design.
 
     Raises
     ------
     DesignError
-        If the layout does not go with the surface, or no marker is left.
+        If the layout does not fit the surface, or no marker lies on it.
     """
     in_rows = design.layout.kind in {"spiral", "straight"}
     found = _lattice_markers(design, surface) if in_rows else _scattered(design, surface)
@@ -52,13 +51,13 @@ def with_heights(
     if design.receptor.direction == "normal":
         tip = surface.point(markers.uv, -design.wall.thickness_mm - height_mm)
     else:
-        tip = markers.foot_mm + height_mm[:, None] * markers.direction
+        tip = markers.base_mm + height_mm[:, None] * markers.direction
     return replace(markers, height_mm=height_mm, tip_mm=tip)
 
 
 def _camera_centres_mm(design: Design, surface: Surface) -> FloatArray:
     """Centres (c, 3) of the design's cameras."""
-    # Only this profile asks for the cameras, which are a matter of optics.
+    # Imported here: only line-of-sight heights need the cameras.
     from phytac_design.layout.cameras import cameras_of
 
     return np.stack([camera.position_mm for camera in cameras_of(design, surface)])
@@ -152,20 +151,20 @@ def _assemble(
     thickness = design.wall.thickness_mm
     mid = surface.point(uv, -thickness / 2.0)
     if design.receptor.direction == "normal":
-        foot = surface.point(uv, -thickness)
+        base = surface.point(uv, -thickness)
         tip = surface.point(uv, -thickness - height_mm)
     else:
         # A leaning axis goes through the mesh node and meets the inner face on the way.
         cosine = -np.sum(direction * normal, axis=1)
-        foot = mid + (thickness / 2.0 / cosine)[:, None] * direction
-        tip = foot + height_mm[:, None] * direction
+        base = mid + (thickness / 2.0 / cosine)[:, None] * direction
+        tip = base + height_mm[:, None] * direction
     return Markers(
         uv=uv,
         row=row,
         column=column,
         colour=colour,
         height_mm=height_mm,
-        foot_mm=foot,
+        base_mm=base,
         tip_mm=tip,
         mid_mm=mid,
         normal=normal,

@@ -49,19 +49,19 @@ class Markers:
         Place in the lattice (row 0 nearest the camera) and index into the design's colour list.
     height_mm : (n,) float
         Receptor height, from the inner face of the wall to the end face.
-    foot_mm, tip_mm : (n, 3) float
+    base_mm, tip_mm : (n, 3) float
         Axis of the receptor on the inner face, and in the plane of its end face.
     mid_mm : (n, 3) float
         Point of the middle face of the wall under the marker, on the axis: the mesh node.
     normal : (n, 3) float
         Outward unit normal.
     direction : (n, 3) float
-        Unit vector from foot to tip; minus the normal unless the design leans its receptors.
+        Unit vector from base to tip; minus the normal unless the design leans its receptors.
     neighbours : (n, 8) int
         Ids in the order of ``NEIGHBOUR_STEPS``; -1 beyond a rim. Off a lattice: the nearest
         marker in each of eight sectors around.
     lattice : Lattice or None
-        The full lattice the markers came from; None if they are on none, or some are left out.
+        The full lattice the markers came from; None if they are on none, or some are dropped.
     """
 
     uv: FloatArray
@@ -69,7 +69,7 @@ class Markers:
     column: IntArray
     colour: IntArray
     height_mm: FloatArray
-    foot_mm: FloatArray
+    base_mm: FloatArray
     tip_mm: FloatArray
     mid_mm: FloatArray
     normal: FloatArray

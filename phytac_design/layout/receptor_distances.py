@@ -19,7 +19,7 @@ def smallest_receptor_gap_mm(
     if markers.count < 2:
         return np.inf, None
     diameter = design.receptor.diameter_outer_mm
-    best, pair = min(nearest_pair(markers.tip_mm), nearest_pair(markers.foot_mm))
+    best, pair = min(nearest_pair(markers.tip_mm), nearest_pair(markers.base_mm))
     required = diameter + design.print_rules.gap_min_mm
     # Overlapping ends settle it; else tubes are apart at their ends and candidates are few.
     if best >= required:
@@ -41,7 +41,7 @@ def nearest_pair(points_mm: FloatArray) -> tuple[float, tuple[int, int]]:
     distance, other = cKDTree(points_mm).query(points_mm, k=min(len(points_mm), 8))
     first = _least(distance[:, 1])
     least = float(distance[first, 1])
-    # Coincident points may list a point after its duplicate; of equals the lowest id is named.
+    # Coincident points may list a point after its duplicate; the lowest of equal ids is used.
     equal = other[first][distance[first] <= least + 1e-9]
     second = int(equal[equal != first].min())
     return least, (min(first, second), max(first, second))
@@ -55,7 +55,7 @@ def near_axes(markers: Markers, reach_mm: float) -> tuple[IntArray, FloatArray]:
     steps = int(np.ceil(markers.height_mm.max() / reach_mm)) + 1
     along = np.linspace(0.0, 1.0, steps)
     samples = (
-        markers.foot_mm[:, None] + along[:, None] * (markers.tip_mm - markers.foot_mm)[:, None]
+        markers.base_mm[:, None] + along[:, None] * (markers.tip_mm - markers.base_mm)[:, None]
     )
     # The nearest points of two axes each lie within half a step (≤ reach) of a sample.
     step = markers.height_mm.max() / (steps - 1)
@@ -64,7 +64,7 @@ def near_axes(markers: Markers, reach_mm: float) -> tuple[IntArray, FloatArray]:
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     keys = np.unique(pairs.min(axis=1) * markers.count + pairs.max(axis=1))
     first, second = np.divmod(keys, markers.count)
-    ends = [axis[k] for k in (first, second) for axis in (markers.foot_mm, markers.tip_mm)]
+    ends = [axis[k] for k in (first, second) for axis in (markers.base_mm, markers.tip_mm)]
     return np.column_stack([first, second]), segment_distance_mm(*ends)
 
 

@@ -1,4 +1,4 @@
-"""Layouts without rows: by the golden angle, or where the user says; colours and neighbours."""
+"""Layouts without rows: phyllotaxis or explicit positions; colours and neighbours."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -10,26 +10,21 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 from phytac_shapes.errors import DesignError
 
-GOLDEN = (3.0 - np.sqrt(5.0)) / 2.0
-"""The golden angle as a share of a full turn (137.5°)."""
-NEAREST = 32
-"""Markers around one among which its eight neighbours are found."""
 REACH = 2.0
-"""A neighbour is at most this many times as far as the median of the nearest six."""
-OFF_FACE_MM = 1.0
-"""Positions given in space may lie this far from the outer face; they are moved onto it."""
+"""A neighbour is at most this multiple of the median distance of the nearest six away."""
 
 
 def phyllotaxis(surface: Surface, count: int, *, inset_mm: float) -> FloatArray:
     """Chart places (count, 2), ordered along u: one after the other turned by the golden angle.
 
-    What lies within ``inset_mm`` of an open edge is left free. Of the rest marker k holds the
+    A margin of ``inset_mm`` at open edges stays free. Of the remaining area marker k holds the
     k-th of ``count`` equal areas, counted from the pole where there is one, and lies at (k · golden
     angle) of the area around. On a sheet, where v does not close, the same rule is a Fibonacci
     lattice.
     """
+    golden = (3.0 - np.sqrt(5.0)) / 2.0  # the golden angle as a share of a full turn (137.5°)
     k = np.arange(count)
-    shares = np.column_stack([(k + 0.5) / count, np.mod(k * GOLDEN + 0.5, 1.0)])
+    shares = np.column_stack([(k + 0.5) / count, np.mod(k * golden + 0.5, 1.0)])
     if surface.poles[1]:
         shares = np.column_stack([1.0 - shares[::-1, 0], shares[::-1, 1]])
     return by_area(surface, shares, inset_mm=inset_mm)
@@ -43,15 +38,17 @@ def explicit(design: Design, surface: Surface) -> tuple[FloatArray, IntArray]:
     DesignError
         If a position lies outside the surface.
     """
+    # Positions given in space may lie this far from the outer face; they are moved onto it.
+    off_face_mm = 1.0
     given = np.array(design.layout.positions, dtype=np.float64)
     uv = given if given.shape[1] == 2 else surface.chart(given)
     if given.shape[1] == 3:
         off = np.linalg.norm(surface.point(uv) - given, axis=1)
         worst = int(np.argmax(off))
-        if not off[worst] <= OFF_FACE_MM:
+        if not off[worst] <= off_face_mm:
             raise DesignError(
                 f"layout.positions: position {worst + 1} lies {off[worst]:.2f} mm from the outer "
-                f"face of the {surface.name} (at most {OFF_FACE_MM:g} mm); correct it"
+                f"face of the {surface.name} (at most {off_face_mm:g} mm); correct it"
             )
     low, high = surface.domain.T
     tol = 1e-9 * (high - low)
@@ -73,8 +70,8 @@ def explicit(design: Design, surface: Surface) -> tuple[FloatArray, IntArray]:
 def spread_colours(points_mm: FloatArray, colours: int) -> IntArray:
     """Colours (n,) such that near markers differ where they can.
 
-    One after the other takes the colour whose nearest marker so far is farthest; of equals the
-    one used least.
+    Each marker in turn takes the colour whose nearest marker so far is farthest; ties go to the
+    colour used least.
     """
     n = len(points_mm)
     out = np.full(n, -1, dtype=np.int64)
@@ -100,12 +97,13 @@ def sector_neighbours(surface: Surface, uv: FloatArray, normal: FloatArray) -> I
     Sectors are 45° wide in the tangent plane and centred on the directions of ``NEIGHBOUR_STEPS``,
     rows along u and columns along v.
     """
+    nearest = 32  # markers around one among which its eight neighbours are found
     n = len(uv)
     out = np.full((n, 8), -1, dtype=np.int64)
     if n < 2:
         return out
     points = surface.point(uv)
-    distance, near = cKDTree(points).query(points, k=min(n, NEAREST + 1))
+    distance, near = cKDTree(points).query(points, k=min(n, nearest + 1))
     along, across = _frames(surface, uv, normal)
     arm = points[near] - points[:, None]
     x, y = np.einsum("nki,ni->nk", arm, across), np.einsum("nki,ni->nk", arm, along)

@@ -7,7 +7,7 @@ from typing import Self
 from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import shell_mesh
-from phytac_design.geometry.strips import Mesh
+from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.layout.marker_layout import make_markers
 from phytac_design.layout.markers import Markers
@@ -50,6 +50,6 @@ class Sensor:
         """Cameras on the axis, the near one first; see :func:`cameras_of` for what it raises."""
         return cameras_of(self.design, self.surface)
 
-    def envelope(self, tolerance_mm: float) -> Mesh:
+    def envelope(self, tolerance_mm: float) -> TriangleMesh:
         """Inner face of the wall and rims, facets within a tolerance of the true faces."""
         return shell_mesh(self.design, self.surface, tolerance_mm=tolerance_mm)

@@ -1,4 +1,4 @@
-"""Where to press a sensor to find its worst case."""
+"""Places to press a sensor for its worst case."""
 
 from collections.abc import Callable
 
@@ -21,7 +21,7 @@ def press_places(
     repeats: bool = False,
     inside: Callable[[FloatArray], BoolArray] | None = None,
 ) -> FloatArray:
-    """Chart positions (count, 2) to press at: where it is tightest, and spread over the surface.
+    """Chart positions (count, 2) to press at: at the smallest gaps, and spread over the surface.
 
     Candidates are all markers and the middles between neighbours, within a row and across rows.
     The first half of the places are those of the markers with the smallest gaps at rest; the others

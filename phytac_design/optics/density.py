@@ -1,4 +1,4 @@
-"""How densely markers sense, and on what kind of surface: densities compare within a kind only."""
+"""Marker density, and the class of surface within which densities are comparable."""
 
 from dataclasses import dataclass
 
@@ -10,17 +10,10 @@ from phytac_design.layout.arc import area_elements
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray, IntArray
 
-ALIGNED = 0.05
-"""Sine of the angle (about 3 degrees) within which a surface counts as parallel."""
-PAPER_PER_CM2 = 1.63
-"""The published sensor's, a record for surfaces *parallel* to the optical axis."""
-MAP_CELLS = 20_000
-"""Cells that the surface is cut into to share its area among markers, at least."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Density:
-    """Markers per area of the outer face, what the hand touches.
+    """Markers per area of the outer face.
 
     Attributes
     ----------
@@ -33,10 +26,10 @@ class Density:
     surface_class : str
         ``parallel``, ``perpendicular`` or ``oblique`` to the optical axis (+z).
     local_min_per_cm2, local_max_per_cm2 : float
-        Least and greatest local density of :func:`density_map`.
+        Minimum and maximum local density of :func:`density_map`.
     times_paper : float or None
-        ``per_cm2`` over the paper's 1.63; None where the surface is of another class, for which
-        that figure says nothing.
+        ``per_cm2`` over the paper's 1.63; None for a surface of another class, for which
+        the figure is not comparable.
     """
 
     count: int
@@ -72,22 +65,21 @@ class DensityMap:
     cell_cm2: FloatArray
     per_cm2: FloatArray
 
-    def over_surface(self) -> FloatArray:
-        """Local density (m,) of each piece, per cm²."""
-        return self.per_cm2[self.owner]
-
 
 def surface_class(markers: Markers) -> str:
     """Return how the surface under the markers lies to the optical axis."""
+    aligned = 0.05  # sine of the angle (about 3 degrees) within which a surface counts as parallel
     lean = np.abs(markers.normal[:, 2])
-    if bool(np.all(lean <= ALIGNED)):
+    if bool(np.all(lean <= aligned)):
         return "parallel"
-    return "perpendicular" if bool(np.all(lean >= np.sqrt(1.0 - ALIGNED**2))) else "oblique"
+    return "perpendicular" if bool(np.all(lean >= np.sqrt(1.0 - aligned**2))) else "oblique"
 
 
 def density_map(surface: Surface, markers: Markers) -> DensityMap:
     """Share the sensing area among the markers, by distance in space between outer points."""
-    cells = max(MAP_CELLS, 40 * markers.count)
+    # Cells that the surface is cut into to share its area among markers, at least.
+    map_cells = 20_000
+    cells = max(map_cells, 40 * markers.count)
     (u0, u1), (v0, v1) = surface.domain
     middle = surface.metric(np.array([[(u0 + u1) / 2.0, (v0 + v1) / 2.0]]))[0]
     long, wide = (u1 - u0) * np.sqrt(middle[0, 0]), (v1 - v0) * np.sqrt(middle[1, 1])
@@ -97,7 +89,7 @@ def density_map(surface: Surface, markers: Markers) -> DensityMap:
     u, v = (edges_u[:-1] + edges_u[1:]) / 2.0, (edges_v[:-1] + edges_v[1:]) / 2.0
     area = area_elements(surface, u, v) * (edges_u[1] - edges_u[0]) * (edges_v[1] - edges_v[0])
     uv = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
-    # The middle-point sum is a little off the closed form; the whole is kept exact.
+    # The midpoint sum is scaled to the exact total area.
     area = area.ravel() * (surface.area_mm2(0.0) / area.sum())
     keep = surface.sensing(uv)
     uv, area = uv[keep], area[keep]
@@ -117,6 +109,8 @@ def density_map(surface: Surface, markers: Markers) -> DensityMap:
 
 def density_of(surface: Surface, markers: Markers) -> Density:
     """Marker density of the outer face (paper: 368 on ø60 x 120, 1.63 per cm²)."""
+    # The published sensor's, a record for surfaces *parallel* to the optical axis.
+    paper_per_cm2 = 1.63
     local = density_map(surface, markers)
     area = float(local.area_mm2.sum()) / 100.0
     kind, per_cm2 = surface_class(markers), markers.count / area
@@ -127,5 +121,5 @@ def density_of(surface: Surface, markers: Markers) -> Density:
         surface_class=kind,
         local_min_per_cm2=float(local.per_cm2.min()),
         local_max_per_cm2=float(local.per_cm2.max()),
-        times_paper=per_cm2 / PAPER_PER_CM2 if kind == "parallel" else None,
+        times_paper=per_cm2 / paper_per_cm2 if kind == "parallel" else None,
     )

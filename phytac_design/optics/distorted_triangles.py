@@ -1,10 +1,10 @@
-"""Pieces of triangles for lenses that bend lines: where on the image each one can reach.
+"""Bounds of triangles on the image of a lens with distortion.
 
-A triangle is seen as a spherical triangle about the camera's centre; its edges are arcs of great
-circles, whose images are curved. An arc of angle α strays from its chord by at most ``B α² / 8``,
-where B bounds the second derivative of the lens's map across an arc. Triangles that would stray
-far are split on the sphere. Pieces only say where to look: pixels are tested against the whole
-triangle.
+A triangle appears as a spherical triangle about the camera's centre; its edges are arcs of great
+circles, whose images are curved. An arc of angle α deviates from its chord by at most ``B α² / 8``,
+where B bounds the second derivative of the lens's map across an arc. Triangles with a large
+deviation are split on the sphere. The pieces only bound the search: pixels are tested against the
+full triangle.
 """
 
 from functools import lru_cache
@@ -19,50 +19,38 @@ from phytac_design.optics.rays import pixel_rays
 from phytac_design.optics.zbuffer import View
 from phytac_shapes.arrays import FloatArray
 
-BULGE_PX = 1.5
-RIM_PX = 16.0
-"""Pieces whose edges may stray farther than this are split: inside, and across the field's rim."""
-SPLITS_MAX = 12
-ARC_MAX = 0.5
-"""Longest arc of a piece, radians: the bound is one for short arcs."""
-SAFETY = 1.5
-"""On the sampled second derivative of the lens."""
-BACK_RAD = np.deg2rad(174.0)
-BACK_ARC = 0.05
-"""Pieces that reach farther from the axis than this, once so short, may lie anywhere."""
-MARGIN_RAD = 0.02
-TABLE = 256
-BORDER = 512
-EVERYWHERE_PX = 1e9
 DROP, KEEP, SPLIT = 0, 1, 2
 
 
-class Reach:
-    """How far a lens looks for its image, and how strongly it bends and stretches arcs.
+class LensBounds:
+    """Field of a lens, and how strongly it bends and stretches arcs.
 
-    ``edge`` is the angle of the farthest pixel, radians; ``table`` (TABLE, 3) has angles up to it,
+    ``edge`` is the angle of the farthest pixel, radians; ``table`` (m, 3) has angles up to it,
     and bounds up to each of the second derivative, px/rad², and the first, px/rad.
     """
 
     def __init__(self, lens: Lens) -> None:
+        table = 256
+        safety = 1.5  # on the sampled second derivative of the lens
         self.edge = _edge_rad(lens)
-        angle = np.linspace(0.0, self.edge, TABLE)
+        angle = np.linspace(0.0, self.edge, table)
         bend, stretch = _derivatives(lens, np.minimum(angle, lens.field_rad - 0.003))
-        bounds = SAFETY * np.maximum.accumulate(np.column_stack([bend, stretch]), axis=0)
+        bounds = safety * np.maximum.accumulate(np.column_stack([bend, stretch]), axis=0)
         self.table = np.column_stack([angle, bounds])
 
 
 @lru_cache(maxsize=16)
-def reach_of(lens: Lens) -> Reach:
-    """The :class:`Reach` of a lens, kept for the last few."""
-    return Reach(lens)
+def lens_bounds(lens: Lens) -> LensBounds:
+    """The :class:`LensBounds` of a lens, kept for the last few."""
+    return LensBounds(lens)
 
 
 def _edge_rad(lens: Lens) -> float:
     """Angle of the farthest direction that any pixel sees, up to half an image beyond the frame."""
+    margin_rad = 0.02
     w, h = lens.width_px, lens.height_px
     left, top, right, bottom = -w / 2.0 - 1.0, -h / 2.0 - 1.0, 1.5 * w + 1.0, 1.5 * h + 1.0
-    x, y = np.linspace(left, right, BORDER), np.linspace(top, bottom, BORDER)
+    x, y = np.linspace(left, right, 512), np.linspace(top, bottom, 512)
     border = np.concatenate(
         [np.column_stack([x, np.full_like(x, side)]) for side in (top, bottom)]
         + [np.column_stack([np.full_like(y, side), y]) for side in (left, right)]
@@ -71,7 +59,7 @@ def _edge_rad(lens: Lens) -> float:
     if not np.isfinite(rays).all():
         return lens.field_rad
     angle = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
-    return min(lens.field_rad, float(angle.max()) + MARGIN_RAD)
+    return min(lens.field_rad, float(angle.max()) + margin_rad)
 
 
 def _derivatives(lens: Lens, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -103,7 +91,9 @@ def _angle(directions: FloatArray) -> FloatArray:
     return np.asarray(np.arctan2(off, directions[..., 2]))
 
 
-def spread(lens: Lens, directions: FloatArray, angle: FloatArray, edge: float) -> FloatArray:
+def project_beyond(
+    lens: Lens, directions: FloatArray, angle: FloatArray, edge: float
+) -> FloatArray:
     """Pixels (n, 2) of unit directions (n, 3), continued straight out beyond the angle ``edge``.
 
     ``angle`` (n,) is theirs from the axis.
@@ -120,7 +110,7 @@ def spread(lens: Lens, directions: FloatArray, angle: FloatArray, edge: float) -
     return out
 
 
-def bent_view(
+def distorted_view(
     points: FloatArray, triangles: NDArray[np.int32], camera: Camera, rays: FloatArray | None = None
 ) -> View:
     """Pieces of triangles (T, 3) with corners ``points`` (V, 3), camera frame, ready to fill.
@@ -128,7 +118,7 @@ def bent_view(
     ``rays`` are the lens's pixel rays unless given (any shape with rows, for other windows).
     """
     lens = camera.lens
-    reach = reach_of(lens)
+    reach = lens_bounds(lens)
     unit, angle, image = np.empty_like(points), np.empty(len(points)), np.empty((len(points), 2))
 
     def look(first: int, last: int) -> None:
@@ -136,7 +126,7 @@ def bent_view(
         distance = np.linalg.norm(points[rows], axis=1)
         unit[rows] = points[rows] / np.where(distance > 0.0, distance, np.nan)[:, None]
         angle[rows] = _angle(unit[rows])
-        image[rows] = spread(lens, unit[rows], angle[rows], reach.edge)
+        image[rows] = project_beyond(lens, unit[rows], angle[rows], reach.edge)
 
     in_bands(look, len(points))
     bulge = np.zeros(len(triangles))
@@ -148,16 +138,16 @@ def bent_view(
 
     in_bands(some, len(triangles))
     split = np.flatnonzero(state == SPLIT).astype(np.int32)
-    finer = _split(lens, reach, unit[triangles[split]], split)
-    count = int((state == KEEP).sum()) + len(finer[2])
-    corners, pieces = np.empty((count, 3), dtype=np.int32), np.empty((count, 3, 2))
-    bulges, sources = np.empty(count), np.empty(count, dtype=np.int32)
-    _merge(triangles, image, bulge, state, finer, (corners, pieces, bulges, sources))
+    pieces, bulges, sources = _split(lens, reach, unit[triangles[split]], split)
+    kept = np.flatnonzero(state == KEEP).astype(np.int32)
+    sources = np.concatenate([kept, sources])
+    order = np.argsort(sources, kind="stable")
+    sources = sources[order]
     return View(
         camera=points,
-        triangles=corners,
-        image=pieces,
-        bulge=bulges,
+        triangles=triangles[sources],
+        image=np.concatenate([image[triangles[kept]], pieces])[order],
+        bulge=np.concatenate([bulge[kept], bulges])[order],
         source=sources,
         lens=np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px]),
         rays=pixel_rays(lens) if rays is None else rays,
@@ -169,10 +159,11 @@ Pieces = tuple[FloatArray, FloatArray, NDArray[np.int32]]
 """Corners on the image (P, 3, 2) px, bulge (P,) px and triangle (P,) of pieces."""
 
 
-def _split(lens: Lens, reach: Reach, corner: FloatArray, source: NDArray[np.int32]) -> Pieces:
-    """Pieces of triangles with unit corners (T, 3, 3) that stray little enough, by triangle."""
+def _split(lens: Lens, reach: LensBounds, corner: FloatArray, source: NDArray[np.int32]) -> Pieces:
+    """Pieces of triangles with unit corners (T, 3, 3) with small deviations."""
+    splits_max = 12
     done: list[Pieces] = [(np.empty((0, 3, 2)), np.empty(0), np.empty(0, dtype=np.int32))]
-    for left in reversed(range(SPLITS_MAX)):
+    for level in range(splits_max):
         if not len(source):
             break
         corner, source = _quarters(corner), np.repeat(source, 4)
@@ -182,50 +173,14 @@ def _split(lens: Lens, reach: Reach, corner: FloatArray, source: NDArray[np.int3
         angle = _angle(flat)
         _measure(flat, angle, index, reach.table, bulge, state)
         again = state == SPLIT
-        # The last ones are too fine to split on: let them reach anywhere they may.
-        whole = (state == KEEP) | (again & (left == 0))
-        kept = index[whole].ravel()
-        pixels = spread(lens, flat[kept], angle[kept], reach.edge).reshape(-1, 3, 2)
-        done.append((pixels, bulge[whole], source[whole]))
+        # The last level is kept as it is, with its large bound.
+        finished = (state == KEEP) | (again & (level == splits_max - 1))
+        kept = index[finished].ravel()
+        pixels = project_beyond(lens, flat[kept], angle[kept], reach.edge).reshape(-1, 3, 2)
+        done.append((pixels, bulge[finished], source[finished]))
         corner, source = corner[again], source[again]
     pieces, bulges, sources = (np.concatenate(part) for part in zip(*done, strict=True))
-    order = np.argsort(sources, kind="stable")
-    return np.ascontiguousarray(pieces[order]), bulges[order], sources[order]
-
-
-@kernel
-def _merge(
-    triangles: NDArray[np.int32],
-    image: FloatArray,
-    bulge: FloatArray,
-    state: NDArray[np.uint8],
-    finer: Pieces,
-    out: tuple[NDArray[np.int32], FloatArray, FloatArray, NDArray[np.int32]],
-) -> None:
-    """Write kept triangles and ``finer`` pieces of split ones, in the order of the triangles.
-
-    ``out`` gets the triangles' corners, the pieces' corners on the image, bulge and triangle.
-    """
-    pieces, bulges, sources = finer
-    corners, pixels, reaches, names = out
-    at, piece = 0, 0
-    for t in range(len(triangles)):
-        count = 1 if state[t] == KEEP else 0
-        while state[t] == SPLIT and piece + count < len(sources) and sources[piece + count] == t:
-            count += 1
-        for k in range(count):
-            for i in range(3):
-                corners[at, i] = triangles[t, i]
-                for axis in range(2):
-                    if state[t] == KEEP:
-                        pixels[at, i, axis] = image[triangles[t, i], axis]
-                    else:
-                        pixels[at, i, axis] = pieces[piece + k, i, axis]
-            reaches[at] = bulge[t] if state[t] == KEEP else bulges[piece + k]
-            names[at] = t
-            at += 1
-        if state[t] == SPLIT:
-            piece += count
+    return pieces, bulges, sources
 
 
 @kernel
@@ -237,7 +192,13 @@ def _measure(
     bulge: FloatArray,
     state: NDArray[np.uint8],
 ) -> None:
-    """Bulge (P,) px of pieces, and whether to keep, split or drop each; ``table`` (TABLE, 3)."""
+    """Bulge (P,) px of pieces, and KEEP, SPLIT or DROP; ``table`` of LensBounds."""
+    everywhere_px = 1e9
+    # Pieces beyond this angle from the axis, and so short, are unbounded.
+    back_rad, back_arc = np.deg2rad(174.0), 0.05
+    arc_max = 0.5  # longest arc of a piece, radians: the bound holds for short arcs
+    # Pieces with a larger bulge are split: inside, and across the border of the field.
+    bulge_px, rim_px = 1.5, 16.0
     edge, cells = table[-1, 0], len(table) - 1
     for t in range(len(triangles)):
         arc, least, most = 0.0, np.inf, 0.0
@@ -251,16 +212,16 @@ def _measure(
         if not least - arc <= edge:  # Also where a corner is the camera's centre, NaN.
             state[t] = DROP
             continue
-        limit = BULGE_PX
+        limit = bulge_px
         row = min(int(far / edge * cells) + 1, cells)
         bulge[t] = table[row, 1] * arc * arc / 8.0 + 1e-6
-        if far >= edge:  # The continued map has a kink: an arc strays no farther than it is long.
-            limit = RIM_PX
+        if far >= edge:  # The extrapolated map has a kink: the bound is the length of the arc.
+            limit = rim_px
             bulge[t] = max(bulge[t], (table[-1, 2] + 1.0) * arc)
-        if far > BACK_RAD:
-            bulge[t] = EVERYWHERE_PX
-            limit = EVERYWHERE_PX if arc <= BACK_ARC else 0.0
-        state[t] = SPLIT if bulge[t] > limit or arc > ARC_MAX else KEEP
+        if far > back_rad:
+            bulge[t] = everywhere_px
+            limit = everywhere_px if arc <= back_arc else 0.0
+        state[t] = SPLIT if bulge[t] > limit or arc > arc_max else KEEP
 
 
 def _quarters(corner: FloatArray) -> FloatArray:

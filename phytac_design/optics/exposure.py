@@ -1,7 +1,7 @@
 """A physical camera behind the linear light of a scene: lens, vignetting, electrons, 8 bits, JPEG.
 
 Blur needs no filter: each of a pixel's samples looks through another point of the aperture
-(Haeberli and Akeley 1990), so that what hides what is right for every point of the lens.
+(Haeberli and Akeley 1990), so that occlusion is exact for every point of the lens.
 Diffraction is a Gaussian of the Airy disc's core.
 """
 
@@ -25,19 +25,6 @@ from phytac_design.optics.paint import to_linear, to_srgb
 from phytac_design.optics.render_scene import RenderScene
 from phytac_design.optics.sharpness import sharpness
 from phytac_shapes.arrays import FloatArray, ImageArray
-
-WAVELENGTH_um = 0.55
-"""Green light, the middle of what colour cameras see."""
-AIRY = 0.42
-"""Standard deviation of the Gaussian nearest an Airy disc, over wavelength times f-number."""
-MID_GREY = 128.0
-"""Grey level whose noise ``noise_pixel`` is."""
-LEVELS = 1 << 14
-"""Steps of the table that encodes linear light: a quarter of a grey level in the dark."""
-ORDERS = 500
-"""Orders of the lens points that are tried."""
-DARKEST = 1e-4
-"""Least light of vignetting, so that its law stays finite."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,10 +61,11 @@ class Exposure:
     @property
     def noise_gain(self) -> float:
         """Factor on the noise of the electrons."""
+        mid_grey = 128.0  # grey level whose noise ``noise_pixel`` is
         if self.noise_pixel is None:
             return 1.0
-        light = float(to_linear(np.array(MID_GREY)))
-        step = float(np.diff(to_linear(np.array([MID_GREY - 0.5, MID_GREY + 0.5])))[0])
+        light = float(to_linear(np.array(mid_grey)))
+        step = float(np.diff(to_linear(np.array([mid_grey - 0.5, mid_grey + 0.5])))[0])
         noise_e = float(np.sqrt(light * self.full_well_e + self.read_noise_e**2))
         return self.noise_pixel * step * self.full_well_e / noise_e
 
@@ -88,7 +76,7 @@ CLEAN = Exposure(lens_blur=False, fall_off=False, vignetting=0.0, noise_pixel=0.
 
 @dataclass(frozen=True, kw_only=True)
 class LensBlur:
-    """The lens of a camera as far as it blurs.
+    """Blur parameters of a lens.
 
     Attributes
     ----------
@@ -113,8 +101,8 @@ class LensBlur:
 def disc_points(count: int) -> FloatArray:
     """Points (count, 2) of the unit disc on Vogel's spiral, with a disc's mean and variance.
 
-    Of many orders that is taken in which they go least with ``sample_offsets``: blur then widens
-    edges by as much as it should, wherever those lie.
+    Of many orders the one with the least correlation with ``sample_offsets`` is used: blur then
+    widens edges correctly, wherever they lie.
     """
     if count == 1:
         return np.zeros((1, 2))
@@ -129,19 +117,22 @@ def disc_points(count: int) -> FloatArray:
     spread = np.linalg.cholesky(points.T @ points / count)
     points = 0.5 * np.linalg.solve(spread, points.T).T
     rng, offsets = np.random.default_rng(0), sample_offsets(count)
-    orders = [rng.permutation(count) for _ in range(ORDERS)]
+    orders = [rng.permutation(count) for _ in range(500)]
     least = min(orders, key=lambda order: float(np.abs(offsets.T @ points[order]).max()))
     return np.asarray(points[least])
 
 
 def lens_blur(sensor: Sensor, camera: Camera) -> LensBlur:
-    """Blur of a design's lens, set as ``sharpness`` says for the nominal ``camera``.
+    """Blur of a design's lens, focused by ``sharpness`` for the nominal ``camera``.
 
     Raises
     ------
     DesignError
         If nothing is sharp.
     """
+    # Standard deviation of the Gaussian nearest an Airy disc, over wavelength times f-number.
+    airy = 0.42
+    wavelength_um = 0.55  # green light, the middle of what colour cameras see
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     section = design.camera
     found = sharpness(section, camera, surface, markers)
@@ -150,7 +141,7 @@ def lens_blur(sensor: Sensor, camera: Camera) -> LensBlur:
     return LensBlur(
         aperture_mm=wide / section.focal_px,
         focus_mm=found.focus_mm,
-        diffraction_px=AIRY * WAVELENGTH_um * section.f_number / section.pixel_um,
+        diffraction_px=airy * wavelength_um * section.f_number / section.pixel_um,
     )
 
 
@@ -210,13 +201,16 @@ def expose(
     rng : Generator, optional
         Draws the noise; none without.
     """
+    darkest = 1e-4  # least light of vignetting, so that its law stays finite
+    # Steps of the table that encodes linear light: a quarter of a grey level in the dark.
+    levels = 1 << 14
     height, width = light.shape[:2]
     gain = exposure.noise_gain if rng is not None else 0.0
-    table = np.rint(to_srgb(np.arange(LEVELS) / (LEVELS - 1.0))).astype(np.uint8)
+    table = np.rint(to_srgb(np.arange(levels) / (levels - 1.0))).astype(np.uint8)
     frame = np.zeros(light.shape, dtype=np.uint8)
     x, y = camera.centre_px
     corner = max(x, width - 1.0 - x) ** 2 + max(y, height - 1.0 - y) ** 2
-    left = max(1.0 - exposure.vignetting, DARKEST)
+    left = max(1.0 - exposure.vignetting, darkest)
     bend = (left**-0.5 - 1.0) / corner
     noise = np.zeros((1, 1, 1), dtype=np.float32)
     if rng is not None and gain > 0.0:

@@ -3,7 +3,8 @@
 import numpy as np
 
 from phytac_design.design.fixture_table import AnyFixture, BoxFixture, CylinderFixture
-from phytac_design.geometry.strips import Mesh, cylinder_mesh
+from phytac_design.geometry.strips import cylinder_mesh
+from phytac_design.geometry.triangles import TriangleMesh
 from phytac_shapes.arrays import FloatArray
 
 FACES = np.array(
@@ -12,7 +13,7 @@ FACES = np.array(
 """Corners of a box's faces; corner 4 i + 2 j + k lies at its low (0) or high (1) x, y, z."""
 
 
-def fixture_mesh(fixture: AnyFixture, *, tolerance_mm: float) -> Mesh:
+def fixture_mesh(fixture: AnyFixture, *, tolerance_mm: float) -> TriangleMesh:
     """Triangles of one fixture; polygons stay within ``tolerance_mm`` of their circles."""
     if isinstance(fixture, CylinderFixture):
         return cylinder_mesh(
@@ -23,10 +24,10 @@ def fixture_mesh(fixture: AnyFixture, *, tolerance_mm: float) -> Mesh:
         )
     if isinstance(fixture, BoxFixture):
         triangles = np.concatenate([FACES[:, [0, 1, 2]], FACES[:, [0, 2, 3]]])
-        return Mesh(vertices=_corners(fixture), triangles=triangles.astype(np.int32))
-    return Mesh(
-        vertices=np.array(fixture.vertices_mm, dtype=np.float64),
-        triangles=np.array(fixture.triangles, dtype=np.int32),
+        return TriangleMesh(vertices_mm=_corners(fixture), triangles=triangles)
+    return TriangleMesh(
+        vertices_mm=np.array(fixture.vertices_mm, dtype=np.float64),
+        triangles=np.array(fixture.triangles, dtype=np.int64),
     )
 
 

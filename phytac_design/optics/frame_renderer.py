@@ -21,10 +21,6 @@ from phytac_design.optics.zbuffer import View, fill
 from phytac_shapes.arrays import FloatArray, ImageArray
 
 BAND_ROWS = 128
-VIEWS_LEAST = 6
-"""Lens points at least, where a pixel's samples lie on lattices: fewer make no disc of blur."""
-LEVELS = 4096
-"""Steps of the table that encodes linear light."""
 
 
 def render_frame(
@@ -44,8 +40,9 @@ def render_frame(
     samples : int
         Samples per pixel, see ``sample_views``.
     """
+    levels = 4096  # steps of the table that encodes linear light
     light = render_light(scene, camera, samples=samples)
-    encode = to_srgb(np.arange(LEVELS) / (LEVELS - 1.0)).astype(np.float32)
+    encode = to_srgb(np.arange(levels) / (levels - 1.0)).astype(np.float32)
     frame = np.zeros(light.shape, dtype=np.uint8)
 
     def band(first: int, last: int) -> None:
@@ -202,7 +199,9 @@ def sample_views(count: int) -> tuple[int, int]:
     Each view is through another point of the lens and moved by another share of a step of the
     lattice. Even lattices err less than as many single samples, and cost less.
     """
-    side = int(np.sqrt(count // VIEWS_LEAST))
+    # Lens points at least, where a pixel's samples lie on lattices: fewer make no disc of blur.
+    views_least = 6
+    side = int(np.sqrt(count // views_least))
     while side > 1 and count % side**2:
         side -= 1
     side = max(side, 1)

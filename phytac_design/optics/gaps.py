@@ -27,42 +27,19 @@ def marker_gaps(
         Distance in px between the nearest pixel centres: 1 means touching, so ``gap - 1`` free
         pixels lie between. inf if there is no such marker or this one is not visible.
     """
-    starts = np.zeros(len(colour) + 1, dtype=np.int64)
-    _outline(marker, starts, np.zeros((0, 2), dtype=np.int64))
-    np.cumsum(starts, out=starts)
-    pixels = np.zeros((int(starts[-1]), 2), dtype=np.int64)
-    if len(pixels):
-        _outline(marker, starts.copy(), pixels)
-    return outline_gaps(pixels, starts, colour, limit_px=limit_px)
-
-
-@kernel
-def _outline(marker: NDArray[np.int32], starts: IntArray, pixels: IntArray) -> None:
-    """Pixels of a marker with one of the four neighbours not of it, or on the image's border.
-
-    Counts those of marker i in ``starts[i + 1]``, or writes them from ``starts[i]`` on, if
-    ``pixels`` has room.
-    """
-    rows, columns = marker.shape
-    for row in range(rows):
-        for column in range(columns):
-            i = marker[row, column]
-            if i < 0:
-                continue
-            if (
-                0 < row < rows - 1
-                and 0 < column < columns - 1
-                and marker[row - 1, column] == i
-                and marker[row + 1, column] == i
-                and marker[row, column - 1] == i
-                and marker[row, column + 1] == i
-            ):
-                continue
-            if len(pixels) == 0:
-                starts[i + 1] += 1
-            else:
-                pixels[starts[i], 0], pixels[starts[i], 1] = column, row
-                starts[i] += 1
+    inner = np.zeros(marker.shape, dtype=np.bool_)
+    middle = marker[1:-1, 1:-1]
+    inner[1:-1, 1:-1] = (
+        (marker[:-2, 1:-1] == middle)
+        & (marker[2:, 1:-1] == middle)
+        & (marker[1:-1, :-2] == middle)
+        & (marker[1:-1, 2:] == middle)
+    )
+    y, x = np.nonzero((marker >= 0) & ~inner)
+    owner = marker[y, x]
+    order = np.argsort(owner, kind="stable")
+    starts = np.searchsorted(owner[order], np.arange(len(colour) + 1))
+    return outline_gaps(np.column_stack([x, y])[order], starts, colour, limit_px=limit_px)
 
 
 def outline_gaps(

@@ -1,9 +1,9 @@
-"""Many poses of one scene, seen fast: only receptors are filled again, each in its own window.
+"""Fast rendering of many poses of one scene: only receptors are drawn again, each in its window.
 
-Shell and bar stand still: their depth is filled once. For each pose every receptor is filled into
-a window of its own, which gives what it shows alone; all windows are then laid over that depth,
-the nearest wins, and markers are counted and measured inside their windows only. The result is
-that of the whole image, pixel for pixel.
+Shell and bar do not move: their depth is rendered once. For each pose every receptor is rendered
+into its own window, which shows the receptor alone. All windows are then composited over the fixed
+depth (the nearest wins), and markers are counted and measured inside their windows only. The result
+equals that of the full image, pixel for pixel.
 """
 
 from dataclasses import dataclass, replace
@@ -25,8 +25,8 @@ from phytac_shapes.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)
-class Glance:
-    """What one pose shows; arrays over n markers.
+class RenderSample:
+    """Rendered markers of one pose; arrays over n markers.
 
     Attributes
     ----------
@@ -44,47 +44,47 @@ class Glance:
     starts: IntArray
 
 
-class Watch:
-    """A camera on one scene whose receptors move.
+class IncrementalRenderer:
+    """Renders one scene whose receptors move, from one camera.
 
     Parameters
     ----------
     scene, camera : Scene, Camera
         The sensor in any pose. Not safe to share between threads.
-    wall_back : float
-        The wall is taken as farther from the camera by this share. In a scene it stands still,
-        in truth it moves with its receptors: what dips into it by little is not hidden.
+    wall_setback : float
+        Relative increase of the distance between camera and wall. The wall of the scene is fixed,
+        but a real one moves with its receptors: a receptor slightly behind it is not hidden.
     """
 
-    def __init__(self, scene: RenderScene, camera: Camera, *, wall_back: float = 0.0) -> None:
+    def __init__(self, scene: RenderScene, camera: Camera, *, wall_setback: float = 0.0) -> None:
         self.camera = camera
         self.own = np.flatnonzero(scene.triangle_owner >= 0)
         fixed = scene.triangle_owner < 0
         shape = (camera.height_px, camera.width_px)
-        self._ground = np.zeros(shape)
-        nobody = np.full(shape, -1, dtype=np.int32)
+        self._fixed_depth = np.zeros(shape)
+        unowned = np.full(shape, -1, dtype=np.int32)
         for part in (fixed & (scene.part == SHELL), fixed & (scene.part != SHELL)):
             view = project_scene(_part_of(scene, np.flatnonzero(part)), camera)
-            _fill_all(view, nobody, self._ground)
-            if wall_back > 0.0:
-                self._ground /= 1.0 + wall_back
-                wall_back = 0.0
-        self._nearest = self._ground.copy()
+            _fill_all(view, unowned, self._fixed_depth)
+            if wall_setback > 0.0:
+                self._fixed_depth /= 1.0 + wall_setback
+                wall_setback = 0.0
+        self._nearest = self._fixed_depth.copy()
         self._marker = np.full(shape, -1, dtype=np.int32)
         self._written = np.zeros((0, 4), dtype=np.int64)
 
-    def look(self, scene: RenderScene) -> Glance:
-        """See the same scene in another pose (of ``RenderScene.moved``)."""
+    def render(self, scene: RenderScene) -> RenderSample:
+        """Render the same scene in another pose (from ``RenderScene.moved``)."""
         moving = _part_of(scene, self.own)
         view = project_scene(moving, self.camera)
         chosen, starts = pieces_by_marker(moving, view)
-        windows = _within(marker_windows(view, chosen, starts, self.camera), self.camera)
+        windows = _clipped(marker_windows(view, chosen, starts, self.camera), self.camera)
         ends = np.cumsum(np.concatenate([[0], windows[:, 2] * windows[:, 3]]))
         triangle = np.full(int(ends[-1]), -1, dtype=np.int32)
         inverse = np.zeros(int(ends[-1]))
         alone, visible = np.zeros((scene.count, 3)), np.zeros((scene.count, 3))
 
-        def each(first: int, last: int) -> None:
+        def fill_markers(first: int, last: int) -> None:
             some = slice(first, last)
             _fill_windows(
                 view,
@@ -98,33 +98,31 @@ class Watch:
                 alone[some],
             )
 
-        def lay(first: int, last: int) -> None:
+        def composite(first: int, last: int) -> None:
             rows = (first, last)
-            _restore(self._written, rows, self._ground, self._nearest, self._marker)
-            _lay(windows, ends, rows, triangle, inverse, self._nearest, self._marker)
+            _restore(self._written, rows, self._fixed_depth, self._nearest, self._marker)
+            _composite(windows, ends, rows, triangle, inverse, self._nearest, self._marker)
 
-        def count(first: int, last: int) -> None:
+        def measure(first: int, last: int) -> None:
             some = slice(first, last)
-            _count(first, windows[some], self._marker, visible[some])
+            _measure(
+                first, windows[some], ends[some], self._marker, visible[some], pixels, found[some]
+            )
 
-        in_bands(each, scene.count)
-        in_bands(lay, self.camera.height_px)
+        in_bands(fill_markers, scene.count)
+        in_bands(composite, self.camera.height_px)
         self._written = windows
-        in_bands(count, scene.count)
-        room = np.cumsum(np.concatenate([[0], visible[:, 0].astype(np.int64)]))
-        pixels = np.zeros((int(room[-1]), 2), dtype=np.int64)
+        # Outlines of each marker fit the stretch of its window; untouched pages cost nothing.
+        pixels = np.empty((int(ends[-1]), 2), dtype=np.int64)
         found = np.zeros(scene.count, dtype=np.int64)
-
-        def trace(first: int, last: int) -> None:
-            some = slice(first, last)
-            _trace(first, windows[some], room[some], self._marker, pixels, found[some])
-
-        in_bands(trace, scene.count)
-        used = np.arange(len(pixels)) - np.repeat(room[:-1], np.diff(room))
-        return Glance(
+        in_bands(measure, scene.count)
+        return RenderSample(
             visible=visible,
             alone=alone,
-            pixels=pixels[used < np.repeat(found, np.diff(room))],
+            pixels=np.concatenate(
+                [np.zeros((0, 2), dtype=np.int64)]
+                + [pixels[start : start + k] for start, k in zip(ends[:-1], found, strict=True)]
+            ),
             starts=np.cumsum(np.concatenate([[0], found])),
         )
 
@@ -145,8 +143,8 @@ def _part_of(scene: RenderScene, chosen: IntArray) -> RenderScene:
     return replace(scene, triangles=scene.triangles[chosen], part=scene.part[chosen])
 
 
-def _within(windows: IntArray, camera: Camera) -> IntArray:
-    """Windows (n, 4) cut at the image: pixels beyond it show nothing that could be uncovered."""
+def _clipped(windows: IntArray, camera: Camera) -> IntArray:
+    """Windows (n, 4) clipped to the image."""
     low = np.maximum(windows[:, :2], 0)
     high = np.minimum(windows[:, :2] + windows[:, 2:], [camera.width_px, camera.height_px])
     size = np.maximum(high - low, 0)
@@ -198,20 +196,20 @@ def _fill_windows(
 def _restore(
     windows: IntArray,
     band: tuple[int, int],
-    ground: FloatArray,
+    fixed_depth: FloatArray,
     nearest: FloatArray,
     marker: NDArray[np.int32],
 ) -> None:
-    """Take windows off the image again, in a band of rows."""
+    """Restore the fixed scene under the windows, in a band of rows."""
     for i in range(len(windows)):
         left, top, columns, rows = windows[i]
         for y in range(max(top, band[0]), min(top + rows, band[1])):
-            nearest[y, left : left + columns] = ground[y, left : left + columns]
+            nearest[y, left : left + columns] = fixed_depth[y, left : left + columns]
             marker[y, left : left + columns] = -1
 
 
 @kernel
-def _lay(
+def _composite(
     windows: IntArray,
     ends: IntArray,
     band: tuple[int, int],
@@ -220,7 +218,7 @@ def _lay(
     nearest: FloatArray,
     marker: NDArray[np.int32],
 ) -> None:
-    """Lay windows over the image, in a band of rows: the nearest wins, of equals the first."""
+    """Composite windows into a band of rows: the nearest wins, and the first of equal depths."""
     for i in range(len(windows)):
         left, top, columns, rows = windows[i]
         for y in range(max(top, band[0]), min(top + rows, band[1])):
@@ -232,28 +230,20 @@ def _lay(
 
 
 @kernel
-def _count(start: int, windows: IntArray, marker: NDArray[np.int32], sums: FloatArray) -> None:
-    """Pixels, sum of x and sum of y (n, 3) of the markers from ``start`` on."""
-    for i in range(len(windows)):
-        left, top, columns, rows = windows[i]
-        for y in range(top, top + rows):
-            for x in range(left, left + columns):
-                if marker[y, x] == start + i:
-                    sums[i, 0] += 1.0
-                    sums[i, 1] += x
-                    sums[i, 2] += y
-
-
-@kernel
-def _trace(
+def _measure(
     start: int,
     windows: IntArray,
-    room: IntArray,
+    ends: IntArray,
     marker: NDArray[np.int32],
+    sums: FloatArray,
     pixels: IntArray,
     found: IntArray,
 ) -> None:
-    """Pixels with one of their four neighbours not of the same marker, or on the image's border."""
+    """Measure the markers from ``start`` on: number of pixels, sum of x and sum of y (n, 3).
+
+    The ``found`` pixels on each outline (a 4-neighbour is not of the marker, or beyond the image)
+    are written to ``pixels`` from the marker's entry of ``ends`` on.
+    """
     height, width = marker.shape
     for i in range(len(windows)):
         left, top, columns, rows = windows[i]
@@ -262,6 +252,9 @@ def _trace(
             for x in range(left, left + columns):
                 if marker[y, x] != own:
                     continue
+                sums[i, 0] += 1.0
+                sums[i, 1] += x
+                sums[i, 2] += y
                 if (
                     y == 0
                     or x == 0
@@ -272,6 +265,6 @@ def _trace(
                     or marker[y, x - 1] != own
                     or marker[y, x + 1] != own
                 ):
-                    at = room[i] + found[i]
+                    at = ends[i] + found[i]
                     pixels[at, 0], pixels[at, 1] = x, y
                     found[i] += 1

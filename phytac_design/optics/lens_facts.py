@@ -1,4 +1,4 @@
-"""What the lens makes of the markers, for the check and the report: in all, and row by row."""
+"""Lens figures of the check and the report: of all markers, and row by row."""
 
 from typing import Any
 

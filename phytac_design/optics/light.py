@@ -31,8 +31,8 @@ EVEN, FROM_CAMERA, FROM_AXIS = 0.4, 0.35, 0.25
 """Shares of the light: from everywhere, from the camera's side, from the bar."""
 
 
-FALL_OFF_MOST = 4.0
-"""Most that a part near the bar gets, over what a median marker does."""
+FALL_OFF_MAX = 4.0
+"""Maximum light of a part near the bar, relative to that of a median marker."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +99,7 @@ def triangle_light(
     Parameters
     ----------
     strip : Strip, optional
-        Lets the bar's part of the light fall off; even without.
+        The bar's part of the light falls off; uniform without.
     paint : (colours + 1, 3) float, optional
         See :func:`albedo`.
     """
@@ -110,7 +110,7 @@ def triangle_light(
     inward = -centre * np.array([1.0, 1.0, 0.0])
     bar = FROM_AXIS * _cosine(normal, inward)
     if strip is not None:
-        bar *= np.minimum(strip.at(centre), FALL_OFF_MOST)
+        bar *= np.minimum(strip.at(centre), FALL_OFF_MAX)
     shade = EVEN + FROM_CAMERA * _cosine(normal, back) + bar
     shade[scene.part == BAR_CODE] = 1.0
     return albedo(scene, paint) * shade[:, None]

@@ -1,16 +1,16 @@
-"""What the camera sees of a *pressed* sensor: hidden, fused and disturbed markers, and from when.
+"""Visibility under load: hidden, fused and disturbed markers of a pressed sensor.
 
-Crosstalk is the part of a marker's image shift that is not its own motion: what a neighbour covers
-or uncovers moves the centroid of the pixels that are left. With ``alone`` the marker's pixels if
-its receptor were the only thing, in the same pose::
+Crosstalk is the part of a marker's image shift that is not its own motion: a neighbour that covers
+or uncovers it moves the centroid of its visible pixels. With ``alone`` the pixels of the marker
+when its receptor is rendered alone in the same pose::
 
     offset = centroid(visible) - centroid(alone)      crosstalk = |offset(pressed) - offset(rest)|
 
-Both centroids are of the same pixel samples, so a marker that nothing covers has none, exactly.
+Both centroids use the same pixel samples, so the crosstalk of an uncovered marker is exactly zero.
 
-Receptors move as rigid bodies. The wall, which in truth moves with them, stands still: it is
-allowed to hide only what lies clearly behind it (``WALL_BACK``), so that a receptor that is pushed
-outward beside a dent is not lost in it.
+Receptors move as rigid bodies. The wall of a real sensor moves with them, the rendered one is
+fixed: it hides only what lies clearly behind it (``WALL_SETBACK``), so that a receptor that is
+pushed outward beside a dent stays visible.
 """
 
 from collections.abc import Callable
@@ -20,24 +20,20 @@ import numpy as np
 
 from phytac_decoder.camera.camera import Camera
 from phytac_design.optics.gaps import outline_gaps
-from phytac_design.optics.incremental_renderer import Glance, Watch
+from phytac_design.optics.incremental_renderer import IncrementalRenderer, RenderSample
 from phytac_design.optics.render_scene import RenderScene
 from phytac_design.optics.visibility import FRACTION_MIN, PIXELS_MIN
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 FUSED_PX = 2.0
 """Markers of one colour this near (one free pixel or none) count as fused under load."""
-STATIONARY_SHARE = 0.1
-"""A marker that moves by less than this share of the greatest image shift counts as still."""
-WALL_BACK = 0.05
-"""Share of the distance by which the wall must be nearer than what it hides, in all poses."""
-BISECTIONS = 6
-"""Halvings of a force interval in which something happens."""
+WALL_SETBACK = 0.05
+"""Share of its distance by which the wall is moved away from the camera, in all poses."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sight:
-    """One state of the sensor as the camera sees it; arrays over n markers.
+class MarkerState:
+    """Markers of one pose of the sensor as the camera sees them; arrays over n markers.
 
     Attributes
     ----------
@@ -70,9 +66,9 @@ class Sight:
         """Markers that nearly touch another one of their colour."""
         return np.asarray(self.gap_same_px <= FUSED_PX)
 
-    def of(self, counted: BoolArray) -> "Sight":
-        """The same with markers that do not count (n,) whole, far from all, and still."""
-        return Sight(
+    def of(self, counted: BoolArray) -> "MarkerState":
+        """Copy whose markers outside ``counted`` (n,) are visible, isolated and stationary."""
+        return MarkerState(
             fraction=np.where(counted, self.fraction, 1.0),
             visible_px=np.where(counted, self.visible_px, np.iinfo(np.int64).max),
             gap_same_px=np.where(counted, self.gap_same_px, np.inf),
@@ -81,29 +77,29 @@ class Sight:
             offset_px=np.where(counted[:, None], self.offset_px, 0.0),
         )
 
-    def shift_px(self, rest: "Sight") -> FloatArray:
-        """Own motion of each marker on the image, (n,); 0 if it would not show."""
+    def shift_px(self, rest: "MarkerState") -> FloatArray:
+        """Own image motion of each marker, (n,) px; 0 if its receptor alone shows no paint."""
         return np.asarray(np.nan_to_num(np.linalg.norm(self.alone_px - rest.alone_px, axis=1)))
 
-    def crosstalk_px(self, rest: "Sight") -> FloatArray:
-        """Shift of each centroid that is not its marker's own motion, (n,); 0 if not visible."""
+    def crosstalk_px(self, rest: "MarkerState") -> FloatArray:
+        """Centroid shift of each marker beyond its own motion, (n,) px; 0 if not visible."""
         return np.asarray(np.nan_to_num(np.linalg.norm(self.offset_px - rest.offset_px, axis=1)))
 
 
-def sight(scene: RenderScene, camera: Camera) -> Sight:
+def scene_state(scene: RenderScene, camera: Camera) -> MarkerState:
     """Visibility, gaps and centroid offsets of a scene, at rest or moved."""
-    return sight_of(Watch(scene, camera).look(scene), scene)
+    return marker_state(IncrementalRenderer(scene, camera).render(scene), scene)
 
 
-def sight_of(seen: Glance, scene: RenderScene) -> Sight:
-    """The same from a glance at the scene."""
-    own, other = outline_gaps(seen.pixels, seen.starts, scene.colour)
-    visible, alone = seen.visible, seen.alone
+def marker_state(sample: RenderSample, scene: RenderScene) -> MarkerState:
+    """Visibility, gaps and centroid offsets of a rendered pose of ``scene``."""
+    own, other = outline_gaps(sample.pixels, sample.starts, scene.colour)
+    visible, alone = sample.visible, sample.alone
     with np.errstate(divide="ignore", invalid="ignore"):
         own_px = alone[:, 1:] / alone[:, :1]
         offset = visible[:, 1:] / visible[:, :1] - own_px
         fraction = np.where(alone[:, 0] > 0.0, visible[:, 0] / alone[:, 0], 0.0)
-    return Sight(
+    return MarkerState(
         fraction=fraction,
         visible_px=visible[:, 0].astype(np.int64),
         gap_same_px=own,
@@ -114,26 +110,26 @@ def sight_of(seen: Glance, scene: RenderScene) -> Sight:
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnderLoad:
-    """Worst of many presses, each alone; arrays over p presses or n markers.
+class LoadedVisibility:
+    """Worst case over many single presses; arrays over p presses or n markers.
 
     Attributes
     ----------
     hidden, fused : (p,) int
         Markers hidden, and fused, at the full force.
     press_gap_same_px, press_gap_other_px, press_crosstalk_px : (p,) float
-        Least gaps and greatest crosstalk of each press.
+        Smallest gaps and largest crosstalk of each press.
     shift_px : (p,) float
-        Greatest image shift of a marker, for comparison.
+        Largest image shift of a marker, for comparison.
     first_force_N : (p,) float
-        Force from which something hides or fuses; inf if nothing does up to the full force.
+        Least force at which a marker hides or fuses; inf if none does up to the full force.
     first_marker : (p,) int
-        A marker that does so first; -1 if none.
+        The first marker to do so; -1 if none.
     least_fraction, least_gap_same_px, least_gap_other_px : (n,) float
-        Least over all presses.
+        Minimum over all presses.
     crosstalk_px, crosstalk_still_px : (n,) float
-        Greatest over all presses; and over those that move the marker's own image by less than
-        ``STATIONARY_SHARE`` of the greatest shift.
+        Maximum over all presses; and over those that move the marker's own image by less than
+        a tenth of the largest shift.
     """
 
     hidden: IntArray
@@ -150,15 +146,15 @@ class UnderLoad:
     crosstalk_px: FloatArray
     crosstalk_still_px: FloatArray
 
-    def with_other(self, other: "UnderLoad") -> "UnderLoad":
-        """Both together: the same presses seen by two cameras that count different markers."""
+    def with_other(self, other: "LoadedVisibility") -> "LoadedVisibility":
+        """Combine the same presses seen by two cameras that read different markers."""
         sooner = self.first_force_N <= other.first_force_N
         least = ("press_gap_same_px", "press_gap_other_px", "first_force_N", "least_fraction",
                  "least_gap_same_px", "least_gap_other_px")  # fmt: skip
         most = ("press_crosstalk_px", "shift_px", "crosstalk_px", "crosstalk_still_px")
         values = {name: np.minimum(getattr(self, name), getattr(other, name)) for name in least}
         values |= {name: np.maximum(getattr(self, name), getattr(other, name)) for name in most}
-        return UnderLoad(
+        return LoadedVisibility(
             hidden=self.hidden + other.hidden,
             fused=self.fused + other.fused,
             first_marker=np.where(sooner, self.first_marker, other.first_marker),
@@ -167,13 +163,13 @@ class UnderLoad:
 
     @property
     def worst(self) -> int:
-        """Press at which something happens first; the one with the least gap if nothing does."""
+        """Press that hides or fuses a marker at the least force; of equals the tightest."""
         order = np.lexsort((self.press_gap_same_px, self.first_force_N))
         return int(order[0])
 
 
-class _Presses:
-    """Looks at one sensor while it is pressed."""
+class _PressedSensor:
+    """Renders one sensor under its presses."""
 
     def __init__(
         self,
@@ -184,29 +180,30 @@ class _Presses:
         forces_N: FloatArray,
     ) -> None:
         self.scene, self.counted, self.pivots_mm = scene, counted, pivots_mm
-        self.ladder = np.concatenate([[0.0], forces_N])
-        self.watch = Watch(scene, camera, wall_back=WALL_BACK)
-        self.rest = sight_of(self.watch.look(scene), scene).of(counted)
+        self.forces_N = np.concatenate([[0.0], forces_N])
+        self.renderer = IncrementalRenderer(scene, camera, wall_setback=WALL_SETBACK)
+        self.rest = marker_state(self.renderer.render(scene), scene).of(counted)
 
-    def at(self, path: FloatArray, force_N: float) -> Sight:
-        """Sight at a force; between those of the path (k, n, 6) motion is linear."""
-        ladder = self.ladder
-        k = int(np.clip(np.searchsorted(ladder, force_N) - 1, 0, len(ladder) - 2))
-        share = (force_N - ladder[k]) / (ladder[k + 1] - ladder[k])
+    def at(self, path: FloatArray, force_N: float) -> MarkerState:
+        """State at a force; motion is linear between the forces of the path (k, n, 6)."""
+        forces = self.forces_N
+        k = int(np.clip(np.searchsorted(forces, force_N) - 1, 0, len(forces) - 2))
+        share = (force_N - forces[k]) / (forces[k + 1] - forces[k])
         before = path[k - 1] if k > 0 else np.zeros_like(path[0])
         motion = (1.0 - share) * before + share * path[k]
         moved = self.scene.moved(motion[:, :3], motion[:, 3:], self.pivots_mm)
-        return sight_of(self.watch.look(moved), moved).of(self.counted)
+        return marker_state(self.renderer.render(moved), moved).of(self.counted)
 
-    def lost(self, seen: Sight) -> BoolArray:
-        """Markers that hide or fuse, and did not at rest."""
+    def lost(self, seen: MarkerState) -> BoolArray:
+        """Markers that are hidden or fused, and are not at rest."""
         rest = self.rest
         return np.asarray((seen.hidden & ~rest.hidden) | (seen.fused & ~rest.fused))
 
-    def first(self, path: FloatArray, seen: Sight) -> tuple[float, int]:
-        """Force from which, and marker to which, something happens; it does in ``seen``."""
-        low, high = 0.0, float(self.ladder[-1])
-        for _ in range(BISECTIONS):
+    def first(self, path: FloatArray, seen: MarkerState) -> tuple[float, int]:
+        """Least force that loses a marker, and that marker, by bisection from the full force."""
+        bisections = 6  # bisections of the force interval in which the first marker is lost
+        low, high = 0.0, float(self.forces_N[-1])
+        for _ in range(bisections):
             middle = (low + high) / 2.0
             here = self.at(path, middle)
             if self.lost(here).any():
@@ -216,7 +213,7 @@ class _Presses:
         return high, int(self.lost(seen).argmax())
 
 
-def press_all(
+def visibility_under_load(
     scene: RenderScene,
     camera: Camera,
     *,
@@ -225,59 +222,53 @@ def press_all(
     forces_N: FloatArray,
     counted: BoolArray | None = None,
     progress: Callable[[str], None] = lambda _: None,
-) -> UnderLoad:
-    """See the sensor under every press, and find from which force anything hides or fuses.
+) -> LoadedVisibility:
+    """Render the sensor under every press, and find the least force that hides or fuses a marker.
 
-    Between the given forces motion is interpolated linearly.
+    Motion is interpolated linearly between the given forces.
 
     Parameters
     ----------
     scene, camera : Scene, Camera
         The sensor at rest.
     pivots_mm : (n, 3) float
-        Points that ``motions`` are of: the middle face under each marker.
+        Points that ``motions`` refer to: the middle face under each marker.
     motions : (p, k, n, 6) float
         Translation (mm) and rotation (rad) for p presses at k rising forces.
     forces_N : (k,) float
-        Those forces; the last is the full one.
+        Forces of ``motions``; the last is the full force.
     counted : (n,) bool, optional
         Markers that are read through this camera; all by default.
     """
+    stationary_share = 0.1  # of the largest image shift, below which a marker counts as stationary
     own = np.ones(scene.count, dtype=bool) if counted is None else counted
-    presses = _Presses(scene, camera, own, pivots_mm, forces_N)
-    rest, count = presses.rest, len(motions)
-    per_press = {name: np.zeros(count) for name in ("same", "other", "crosstalk", "shift")}
-    hidden, fused = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    sensor = _PressedSensor(scene, camera, own, pivots_mm, forces_N)
+    rest, count = sensor.rest, len(motions)
+    states = []
     first, marker = np.full(count, np.inf), np.full(count, -1)
-    fraction, crosstalk = rest.fraction.copy(), np.zeros((2, scene.count))
-    same, other = rest.gap_same_px.copy(), rest.gap_other_px.copy()
     for press, path in enumerate(motions):
-        seen = presses.at(path, float(presses.ladder[-1]))
-        shift, stray = seen.shift_px(rest), seen.crosstalk_px(rest)
-        still = shift <= STATIONARY_SHARE * shift.max()
-        hidden[press], fused[press] = int(seen.hidden.sum()), int(seen.fused.sum())
-        per_press["same"][press] = float(seen.gap_same_px.min())
-        per_press["other"][press] = float(seen.gap_other_px.min())
-        per_press["crosstalk"][press] = float(stray.max())
-        per_press["shift"][press] = float(shift.max())
-        fraction = np.minimum(fraction, seen.fraction)
-        same, other = np.minimum(same, seen.gap_same_px), np.minimum(other, seen.gap_other_px)
-        crosstalk = np.maximum(crosstalk, np.stack([stray, np.where(still, stray, 0.0)]))
-        if presses.lost(seen).any():
-            first[press], marker[press] = presses.first(path, seen)
+        state = sensor.at(path, float(sensor.forces_N[-1]))
+        states.append(state)
+        if sensor.lost(state).any():
+            first[press], marker[press] = sensor.first(path, state)
         progress(f"under load: {press + 1} of {count} presses")
-    return UnderLoad(
-        hidden=hidden,
-        fused=fused,
-        press_gap_same_px=per_press["same"],
-        press_gap_other_px=per_press["other"],
-        press_crosstalk_px=per_press["crosstalk"],
-        shift_px=per_press["shift"],
+    shape = (count, scene.count)
+    shift = np.array([state.shift_px(rest) for state in states]).reshape(shape)
+    crosstalk = np.array([state.crosstalk_px(rest) for state in states]).reshape(shape)
+    still = shift <= stationary_share * shift.max(axis=1, keepdims=True)
+    every = [rest, *states]
+    return LoadedVisibility(
+        hidden=np.array([int(state.hidden.sum()) for state in states]),
+        fused=np.array([int(state.fused.sum()) for state in states]),
+        press_gap_same_px=np.array([float(state.gap_same_px.min()) for state in states]),
+        press_gap_other_px=np.array([float(state.gap_other_px.min()) for state in states]),
+        press_crosstalk_px=crosstalk.max(axis=1),
+        shift_px=shift.max(axis=1),
         first_force_N=first,
         first_marker=marker,
-        least_fraction=fraction,
-        least_gap_same_px=same,
-        least_gap_other_px=other,
-        crosstalk_px=crosstalk[0],
-        crosstalk_still_px=crosstalk[1],
+        least_fraction=np.min([state.fraction for state in every], axis=0),
+        least_gap_same_px=np.min([state.gap_same_px for state in every], axis=0),
+        least_gap_other_px=np.min([state.gap_other_px for state in every], axis=0),
+        crosstalk_px=crosstalk.max(axis=0, initial=0.0),
+        crosstalk_still_px=np.where(still, crosstalk, 0.0).max(axis=0, initial=0.0),
     )

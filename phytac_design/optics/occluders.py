@@ -1,4 +1,4 @@
-"""What hides a marker: the part that most of its missing pixels show."""
+"""Occluders: the part that covers most of a marker's missing pixels."""
 
 import numpy as np
 
@@ -20,22 +20,22 @@ from phytac_shapes.arrays import IntArray
 SELF = -1
 
 
-def hiders(
+def occluding_parts(
     scene: RenderScene, camera: Camera, buffers: Buffers, ids: IntArray, alone_px: IntArray
 ) -> IntArray:
-    """Part code (k,) of what hides each of the markers ``ids`` (k,) most.
+    """Part code (k,) that covers most hidden pixels of each of the markers ``ids`` (k,).
 
-    ``RESIN`` stands for other receptors, ``NONE`` for the end of the image, ``SELF`` for a marker
-    that nothing hides but its own tube.
+    ``RESIN`` stands for other receptors, ``NONE`` for the border of the image, ``SELF`` for a
+    marker that only its own tube hides.
 
     Parameters
     ----------
     buffers : Buffers
         Of the scene, see ``rasterise``.
     ids : (k,) int
-        Markers to ask about.
+        Marker numbers.
     alone_px : (n,) int
-        Pixels of every marker if its receptor were the only thing.
+        Pixels of every marker when its receptor is rendered alone.
     """
     out = np.full(len(ids), SELF, dtype=np.int64)
     if len(ids) == 0:
@@ -63,8 +63,8 @@ def hiders(
     return out
 
 
-def hider_name(design: Design, code: int) -> str:
-    """Name of what :func:`hiders` found, for messages."""
+def occluder_name(design: Design, code: int) -> str:
+    """Name of a part of :func:`occluding_parts`, for messages."""
     if code >= FIRST_FIXTURE:
         return f"by the fixture {design.fixtures[code - FIRST_FIXTURE].name!r}"
     return {

@@ -1,10 +1,7 @@
-"""A picture as a person would see it, drawn by OpenGL (pyrender on EGL), anti-aliased.
+"""Anti-aliased picture of a scene by OpenGL (pyrender on EGL), independent of the rasteriser.
 
-The light is that of ``optics.light``, the geometry and its visibility are OpenGL's own: an
-independent look at the same scene.
-
-The only module that touches OpenGL, and only when a picture is asked for. One context is made per
-picture and deleted; do not call from several threads at once.
+The light is that of ``optics.light``; OpenGL itself projects the geometry and hides surfaces. Only
+this module uses OpenGL. Each picture has its own context; do not call it from several threads.
 """
 
 import os
@@ -24,9 +21,6 @@ GL_FIX = (
     "install the system libraries (Debian, Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri) "
     "and the Python extra (pip install 'phytac-design[design]'); frames of optics.frame need none"
 )
-NEAR_LEAST_MM = 0.2
-GL_TO_CV = np.diag([1.0, -1.0, -1.0])
-"""OpenGL's camera looks along -z with y up."""
 
 
 def render_picture(scene: RenderScene, camera: Camera) -> ImageArray:
@@ -35,9 +29,10 @@ def render_picture(scene: RenderScene, camera: Camera) -> ImageArray:
     Raises
     ------
     MissingPartError
-        If pyrender or an EGL driver is not there (says which packages to install), or the lens
-        is not a pinhole, the only one that OpenGL can draw.
+        If pyrender or an EGL driver is missing (the message names the packages), or the lens is
+        not a pinhole, the only one that OpenGL can draw.
     """
+    gl_to_cv = np.diag([1.0, -1.0, -1.0])  # openGL's camera looks along -z with y up
     if not isinstance(camera.lens, Pinhole):
         raise MissingPartError(
             f"no OpenGL picture: OpenGL draws pinholes only (got a {camera.lens.model} lens); "
@@ -48,7 +43,7 @@ def render_picture(scene: RenderScene, camera: Camera) -> ImageArray:
     stage = pyrender.Scene(bg_color=background, ambient_light=np.ones(3))
     stage.add(pyrender.Mesh([_primitive(pyrender, scene, camera)]))
     near, far = _depth_range(scene, camera)
-    eye = pyrender.IntrinsicsCamera(
+    gl_camera = pyrender.IntrinsicsCamera(
         camera.lens.fx_px,
         camera.lens.fy_px,
         # OpenGL counts pixel edges, our pixel centres are integers.
@@ -57,9 +52,9 @@ def render_picture(scene: RenderScene, camera: Camera) -> ImageArray:
         zfar=far,
     )
     pose = np.eye(4)
-    pose[:3, :3] = camera.rotation.T @ GL_TO_CV
+    pose[:3, :3] = camera.rotation.T @ gl_to_cv
     pose[:3, 3] = camera.position_mm
-    stage.add(eye, pose=pose)
+    stage.add(gl_camera, pose=pose)
     try:
         renderer = pyrender.OffscreenRenderer(camera.width_px, camera.height_px)
     except Exception as error:  # PyOpenGL raises its own kinds, by driver
@@ -100,6 +95,7 @@ def _primitive(pyrender: Any, scene: RenderScene, camera: Camera) -> Any:
 
 def _depth_range(scene: RenderScene, camera: Camera) -> tuple[float, float]:
     """Near and far plane that hold all that lies in front of the camera, mm."""
+    near_least_mm = 0.2
     depth = camera.to_camera(scene.vertices)[:, 2]
-    front = depth[depth > NEAR_LEAST_MM]
+    front = depth[depth > near_least_mm]
     return 0.5 * float(front.min(initial=1.0)), 1.1 * float(front.max(initial=2.0))

@@ -9,7 +9,7 @@ from phytac_decoder.camera.camera import Camera
 from phytac_decoder.camera.lens import Lens, Pinhole
 from phytac_design.core.kernels import in_bands, kernel
 from phytac_design.optics.clip import clip_near
-from phytac_design.optics.distorted_triangles import bent_view
+from phytac_design.optics.distorted_triangles import distorted_view
 from phytac_design.optics.render_scene import FIRST_MARKER, RenderScene
 from phytac_design.optics.zbuffer import View, fill
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
@@ -37,12 +37,12 @@ class Buffers:
 def project_scene(scene: RenderScene, camera: Camera, *, rays: FloatArray | None = None) -> View:
     """Bring a scene into the camera: cut at a pinhole's near plane, split for other lenses.
 
-    ``rays`` stand for those of all pixels where a lens that bends lines would need them.
+    ``rays`` replace the rays of all pixels for a lens with distortion.
     """
     points = camera.to_camera(scene.vertices)
     lens = camera.lens
     if not isinstance(lens, Pinhole):
-        return bent_view(points, scene.triangles, camera, rays)
+        return distorted_view(points, scene.triangles, camera, rays)
     points, triangles, source = clip_near(points, scene.triangles)
     # Vertices left behind the near plane belong to no triangle any more.
     depth = np.where(points[:, 2] > 0.0, points[:, 2], np.nan)
@@ -109,9 +109,9 @@ def _finish(
 def points_seen(
     scene: RenderScene, camera: Camera, buffers: Buffers, y: IntArray, x: IntArray
 ) -> FloatArray:
-    """Points (n, 3) mm, sensor frame, that pixels (x, y) see; NaN where they see nothing.
+    """Points (n, 3) mm, sensor frame, that pixels (x, y) show; NaN for background.
 
-    The ray is cut with the plane of the triangle that the pixel sees.
+    Intersection of the pixel's ray with the plane of its triangle.
     """
     t = buffers.triangle[y, x]
     ray = camera.rays(np.column_stack([x, y]).astype(np.float64))
@@ -124,11 +124,11 @@ def points_seen(
 
 
 def pixels_alone(scene: RenderScene, camera: Camera) -> tuple[IntArray, IntArray]:
-    """Pixels of each marker's paint and red tip if its receptor were the only thing, (n,) each.
+    """Pixels of each marker's paint and red tip when its receptor is rendered alone, (n,) each.
 
     The receptor's own tube and tip still hide parts of it. Pixels up to half an image beyond the
-    frame count too, as far as the lens can image there, so that a marker which leaves the picture
-    is not seen whole.
+    frame count too, where the lens has an image, so that the visible fraction of a marker that
+    leaves the picture drops.
     """
     view = project_scene(scene, camera)
     chosen, starts = pieces_by_marker(scene, view)

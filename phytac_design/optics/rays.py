@@ -1,15 +1,16 @@
 """The direction of every pixel of a lens, once per lens.
 
-Most lenses have no closed inverse. It is taken exactly on a coarse grid of pixels and interpolated
-between (Lagrange, six nodes each way). Each cell is checked in its middle; where it is off by more
-than ``RAY_ERROR``, or a node lies beyond the field, it is quartered, and the pixels of the cells
-that are left at last are taken exactly.
+Most lenses have no closed inverse. It is computed exactly on a coarse grid of pixels and
+interpolated between (Lagrange, six nodes each way). A cell whose error at its middle exceeds
+``RAY_ERROR``, or with a node beyond the field, is split into four; pixels of the remaining cells
+are computed exactly.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from phytac_decoder.camera.lens import Lens
@@ -18,8 +19,6 @@ from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 STEPS = (32, 16, 8, 4)
 """Sides of the cells, coarse to fine, px."""
-FIELD_CELLS = 16.0
-"""Cells are at least this much smaller than the field, so that none skips over it."""
 RAY_ERROR = 1e-8
 """Largest error of an interpolated unit direction: 1e-5 px at a focal length of 1000 px."""
 TAPS = 6
@@ -43,10 +42,12 @@ class RayGrid:
     """Exact directions on grids of pixels around the image, and what each cell of them needs."""
 
     def __init__(self, lens: Lens) -> None:
+        # Cells are at least this much smaller than the field, so that none spans it.
+        field_cells = 16.0
         self.lens = lens
         self.levels: list[Level] = []
         finest = STEPS[-1]
-        most = max(finest, float(lens.focal_px.min()) * min(lens.field_rad, 1.0) / FIELD_CELLS)
+        most = max(finest, float(lens.focal_px.min()) * min(lens.field_rad, 1.0) / field_cells)
         steps = [step for step in STEPS if step <= most]
         first = steps[0]
         rows, columns = -(-lens.height_px // first), -(-lens.width_px // first)
@@ -112,22 +113,13 @@ def _level(lens: Lens, step: int, wanted: BoolArray) -> Level:
     nodes[y, x] = lens.unproject(
         np.column_stack([x - BEFORE, y - BEFORE]).astype(np.float64) * step
     )
-    seen = np.isfinite(nodes[..., 2])
-    count = np.zeros((rows, columns), dtype=np.int64)
-    near = np.zeros((rows, columns), dtype=np.bool_)
-    for m in range(TAPS):
-        for n in range(TAPS):
-            part = seen[m : m + rows, n : n + columns]
-            count += part
-            if 0 < m < TAPS - 1 and 0 < n < TAPS - 1:
-                near |= part
+    seen = sliding_window_view(np.isfinite(nodes[..., 2]), (TAPS, TAPS))
+    near = seen[:, :, 1:-1, 1:-1].any(axis=(2, 3))
     state = np.where(wanted & near, EXACT, ELSEWHERE).astype(np.uint8)
-    y, x = np.nonzero(wanted & (count == TAPS * TAPS))
+    y, x = np.nonzero(wanted & seen.all(axis=(2, 3)))
     weights = _weights(np.array([0.5]))[0]
-    middle = np.zeros((len(y), 3))
-    for m in range(TAPS):
-        for n in range(TAPS):
-            middle += weights[m] * weights[n] * nodes[y + m, x + n]
+    around = sliding_window_view(nodes, (TAPS, TAPS), axis=(0, 1))[y, x]
+    middle = np.einsum("kcmn,m,n->kc", around, weights, weights)
     exact = lens.unproject(np.column_stack([x + 0.5, y + 0.5]) * float(step))
     good = np.abs(middle - exact).max(axis=1) <= RAY_ERROR
     state[y[good], x[good]] = SMOOTH

@@ -1,6 +1,6 @@
 r"""Triangles of everything the camera can see, each with a part code.
 
-A receptor is one solid of revolution about the line from its foot to its tip; depth is measured
+A receptor is one solid of revolution about the line from its base to its tip; depth is measured
 from the end face back towards the wall::
 
       wall  |  resin side    | painted band |
@@ -15,10 +15,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh, shell_mesh
-from phytac_design.geometry.strips import Mesh, joined
+from phytac_design.geometry.triangles import TriangleMesh, merged
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.fixture_bodies import fixture_mesh
@@ -30,7 +31,6 @@ FIRST_FIXTURE = 4
 """Codes from here up to ``FIRST_MARKER``: the design's fixtures."""
 FIRST_MARKER = 16
 """Codes from here: ``16 + 2 i`` is the paint of marker i, ``17 + 2 i`` its switch's red tip."""
-SIDES_MIN = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +76,7 @@ class RenderScene:
     ) -> "RenderScene":
         """Scene with each receptor moved as a rigid body; shell and bar stay.
 
-        ``p' = pivot + R(rotation) (p - pivot) + translation``, with Rodrigues' exact rotation.
+        ``p' = pivot + R(rotation) (p - pivot) + translation``, with the exact rotation.
 
         Parameters
         ----------
@@ -89,7 +89,7 @@ class RenderScene:
         """
         own = self.vertex_owner >= 0
         owner = self.vertex_owner[own]
-        turns = rotation_matrices(np.asarray(rotation, dtype=np.float64))
+        turns = Rotation.from_rotvec(rotation).as_matrix()
         pivot = np.asarray(pivots, dtype=np.float64)[owner]
         arm = self.vertices[own] - pivot
         vertices = self.vertices.copy()
@@ -97,19 +97,6 @@ class RenderScene:
         change = np.einsum("nij,nj->ni", turns[owner] - np.eye(3), arm)
         vertices[own] += change + np.asarray(translation, dtype=np.float64)[owner]
         return replace(self, vertices=vertices)
-
-
-def rotation_matrices(vectors: FloatArray) -> FloatArray:
-    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3), Rodrigues' formula."""
-    angle = np.linalg.norm(vectors, axis=1)
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    first = np.sinc(angle / np.pi)  # sin(a) / a
-    second = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2  # (1 - cos(a)) / a²
-    return np.asarray(
-        np.eye(3) + first[:, None, None] * cross + second[:, None, None] * (cross @ cross)
-    )
 
 
 def paint_owner(part: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -126,9 +113,10 @@ def red_owner(part: NDArray[np.int32]) -> NDArray[np.int32]:
 
 def sides_of(radius_mm: float, tolerance_mm: FloatArray) -> IntArray:
     """Sides (n,) of polygons on a circle that stay within tolerances (n,) of it; multiples of 4."""
+    sides_min = 12
     ratio = np.clip(tolerance_mm / radius_mm, 1e-7, 0.5)
     quarter = np.ceil(np.pi / np.arccos(1.0 - ratio) / 4.0).astype(np.int64)
-    return np.maximum(SIDES_MIN, 4 * quarter)
+    return np.maximum(sides_min, 4 * quarter)
 
 
 def build_scene(
@@ -139,8 +127,8 @@ def build_scene(
     Parameters
     ----------
     tolerance_mm : float or (n,) float
-        Largest distance between a receptor's polygons and the circles that they stand for; the
-        least of them holds for shell, bar and fixtures. See ``view.tolerance_mm``.
+        Largest distance between a receptor's polygons and the circles that they approximate; the
+        minimum applies to shell, bar and fixtures. See ``cameras.tolerance_mm``.
     switch_on : (n,) bool, optional
         Switches whose red tip is out; none by default.
     """
@@ -162,12 +150,12 @@ def build_scene(
         _receptors(design, markers, on, np.flatnonzero(sides == value), int(value))
         for value in np.unique(sides)
     ]
-    whole = joined([mesh for mesh, _ in fixed] + [mesh for mesh, _, _ in groups])
+    whole = merged([mesh for mesh, _ in fixed] + [mesh for mesh, _, _ in groups])
     codes = [np.full(len(mesh.triangles), code, dtype=np.int32) for mesh, code in fixed]
-    owners = [np.full(len(mesh.vertices), -1, dtype=np.int32) for mesh, _ in fixed]
+    owners = [np.full(len(mesh.vertices_mm), -1, dtype=np.int32) for mesh, _ in fixed]
     return RenderScene(
-        vertices=whole.vertices,
-        triangles=whole.triangles,
+        vertices=whole.vertices_mm,
+        triangles=whole.triangles.astype(np.int32),
         part=np.concatenate([*codes, *(part for _, part, _ in groups)]),
         vertex_owner=np.concatenate([*owners, *(owner for _, _, owner in groups)]),
         colour=markers.colour,
@@ -177,10 +165,10 @@ def build_scene(
 
 def _receptors(
     design: Design, markers: Markers, on: BoolArray, chosen: IntArray, sides: int
-) -> tuple[Mesh, NDArray[np.int32], NDArray[np.int32]]:
+) -> tuple[TriangleMesh, NDArray[np.int32], NDArray[np.int32]]:
     """Chosen receptors: mesh, part of each triangle, owner of each vertex; marker after marker."""
     tip, normal = markers.tip_mm[chosen], markers.normal[chosen]
-    axis = tip - markers.foot_mm[chosen]
+    axis = tip - markers.base_mm[chosen]
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     sine = np.linalg.norm(np.cross(axis, normal), axis=1)
     slope = sine / np.maximum(np.abs(np.sum(axis * normal, axis=1)), 1e-12)
@@ -211,9 +199,9 @@ def _receptors(
     base = (np.arange(n) * rings * sides)[:, None, None]
     marker = chosen.astype(np.int32)
     part = code[None] + np.where(code >= FIRST_MARKER, 2, 0)[None] * marker[:, None]
-    mesh = Mesh(
-        vertices=vertices.reshape(-1, 3),
-        triangles=(template[None] + base).reshape(-1, 3).astype(np.int32),
+    mesh = TriangleMesh(
+        vertices_mm=vertices.reshape(-1, 3),
+        triangles=(template[None] + base).reshape(-1, 3),
     )
     return mesh, part.reshape(-1).astype(np.int32), np.repeat(marker, rings * sides)
 
@@ -223,18 +211,18 @@ def _profile(
 ) -> tuple[FloatArray, FloatArray]:
     """Radius (9,) and depth behind the end face (n, 9) of the rings of a receptor, mm.
 
-    The foot is sunk by half the wall, and by what a receptor that leans against the normal (tangent
-    of the angle: ``slope``) lifts on its one side: no light passes under it on any surface. The red
+    The base is sunk by half the wall, and by the lift of one side of a receptor that leans from
+    the normal (``slope``: tangent of the angle), so that no light passes under it. The red
     side is one stroke and one recess long; the hole is closed behind it.
     """
     outer, hole = design.receptor.diameter_outer_mm / 2.0, design.receptor.diameter_hole_mm / 2.0
     tip = design.switch.tip_diameter_mm / 2.0
     switch = design.switch
-    foot = height + design.wall.thickness_mm / 2.0 + outer * slope
+    base = height + design.wall.thickness_mm / 2.0 + outer * slope
     band = np.minimum(design.receptor.band_marker_mm, height)
     front = switch.tip_recess_mm - np.where(on, switch.stroke_mm, 0.0)
     back = front + switch.stroke_mm + switch.tip_recess_mm
     face = np.zeros_like(height)
     radius = np.array([outer, outer, outer, hole, hole, 0.0, tip, tip, 0.0])
-    depth = np.stack([foot, band, face, face, back, back, back, front, front], axis=1)
+    depth = np.stack([base, band, face, face, back, back, back, front, front], axis=1)
     return radius, depth

@@ -1,9 +1,9 @@
-"""Visible fraction of every marker from a few rays each: the fast path of a search.
+"""Visible fraction of every marker from a few rays each, for the design search.
 
-The exact z-buffer on some of its pixels: in a window around each marker's paint, every k-th pixel
-of every k-th row. There the marker's receptor is filled alone; then, behind a second z-buffer, only
-what may lie before its paint: pieces of other parts that reach a pixel of the grid and come nearer
-than the farthest paint. Where k is 1 (small markers) the fraction is the exact one.
+The exact z-buffer on a subset of its pixels: in a window around each marker's paint, every k-th
+pixel of every k-th row. The marker's receptor is rendered alone, then all pieces of other parts
+that reach a pixel of the grid and are nearer than the farthest paint are rendered into a second
+z-buffer. Where k is 1 (small markers) the fraction is exact.
 """
 
 from dataclasses import dataclass
@@ -20,14 +20,10 @@ from phytac_design.optics.render_scene import FIRST_MARKER, RenderScene
 from phytac_design.optics.zbuffer import Grid, View, corner, fill, meets, outline, reach
 from phytac_shapes.arrays import FloatArray, IntArray
 
-TILES_PX = (8, 64)
-"""Least and largest side of a tile; about a marker wide."""
 RAYS = 64
 """Rays per marker, about; see ``sampled_fraction``."""
 CHUNK = 32
 """Pieces of the fixed parts that are looked at together."""
-BAND = 32
-"""Markers that a thread takes at a time; near ones cost more than far ones."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +41,7 @@ def sampled_fraction(scene: RenderScene, camera: Camera, *, rays: int = RAYS) ->
     A marker with fewer pixels than that gets all of them and so its exact fraction; others get
     a square grid of their pixels, with at least about ``rays`` on the paint.
     """
+    band = 32  # markers that a thread takes at a time; near ones cost more than far ones
     view = project_scene(scene, camera, rays=np.empty((0, 0, 3)))
     chosen, starts = pieces_by_marker(scene, view)
     code = scene.part[view.source[chosen]]
@@ -68,7 +65,7 @@ def sampled_fraction(scene: RenderScene, camera: Camera, *, rays: int = RAYS) ->
         _count(view, chosen, groups, tiles, low, grids, first, directions, scene.part, size,
                counts[low:high])  # fmt: skip
 
-    in_bands(some, scene.count, band_rows=BAND)
+    in_bands(some, scene.count, band_rows=band)
     alone, visible = counts[:, 0], counts[:, 1]
     fraction = np.divide(visible, alone, out=np.zeros(scene.count), where=alone > 0)
     return Sampled(fraction=fraction, alone=alone, visible=visible)
@@ -172,7 +169,8 @@ column, side in px)."""
 
 def _tiles(boxes: FloatArray, camera: Camera, windows: IntArray) -> Tiles:
     """Groups that can reach each square tile of the image."""
-    side = int(np.clip(np.median(windows[:, 2:]), *TILES_PX)) if len(windows) else TILES_PX[1]
+    tiles_px = (8, 64)  # least and largest side of a tile; about a marker wide
+    side = int(np.clip(np.median(windows[:, 2:]), *tiles_px)) if len(windows) else tiles_px[1]
     layout = (camera.width_px // side + 1, camera.height_px // side + 1, side)
     starts = np.zeros(layout[0] * layout[1] + 1, dtype=np.int64)
     _fill_tiles(boxes, layout, starts, np.zeros(0, dtype=np.int32))
@@ -217,7 +215,7 @@ def _gather(
 ) -> int:
     """Write the pieces that may lie before a marker's paint into ``near``; how many there are.
 
-    ``wanted`` is the marker's own group, which is left out, the least 1 / z or 1 / distance of its
+    ``wanted`` is the marker's own group, which is excluded, the least 1 / z or 1 / distance of its
     paint, and which of the two it is. ``stamp`` says which marker last met each group.
     """
     bounds, boxes, nearest = groups
@@ -304,7 +302,7 @@ def _count(
         found = _gather(view, chosen, groups, tiles, (grid, rows, columns), wanted, stamp, near)
         other = np.full((rows, columns), -1, dtype=np.int32)
         front = np.zeros((rows, columns))
-        # In the scene's order: of equals the first wins, as in the whole map.
+        # In the scene's order: of equal depths the first wins, as in the full image.
         fill(here, np.sort(near[:found]), grid, other, front)
         for row in range(max(0, -(top // step)), min(rows, (size[1] - 1 - top) // step + 1)):
             for column in range(

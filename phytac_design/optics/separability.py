@@ -1,10 +1,10 @@
-"""Whether the paints of a design can be told apart under its light, with the camera's noise.
+"""Colour separability of a design's paints under its light, with the camera's noise.
 
-Two views of the same question. *CIE 1976 u'v'* (CIE 15) is what a colour meter and the eye would
-say: the distance between two paints there depends neither on shade nor on the camera. *YCbCr* is
-what the decoder does: a pixel belongs to the paint nearest in hue, so that two paints are apart by
-the distance from a paint's chroma to the line halfway between the two hues, and from its chroma to
-the floor below which a pixel counts as unpainted. Noise of ``noise_pixel`` grey levels in each of
+Two measures. In *CIE 1976 u'v'* (CIE 15), the plane of colour meters, the distance between two
+paints depends neither on shade nor on the camera. In *YCbCr*, the plane of the decoder, a pixel
+belongs to the paint nearest in hue: the margin between two paints is the distance from a paint's
+chroma to the line halfway between the two hues, and from its chroma to the floor below which a
+pixel counts as unpainted. Noise of ``noise_pixel`` grey levels in each of
 R, G and B is carried to both planes to first order, in the shade, where chroma is least.
 """
 
@@ -24,14 +24,8 @@ XYZ_OF_RGB = np.array(
     [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
 )
 """CIE XYZ of linear sRGB, white D65 (IEC 61966-2-1)."""
-CHROMA_OF_RGB = np.array([[0.5, -0.4187, -0.0813], [-0.1687, -0.3313, 0.5]])
-"""(Cr, Cb) of 8-bit RGB, as OpenCV's full-range YCrCb (ITU-R BT.601)."""
 SHADE = EVEN / (EVEN + FROM_CAMERA + FROM_AXIS)
 """Least share of the full light that a painted surface gets: the even part alone."""
-UV_MIN = 0.04
-"""Least distance in u'v' (chosen here): some ten times what the eye can just see."""
-SIGMAS_MIN = 5.0
-"""Least margin in standard deviations of the noise of one pixel (chosen here)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +88,7 @@ def chromaticity(rgb: FloatArray) -> FloatArray:
 def separability(
     names: tuple[str, ...], *, noise_pixel: float, light_rgb: FloatArray | None = None
 ) -> Separability:
-    """How far the paints (and the red of the tips) are apart.
+    """Separability of the paints, with the red of the tips.
 
     Parameters
     ----------
@@ -105,13 +99,15 @@ def separability(
     light_rgb : (3,) float, optional
         Linear RGB of the light, its greatest channel 1; white by default.
     """
+    # (Cr, Cb) of 8-bit RGB, as OpenCV's full-range YCrCb (ITU-R BT.601).
+    chroma_of_rgb = np.array([[0.5, -0.4187, -0.0813], [-0.1687, -0.3313, 0.5]])
     paints = paints_of(names)
     light = np.ones(3) if light_rgb is None else np.asarray(light_rgb, dtype=np.float64)
     albedo = to_linear(np.array(list(paints.values()), dtype=np.float64)) * light
     shaded = to_srgb(SHADE * albedo)
-    chroma = shaded @ CHROMA_OF_RGB.T
+    chroma = shaded @ chroma_of_rgb.T
     full = ColourModel.from_rgb(paints)
-    spread = noise_pixel * float(np.linalg.svd(CHROMA_OF_RGB, compute_uv=False)[0])
+    spread = noise_pixel * float(np.linalg.svd(chroma_of_rgb, compute_uv=False)[0])
     step = 0.5
     slopes = np.stack(
         [
@@ -155,22 +151,25 @@ def check_paints(design: Design) -> Separability:
     DesignError
         If two paints, or a paint and the bare resin, are too close for the camera's noise.
     """
+    sigmas_min = 5.0  # least margin in standard deviations of the noise of one pixel (chosen here)
+    # Least distance in u'v' (chosen here): about ten times the just noticeable difference.
+    uv_min = 0.04
     found = separability(design.layout.colours, noise_pixel=design.camera.noise_pixel)
-    worst = int(np.argmin(np.minimum(found.hue_sigmas / SIGMAS_MIN, found.uv_distance / UV_MIN)))
-    if found.hue_sigmas[worst] < SIGMAS_MIN or found.uv_distance[worst] < UV_MIN:
+    worst = int(np.argmin(np.minimum(found.hue_sigmas / sigmas_min, found.uv_distance / uv_min)))
+    if found.hue_sigmas[worst] < sigmas_min or found.uv_distance[worst] < uv_min:
         first, second = (found.names[i] for i in found.pairs[worst])
         raise DesignError(
-            f"{first} and {second} cannot be told apart: {found.uv_distance[worst]:.3f} in u'v' "
-            f"(at least {UV_MIN:g}), {found.hue_sigmas[worst]:.1f} standard deviations of a pixel "
-            f"in the shade (at least {SIGMAS_MIN:g}); choose other layout.colours or lower "
+            f"{first} and {second} cannot be distinguished: {found.uv_distance[worst]:.3f} in u'v' "
+            f"(at least {uv_min:g}), {found.hue_sigmas[worst]:.1f} standard deviations of a pixel "
+            f"in the shade (at least {sigmas_min:g}); choose other layout.colours or lower "
             "camera.noise_pixel"
         )
     faint = int(np.argmin(found.floor_sigmas))
-    if found.floor_sigmas[faint] < SIGMAS_MIN:
+    if found.floor_sigmas[faint] < sigmas_min:
         raise DesignError(
-            f"{found.names[faint]} in the shade is not told from bare resin: "
+            f"{found.names[faint]} in the shade cannot be distinguished from bare resin: "
             f"{found.floor_sigmas[faint]:.1f} standard deviations of a pixel (at least "
-            f"{SIGMAS_MIN:g}); choose other layout.colours or lower camera.noise_pixel"
+            f"{sigmas_min:g}); choose other layout.colours or lower camera.noise_pixel"
         )
     return found
 

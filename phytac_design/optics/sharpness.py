@@ -1,4 +1,4 @@
-"""What the lens makes of a marker: pixels per millimetre, expected noise, blur, depth of field.
+"""Image scale, centroid noise, blur and depth of field of the markers.
 
 Blur is that of a thin lens: a point at distance d, in focus at s, spreads over
 ``A f |d - s| / (d (s - f))`` on the chip, with f the focal length and A = f / N the aperture.

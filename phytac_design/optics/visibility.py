@@ -1,4 +1,4 @@
-"""What the camera sees of every marker: whole or hidden, apart or fused, how many red pixels."""
+"""Visibility of every marker at rest: occlusion, fusion, and the red pixels of its switch."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -11,11 +11,11 @@ from phytac_decoder.vision.segmentation import ColourModel, segment
 from phytac_decoder.vision.switch_detection import RED_RATIO_MIN
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers
-from phytac_design.layout.cameras import camera_of, refuse_swallowed, tolerance_mm
+from phytac_design.layout.cameras import camera_of, check_bar_clearance, tolerance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.gaps import marker_gaps
-from phytac_design.optics.occluders import SELF, hider_name, hiders
+from phytac_design.optics.occluders import SELF, occluder_name, occluding_parts
 from phytac_design.optics.paint import paints_of
 from phytac_design.optics.raster import Buffers, pixels_alone, points_seen, rasterise
 from phytac_design.optics.render_scene import (
@@ -34,10 +34,6 @@ from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 FRACTION_MIN = 0.5
 PIXELS_MIN = 12
 """A marker is occluded below this visible fraction or below this many visible pixels."""
-PIXELS_FUSED = 3
-"""A segmented blob holds a marker if it has at least this many pixels of its paint."""
-SAMPLES = 4
-"""Samples per pixel of the frame that decides on fusion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,16 +45,16 @@ class Visibility:
     visible_px : int
         Pixels whose centre sees the marker's paint.
     alone_px : int
-        The same if its receptor were the only thing; pixels beyond the image's edge count.
+        Pixels of its paint when its receptor is rendered alone, also beyond the image's border.
     visible_fraction : float
-        Their ratio; 0 for a marker that would not show at all.
+        Their ratio; 0 for a marker that shows no paint even alone.
     gap_same_colour_px, gap_other_colour_px : float
-        Least distance between pixel centres of this and another marker, px; 1 = touching, inf
-        = none.
+        Smallest distance between pixel centres of this and another marker, px; 1 = touching,
+        inf = none.
     centroid_px : (n, 2) float
         Mean of the visible pixels; NaN if none.
     paint_point_mm : (n, 3) float
-        Mean of the points on the paint that those pixels see, sensor frame; NaN if none.
+        Mean of the points on the paint that those pixels show, sensor frame; NaN if none.
     red_rest_px, red_on_px : int
         Visible pixels of the red tip, with all switches off and with all on.
     occluded : bool
@@ -67,7 +63,7 @@ class Visibility:
         One blob of the decoder's segmentation of a noisy frame holds this and another marker of
         its colour.
     hidden_by : int
-        Part code of what hides an occluded marker most (see ``hiders``); ``SELF`` for the others.
+        Part code of the main occluder (see ``occluding_parts``); ``SELF`` for visible markers.
     """
 
     visible_px: IntArray
@@ -85,7 +81,7 @@ class Visibility:
 
     @property
     def clear(self) -> BoolArray:
-        """Markers that are seen and told apart, (n,)."""
+        """Markers that are visible and not fused, (n,)."""
         return ~(self.occluded | self.fused)
 
     @property
@@ -97,13 +93,13 @@ class Visibility:
     def switch_unreadable(self) -> BoolArray:
         """Markers whose tip does not show ``RED_RATIO_MIN`` times its red at rest when out, (n,).
 
-        A camera that looks straight into a hole sees the resting tip too: such a switch tells
-        nothing, whatever its threshold.
+        A camera that looks straight into a hole sees the resting tip too: such a switch cannot be
+        read at any threshold.
         """
         return np.asarray(self.red_on_px < RED_RATIO_MIN * self.red_rest_px + PIXELS_MIN)
 
     def summary(self) -> dict[str, float]:
-        """Figures of the report: counts of failures, and the least of what has to be large."""
+        """Figures of the report: numbers of failures, and the minima of visibility and gaps."""
         return {
             "occluded": int(self.occluded.sum()),
             "fused": int(self.fused.sum()),
@@ -129,19 +125,19 @@ def check_visibility(
     """
     design, surface, markers = sensor.design, sensor.surface, sensor.markers
     camera = camera or camera_of(design, surface)
-    refuse_swallowed(design, surface, markers)
+    check_bar_clearance(design, surface, markers)
     tolerance = tolerance_mm(camera, markers)
     all_on = np.ones(markers.count, dtype=bool)
     rest = build_scene(sensor, tolerance_mm=tolerance)
     on = build_scene(sensor, tolerance_mm=tolerance, switch_on=all_on)
-    return see(rest, on, camera, noise_std=design.camera.noise_pixel, rng=rng)
+    return measure_visibility(rest, on, camera, noise_std=design.camera.noise_pixel, rng=rng)
 
 
 def best_of(each: Sequence[Visibility]) -> tuple[Visibility, IntArray]:
-    """Every marker as the camera sees it that sees it best, and the number (n,) of that camera.
+    """Visibility of every marker in its best camera, and the number (n,) of that camera.
 
-    One that tells the marker apart is better than one that does not; then, one that reads its
-    switch; then, the one with the most visible pixels.
+    Cameras are ranked by whether the marker is clear, then by whether its switch can be read, then
+    by its visible pixels.
     """
     most = 1 + max(int(seen.visible_px.max(initial=0)) for seen in each)
     rank = [v.visible_px + most * (2 * v.clear + 1 * ~v.switch_unreadable) for v in each]
@@ -154,7 +150,7 @@ def best_of(each: Sequence[Visibility]) -> tuple[Visibility, IntArray]:
     return Visibility(**picked), camera
 
 
-def see(
+def measure_visibility(
     rest: RenderScene,
     on: RenderScene,
     camera: Camera,
@@ -163,17 +159,18 @@ def see(
     rng: np.random.Generator,
 ) -> Visibility:
     """Visibility in a scene, which may be a moved one; ``on`` is the same with red tips out."""
+    samples = 4  # samples per pixel of the frame that decides on fusion
     buffers = rasterise(rest, camera)
     marker = paint_owner(buffers.part)
     own, other = marker_gaps(marker, rest.colour)
     visible, centroid, point = _means(buffers, marker, rest, camera)
     alone = pixels_alone(rest, camera)[0]
     fraction = np.divide(visible, alone, out=np.zeros(len(alone)), where=alone > 0)
-    frame = render_frame(rest, camera, noise_std=noise_std, rng=rng, samples=SAMPLES)
+    frame = render_frame(rest, camera, noise_std=noise_std, rng=rng, samples=samples)
     occluded = (fraction < FRACTION_MIN) | (visible < PIXELS_MIN)
-    hider = np.full(rest.count, SELF, dtype=np.int64)
+    occluder = np.full(rest.count, SELF, dtype=np.int64)
     hidden = np.flatnonzero(fraction < FRACTION_MIN)
-    hider[hidden] = hiders(rest, camera, buffers, hidden, alone)
+    occluder[hidden] = occluding_parts(rest, camera, buffers, hidden, alone)
     return Visibility(
         visible_px=visible,
         alone_px=alone,
@@ -186,14 +183,14 @@ def see(
         red_on_px=_count(red_owner(rasterise(on, camera).part), on.count),
         occluded=occluded,
         fused=fused_in_frame(frame, marker, rest),
-        hidden_by=hider,
+        hidden_by=occluder,
     )
 
 
 def visibility_advice(
     design: Design, markers: Markers, occluded: IntArray, fused: IntArray, hidden_by: IntArray
 ) -> str:
-    """Say which markers cannot be seen or told apart, and what usually mends it; "" if none.
+    """Text that lists occluded and fused markers, and the usual remedies; "" if there are none.
 
     Parameters
     ----------
@@ -202,11 +199,11 @@ def visibility_advice(
     hidden_by : (n,) int
         See ``Visibility``.
     """
-    parts, mends = [], []
-    hider, number = np.unique(hidden_by[occluded], return_counts=True)
+    parts, remedies = [], []
+    occluder, number = np.unique(hidden_by[occluded], return_counts=True)
     by = ", ".join(
-        f"{count} {hider_name(design, int(code))}"
-        for code, count in zip(hider, number, strict=True)
+        f"{count} {occluder_name(design, int(code))}"
+        for code, count in zip(occluder, number, strict=True)
     )
     for ids, what in ((occluded, f"hidden: {by}"), (fused, "fused with another of their colour")):
         if len(ids):
@@ -216,40 +213,41 @@ def visibility_advice(
             parts.append(f"{len(ids)} markers {what} ({where}{shown})")
     if not parts:
         return ""
-    mends += [
+    remedies += [
         f"move the fixture {fixture.name!r} out of the camera's way"
         for code, fixture in enumerate(design.fixtures, start=FIRST_FIXTURE)
-        if code in hider
+        if code in occluder
     ]
-    if BAR in hider:
-        mends.append("make the light bar thinner (light.bar_radius_mm)")
-    if np.any((hider == RESIN) | (hider == SHELL)) or len(fused):
-        mends.extend(_mends(design, len(fused) > 0))
-    if NONE in hider:
-        mends.append("move the camera back (camera.stand_off_mm)")
-    if SELF in hider:
-        mends.append("use more camera pixels, or a camera nearby")
-    return f"the camera cannot tell every marker: {' and '.join(parts)}; {', or '.join(mends)}"
+    if BAR in occluder:
+        remedies.append("make the light bar thinner (light.bar_radius_mm)")
+    if np.any((occluder == RESIN) | (occluder == SHELL)) or len(fused):
+        remedies.extend(_remedies(design, len(fused) > 0))
+    if NONE in occluder:
+        remedies.append("move the camera back (camera.stand_off_mm)")
+    if SELF in occluder:
+        remedies.append("use more camera pixels, or a camera nearby")
+    fixes = ", or ".join(remedies)
+    return f"the camera cannot distinguish every marker: {' and '.join(parts)}; {fixes}"
 
 
-def _mends(design: Design, fused: bool) -> list[str]:
-    """What helps against receptors that hide or touch each other in the picture."""
-    layout, mends = design.layout, []
+def _remedies(design: Design, fused: bool) -> list[str]:
+    """Remedies against receptors that hide or touch each other in the picture."""
+    layout, remedies = design.layout, []
     if heights_face(design):
-        mends.append(heights_face(design))
+        remedies.append(heights_face(design))
     if design.camera.ends == "both" and layout.heights in {"linear", "power"}:
-        mends.append('let heights grow from both ends (layout.heights = "line-of-sight")')
+        remedies.append('let heights grow from both ends (layout.heights = "line-of-sight")')
     if layout.kind == "straight":
-        mends.append('use layout.kind = "spiral"')
+        remedies.append('use layout.kind = "spiral"')
     if len(set(layout.colours)) == 1 and fused:
-        mends.append("use two colours")
+        remedies.append("use two colours")
     fewer = "rows or columns" if layout.kind in {"spiral", "straight"} else "markers"
-    mends.append(f"use fewer {fewer}, a narrower band_marker_mm, or more camera pixels")
-    return mends
+    remedies.append(f"use fewer {fewer}, a narrower band_marker_mm, or more camera pixels")
+    return remedies
 
 
 def heights_face(design: Design) -> str:
-    """What to do about heights that do not grow away from the one camera; "" if they do."""
+    """Remedy for heights that do not grow away from the one camera; "" if they do."""
     layout, ends = design.layout, design.camera.ends
     if layout.heights not in {"linear", "power"} or ends == "both":
         return ""
@@ -268,7 +266,7 @@ def _count(owner: NDArray[np.int32], markers: int) -> IntArray:
 def _means(
     buffers: Buffers, marker: NDArray[np.int32], scene: RenderScene, camera: Camera
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Visible pixels (n,), their mean (n, 2) px, and the mean (n, 3) mm of what they see."""
+    """Visible pixels (n,), their mean (n, 2) px, and the mean (n, 3) mm of the points they show."""
     y, x = np.nonzero(marker >= 0)
     owner = marker[y, x]
     count = np.bincount(owner, minlength=scene.count).astype(np.int64)
@@ -281,7 +279,7 @@ def _means(
 
 
 def fused_in_frame(frame: ImageArray, marker: NDArray[np.int32], scene: RenderScene) -> BoolArray:
-    """Markers that the decoder's segmentation of ``frame`` (BGR) does not tell apart, (n,)."""
+    """Markers that the decoder's segmentation of ``frame`` (BGR) does not separate, (n,)."""
     model = ColourModel.from_rgb(paints_of(scene.paints))
     blobs = segment(frame, model, with_labels=True)
     paint = np.array([model.names.index(name) for name in scene.paints])
@@ -305,12 +303,14 @@ def fused_markers(
     marker : (h, w) int32
         Marker whose paint each pixel shows, -1 for none.
     """
+    # A segmented blob holds a marker if it has at least this many pixels of its paint.
+    pixels_fused = 3
     both = (marker >= 0) & (labels > 0)
     blob, owner = labels[both] - 1, marker[both].astype(np.int64)
     same = blob_colour[blob] == marker_colour[owner]
     n = len(marker_colour)
     pair, pixels = np.unique(blob[same] * n + owner[same], return_counts=True)
-    pair = pair[pixels >= PIXELS_FUSED]
+    pair = pair[pixels >= pixels_fused]
     crowded = np.bincount(pair // n, minlength=len(blob_colour)) > 1
     fused = np.zeros(n, dtype=bool)
     fused[(pair % n)[crowded[pair // n]]] = True

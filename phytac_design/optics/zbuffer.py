@@ -19,8 +19,6 @@ from phytac_shapes.arrays import FloatArray
 
 EDGE_PX = 1e-9
 """Pixels this close outside an edge belong to the triangle: shared edges leave no holes."""
-AREA_PX2 = 1e-15
-"""Twice the image area below which a pinhole sees a triangle edge-on; it is skipped."""
 
 
 class View(NamedTuple):
@@ -107,7 +105,7 @@ def fill(
     if view.rays.shape[0] == 0:
         _fill_straight(view, chosen, grid, owner, inverse)
     else:
-        _fill_bent(view, chosen, grid, owner, inverse)
+        _fill_distorted(view, chosen, grid, owner, inverse)
 
 
 Line = tuple[float, float, float]
@@ -120,7 +118,7 @@ Sides = tuple[Line, Line, Line, Line]
 def _sides(a: Pixel, b: Pixel, c: Pixel, margin: float) -> Sides:
     """Edges of a triangle of positive area, moved out by ``margin`` px or a little more.
 
-    Level edges are left out: they bound rows, not what lies in one.
+    Horizontal edges are skipped: they bound the rows, not the columns within one.
     """
     left, left_2 = (-np.inf, 0.0, 0.0), (-np.inf, 0.0, 0.0)
     right, right_2 = (np.inf, 0.0, 0.0), (np.inf, 0.0, 0.0)
@@ -161,6 +159,8 @@ def _fill_straight(
     inverse: FloatArray,
 ) -> None:
     """Triangles of a pinhole's image."""
+    # Twice the image area below which a pinhole sees a triangle edge-on; it is skipped.
+    area_px2 = 1e-15
     rows, columns = owner.shape
     x0, y0, step = grid[0] + grid[3], grid[1] + grid[4], grid[2]
     fx, fy, cx, cy = view.lens
@@ -174,7 +174,7 @@ def _fill_straight(
         ):
             continue
         area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if abs(area) < AREA_PX2:
+        if abs(area) < area_px2:
             continue
         p, q, r = corner(view, piece, 0), corner(view, piece, 1), corner(view, piece, 2)
         if area < 0.0:  # Turn it, so that the inside of every edge has the same sign.
@@ -209,7 +209,7 @@ def _edge_normal(p: Point, q: Point, sign: float) -> Point:
 
 
 @kernel
-def _fill_bent(
+def _fill_distorted(
     view: View,
     chosen: NDArray[np.int32],
     grid: Grid,

@@ -142,7 +142,7 @@ def camera_section(context: Context, report: Mapping[str, Any], draw: Drawing) -
 
 def lens_section(context: Context, report: Mapping[str, Any]) -> str:
     """Scale, noise and blur of each row, and the depth of field, for every camera."""
-    in_rows, words = context.markers.in_rows, flat_map.words(context.surface)
+    in_rows, words = context.markers.in_rows, flat_map.direction_names(context.surface)
     short = (words.along_short, words.around_short, "inward")
     columns = {
         "row": "row" if in_rows else "group",
@@ -228,7 +228,7 @@ def under_load_section(context: Context, report: Mapping[str, Any], draw: Drawin
 def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
     """Cramér-Rao bounds."""
     found, arrays = report["resolution"], context.arrays("resolution")
-    words = flat_map.words(context.surface)
+    words = flat_map.direction_names(context.surface)
     keys = [key for key in BOUND if all(key in row for row in found["bound"].values())]
     head = [BOUND[key].format(along=words.along_short, around=words.around_short) for key in keys]
     order = sorted(found["bound"], key=lambda text: float(text.split()[0]))

@@ -35,7 +35,7 @@ class Drawing:
     @cached_property
     def picture(self) -> flat_map.FlatMap | None:
         """Map of the camera's picture, for shapes that face their one camera."""
-        if flat_map.family(self.context.surface) == "tube":
+        if flat_map.surface_topology(self.context.surface) == "tube":
             return None
         camera = self.context.design.camera
         pixels = self.context.arrays("views")["rest_px"]

@@ -5,7 +5,7 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh
 from phytac_design.geometry.overlaps import distance_mm, tube_overlaps_mm, within
-from phytac_design.geometry.strips import Mesh
+from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.fixture_bodies import fixture_mesh
@@ -52,7 +52,7 @@ def check_fixtures(sensor: Sensor) -> None:
             )
 
 
-def _check_receptors(design: Design, markers: Markers, mesh: Mesh, name: str) -> None:
+def _check_receptors(design: Design, markers: Markers, mesh: TriangleMesh, name: str) -> None:
     """Refuse a fixture in a tube, or in the way of a red tip."""
     out = max(design.switch.stroke_mm - design.switch.tip_recess_mm, 0.0)
     parts = (
@@ -64,7 +64,7 @@ def _check_receptors(design: Design, markers: Markers, mesh: Mesh, name: str) ->
         ),
     )
     for what, end, radius in parts:
-        depth = tube_overlaps_mm(markers.foot_mm, end, radius, mesh)
+        depth = tube_overlaps_mm(markers.base_mm, end, radius, mesh)
         depth = np.where(within(end, mesh), np.maximum(depth, radius), depth)
         met = depth > TOUCH * radius
         if not met.any():
@@ -79,16 +79,18 @@ def _check_receptors(design: Design, markers: Markers, mesh: Mesh, name: str) ->
         )
 
 
-def wall_overlap_mm(design: Design, surface: Surface, mesh: Mesh) -> tuple[float, FloatArray]:
+def wall_overlap_mm(
+    design: Design, surface: Surface, mesh: TriangleMesh
+) -> tuple[float, FloatArray]:
     """How far a body's surface reaches into the sensing wall, 0 to its thickness, mm; and where.
 
     Pieces of triangles are halved wherever the wall may be nearer than they are large, down to
     ``FINE`` of the wall's thickness.
     """
     thickness = design.wall.thickness_mm
-    pieces = mesh.vertices[mesh.triangles]
-    depth, _ = _wall_depth_mm(surface, thickness, mesh.vertices)
-    best, place = float(depth.max()), mesh.vertices[int(depth.argmax())]
+    pieces = mesh.vertices_mm[mesh.triangles]
+    depth, _ = _wall_depth_mm(surface, thickness, mesh.vertices_mm)
+    best, place = float(depth.max()), mesh.vertices_mm[int(depth.argmax())]
     seen = 0
     while len(pieces) and seen <= PIECES_MAX * (ONCE_HIT if best > 0.0 else 1.0):
         seen += len(pieces)
@@ -165,7 +167,7 @@ def check_cameras(sensor: Sensor) -> None:
 
 def _check_tubes(design: Design, markers: Markers, centre: FloatArray, place: str) -> None:
     """Refuse a camera in a tube or before a red tip."""
-    arm = centre - markers.foot_mm
+    arm = centre - markers.base_mm
     along = np.sum(arm * markers.direction, axis=1)
     aside = np.linalg.norm(arm - along[:, None] * markers.direction, axis=1)
     out = max(design.switch.stroke_mm - design.switch.tip_recess_mm, 0.0)

@@ -133,6 +133,6 @@ def _bar_clearances(sensor: Sensor) -> list[tuple[str, FloatArray, float]]:
     stop = np.tile([0.0, 0.0, far], (markers.count, 1))
     lean = np.abs(markers.direction[:, 2])
     return [
-        (what, segment_distance_mm(markers.foot_mm, end, start, stop) - radius * lean, least)
+        (what, segment_distance_mm(markers.base_mm, end, start, stop) - radius * lean, least)
         for what, end, radius, least in ends
     ]

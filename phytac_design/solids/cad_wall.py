@@ -88,13 +88,11 @@ def _face_edges(surface: Surface, offset_mm: float) -> list[FloatArray]:
         return np.column_stack([points[:, 0], points[:, 2]])
 
     if isinstance(surface, PathRevolved):
-        path = surface.profile()
+        path = surface.profile
         return [
             at(np.linspace(start, stop, 3 if isinstance(part, Arc) else 2))
             for part, (start, stop) in zip(path.parts, pairwise(path.marks), strict=True)
         ]
-    if isinstance(surface, Cylinder):
-        return [at(np.array([u0, u1]))]
 
     def curve(t: FloatArray) -> FloatArray:
         rz = at(u0 + t * (u1 - u0))

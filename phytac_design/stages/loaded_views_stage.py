@@ -14,7 +14,7 @@ from phytac_design.stages.response_stage import MECHANICS, TOUCH
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from phytac_design.optics.loaded_visibility import UnderLoad
+    from phytac_design.optics.loaded_visibility import LoadedVisibility
 
 LOAD_STEPS = (0.5, 1.0)
 """Shares of the design's largest force at which the shell is solved; between, interpolated."""
@@ -96,7 +96,7 @@ class Presses:
         Places that were solved.
     motion : (p, n, 6) float
         Motion of the wall under every marker at the full force: mm, rad.
-    found : UnderLoad
+    found : LoadedVisibility
         Visibility.
     facts : dict
         Method; with two cameras also the losses of each.
@@ -104,7 +104,7 @@ class Presses:
 
     uv: FloatArray
     motion: FloatArray
-    found: "UnderLoad"
+    found: "LoadedVisibility"
     facts: dict[str, Any]
 
     def shown(self) -> int:
@@ -116,7 +116,7 @@ class Presses:
 
 def see_pressed(
     context: Context, gap_px: FloatArray, camera_number: IntArray | None = None
-) -> tuple[FloatArray, "UnderLoad", dict[str, Any]]:
+) -> tuple[FloatArray, "LoadedVisibility", dict[str, Any]]:
     """Places, visibility and method of :func:`press_and_see`."""
     done = press_and_see(context, gap_px, camera_number)
     return done.uv, done.found, done.facts
@@ -138,7 +138,7 @@ def press_and_see(
         Camera that each marker is read through; the first by default.
     """
     from phytac_design.layout.cameras import tolerance_mm
-    from phytac_design.optics.loaded_visibility import press_all
+    from phytac_design.optics.loaded_visibility import visibility_under_load
     from phytac_design.optics.render_scene import build_scene
 
     design, surface, markers = context.design, context.surface, context.markers
@@ -157,9 +157,9 @@ def press_and_see(
     choose = press_places if scope is None else scope.presses
     uv = choose(surface, markers, gap_px, context.accuracy.press_places, repeats=shell.repeats)
 
-    def look(motions: FloatArray, forces_N: FloatArray) -> dict[int, "UnderLoad"]:
+    def look(motions: FloatArray, forces_N: FloatArray) -> dict[int, "LoadedVisibility"]:
         return {
-            number: press_all(
+            number: visibility_under_load(
                 scene,
                 camera,
                 pivots_mm=markers.mid_mm,
@@ -198,12 +198,12 @@ def press_and_see(
     return Presses(uv=uv, motion=full[:, -1], found=found, facts=facts)
 
 
-def merged(each: dict[int, "UnderLoad"]) -> "UnderLoad":
+def merged(each: dict[int, "LoadedVisibility"]) -> "LoadedVisibility":
     """Results of all cameras, each for the markers that it reads."""
     return reduce(lambda one, other: one.with_other(other), each.values())
 
 
-def figures_of(found: "UnderLoad", own: BoolArray) -> dict[str, Any]:
+def figures_of(found: "LoadedVisibility", own: BoolArray) -> dict[str, Any]:
     """Figures of all presses, for some of the markers (n,)."""
     return {
         "hidden_most": int(found.hidden.max(initial=0)),

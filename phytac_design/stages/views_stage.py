@@ -84,7 +84,7 @@ def shoot(
     from phytac_design.optics.frame_renderer import render_frame
     from phytac_design.optics.raster import rasterise
     from phytac_design.optics.render_scene import build_scene
-    from phytac_design.optics.visibility import see
+    from phytac_design.optics.visibility import measure_visibility
     from phytac_design.simulation.expected_image import measure_expected
     from phytac_design.simulation.imaging.nominal_view import paint_slope
 
@@ -94,7 +94,7 @@ def shoot(
     all_on = np.ones(markers.count, dtype=np.bool_)
     rest = build_scene(sensor, tolerance_mm=tolerance)
     on = build_scene(sensor, tolerance_mm=tolerance, switch_on=all_on)
-    seen = see(rest, on, camera, noise_std=design.camera.noise_pixel, rng=rng)
+    seen = measure_visibility(rest, on, camera, noise_std=design.camera.noise_pixel, rng=rng)
     part_on = rasterise(on, camera).part
     away = camera.project(markers.tip_mm) if alone else np.nan
     place = np.where(seen.lost[:, None], away, seen.centroid_px)

@@ -1,7 +1,6 @@
-"""Files from elsewhere, read without harm: no pipe, no device, no more bytes than they may have.
+"""Bounded reading of untrusted files: no pipes, no devices, no more bytes than allowed.
 
-Whatever a path is, only ``OSError`` comes out, with a ``strerror`` that says why; whatever a text
-is, only ``ValueError``.
+A bad path raises ``OSError`` with the reason in ``strerror``; a bad text raises ``ValueError``.
 """
 
 import errno
@@ -14,14 +13,12 @@ from typing import Any, BinaryIO
 
 TEXT_BYTES_MAX = 1 << 24
 """Largest text file that is read: some hundred times the largest shipped one."""
-KEY_PARTS_MAX = 64
-"""Most names in one dotted key; a parser's work grows with the square of their number."""
 PROBLEMS_MAX, LETTERS_MAX = 20, 600
-"""Problems of one file that a message tells, and letters of each."""
+"""Problems of one file listed in a message, and characters of each."""
 
 
 def joined(problems: Iterable[str]) -> str:
-    """Problems of a file as one line, each of them once, cut where nobody would read on."""
+    """Problems of a file as one line, without duplicates, truncated."""
     lines = list(dict.fromkeys(problems))
     out = [line if len(line) <= LETTERS_MAX else f"{line[:LETTERS_MAX]}…" for line in lines]
     more = len(out) - PROBLEMS_MAX
@@ -37,12 +34,12 @@ def read_bytes(path: Path, *, bytes_max: int = TEXT_BYTES_MAX) -> bytes:
         If it cannot be read, is no regular file, or is larger than ``bytes_max``.
     """
     with _opened(path, bytes_max) as file:
-        # Not bytes_max: that much would be set aside at once.
+        # Reading bytes_max would allocate that much at once.
         return file.read(os.fstat(file.fileno()).st_size)
 
 
 def check_file(path: Path, *, bytes_max: int) -> None:
-    """Check a file that a library is to open by its name.
+    """Check a file that a library will open by name.
 
     Raises
     ------
@@ -54,10 +51,12 @@ def check_file(path: Path, *, bytes_max: int) -> None:
 
 def _opened(path: Path, bytes_max: int) -> BinaryIO:
     try:
-        # A pipe that nobody writes to would otherwise wait here for ever.
+        # Without O_NONBLOCK a pipe without a writer would block for ever.
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     except ValueError:
-        raise OSError(errno.EINVAL, "its name holds a character that no name has") from None
+        raise OSError(
+            errno.EINVAL, "its name holds a character that is not allowed in names"
+        ) from None
     status = os.fstat(handle)
     if stat.S_ISREG(status.st_mode) and status.st_size <= bytes_max:
         return os.fdopen(handle, "rb")
@@ -92,9 +91,11 @@ def toml_table(text: str) -> dict[str, Any]:
     ValueError
         If it is not TOML, or nested too deeply, or a number in it has thousands of digits.
     """
+    # Most names in one dotted key; a parser's work grows with the square of their number.
+    key_parts_max = 64
     for line in text.splitlines():
-        if line.count(".") > KEY_PARTS_MAX and _parts(line) > KEY_PARTS_MAX:
-            raise ValueError(f"a key has more than {KEY_PARTS_MAX} names joined by dots")
+        if line.count(".") > key_parts_max and _parts(line) > key_parts_max:
+            raise ValueError(f"a key has more than {key_parts_max} names joined by dots")
     try:
         return tomllib.loads(text)
     except RecursionError:

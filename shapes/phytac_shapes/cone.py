@@ -58,7 +58,8 @@ class Cone(PathRevolved):
         return float(self.diameter_far_mm / 2.0 / np.cos(self.half_angle_rad))
 
     @cached_property
-    def _path(self) -> Path:
+    def profile(self) -> Path:
+        """Generator, and the cap's meridian."""
         far = (self.diameter_far_mm / 2.0, self.length_mm)
         line = Line(start=(self.diameter_near_mm / 2.0, 0.0), end=far)
         if self.end == "open":
@@ -69,10 +70,6 @@ class Cone(PathRevolved):
             parts=(line, Arc(centre=centre, radius=radius, first=lean, last=float(np.pi / 2.0)))
         )
 
-    def profile(self) -> Path:
-        """Generator, and the cap's meridian."""
-        return self._path
-
     @property
     def poles(self) -> tuple[bool, bool]:
         """The cap's top is a pole."""
@@ -82,6 +79,6 @@ class Cone(PathRevolved):
         """Outer area, slant length and half-angle."""
         return {
             "area_outer_mm2": self.area_mm2(),
-            "slant_length_mm": self._path.parts[0].length,
+            "slant_length_mm": self.profile.parts[0].length,
             "half_angle_deg": float(np.degrees(self.half_angle_rad)),
         } | ({"cap_radius_mm": self.cap_radius_mm} if self.end == "cap" else {})

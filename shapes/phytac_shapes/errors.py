@@ -1,12 +1,11 @@
-"""The error tree shared by all rooms: every message says what failed, what was got, and the fix."""
-
-CAUSE_MAX = 2000
+"""The error classes of all packages. A message names what failed, what was got, and the fix."""
 
 
 def cause_of(error: Exception) -> str:
-    """Text of another library's error, cut short: it may quote all of a spoilt file."""
+    """Text of another library's error, truncated: it may quote a whole malformed file."""
+    cause_max = 2000
     text = str(error)
-    return text if len(text) <= CAUSE_MAX else text[:CAUSE_MAX] + " …"
+    return text if len(text) <= cause_max else text[:cause_max] + " …"
 
 
 class PhytacError(Exception):

@@ -24,8 +24,6 @@ from phytac_shapes.revolved import SEGMENTS, Revolved
 from phytac_shapes.spline import Spline
 from phytac_shapes.variables import check_variables, variable
 
-SAMPLES = 128
-"""Stations among which the start of Newton's method is chosen."""
 STEPS = 30
 CHUNK = 20_000
 
@@ -85,17 +83,18 @@ class Grip(Revolved):
         return np.column_stack([r, u]), slope, -second / (1.0 + first**2) ** 1.5
 
     def foot(self, rz: FloatArray) -> FloatArray:
-        """Nearest z by Newton's method from the nearest of ``SAMPLES`` stations."""
+        """Nearest z by Newton's method from the nearest of 128 stations."""
         rz = np.asarray(rz, dtype=np.float64)
         parts = [self._foot(rz[k : k + CHUNK]) for k in range(0, len(rz), CHUNK)]
         return np.concatenate([np.zeros(0), *parts])
 
     def _foot(self, rz: FloatArray) -> FloatArray:
-        stations = np.linspace(0.0, self.length_mm, SAMPLES)
+        samples = 128  # stations among which the start of Newton's method is chosen
+        stations = np.linspace(0.0, self.length_mm, samples)
         known = self.curve(stations)[0]
         gap = (rz[:, :1] - known[:, 0]) ** 2 + (rz[:, 1:] - known[:, 1]) ** 2
         u = stations[np.argmin(gap, axis=1)]
-        # Beyond an end the profile goes on straight, so that end is a fair start.
+        # The profile is straight beyond its ends, so an end is a good start.
         reach = stations[1]
         for _ in range(STEPS):
             r, first, second = self._spline.at(u / self._step)

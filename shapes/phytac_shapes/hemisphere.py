@@ -41,16 +41,13 @@ class Hemisphere(PathRevolved):
         check_variables(self)
 
     @cached_property
-    def _path(self) -> Path:
+    def profile(self) -> Path:
+        """Skirt and a quarter of a circle."""
         radius = self.diameter_outer_mm / 2.0
         dome = Arc(centre=(0.0, self.skirt_mm), radius=radius, first=0.0, last=float(np.pi / 2.0))
         if self.skirt_mm == 0.0:
             return Path(parts=(dome,))
         return Path(parts=(Line(start=(radius, 0.0), end=(radius, self.skirt_mm)), dome))
-
-    def profile(self) -> Path:
-        """Skirt and a quarter of a circle."""
-        return self._path
 
     @property
     def poles(self) -> tuple[bool, bool]:
@@ -62,5 +59,5 @@ class Hemisphere(PathRevolved):
         return {
             "area_outer_mm2": self.area_mm2(),
             "radius_outer_mm": self.diameter_outer_mm / 2.0,
-            "meridian_mm": self._path.length,
+            "meridian_mm": self.profile.length,
         }

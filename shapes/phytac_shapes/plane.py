@@ -71,18 +71,6 @@ class Plane(Surface):
         """(u, v) of the foot of each point, (n, 2); beyond the pad too."""
         return np.asarray(np.asarray(points_mm, dtype=np.float64) @ self._axes[:2].T)
 
-    def intersect(
-        self, origins_mm: FloatArray, directions: FloatArray, offset_mm: float = 0.0
-    ) -> FloatArray:
-        """Hit of each ray with the offset rectangle; inf if none."""
-        o, d = np.asarray(origins_mm, dtype=np.float64), np.asarray(directions, dtype=np.float64)
-        normal = self._axes[2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = (offset_mm - o @ normal) / (d @ normal)
-            at = self.chart(o + t[:, None] * d)
-            inside = np.all((at >= self.domain[:, 0]) & (at <= self.domain[:, 1]), axis=1)
-        return np.asarray(np.where(inside & (t >= 0.0), t, np.inf))
-
     def unwrap(self, uv: FloatArray) -> FloatArray:
         """(v, u) in mm, (n, 2)."""
         uv = np.asarray(uv, dtype=np.float64)

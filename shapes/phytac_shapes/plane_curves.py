@@ -38,7 +38,7 @@ class Line:
     def foot(self, points: FloatArray) -> FloatArray:
         """Distance from the start (n,) of the foot of each point (n, 2); not clamped."""
         start, end = np.array(self.start), np.array(self.end)
-        return np.asarray((points - start) @ (end - start) / self.length)
+        return np.asarray((points - start) @ ((end - start) / self.length))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +90,7 @@ class Path:
 
     @cached_property
     def marks(self) -> FloatArray:
-        """Arc length at which each part begins, and the whole, (parts + 1,) mm."""
+        """Arc length at which each part begins, and the total length, (parts + 1,) mm."""
         return np.concatenate([[0.0], np.cumsum([part.length for part in self.parts])])
 
     @property
@@ -107,6 +107,8 @@ class Path:
         s = np.asarray(s, dtype=np.float64)
         if self.closed:
             s = np.mod(s, self.length)
+        if len(self.parts) == 1:
+            return self.parts[0].at(s)
         point, heading = np.zeros((len(s), 2)), np.zeros((len(s), 2))
         which = self._part(s)
         for k, part in enumerate(self.parts):
@@ -122,7 +124,7 @@ class Path:
     def foot(self, points: FloatArray) -> FloatArray:
         """Arc length (n,) of the nearest point of the path to each point (n, 2).
 
-        An open path goes on beyond its ends (straight lines straight on, arcs round).
+        An open path is extended beyond its ends (lines as lines, arcs as arcs).
         """
         points = np.asarray(points, dtype=np.float64)
         best, least = np.zeros(len(points)), np.full(len(points), np.inf)

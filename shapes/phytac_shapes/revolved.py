@@ -8,8 +8,6 @@ from phytac_shapes.arrays import FloatArray
 from phytac_shapes.plane_curves import Arc, Line, Path
 from phytac_shapes.surface import Surface
 
-POLE_TOL = 1e-12
-"""Radius, as a fraction of the sensor's length, that counts as the axis."""
 SEGMENTS = 64
 """Segments of a profile without closed form, for its arc length and area."""
 
@@ -52,27 +50,29 @@ class Revolved(Surface):
 
     def radius(self, u: FloatArray) -> FloatArray:
         """Distance of the outer face from the axis, (n,) mm; exactly 0 at a pole."""
-        r = self.curve(np.asarray(u, dtype=np.float64))[0][:, 0]
-        low, high = self.span()
-        return np.where(np.abs(r) <= POLE_TOL * (high - low), 0.0, r)
+        return self._profile_and_normal(np.asarray(u, dtype=np.float64))[0][:, 0]
 
-    def _normal_rz(self, u: FloatArray) -> FloatArray:
-        slope = self.curve(u)[1]
+    def _profile_and_normal(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(r, z), with r exactly 0 at a pole, and the outward normal in that plane, (n, 2) each."""
+        pole_tol = 1e-12  # radius, as a fraction of the sensor's length, that counts as the axis
+        rz, slope, _ = self.curve(u)
+        low, high = self.span()
+        radius = np.where(np.abs(rz[:, 0]) <= pole_tol * (high - low), 0.0, rz[:, 0])
         out = np.column_stack([slope[:, 1], -slope[:, 0]])
-        return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
+        out = out / np.linalg.norm(out, axis=1, keepdims=True)
+        return np.column_stack([radius, rz[:, 1]]), out
 
     def normal(self, uv: FloatArray) -> FloatArray:
         """Outward unit normals, (n, 3)."""
         uv = np.asarray(uv, dtype=np.float64)
-        return _turned(self._normal_rz(uv[:, 0]), uv[:, 1])
+        return _turned(self._profile_and_normal(uv[:, 0])[1], uv[:, 1])
 
     def point(self, uv: FloatArray, offset_mm: FloatArray | float = 0.0) -> FloatArray:
         """Points of the offset face, (n, 3) mm."""
         uv = np.asarray(uv, dtype=np.float64)
         offset = np.broadcast_to(np.asarray(offset_mm, dtype=np.float64), uv.shape[:1])
-        rz = self.curve(uv[:, 0])[0].copy()
-        rz[:, 0] = self.radius(uv[:, 0])
-        return _turned(rz + offset[:, None] * self._normal_rz(uv[:, 0]), uv[:, 1])
+        rz, out = self._profile_and_normal(uv[:, 0])
+        return _turned(rz + offset[:, None] * out, uv[:, 1])
 
     def tangents(self, uv: FloatArray) -> FloatArray:
         """d/du and d/dv of the outer face, (n, 2, 3); d/dv is zero at a pole."""
@@ -126,15 +126,15 @@ class Revolved(Surface):
         u = ((edges[:-1] + edges[1:]) / 2.0)[:, None] + half * x
         flat = u.ravel()
         rz, slope, curvature = self.curve(flat)
-        radius = rz[:, 0] + offset_mm * self._normal_rz(flat)[:, 0]
+        radius = rz[:, 0] + offset_mm * self._profile_and_normal(flat)[1][:, 0]
         ring = radius * (1.0 + offset_mm * curvature) * np.linalg.norm(slope, axis=1)
         return float(2.0 * np.pi * half * np.sum(ring.reshape(u.shape) @ w))
 
     def reach_mm(self, uv: FloatArray) -> FloatArray:
         """Depth to the nearer centre of principal curvature, (n,) mm: axis or profile's centre."""
         u = np.asarray(uv, dtype=np.float64)[:, 0]
-        curvature, out = self.curve(u)[2], self._normal_rz(u)[:, 0]
-        radius = self.radius(u)
+        rz, normal = self._profile_and_normal(u)
+        curvature, out, radius = self.curve(u)[2], normal[:, 0], rz[:, 0]
         with np.errstate(divide="ignore", invalid="ignore"):
             axis = np.where((out > 0.0) & (radius > 0.0), radius / out, np.inf)
             own = np.where(curvature > 0.0, 1.0 / curvature, np.inf)
@@ -150,22 +150,23 @@ class Revolved(Surface):
 class PathRevolved(Revolved):
     """A profile of straight lines and arcs; u is its arc length in mm."""
 
+    @property
     @abstractmethod
     def profile(self) -> Path:
         """Path in the (r, z) half-plane, from the near rim on."""
 
     def span(self) -> tuple[float, float]:
         """0 to the profile's length."""
-        return (0.0, self.profile().length)
+        return (0.0, self.profile.length)
 
     def curve(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Points, headings and curvature of the profile."""
-        path = self.profile()
+        path = self.profile
         return *path.at(u), path.curvature(u)
 
     def foot(self, rz: FloatArray) -> FloatArray:
         """Nearest arc length; at most the pole where there is one."""
-        s = self.profile().foot(rz)
+        s = self.profile.foot(rz)
         return np.minimum(s, self.span()[1]) if self.poles[1] else s
 
     def arc_length_mm(self, u: FloatArray) -> FloatArray:
@@ -174,7 +175,7 @@ class PathRevolved(Revolved):
 
     def area_mm2(self, offset_mm: float = 0.0) -> float:
         """Closed form, part by part (Pappus)."""
-        return float(sum(_swept(part, offset_mm) for part in self.profile().parts))
+        return float(sum(_swept(part, offset_mm) for part in self.profile.parts))
 
 
 def _swept(part: Line | Arc, offset: float) -> float:

@@ -6,11 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-
-MARCH_STEPS = 256
-"""Steps of a ray through the box around a surface, before bisection."""
-BISECTIONS = 48
+from phytac_shapes.arrays import BoolArray, FloatArray
 
 
 class Surface(ABC):
@@ -73,17 +69,6 @@ class Surface(ABC):
     def chart(self, points_mm: FloatArray) -> FloatArray:
         """Chart coordinates (n, 2) of the foot of the normal through each point (n, 3)."""
 
-    def intersect(
-        self, origins_mm: FloatArray, directions: FloatArray, offset_mm: float = 0.0
-    ) -> FloatArray:
-        """Ray parameter t >= 0 of the first hit of each ray with the offset face; inf if none.
-
-        ``origins_mm`` and ``directions`` are (n, 3); the hit is ``origin + t * direction``. Found
-        by marching and bisection on the height above the face, so that a ray which only grazes
-        it by less than a hundredth of the sensor may pass; shapes with a closed form override it.
-        """
-        return march(self, origins_mm, directions, offset_mm)
-
     @abstractmethod
     def unwrap(self, uv: FloatArray) -> FloatArray:
         """Flat map of the chart in mm, (n, 2): (around, along), for drawings and distances."""
@@ -115,52 +100,3 @@ class Surface(ABC):
         u, v = np.meshgrid(np.linspace(u0, u1, 65), np.linspace(v0, v1, 129), indexing="ij")
         points = self.point(np.column_stack([u.ravel(), v.ravel()]))
         return np.stack([points.min(axis=0), points.max(axis=0)])
-
-
-def march(
-    surface: Surface, origins_mm: FloatArray, directions: FloatArray, offset_mm: float
-) -> FloatArray:
-    """First hits of rays (n, 3) with an offset face, as :meth:`Surface.intersect`."""
-    o = np.asarray(origins_mm, dtype=np.float64)
-    d = np.asarray(directions, dtype=np.float64)
-    low, high = surface.bounds_mm()
-    # Along each axis by its own extent: through a long thin sensor the steps stay short.
-    margin = abs(offset_mm) + 0.05 * (high - low) + 1e-6 * float(np.linalg.norm(high - low))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        near, far = (low - margin - o) / d, (high + margin - o) / d
-    enter = np.nanmax(np.where(d != 0.0, np.minimum(near, far), -np.inf), axis=1)
-    leave = np.nanmin(np.where(d != 0.0, np.maximum(near, far), np.inf), axis=1)
-    enter = np.maximum(enter, 0.0)
-    hit = np.full(len(o), np.inf)
-    rays = np.flatnonzero(enter < leave)
-
-    def height(ray: IntArray, t: FloatArray) -> tuple[FloatArray, BoolArray]:
-        point = o[ray] + t[:, None] * d[ray]
-        foot = surface.chart(point)
-        (u0, u1), (v0, v1) = surface.domain
-        tol_u, tol_v = 1e-9 * (u1 - u0), 1e-9 * (v1 - v0)
-        inside = (foot[:, 0] >= u0 - tol_u) & (foot[:, 0] <= u1 + tol_u)
-        inside &= (foot[:, 1] >= v0 - tol_v) & (foot[:, 1] <= v1 + tol_v)
-        gap = np.sum((point - surface.point(foot)) * surface.normal(foot), axis=1)
-        return gap - offset_mm, inside
-
-    if len(rays) == 0:
-        return hit
-    step = (leave[rays] - enter[rays]) / MARCH_STEPS
-    before, _ = height(rays, enter[rays])
-    for k in range(1, MARCH_STEPS + 1):
-        t = enter[rays] + k * step
-        after, _ = height(rays, t)
-        crossed = np.flatnonzero((np.sign(before) != np.sign(after)) & np.isinf(hit[rays]))
-        if len(crossed):
-            a, b = t[crossed] - step[crossed], t[crossed].copy()
-            start = np.sign(before[crossed])
-            for _ in range(BISECTIONS):
-                middle = (a + b) / 2.0
-                same = np.sign(height(rays[crossed], middle)[0]) == start
-                a, b = np.where(same, middle, a), np.where(same, b, middle)
-            left, inside = height(rays[crossed], (a + b) / 2.0)
-            real = inside & (np.abs(left) < 1e-6 * (1.0 + float(margin.max())))
-            hit[rays[crossed[real]]] = ((a + b) / 2.0)[real]
-        before = after
-    return hit

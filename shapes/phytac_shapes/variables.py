@@ -1,4 +1,4 @@
-"""Declared design variables: what a shape asks of a design file, with unit, range and effect."""
+"""Declared design variables of a shape: unit, range and effect."""
 
 from dataclasses import MISSING, field, fields
 from typing import Any
@@ -19,7 +19,7 @@ def variable(doc: str, *, minimum: float, maximum: float, default: Any = MISSING
         Range accepted in a design file, in the unit of the field's name; of each number where
         the variable is a list of them.
     default : float or tuple of float, optional
-        Value where the design file is silent; without one the variable is required.
+        Value if the design file has none; without a default the variable is required.
     """
     return field(default=default, metadata={"doc": doc, "minimum": minimum, "maximum": maximum})
 
@@ -30,7 +30,7 @@ def choice(doc: str, *, default: Any) -> Any:
 
 
 def check_variables(shape: Any) -> None:
-    """Refuse a surface dataclass whose numbers are not finite or outside their declared ranges.
+    """Check that the numbers of a surface dataclass are finite and within their declared ranges.
 
     Raises
     ------

@@ -100,7 +100,7 @@ def test_one_camera_that_sees_a_marker_is_enough() -> None:
     )
 
 
-def test_the_best_camera_is_one_that_tells_the_marker_apart() -> None:
+def test_the_best_camera_separates_the_marker() -> None:
     bench = Bench(at("near", TOWARDS_FAR))
     rng = np.random.default_rng(0)
     one = check_visibility(Sensor.of(bench.design, bench.surface, bench.markers), rng=rng)

@@ -3,7 +3,8 @@ import pytest
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh, bar_span_mm, boundary_mm, edge_mm, shell_mesh
-from phytac_design.geometry.strips import Mesh, grid_mesh
+from phytac_design.geometry.strips import grid_mesh
+from phytac_design.geometry.triangles import TriangleMesh
 from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from tests.fabrication.cases import FAMILIES, family_design
@@ -13,8 +14,8 @@ families = pytest.mark.parametrize("name", sorted(FAMILIES))
 TUBES = {"cylinder", "cone", "cuboid", "grip"}
 
 
-def areas(mesh: Mesh) -> FloatArray:
-    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
+def areas(mesh: TriangleMesh) -> FloatArray:
+    a, b, c = np.moveaxis(mesh.vertices_mm[mesh.triangles], 1, 0)
     return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0)
 
 
@@ -65,8 +66,8 @@ def test_the_face_lies_at_the_inner_offset(name: str) -> None:
     surface = case.surface()
     mesh = shell_mesh(without, surface, tolerance_mm=0.01)
     for points, tolerance in (
-        (mesh.vertices, 1e-8),
-        (mesh.vertices[mesh.triangles].mean(axis=1), 0.025),
+        (mesh.vertices_mm, 1e-8),
+        (mesh.vertices_mm[mesh.triangles].mean(axis=1), 0.025),
     ):
         foot = surface.chart(points)
         height = np.sum((points - surface.point(foot)) * surface.normal(foot), axis=1)
@@ -102,12 +103,12 @@ def test_the_bar_never_pierces_the_inner_face(name: str) -> None:
     near, far = bar_span_mm(case, surface)
     assert near == -30.0
     bar = bar_mesh(case, surface, tolerance_mm=0.01)
-    assert bar.vertices[:, 2].max() == pytest.approx(far)
+    assert bar.vertices_mm[:, 2].max() == pytest.approx(far)
     if name in TUBES:
         assert far == pytest.approx(edge_mm(surface, 1, -0.8)[:, 2].max())
         return
-    foot = surface.chart(bar.vertices)
-    height = np.sum((bar.vertices - surface.point(foot)) * surface.normal(foot), axis=1)
+    foot = surface.chart(bar.vertices_mm)
+    height = np.sum((bar.vertices_mm - surface.point(foot)) * surface.normal(foot), axis=1)
     assert -1.0 < height.max() < -0.8  # near the face, not through it
     assert areas(bar).min() > 0.0
 
@@ -146,7 +147,7 @@ def test_a_saddle_with_straight_chart_lines_is_still_followed() -> None:
     surface = saddle.surface()
     mesh = shell_mesh(saddle, surface, tolerance_mm=0.01)
     # The middle of each diagonal is where a twisted cell strays most.
-    sides = mesh.vertices[mesh.triangles]
+    sides = mesh.vertices_mm[mesh.triangles]
     for k in range(3):
         points = (sides[:, k] + sides[:, (k + 1) % 3]) / 2.0
         foot = surface.chart(points)

@@ -19,7 +19,7 @@ from phytac_design.optics.exposure import (
     light_on_chip,
 )
 from phytac_design.optics.frame_renderer import render_light, through_lens
-from phytac_design.optics.light import FALL_OFF_MOST, Strip, albedo, triangle_light
+from phytac_design.optics.light import FALL_OFF_MAX, Strip, albedo, triangle_light
 from phytac_design.optics.paint import to_linear, to_srgb
 from phytac_design.optics.render_scene import FIRST_MARKER, RenderScene, paint_owner, red_owner
 from phytac_design.optics.sharpness import sharpness
@@ -232,7 +232,7 @@ def test_fall_off_leaves_the_median_marker(few: Bench) -> None:
     dim, bright = strip.at(centre) < 0.9, strip.at(centre) > 1.1
     assert (ratio[dim & (few.scene().part != 2)] <= 1.0).all()
     assert (ratio[bright & (few.scene().part != 2)] >= 1.0).all()
-    assert ratio.max() <= FALL_OFF_MOST
+    assert ratio.max() <= FALL_OFF_MAX
     np.testing.assert_array_equal(ratio[few.scene().part == 2], 1.0)
 
 

@@ -13,7 +13,7 @@ from phytac_design.design.design_file import load_design, parse_design, to_toml
 from phytac_design.design.field_groups import fields_of
 from phytac_design.design.fixture_files import TRIANGLES_MAX, read_stl
 from phytac_design.design.spec import Design
-from phytac_design.geometry.strips import Mesh
+from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout.cameras import camera_of
 from phytac_design.optics.fixture_bodies import fixture_mesh
 from phytac_design.optics.frame_renderer import render_frame
@@ -38,9 +38,9 @@ def with_fixtures(*fixtures: dict[str, Any], **camera: Any) -> Design:
     return Design.model_validate(design.model_dump(mode="json") | {"fixtures": fixtures})
 
 
-def volume(mesh: Mesh) -> float:
+def volume(mesh: TriangleMesh) -> float:
     """Volume inside a closed mesh, whichever way its triangles turn; from solid angles of cones."""
-    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles] - mesh.vertices.mean(axis=0), 1, 0)
+    a, b, c = np.moveaxis(mesh.vertices_mm[mesh.triangles] - mesh.vertices_mm.mean(axis=0), 1, 0)
     return float(np.abs(np.einsum("ij,ij->i", a, np.cross(b, c))).sum() / 6.0)
 
 
@@ -59,12 +59,11 @@ def test_bodies_have_their_volumes() -> None:
     rod, box = (fixture_mesh(fixture, tolerance_mm=1e-4) for fixture in design.fixtures)
     assert volume(rod) == pytest.approx(np.pi * 9.0 * 10.0, rel=1e-3)
     assert volume(box) == pytest.approx(48.0)
-    near = np.linalg.norm(box.vertices - [1.0, 2.0, 3.0], axis=1)
+    near = np.linalg.norm(box.vertices_mm - [1.0, 2.0, 3.0], axis=1)
     np.testing.assert_allclose(near, np.sqrt(1.0 + 4.0 + 9.0))
     corner = [np.cos(np.pi / 6) - 2 * np.sin(np.pi / 6), np.sin(np.pi / 6) + 2 * np.cos(np.pi / 6)]
-    assert np.linalg.norm(box.vertices - [1.0 + corner[0], 2.0 + corner[1], 6.0], axis=1).min() < (
-        1e-12
-    )
+    away = np.linalg.norm(box.vertices_mm - [1.0 + corner[0], 2.0 + corner[1], 6.0], axis=1)
+    assert away.min() < 1e-12
 
 
 @pytest.mark.parametrize("camera", [{}, LENSES["fisheye"]], ids=["pinhole", "fisheye"])
@@ -97,7 +96,7 @@ def test_a_fixture_is_in_pictures_and_id_maps() -> None:
     assert r < max(FIXTURE)
 
 
-def test_what_hides_is_told_apart() -> None:
+def test_occluders_are_distinguished() -> None:
     bar = make_design(layout=FEW, light={"bar_radius_mm": 20.0, "bar_start_mm": -10.0})
     assert "by the light bar" in checkup(bar)["advice"]
     tall = FEW | {"kind": "straight", "height_near_mm": 24.0, "height_far_mm": 1.0}
@@ -127,7 +126,7 @@ def stl_bytes(triangles: FloatArray) -> bytes:
 
 def test_an_stl_file_becomes_part_of_the_design(tmp_path: Path) -> None:
     box = fixture_mesh(with_fixtures(BOX).fixtures[0], tolerance_mm=0.1)
-    corners = box.vertices[box.triangles]
+    corners = box.vertices_mm[box.triangles]
     (tmp_path / "text.stl").write_text(stl_text(corners))
     (tmp_path / "binary.stl").write_bytes(stl_bytes(corners))
     text = to_toml(with_fixtures())
@@ -139,8 +138,8 @@ def test_an_stl_file_becomes_part_of_the_design(tmp_path: Path) -> None:
     design = load_design(str(tmp_path / "mine.toml"))
     for fixture in design.fixtures:
         mesh = fixture_mesh(fixture, tolerance_mm=0.1)
-        assert mesh.vertices.shape == (8, 3)
-        np.testing.assert_allclose(mesh.vertices[mesh.triangles], corners, atol=1e-6)
+        assert mesh.vertices_mm.shape == (8, 3)
+        np.testing.assert_allclose(mesh.vertices_mm[mesh.triangles], corners, atol=1e-6)
     again = parse_design(tomllib.loads(to_toml(design)), "resolved")
     assert again == design
 

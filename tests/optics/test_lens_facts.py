@@ -98,7 +98,7 @@ def test_a_focus_inside_the_lens_is_refused_before_a_build() -> None:
         check_design(make_design(layout=FEW, camera={"focus_mm": 0.1}))
 
 
-def test_blur_as_wide_as_gaps_is_said_with_an_f_number_that_mends_it() -> None:
+def test_blur_as_wide_as_gaps_is_reported_with_a_larger_f_number() -> None:
     layout = {"rows": 8, "columns": 16, "height_near_mm": 0.5, "height_far_mm": 6.0}
     fast = {"width_px": 648, "height_px": 486, "focal_px": 242.5, "pixel_um": 5.6, "f_number": 0.5}
     (warning,) = checkup(make_design(layout=layout, camera=fast))["warnings"]

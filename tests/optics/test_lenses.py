@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from phytac_decoder.camera.camera import Camera, pinhole
 from phytac_decoder.camera.lens import BrownConrady, KannalaBrandt
-from phytac_design.optics.distorted_triangles import bent_view
+from phytac_design.optics.distorted_triangles import distorted_view
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.picture import render_picture
 from phytac_design.optics.raster import all_pieces, pixels_alone, points_seen, rasterise
@@ -198,7 +198,7 @@ def test_a_bent_sample_is_what_a_shifted_lens_sees(benches: dict[str, Bench]) ->
     case, offset = benches["fisheye"], np.array([0.3, -0.2])
     scene = case.scene()
     shifted = rasterise(scene, case.camera.shifted(-offset))
-    view = bent_view(case.camera.to_camera(scene.vertices), scene.triangles, case.camera)
+    view = distorted_view(case.camera.to_camera(scene.vertices), scene.triangles, case.camera)
     rows = 486
     rays = ray_grid(case.camera.lens).rows(0, rows, offset)
     owner = np.full(rays.shape[:2], -1, dtype=np.int32)

@@ -1,4 +1,4 @@
-"""Paints told apart: chromaticity against the standard, margins against drawn noise."""
+"""Separable paints: chromaticity against the standard, margins against drawn noise."""
 
 import cv2
 import numpy as np
@@ -72,7 +72,7 @@ def test_the_paints_in_the_table_go_together() -> None:
 def test_noise_that_drowns_a_paint_is_refused() -> None:
     with pytest.raises(DesignError, match=r"in the shade.*lower camera.noise_pixel"):
         check_design(changed(camera={"noise_pixel": 9.0}))
-    with pytest.raises(DesignError, match=r"green and cyan cannot be told apart.*choose other"):
+    with pytest.raises(DesignError, match=r"green and cyan cannot be distinguished.*choose other"):
         check_paints(changed(layout={"colours": ["green", "cyan"]}, camera={"noise_pixel": 7.0}))
 
 

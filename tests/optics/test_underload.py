@@ -10,7 +10,7 @@ from phytac_design.layout import Markers, make_markers
 from phytac_design.layout.cameras import camera_of, tolerance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import render_frame
-from phytac_design.optics.loaded_visibility import FUSED_PX, press_all, sight
+from phytac_design.optics.loaded_visibility import FUSED_PX, scene_state, visibility_under_load
 from phytac_design.optics.paint import paints_of
 from phytac_design.optics.raster import pixels_alone
 from phytac_design.optics.render_scene import RenderScene, build_scene
@@ -54,14 +54,14 @@ def finer(design: Design, factor: int) -> Design:
 
 def over(markers: Markers, camera: Camera, front: int, back: int) -> np.ndarray:
     """Move that puts a marker on the line of sight to another one's tip, nearer the camera."""
-    eye, target = camera.position_mm, markers.tip_mm[back]
-    share = np.linalg.norm(markers.tip_mm[front] - eye) / np.linalg.norm(target - eye)
-    return np.asarray(eye + min(share, 0.85) * (target - eye) - markers.tip_mm[front])
+    camera_mm, target = camera.position_mm, markers.tip_mm[back]
+    share = np.linalg.norm(markers.tip_mm[front] - camera_mm) / np.linalg.norm(target - camera_mm)
+    return np.asarray(camera_mm + min(share, 0.85) * (target - camera_mm) - markers.tip_mm[front])
 
 
 def test_at_rest_like_plain_visibility(sensor: tuple[Design, Markers, RenderScene, Camera]) -> None:
     _, markers, scene, camera = sensor
-    rest = sight(scene, camera)
+    rest = scene_state(scene, camera)
     alone = pixels_alone(scene, camera)[0]
     assert np.array_equal(rest.visible_px, np.rint(rest.fraction * alone))
     assert not rest.hidden.any()
@@ -80,8 +80,8 @@ def test_a_marker_in_front_hides_another_and_only_that_one_is_disturbed(
     back = int(np.flatnonzero(markers.row == markers.row.max())[0])
     front = int(np.flatnonzero(markers.row == 0)[0])
     motion = moved(markers, front, over(markers, camera, front, back))
-    rest = sight(scene, camera)
-    pressed = sight(scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm), camera)
+    rest = scene_state(scene, camera)
+    pressed = scene_state(scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm), camera)
     assert pressed.hidden[back]
     others = np.arange(markers.count)
     untouched = ~np.isin(others, [front, back]) & (pressed.fraction == rest.fraction)
@@ -91,7 +91,7 @@ def test_a_marker_in_front_hides_another_and_only_that_one_is_disturbed(
 
 def test_half_covered_marker_has_crosstalk_though_it_stands_still(side_mm: float) -> None:
     rest, pressed, camera, back = half_covered(1, side_mm)
-    assert sight(pressed, camera).crosstalk_px(sight(rest, camera))[back] > 0.5
+    assert scene_state(pressed, camera).crosstalk_px(scene_state(rest, camera))[back] > 0.5
 
 
 def test_first_force_is_found_and_nothing_before(
@@ -104,7 +104,7 @@ def test_first_force_is_found_and_nothing_before(
     motions = np.stack([moved(markers, 0, s * towards) for s in (0.5, 1.0)])[None]
     still = np.zeros_like(motions)
     still[:, :, 0, 2] = 1e-4
-    found = press_all(
+    found = visibility_under_load(
         scene,
         camera,
         pivots_mm=markers.mid_mm,
@@ -120,7 +120,7 @@ def test_first_force_is_found_and_nothing_before(
 
     def fused(force: float) -> bool:
         motion = moved(markers, 0, force / 10.0 * towards)
-        seen = sight(scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm), camera)
+        seen = scene_state(scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm), camera)
         return bool((seen.gap_same_px <= FUSED_PX).any() or seen.hidden.any())
 
     assert fused(first)
@@ -129,13 +129,13 @@ def test_first_force_is_found_and_nothing_before(
     assert found.first_marker.tolist() in ([0, -1], [near, -1])
 
 
-def test_still_markers_are_told_from_moving_ones(
+def test_stationary_markers_are_separated_from_moving_ones(
     sensor: tuple[Design, Markers, RenderScene, Camera],
 ) -> None:
     _, markers, scene, camera = sensor
     back = int(np.flatnonzero(markers.row == markers.row.max())[0])
     motion = moved(markers, 0, over(markers, camera, 0, back) + np.array([1.0, 0.0, 0.0]))
-    found = press_all(
+    found = visibility_under_load(
         scene,
         camera,
         pivots_mm=markers.mid_mm,
@@ -164,8 +164,8 @@ def test_own_motion_is_no_crosstalk() -> None:
     # Inward, so that none sinks into the wall.
     motion = random_motion(markers.count, 0.4)
     motion[:, :3] += 2.0 * markers.direction
-    rest = sight(scene, camera)
-    pressed = sight(scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm), camera)
+    rest = scene_state(scene, camera)
+    pressed = scene_state(scene.moved(motion[:, :3], motion[:, 3:], markers.mid_mm), camera)
     free = (rest.fraction == 1.0) & (pressed.fraction == 1.0)
     assert free.sum() >= 12
     assert pressed.shift_px(rest)[free].min() > 3.0
@@ -177,7 +177,7 @@ def side_mm() -> float:
     """How far aside the one in front must be moved to cover about half of the other."""
     for side in np.linspace(0.0, 3.0, 13):
         _, pressed, camera, back = half_covered(1, float(side))
-        if 0.2 < sight(pressed, camera).fraction[back] < 0.8:
+        if 0.2 < scene_state(pressed, camera).fraction[back] < 0.8:
             return float(side)
     pytest.fail("never half covered")
 
@@ -200,7 +200,7 @@ def half_covered(factor: int, side: float) -> tuple[RenderScene, RenderScene, Ca
 def test_sampling_of_crosstalk(side_mm: float) -> None:
     """Four times finer pixels give the same crosstalk in pixels, within what sampling allows."""
     coarse, fine = (
-        sight(pressed, camera).crosstalk_px(sight(rest, camera))[back]
+        scene_state(pressed, camera).crosstalk_px(scene_state(rest, camera))[back]
         for rest, pressed, camera, back in (half_covered(1, side_mm), half_covered(4, side_mm))
     )
     assert fine / 4.0 > 0.5
@@ -211,8 +211,8 @@ def test_a_decoder_suffers_what_crosstalk_says(side_mm: float) -> None:
     """Blobs of the decoder's own segmentation shift by it, of a marker that stands still."""
     rest, pressed, camera, back = half_covered(2, side_mm)
     model = ColourModel.from_rgb(paints_of(rest.paints))
-    home = sight(rest, camera)
-    seen = sight(pressed, camera)
+    home = scene_state(rest, camera)
+    seen = scene_state(pressed, camera)
     expected = seen.offset_px[back] - home.offset_px[back]
     assert np.linalg.norm(expected) > 1.0
     centre = home.alone_px[back] + home.offset_px[back]
@@ -228,13 +228,13 @@ def test_worst_press_is_the_tightest_where_nothing_happens(
     sensor: tuple[Design, Markers, RenderScene, Camera],
 ) -> None:
     _, markers, scene, camera = sensor
-    one = int(sight(scene, camera).gap_same_px.argmin())
+    one = int(scene_state(scene, camera).gap_same_px.argmin())
     same = np.flatnonzero(markers.colour == markers.colour[one])
     image = camera.project(markers.tip_mm)
     near = same[np.argsort(np.linalg.norm(image[same] - image[one], axis=1))[1]]
     towards = markers.tip_mm[near] - markers.tip_mm[one]
     motions = np.stack([moved(markers, one, s * towards)[None] for s in (0.0, 0.2, 0.1)])
-    found = press_all(
+    found = visibility_under_load(
         scene, camera, pivots_mm=markers.mid_mm, motions=motions, forces_N=np.array([5.0])
     )
     assert np.isinf(found.first_force_N).all()

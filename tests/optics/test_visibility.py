@@ -10,7 +10,12 @@ from phytac_design.optics.density import density_of
 from phytac_design.optics.gaps import marker_gaps
 from phytac_design.optics.raster import pixels_alone, rasterise
 from phytac_design.optics.render_scene import paint_owner
-from phytac_design.optics.visibility import Visibility, check_visibility, fused_markers, see
+from phytac_design.optics.visibility import (
+    Visibility,
+    check_visibility,
+    fused_markers,
+    measure_visibility,
+)
 from phytac_shapes.arrays import IntArray
 from tests.optics.cases import Bench, make_design
 
@@ -37,7 +42,7 @@ def test_centroid_and_paint_point_are_one_line_of_sight(
     seen = check_visibility(Sensor.of(few.design, few.surface, few.markers), rng=rng)
     # The mean of projections is the projection of the mean up to the tube's relief.
     np.testing.assert_allclose(few.camera.project(seen.paint_point_mm), seen.centroid_px, atol=0.35)
-    axis = (few.markers.tip_mm - few.markers.foot_mm) / few.markers.height_mm[:, None]
+    axis = (few.markers.tip_mm - few.markers.base_mm) / few.markers.height_mm[:, None]
     depth = np.sum((few.markers.tip_mm - seen.paint_point_mm) * axis, axis=1)
     assert np.all((depth > 0.0) & (depth < few.design.receptor.band_marker_mm))
 
@@ -83,7 +88,7 @@ def test_a_covered_half_counts_as_half(few: Bench) -> None:
         part=np.concatenate([scene.part, [1, 1]]).astype(np.int32),
         vertex_owner=np.concatenate([scene.vertex_owner, -np.ones(6)]).astype(np.int32),
     )
-    seen = see(curtain, curtain, camera, noise_std=0.0, rng=np.random.default_rng(0))
+    seen = measure_visibility(curtain, curtain, camera, noise_std=0.0, rng=np.random.default_rng(0))
     assert seen.visible_px[0] == int((x < cut).sum())
     assert seen.visible_fraction[0] == pytest.approx((x < cut).sum() / len(x))
 

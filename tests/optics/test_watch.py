@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from phytac_design.layout import Markers
 from phytac_design.optics.gaps import marker_gaps, outline_gaps
-from phytac_design.optics.incremental_renderer import Glance, Watch
+from phytac_design.optics.incremental_renderer import IncrementalRenderer, RenderSample
 from phytac_design.optics.raster import pixels_alone, rasterise
 from phytac_design.optics.render_scene import RenderScene, paint_owner
 from tests.optics.cases import Bench, make_design
@@ -18,12 +18,12 @@ def whole_image(scene: RenderScene, bench: Bench) -> NDArray[np.int32]:
     return paint_owner(rasterise(scene, bench.camera).part)
 
 
-def same_as_image(glance: Glance, owner: NDArray[np.int32], scene: RenderScene) -> None:
+def same_as_image(sample: RenderSample, owner: NDArray[np.int32], scene: RenderScene) -> None:
     y, x = np.nonzero(owner >= 0)
     for column, weights in enumerate((np.ones(len(x)), x, y)):
         sums = np.bincount(owner[y, x], weights=weights, minlength=scene.count)
-        assert np.array_equal(glance.visible[:, column], sums)
-    gaps = outline_gaps(glance.pixels, glance.starts, scene.colour)
+        assert np.array_equal(sample.visible[:, column], sums)
+    gaps = outline_gaps(sample.pixels, sample.starts, scene.colour)
     for mine, plain in zip(gaps, marker_gaps(owner, scene.colour), strict=True):
         assert np.array_equal(mine, plain)
 
@@ -34,17 +34,17 @@ def test_every_pose_is_that_of_the_whole_image(lens: str) -> None:
     tables = {} if lens == "pinhole" else {"camera": LENSES[lens]}
     bench = Bench(make_design(layout=layout, **tables))
     rest = bench.scene()
-    watch = Watch(rest, bench.camera)
+    renderer = IncrementalRenderer(rest, bench.camera)
     for size in (0.0, 3.0, 0.5):  # Wide first: nothing of it may be left in the next.
         motion = random_motion(bench.markers.count, size)
         scene = rest.moved(motion[:, :3], motion[:, 3:], bench.markers.mid_mm)
-        glance = watch.look(scene)
+        sample = renderer.render(scene)
         owner = whole_image(scene, bench)
-        same_as_image(glance, owner, scene)
+        same_as_image(sample, owner, scene)
         if size > 1.0:
-            assert (glance.visible[:, 0] < glance.alone[:, 0]).sum() > 10
+            assert (sample.visible[:, 0] < sample.alone[:, 0]).sum() > 10
         if lens == "pinhole":
-            assert np.array_equal(glance.alone[:, 0], pixels_alone(scene, bench.camera)[0])
+            assert np.array_equal(sample.alone[:, 0], pixels_alone(scene, bench.camera)[0])
 
 
 def test_markers_that_leave_the_picture(few: Bench) -> None:
@@ -54,10 +54,10 @@ def test_markers_that_leave_the_picture(few: Bench) -> None:
     away[1] = [0.0, 0.0, -500.0]  # Behind the camera.
     away[2] = 3.0 * (few.markers.tip_mm[2] * [1.0, 1.0, 0.0])  # Half of it, perhaps.
     moved = scene.moved(away, np.zeros_like(away), few.markers.mid_mm)
-    glance = Watch(scene, few.camera).look(moved)
-    assert (glance.visible[:2] == 0.0).all()
-    assert (glance.alone[:2] == 0.0).all()
-    same_as_image(glance, whole_image(moved, few), moved)
+    sample = IncrementalRenderer(scene, few.camera).render(moved)
+    assert (sample.visible[:2] == 0.0).all()
+    assert (sample.alone[:2] == 0.0).all()
+    same_as_image(sample, whole_image(moved, few), moved)
 
 
 def test_nothing_to_see() -> None:
@@ -65,9 +65,9 @@ def test_nothing_to_see() -> None:
     scene = bench.scene()
     away = np.array([[0.0, 0.0, -500.0]])
     moved = scene.moved(away, np.zeros((1, 3)), bench.markers.mid_mm)
-    glance = Watch(scene, bench.camera).look(moved)
-    assert glance.pixels.shape == (0, 2)
-    assert np.isinf(outline_gaps(glance.pixels, glance.starts, scene.colour)).all()
+    sample = IncrementalRenderer(scene, bench.camera).render(moved)
+    assert sample.pixels.shape == (0, 2)
+    assert np.isinf(outline_gaps(sample.pixels, sample.starts, scene.colour)).all()
 
 
 @pytest.mark.parametrize("scattered", [False, True])
@@ -101,10 +101,12 @@ def test_shell_hides_what_is_behind_it(few: Bench) -> None:
     scene = few.scene()
     out = np.zeros((few.markers.count, 3))
     out[5] = 8.0 * few.markers.normal[5]  # Through the wall, to the outside.
-    glance = Watch(scene, few.camera).look(scene.moved(out, 0.0 * out, few.markers.mid_mm))
-    assert glance.visible[5, 0] == 0.0
-    assert glance.alone[5, 0] > 0.0
-    assert Watch(scene, few.camera).look(scene).visible[5, 0] > 0.0
+    sample = IncrementalRenderer(scene, few.camera).render(
+        scene.moved(out, 0.0 * out, few.markers.mid_mm)
+    )
+    assert sample.visible[5, 0] == 0.0
+    assert sample.alone[5, 0] > 0.0
+    assert IncrementalRenderer(scene, few.camera).render(scene).visible[5, 0] > 0.0
 
 
 def test_a_wall_that_moves_along_hides_nothing_that_dips_into_it(few: Bench) -> None:
@@ -112,13 +114,13 @@ def test_a_wall_that_moves_along_hides_nothing_that_dips_into_it(few: Bench) -> 
     low = build_low(few)
     out = 0.3 * low[1].normal
     dipped = low[0].moved(out, 0.0 * out, low[1].mid_mm)
-    still = Watch(low[0], few.camera).look(dipped)
+    still = IncrementalRenderer(low[0], few.camera).render(dipped)
     assert (still.visible[:, 0] < still.alone[:, 0]).all()
-    along = Watch(low[0], few.camera, wall_back=0.05).look(dipped)
+    along = IncrementalRenderer(low[0], few.camera, wall_setback=0.05).render(dipped)
     assert np.array_equal(along.visible, along.alone)
     far = np.zeros_like(out)
     far[5] = 12.0 * few.markers.normal[5]
-    gone = Watch(scene, few.camera, wall_back=0.05).look(
+    gone = IncrementalRenderer(scene, few.camera, wall_setback=0.05).render(
         scene.moved(far, 0.0 * far, few.markers.mid_mm)
     )
     assert gone.visible[5, 0] == 0.0
@@ -126,8 +128,10 @@ def test_a_wall_that_moves_along_hides_nothing_that_dips_into_it(few: Bench) -> 
     hides = np.zeros_like(far)
     hides[8] = -few.markers.tip_mm[8] * [1.0, 1.0, 0.0] - few.markers.normal[8]
     inside = scene.moved(hides, 0.0 * hides, few.markers.mid_mm)
-    plain = Watch(scene, few.camera).look(inside).visible[8]
-    assert np.array_equal(Watch(scene, few.camera, wall_back=0.05).look(inside).visible[8], plain)
+    plain = IncrementalRenderer(scene, few.camera).render(inside).visible[8]
+    assert np.array_equal(
+        IncrementalRenderer(scene, few.camera, wall_setback=0.05).render(inside).visible[8], plain
+    )
 
 
 def build_low(few: Bench) -> tuple[RenderScene, Markers]:

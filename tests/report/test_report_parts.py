@@ -16,7 +16,7 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import Context, write_arrays, write_facts
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.optics.frame_renderer import render_frame
-from phytac_design.optics.loaded_visibility import UnderLoad
+from phytac_design.optics.loaded_visibility import LoadedVisibility
 from phytac_design.optics.render_scene import build_scene
 from phytac_design.report import explorer, page, press_pictures, suggested_changes
 from phytac_design.stages.build import BuildResult
@@ -158,7 +158,7 @@ def test_errors_of_a_build_are_those_of_its_tables(built: BuildResult) -> None:
 
 def test_the_shown_press_is_the_first_to_lose_a_marker_or_moves_most() -> None:
     p = 3
-    found = UnderLoad(
+    found = LoadedVisibility(
         hidden=np.zeros(p, int),
         fused=np.zeros(p, int),
         press_gap_same_px=np.array([9.0, 5.0, 7.0]),

@@ -43,7 +43,7 @@ def test_places_are_those_of_the_sensor(kind: str) -> None:
     )
     half = np.array(data["box"]["step"]) / 2.0 + 1e-9
     assert half.max() < 0.002
-    for name, expected in (("foot", markers.foot_mm), ("tip", markers.tip_mm)):
+    for name, expected in (("foot", markers.base_mm), ("tip", markers.tip_mm)):
         assert (np.abs(places(data, data["tubes"][name]) - expected) <= half).all()
     low, high = surface.bounds_mm()
     wall = data["bodies"][0]

@@ -14,7 +14,7 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.exposure import Exposure
 from phytac_design.optics.render_scene import SHELL, build_scene
-from phytac_design.optics.visibility import see
+from phytac_design.optics.visibility import measure_visibility
 from phytac_design.simulation.contacts import draw_contacts, switch_states
 from phytac_design.simulation.imaging.carried_wall import WallMotion
 from phytac_design.simulation.imaging.imaging_model import (
@@ -231,7 +231,7 @@ def test_a_scattered_instance_is_read_against_its_own_rest_frame(rig: Rig) -> No
     aside = rng.normal(0.0, 0.1, (markers.count, 3))
     moved = replace(
         markers,
-        foot_mm=markers.foot_mm + aside,
+        base_mm=markers.base_mm + aside,
         tip_mm=markers.tip_mm + aside,
         mid_mm=markers.mid_mm + aside,
     )
@@ -348,7 +348,7 @@ def test_paint_slopes_are_how_frames_show_a_receptor_that_turns() -> None:
         )
         for state in (False, True)
     )
-    seen = see(rest, on, camera, noise_std=0.0, rng=np.random.default_rng(0))
+    seen = measure_visibility(rest, on, camera, noise_std=0.0, rng=np.random.default_rng(0))
     slope = paint_slope(Sensor.of(flat, surface, markers), camera, rest=rest, seen=seen)
     readers = Readers(cameras=(camera,), read_by=np.zeros(markers.count, dtype=np.int64))
     arm = seen.paint_point_mm - markers.mid_mm
@@ -375,7 +375,7 @@ def test_a_marker_that_nobody_sees_is_watched_at_its_tip() -> None:
     rest = build_scene(
         Sensor.of(this, surface, markers), tolerance_mm=tolerance_mm(camera, markers)
     )
-    seen = see(rest, rest, camera, noise_std=0.0, rng=np.random.default_rng(0))
+    seen = measure_visibility(rest, rest, camera, noise_std=0.0, rng=np.random.default_rng(0))
     nowhere = replace(seen, paint_point_mm=np.full((markers.count, 3), np.nan))
     slope = paint_slope(Sensor.of(this, surface, markers), camera, rest=rest, seen=nowhere)
     arm = markers.tip_mm - markers.mid_mm

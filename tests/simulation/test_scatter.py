@@ -190,7 +190,7 @@ def test_a_printed_receptor_is_that_of_a_layout_with_its_place_and_height(
         "position_heights_mm": moved.height_mm[order].tolist(),
     }
     own = _explicit(design, layout)
-    for item in ("uv", "normal", "direction", "mid_mm", "foot_mm", "tip_mm"):
+    for item in ("uv", "normal", "direction", "mid_mm", "base_mm", "tip_mm"):
         assert getattr(own, item) == pytest.approx(getattr(moved, item)[order], abs=1e-9), item
 
 
@@ -207,7 +207,7 @@ def test_a_lattice_stays_where_receptors_stay() -> None:
     still = unit(marker_mm=0.0).markers
     assert still.lattice is MARKERS.lattice
     assert (still.uv == MARKERS.uv).all()
-    length = np.linalg.norm(still.tip_mm - still.foot_mm, axis=1)
+    length = np.linalg.norm(still.tip_mm - still.base_mm, axis=1)
     assert length == pytest.approx(still.height_mm, rel=1e-12)
 
 

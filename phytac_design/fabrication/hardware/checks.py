@@ -13,8 +13,7 @@ from phytac_design.fabrication.hardware.parts import HardwareAssembly
 from phytac_design.fabrication.hardware.screws import SCREWS, Joint
 from phytac_design.geometry.envelope import bar_mesh, shell_mesh
 from phytac_design.geometry.ray_tree import RayTree
-from phytac_design.geometry.strips import joined
-from phytac_design.geometry.triangles import TriangleMesh
+from phytac_design.geometry.triangles import TriangleMesh, merged
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.render_scene import FIRST_MARKER, build_scene
 from phytac_shapes import Surface
@@ -156,14 +155,13 @@ def hidden_rays(sensor: Sensor, cameras: list[Camera], hardware: TriangleMesh) -
     scene = build_scene(sensor, tolerance_mm=coarse)
     target = scene.vertices[np.unique(scene.triangles[scene.part >= FIRST_MARKER])]
     tree = RayTree(hardware)
-    fixed = joined(
-        [
-            shell_mesh(design, surface, tolerance_mm=scene_mm),
-            bar_mesh(design, surface, tolerance_mm=scene_mm),
-        ]
-    )
     known = RayTree(
-        TriangleMesh(vertices_mm=fixed.vertices, triangles=fixed.triangles.astype(np.int64))
+        merged(
+            [
+                shell_mesh(design, surface, tolerance_mm=scene_mm),
+                bar_mesh(design, surface, tolerance_mm=scene_mm),
+            ]
+        )
     )
     cut = 0
     for camera in cameras:

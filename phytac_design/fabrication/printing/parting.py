@@ -185,7 +185,7 @@ def _keys(sensor: Sensor, cut: CuttingPlane, cuts: list[CuttingPlane], size: Key
     gap = design.print_rules.gap_min_mm
     low, high = point - size.root * cut.normal, point + size.length * cut.normal
     for k in _beside(design, markers, cut, size):
-        foot = np.broadcast_to(markers.foot_mm[k], point.shape)
+        foot = np.broadcast_to(markers.base_mm[k], point.shape)
         tip = np.broadcast_to(markers.tip_mm[k], point.shape)
         clear = np.minimum(clear, segment_distance_mm(low, high, foot, tip))
     clear -= (size.boss + design.receptor.diameter_outer_mm) / 2.0

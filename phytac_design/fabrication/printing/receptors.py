@@ -21,7 +21,7 @@ def check_receptors(design: Design, markers: Markers) -> list[Violation]:
     """Tubes that are too slender, too thin or too near to each other, and holes too small."""
     receptor, rules = design.receptor, design.print_rules
     outer, hole = receptor.diameter_outer_mm, receptor.diameter_hole_mm
-    middle = (markers.foot_mm + markers.tip_mm) / 2.0
+    middle = (markers.base_mm + markers.tip_mm) / 2.0
     found = []
     for k in range(markers.count):
         height = float(markers.height_mm[k])
@@ -78,7 +78,7 @@ def owners(sensor: Sensor, points_mm: FloatArray) -> IntArray:
     try:
         start = receptor_axes(sensor).hole_start_mm
     except DesignError:
-        start = markers.foot_mm
+        start = markers.base_mm
     length = np.linalg.norm(markers.tip_mm - start, axis=1)
     # The nearest axis is one of those with the nearest points along them.
     steps = int(np.ceil(length.max() / radius)) + 1

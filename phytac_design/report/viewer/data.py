@@ -42,8 +42,8 @@ from numpy.typing import NDArray
 
 from phytac_design.design.spec import Design
 from phytac_design.geometry.envelope import bar_mesh, shell_mesh
-from phytac_design.geometry.flat_map import family, flat_map
-from phytac_design.geometry.strips import Mesh
+from phytac_design.geometry.flat_map import flat_map, surface_topology
+from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics import paint
@@ -140,7 +140,7 @@ def base_colourings(markers: Markers) -> list[Colouring]:
 
 def eye_of(surface: Surface, markers: Markers) -> FloatArray:
     """Unit vector (3,) towards the first viewpoint: beside tubes, on the marker side of others."""
-    if family(surface) == "tube":
+    if surface_topology(surface) == "tube":
         return np.asarray(TUBE_VIEW / np.linalg.norm(TUBE_VIEW))
     inward = -markers.normal.mean(axis=0)
     inward /= max(float(np.linalg.norm(inward)), 1e-9)
@@ -166,21 +166,21 @@ def viewer_data(
     size = float(np.linalg.norm(high - low))
     meshes = _bodies(design, surface, 0.002 * size)
     lines = np.concatenate([np.zeros((0, 2, 3)), *(_field(camera, size) for camera in cameras)])
-    everything = [mesh.vertices for _, _, mesh in meshes if len(mesh.vertices)]
+    everything = [mesh.vertices_mm for _, _, mesh in meshes if len(mesh.vertices_mm)]
     box = Box.around(
-        np.concatenate([*everything, lines.reshape(-1, 3), markers.foot_mm, markers.tip_mm])
+        np.concatenate([*everything, lines.reshape(-1, 3), markers.base_mm, markers.tip_mm])
     )
     flat = flat_map(surface, markers.uv)
     return {
         "version": 1,
         "box": {"low": box.low.tolist(), "step": box.step.tolist()},
         "eye": eye_of(surface, markers).round(4).tolist(),
-        "wall": "clear" if family(surface) == "sheet" else "cut",
+        "wall": "clear" if surface_topology(surface) == "sheet" else "cut",
         "bodies": [
             {
                 "name": name,
                 "colour": hexed(colour),
-                "points": box.pack(mesh.vertices),
+                "points": box.pack(mesh.vertices_mm),
                 "triangles": packed(mesh.triangles, "<u4"),
             }
             for name, colour, mesh in meshes
@@ -188,7 +188,7 @@ def viewer_data(
         ],
         "lines": box.pack(lines),
         "tubes": {
-            "foot": box.pack(markers.foot_mm),
+            "foot": box.pack(markers.base_mm),
             "tip": box.pack(markers.tip_mm),
             "band_mm": design.receptor.band_marker_mm,
             "radius_mm": design.receptor.diameter_outer_mm / 2.0,
@@ -217,7 +217,7 @@ def viewer_data(
 
 def _bodies(
     design: Design, surface: Surface, tolerance_mm: float
-) -> list[tuple[str, Sequence[int], Mesh]]:
+) -> list[tuple[str, Sequence[int], TriangleMesh]]:
     """Name, colour and mesh of all but the receptors."""
     return [
         (
@@ -233,14 +233,14 @@ def _bodies(
     ]
 
 
-def _outward(surface: Surface, mesh: Mesh) -> Mesh:
+def _outward(surface: Surface, mesh: TriangleMesh) -> TriangleMesh:
     """Mesh with its triangles turned so that their normals point away from the sensor's inside."""
-    corners = mesh.vertices[mesh.triangles]
+    corners = mesh.vertices_mm[mesh.triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     out = surface.normal(surface.chart(corners.mean(axis=1)))
     wrong = np.einsum("ti,ti->t", normal, out) < 0.0
     triangles = np.where(wrong[:, None], mesh.triangles[:, ::-1], mesh.triangles)
-    return Mesh(vertices=mesh.vertices, triangles=triangles.astype(np.int32))
+    return TriangleMesh(vertices_mm=mesh.vertices_mm, triangles=triangles)
 
 
 def _field(camera: "Camera", size_mm: float) -> FloatArray:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from phytac_decoder.camera.camera import Camera, pinhole
-from phytac_design.geometry.flat_map import family
+from phytac_design.geometry.flat_map import surface_topology
 from phytac_design.layout import Markers
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.frame_renderer import render_frame
@@ -42,7 +42,7 @@ def cut_open(
     scene: RenderScene, surface: Surface, markers: Markers, eye: FloatArray
 ) -> RenderScene:
     """Scene of a tube without the wall and the receptors whose outer side faces the eye."""
-    if family(surface) != "tube":
+    if surface_topology(surface) != "tube":
         return scene
     middle = scene.vertices[scene.triangles].mean(axis=1)
     keep = np.ones(len(middle), dtype=np.bool_)

@@ -15,8 +15,8 @@ from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.exposure import Exposure, expose, lens_blur
-from phytac_design.optics.incremental_renderer import Watch
-from phytac_design.optics.loaded_visibility import WALL_BACK, sight_of
+from phytac_design.optics.incremental_renderer import IncrementalRenderer
+from phytac_design.optics.loaded_visibility import WALL_SETBACK, marker_state
 from phytac_design.simulation.imaging.nominal_view import expected_views, vision_bundle
 from phytac_design.simulation.imaging.paint_centroids import PaintPoints
 from phytac_design.simulation.imaging.pixel_phase import pixel_phase_error
@@ -307,20 +307,24 @@ class ImagingModel:
         return self._places(np.zeros((self.count, 6)), 1.0)
 
     @cached_property
-    def _watches(self) -> list[tuple[Watch, FloatArray]]:
-        """Watch on each camera's scene, and how far hiding moves each centroid at rest, (n, 2)."""
+    def _renderers(self) -> list[tuple[IncrementalRenderer, FloatArray]]:
+        """Each camera's renderer, and the centroid offsets (n, 2) px by occlusion at rest."""
         out = []
         for simulated in self.cameras:
-            watch = Watch(simulated.rest, simulated.camera, wall_back=WALL_BACK)
-            out.append((watch, sight_of(watch.look(simulated.rest), simulated.rest).offset_px))
+            renderer = IncrementalRenderer(
+                simulated.rest, simulated.camera, wall_setback=WALL_SETBACK
+            )
+            out.append(
+                (renderer, marker_state(renderer.render(simulated.rest), simulated.rest).offset_px)
+            )
         return out
 
     def _hiding(self, motion: FloatArray, bits: BoolArray) -> FloatArray:
         """How far what hides parts of a marker moves its centroid, over that at rest, (n, 2) px."""
         each = []
-        for simulated, (watch, rest) in zip(self.cameras, self._watches, strict=True):
+        for simulated, (renderer, rest) in zip(self.cameras, self._renderers, strict=True):
             scene = simulated.scene(motion, bits, follow=False)
-            each.append(sight_of(watch.look(scene), scene).offset_px - rest)
+            each.append(marker_state(renderer.render(scene), scene).offset_px - rest)
         return np.asarray(np.stack(each)[self.nominal.read_by, np.arange(self.count)])
 
     def _exposed(

@@ -16,7 +16,7 @@ from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.raster import rasterise
 from phytac_design.optics.render_scene import RenderScene, build_scene, red_owner
-from phytac_design.optics.visibility import Visibility, best_of, see
+from phytac_design.optics.visibility import Visibility, best_of, measure_visibility
 from phytac_design.simulation.expected_image import ExpectedView, colour_model, measure_expected
 from phytac_design.simulation.imaging.paint_centroids import PaintPoints
 from phytac_design.simulation.imaging.virtual_camera import bar_strip
@@ -54,7 +54,7 @@ def _look(sensor: Sensor, camera: Camera, *, alone: bool) -> tuple[Visibility, E
         build_scene(sensor, tolerance_mm=tolerance, switch_on=np.full(markers.count, state))
         for state in (False, True)
     )
-    seen = see(rest, on, camera, noise_std=0.0, rng=np.random.default_rng(0))
+    seen = measure_visibility(rest, on, camera, noise_std=0.0, rng=np.random.default_rng(0))
     away = camera.project(markers.tip_mm) if alone else np.nan
     red = red_owner(rasterise(on, camera).part)
     found = measure_expected(

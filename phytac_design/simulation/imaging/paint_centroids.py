@@ -73,7 +73,7 @@ class PaintPoints:
         self.pivots_mm = markers.mid_mm
         corners = self.scene.vertices[self.scene.triangles]
         # The end face looks along the axis, the band away from it.
-        axis = (markers.tip_mm - markers.foot_mm)[self.owner]
+        axis = (markers.tip_mm - markers.base_mm)[self.owner]
         axis /= np.linalg.norm(axis, axis=1, keepdims=True)
         arm = corners.mean(axis=1) - markers.tip_mm[self.owner]
         along = np.sum(arm * axis, axis=1, keepdims=True)

@@ -166,7 +166,7 @@ def _moved(sensor: Sensor, *, step_mm: FloatArray, taller_mm: FloatArray) -> Mar
             normal=normal,
             direction=direction,
             mid_mm=mid,
-            foot_mm=foot,
+            base_mm=foot,
             lattice=None,
         )
     if out is markers and not taller_mm.any():

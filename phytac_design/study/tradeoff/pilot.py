@@ -22,7 +22,7 @@ from phytac_design.engine.stage import Context
 from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
-from phytac_design.optics.loaded_visibility import UnderLoad, press_all
+from phytac_design.optics.loaded_visibility import LoadedVisibility, visibility_under_load
 from phytac_design.optics.render_scene import build_scene
 from phytac_design.solids.solid_mesh import shell_manifold
 from phytac_design.study.tradeoff.force import (
@@ -184,7 +184,7 @@ class VisibilityPilot:
                 continue
             tolerance = tolerance_mm(camera, markers)
             look = partial(
-                press_all,
+                visibility_under_load,
                 build_scene(
                     Sensor.of(error.design, error.surface, markers), tolerance_mm=tolerance
                 ),
@@ -222,7 +222,7 @@ def relative_clearance(
     return out
 
 
-def clearance_between(loaded: UnderLoad, rest: UnderLoad) -> FloatArray:
+def clearance_between(loaded: LoadedVisibility, rest: LoadedVisibility) -> FloatArray:
     """Clearance (n,) of each marker over all presses of one result, from one at rest."""
     return relative_clearance(
         loaded.least_fraction,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from phytac_design.engine.stage import Context
-from phytac_design.optics.loaded_visibility import UnderLoad
+from phytac_design.optics.loaded_visibility import LoadedVisibility
 from phytac_design.study.tradeoff.pilot import (
     built_clearance,
     clearance_between,
@@ -34,11 +34,11 @@ def test_undefined_gaps_are_ignored() -> None:
     assert relative_clearance(np.ones(2), (nothing,), (nothing,)).tolist() == [1.0, 1.0]
 
 
-def view(gap: float, fraction: float) -> UnderLoad:
+def view(gap: float, fraction: float) -> LoadedVisibility:
     """Two markers, the second as at rest."""
     one = np.ones(1)
     gaps = np.array([gap, 8.0])
-    return UnderLoad(
+    return LoadedVisibility(
         hidden=one.astype(np.int64), fused=one.astype(np.int64), press_gap_same_px=one,
         press_gap_other_px=one, press_crosstalk_px=one, shift_px=one, first_force_N=one,
         first_marker=one.astype(np.int64), least_fraction=np.array([fraction, 1.0]),
