@@ -39,8 +39,7 @@ def test_coarse_facets_are_no_other_shell(
     monkeypatch.setattr(cad, "write_step", lambda _, path, **__: path.write_text("STEP"))
     context: Any = SimpleNamespace(
         design=DESIGN,
-        surface=SURFACE,
-        markers=MARKERS,
+        sensor=Sensor.of(DESIGN, SURFACE, MARKERS),
         facts=lambda _: {"volume_mm3": printed},
         progress=lambda _: None,
     )

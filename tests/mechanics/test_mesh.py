@@ -110,6 +110,9 @@ def test_inverse_bilinear_map_of_any_convex_quad() -> None:
 
 def test_a_chart_that_turns_the_other_way_still_faces_outward() -> None:
     class Mirrored(Cylinder):
+        def point(self, uv: FloatArray, offset_mm: FloatArray | float = 0.0) -> FloatArray:
+            return super().point(uv * [1.0, -1.0], offset_mm)
+
         def normal(self, uv: FloatArray) -> FloatArray:
             return super().normal(uv * [1.0, -1.0])
 

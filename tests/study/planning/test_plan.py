@@ -1,6 +1,7 @@
 """Plans: what runs, why, at what cost; estimator, camera, theory and fixtures chosen."""
 
 import json
+from pathlib import Path
 
 import pytest
 import typer
@@ -29,7 +30,8 @@ def actions(plan: BuildPlan) -> dict[str, str]:
     return {row.stage: row.action for row in plan.rows}
 
 
-def test_every_stage_has_its_line() -> None:
+def test_every_stage_has_its_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PHYTAC_CACHE", str(tmp_path))  # what others built would not run
     plan = planned(small(), load_scene("occlusion"))
     assert [row.stage for row in plan.rows] == [stage.name for stage in STAGES]
     found = actions(plan)
