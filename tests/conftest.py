@@ -69,7 +69,7 @@ NEEDS_CAD = (
 
 
 SLOW_FILES = frozenset((Path(__file__).parent / "slow_files.txt").read_text().split())
-"""Test files of more than four seconds on the development machine; `make check` leaves them out."""
+"""Test files of more than three seconds on two cores; `make check` leaves them out."""
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
