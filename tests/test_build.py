@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -15,9 +16,11 @@ from phytac_decoder.pipeline.decode import measure_frame, read_image, rest_posit
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design, parse_design, to_toml
 from phytac_design.engine import cache
+from phytac_design.engine.stage import Context
 from phytac_design.layout import make_markers
 from phytac_design.stages import STAGES
 from phytac_design.stages.build import BuildResult, build
+from phytac_design.stages.shell_stage import run_shell
 from phytac_shapes.errors import (
     CadKernelError,
     DesignError,
@@ -258,6 +261,20 @@ def test_interrupted_build_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert result.cached == ("shell",)
     assert result.ran == ("step",)
     assert not [p for p in (tmp_path / "cache").rglob(".*") if p.is_dir()]
+
+
+def test_without_lib3mf_only_the_3mf_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on Linux on ARM, which lib3mf has no wheel for."""
+    monkeypatch.setitem(sys.modules, "lib3mf", None)
+    reports: list[str] = []
+    context = Context(design=small(), accuracy=PRESETS["draft"], seed=0, progress=reports.append)
+    run_shell(context, tmp_path)
+    files = {path.name for path in tmp_path.rglob("*") if path.is_file()}
+    assert files == {"shell.stl", "facts.json"}
+    assert any("3MF left out (lib3mf is not installed" in report for report in reports)
+    assert "lib3mf" in json.loads((tmp_path / "facts.json").read_text())["3mf_left_out"]
 
 
 def test_without_graphics_libraries_only_the_step_is_left_out(

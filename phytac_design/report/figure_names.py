@@ -72,6 +72,7 @@ NAMES: dict[str, str] = {
     "shell.step_volume_mm3": "volume of the STEP solid (mm³)",
     "shell.step_valid": "STEP solid is valid",
     "shell.step_solids": "solids in the STEP file",
+    "shell.3mf_left_out": "why there is no 3MF file",
     "shell.step_left_out": "why there is no STEP file",
     "shell.volume_difference": "volume of the STL over the STEP's, less 1",
     "switch.red.worst_marker": "marker with the worst readable tip",

@@ -97,6 +97,8 @@ def _printed(shell: Mapping[str, Any], facts: Mapping[str, Any]) -> list[Finding
         out.append(Finding("printed", "bad", text))
     if not missing(shell.get("step_left_out")):
         out.append(Finding("printed", "odd", f"no STEP file: {shell['step_left_out']}"))
+    if not missing(shell.get("3mf_left_out")):
+        out.append(Finding("printed", "odd", f"no 3MF file: {shell['3mf_left_out']}"))
     return out
 
 

@@ -12,7 +12,10 @@ FINE_mm = 0.005
 
 
 def run_shell(context: Context, folder: Path) -> None:
-    """Write ``shell/shell.stl`` and ``shell/shell.3mf`` and the shell's facts."""
+    """Write ``shell/shell.stl`` and ``shell/shell.3mf`` and the shell's facts.
+
+    Where lib3mf is not installed, the 3MF file is left out and the facts give the reason.
+    """
     from phytac_design.solids.mesh_export import write_3mf, write_stl
     from phytac_design.solids.mesh_facts import shell_facts
     from phytac_design.solids.solid_mesh import painted_manifolds, shell_manifold, to_triangles
@@ -25,7 +28,14 @@ def run_shell(context: Context, folder: Path) -> None:
     context.progress("shell: painted bodies")
     painted = painted_manifolds(context.sensor, tolerance_mm=tolerance)
     bodies = {name: to_triangles(body) for name, body in painted.items()}
-    write_3mf(bodies, export_path(folder, "shell/shell.3mf"), name=design.name)
+    try:
+        write_3mf(bodies, export_path(folder, "shell/shell.3mf"), name=design.name)
+    except ModuleNotFoundError as error:
+        if error.name != "lib3mf":
+            raise
+        reason = "lib3mf is not installed; it has no wheel for Linux on ARM"
+        context.progress(f"shell: 3MF left out ({reason})")
+        facts["3mf_left_out"] = reason
     facts["body_volume_mm3"] = {name: body.volume() for name, body in painted.items()}
     write_facts(folder, facts)
 
