@@ -170,7 +170,7 @@ EXTRAS = {
         "pyrender scipy tomlkit trimesh yaml"
     ),
     "solid": "gmsh",
-    "train": "onnx torch",
+    "train": "onnx",
     "study": "dask distributed optuna",
     "studio": "starlette uvicorn",
 }
