@@ -126,7 +126,7 @@ def meshes(env: Environment, _: Path) -> str:
 
 def learns(env: Environment, built: Path) -> str:
     """Export the network of a decoder as ONNX."""
-    return env.phytac("export-onnx", str(built / "decoder"))
+    return env.phytac("export-onnx", str(built / "decoder"), "network.onnx")
 
 
 def searches(env: Environment, _: Path) -> str:
