@@ -26,7 +26,8 @@ from benchmarks import (
 )
 from benchmarks.harness import Table, run_parts
 from phytac_decoder.io.bundle import Bundle, load_bundle
-from phytac_decoder.pipeline.decode import read_image, rest_positions
+from phytac_decoder.io.recorded_frames import read_image
+from phytac_decoder.pipeline.decode import rest_positions
 from phytac_design.design.design_file import load_design
 from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor

@@ -12,7 +12,8 @@ from benchmarks.decoder_stream_clients import READERS, clients
 from benchmarks.harness import Table
 from phytac_decoder.io.bundle import Bundle, load_bundle
 from phytac_decoder.io.frame import Frame, Source
-from phytac_decoder.pipeline.decode import read_image, rest_positions
+from phytac_decoder.io.recorded_frames import read_image
+from phytac_decoder.pipeline.decode import rest_positions
 from phytac_decoder.pipeline.frame_reading import Reading
 from phytac_decoder.serving.force_server import ClientLimits, StreamServer
 from phytac_decoder.serving.sensor_loop import Decode, Stream, frame_decoder

@@ -17,8 +17,9 @@ from benchmarks import twin_detection, twin_engine, twin_theory
 from benchmarks.harness import Table, run_parts
 from benchmarks.referee.contacts import COUNTS
 from benchmarks.referee.read import Solved, data_file, read_solved
-from benchmarks.referee.solve import Sensor, sensor
+from benchmarks.referee.solve import sensor
 from phytac_design.design.accuracy import PRESETS
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
 from phytac_design.mechanics.meshing.mesh import ShellMesh
 from phytac_design.mechanics.shell.pressure import Holes, indentation_loads

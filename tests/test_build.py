@@ -12,7 +12,8 @@ import pytest
 
 from phytac_decoder.estimation.estimators import ESTIMATORS
 from phytac_decoder.io.bundle import load_bundle
-from phytac_decoder.pipeline.decode import measure_frame, read_image, rest_positions
+from phytac_decoder.io.recorded_frames import read_image
+from phytac_decoder.pipeline.decode import measure_frame, rest_positions
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design, parse_design, to_toml
 from phytac_design.engine import cache

@@ -8,7 +8,8 @@ import pytest
 from benchmarks.decoder_moving import FPS, FRAMES, HIT_S, add_film, forces, job
 from benchmarks.harness import Table
 from phytac_decoder.io.bundle import load_bundle
-from phytac_decoder.pipeline.decode import measure_frame, read_image
+from phytac_decoder.io.recorded_frames import read_image
+from phytac_decoder.pipeline.decode import measure_frame
 from phytac_design.stages.build import BuildResult
 from tests.designs import small
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from phytac_decoder.pipeline.decode import read_image
+from phytac_decoder.io.recorded_frames import read_image
 from phytac_design.cli.app import app
 from phytac_design.core.journal import Journal
 from phytac_design.datasets.samples import STATUSES, Samples

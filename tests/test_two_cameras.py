@@ -10,7 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from phytac_decoder.io.bundle import Bundle, load_bundle
-from phytac_decoder.pipeline.decode import Frames, measure_frame, read_image, rest_positions
+from phytac_decoder.io.recorded_frames import read_image
+from phytac_decoder.pipeline.decode import Frames, measure_frame, rest_positions
 from phytac_design.cli.app import app
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design

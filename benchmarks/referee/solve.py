@@ -8,7 +8,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import cache
 from importlib.metadata import version
 from multiprocessing import get_context
@@ -22,10 +22,9 @@ from benchmarks.referee.contacts import COUNTS, Contact, load_contacts
 from benchmarks.referee.read import Solved, data_file, read_solved, sensor_hash, write_solved
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design
-from phytac_design.layout import Markers, make_markers
+from phytac_design.layout.sensor import Sensor
 from phytac_design.mechanics.solid.load import solid_patch_load
 from phytac_design.mechanics.solid.solid_mesh_tets import SolidSizes
-from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import NumericalError, PhytacError
 from verification.calculix import ccx_version, read_convergence, run_ccx, write_reference_inp
@@ -43,21 +42,10 @@ REACHES = (1.0, 1.06, 0.94, 1.12)
 """Shares of the region with true receptors that are tried in turn."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sensor:
-    """A design with what follows from it."""
-
-    design: Design
-    surface: Surface
-    markers: Markers
-
-
 @cache
 def sensor(name: str) -> Sensor:
     """Sensor of a shipped design."""
-    design = load_design(name)
-    surface = design.surface()
-    return Sensor(design=design, surface=surface, markers=make_markers(design, surface))
+    return Sensor(load_design(name))
 
 
 def sizes_for(design: Design, contact: Contact) -> PartSizes:

@@ -77,7 +77,9 @@ def _print_check(report: dict[str, Any]) -> None:
         )
     for key, value in seen.items():
         typer.echo(f"  {key:26s} {value:g}")
-    verdict = "every marker is seen and told apart" if report["clear"] else report["advice"]
+    verdict = (
+        "every marker is visible and can be distinguished" if report["clear"] else report["advice"]
+    )
     blind = report["visibility"].get("switch_unreadable", 0)
     if blind:
         verdict += f"; {blind} switches cannot be read"

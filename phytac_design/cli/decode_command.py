@@ -104,8 +104,9 @@ def _decode_frame(
     """One frame of each camera, in full."""
     from phytac_decoder.estimation.force_regions import RegionForces
     from phytac_decoder.io.bundle import load_bundle
+    from phytac_decoder.io.recorded_frames import read_image
     from phytac_decoder.pipeline.colour_calibration import calibrate_rest
-    from phytac_decoder.pipeline.decode import measure_frame, read_image
+    from phytac_decoder.pipeline.decode import measure_frame
     from phytac_decoder.pipeline.frame_reading import marker_loads, read
     from phytac_decoder.serving.sensor_loop import check_estimator
 

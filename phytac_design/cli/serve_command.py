@@ -329,7 +329,7 @@ def rest_images(
         If both are given, or they cannot be read.
     """
     from phytac_decoder.io.frame_sources import first_frames
-    from phytac_decoder.pipeline.decode import read_image
+    from phytac_decoder.io.recorded_frames import read_image
 
     if rest and first:
         raise InputError("--rest and --rest-first name the unloaded sensor both; give one of them")

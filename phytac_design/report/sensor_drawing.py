@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from phytac_decoder.pipeline.decode import read_image
+from phytac_decoder.io.recorded_frames import read_image
 from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.geometry import flat_map
 from phytac_design.report import page, report_figures

@@ -12,8 +12,9 @@ from phytac_decoder.estimation.contact_estimates import ContactDetection, Locate
 from phytac_decoder.estimation.estimators import ForceModel
 from phytac_decoder.estimation.force_regions import Region
 from phytac_decoder.io.bundle import Bundle, load_bundle
+from phytac_decoder.io.recorded_frames import read_image
 from phytac_decoder.pipeline import frame_reading as reading_module
-from phytac_decoder.pipeline.decode import FrameMeasurement, measure_frame, read_image
+from phytac_decoder.pipeline.decode import FrameMeasurement, measure_frame
 from phytac_decoder.pipeline.fault_detection import FaultSettings
 from phytac_decoder.pipeline.frame_reading import Reading, read
 from phytac_decoder.serving.csv_recording import Recorder

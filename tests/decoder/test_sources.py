@@ -12,8 +12,7 @@ import pytest
 from phytac_decoder.io import live_camera
 from phytac_decoder.io.frame import Frame, Source
 from phytac_decoder.io.frame_sources import RecordingSource, first_frames, open_source
-from phytac_decoder.io.recorded_frames import ImageFolder
-from phytac_decoder.pipeline.decode import read_image
+from phytac_decoder.io.recorded_frames import ImageFolder, read_image
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
 

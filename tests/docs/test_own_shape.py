@@ -92,7 +92,7 @@ def test_the_commands_know_it(checkout: Path) -> None:
     assert "diameter_middle_mm = …  # required" in page.stdout
     seen = phytac(checkout, *own[1])
     assert "keg: 96 markers" in seen.stdout, seen.stderr
-    assert "every marker is seen and told apart" in seen.stdout
+    assert "every marker is visible and can be distinguished" in seen.stdout
     built = phytac(checkout, *own[3], "--only", "shell,mesh")
     assert built.returncode == 0, built.stderr
     made = checkout / "exports" / "keg"

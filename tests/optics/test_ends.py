@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from phytac_decoder.io.bundle import load_bundle
-from phytac_decoder.pipeline.decode import measure_frame, read_image, rest_positions
+from phytac_decoder.io.recorded_frames import read_image
+from phytac_decoder.pipeline.decode import measure_frame, rest_positions
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import load_design
 from phytac_design.design.spec import Design

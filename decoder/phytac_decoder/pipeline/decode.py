@@ -7,7 +7,6 @@ import numpy as np
 
 from phytac_decoder.estimation.contact_estimates import ContactDetection
 from phytac_decoder.io.bundle import Bundle
-from phytac_decoder.io.recorded_frames import read_image as read_image  # noqa: PLC0414 - also offered here
 from phytac_decoder.io.sensor_limits import id_list, markers_in_play, scene_words
 from phytac_decoder.pipeline.fault_detection import FaultDetector
 from phytac_decoder.vision.matching import Matched, fill_from_neighbours, match_markers

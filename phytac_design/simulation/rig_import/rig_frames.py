@@ -7,8 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from phytac_decoder.io.recorded_frames import STAMP_NS, STAMP_S, SUFFIXES
-from phytac_decoder.pipeline.decode import read_image
+from phytac_decoder.io.recorded_frames import STAMP_NS, STAMP_S, SUFFIXES, read_image
 from phytac_design.simulation.rig_import.rig_log import RigLog, RowProblems
 from phytac_shapes.arrays import FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from phytac_decoder.io.bundle import Bundle
+from phytac_decoder.io.recorded_frames import read_image
 from phytac_decoder.pipeline.decode import (
     FOUND_WELL,
     CAMERA_SHIFT_MAX_px,
     FrameMeasurement,
     locate_markers,
     measure_frame,
-    read_image,
     rest_positions,
 )
 from phytac_decoder.vision.segmentation import check_image
