@@ -12,13 +12,9 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 from phytac_shapes.errors import MissingPartError
 
-PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
-FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 WAIT_MS = 120_000
 DESKTOP, PHONE = (1280, 900), (390, 844)
 PAINT = "performance.getEntriesByName('first-contentful-paint')[0].startTime / 1000"
-DRAWN = "performance.now() / 1000"
-TURNS = 20
 TURN = """async turns => {
   const { shell } = document.querySelector('.explorer').explorer, holder = shell.canvas.parentNode;
   const start = performance.now();
@@ -33,7 +29,7 @@ TURN = """async turns => {
 
 @dataclass(kw_only=True)
 class PageMetrics:
-    """What a browser made of a page.
+    """Measurements of a page in a browser.
 
     Attributes
     ----------
@@ -42,15 +38,15 @@ class PageMetrics:
     turn_ms : float
         A turn of the shell, until it is drawn.
     errors, foreign : list of str
-        Errors on the console, and addresses outside of the page that were requested.
+        Errors on the console, and requested addresses outside of the page.
     serious : list of str
         Rules of axe-core that it breaks seriously or critically.
     wide_px : int
-        How much wider it is than the window.
+        Excess of its width over the window's.
     """
 
-    paint_s: float
-    ready_s: float
+    paint_s: float = 0.0
+    ready_s: float = 0.0
     turn_ms: float = 0.0
     errors: list[str] = field(default_factory=list)
     foreign: list[str] = field(default_factory=list)
@@ -67,45 +63,59 @@ def chromium() -> Iterator[Browser]:
     MissingPartError
         If there is none.
     """
-    program = next(filter(None, map(shutil.which, PROGRAMS)), None)
+    names = ("chromium", "chromium-browser", "google-chrome")
+    program = next(filter(None, map(shutil.which, names)), None)
     if program is None:
         raise MissingPartError("no Chromium on this machine; tools/system-packages.sh installs it")
+    flags = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
     with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=program, args=FLAGS)
+        browser = driver.chromium.launch(executable_path=program, args=flags)
         yield browser
         browser.close()
+
+
+@contextmanager
+def opened(browser: Browser, url: str, size: tuple[int, int]) -> Iterator[tuple[Page, PageMetrics]]:
+    """Open an address in a window of its own; its errors and requests are recorded."""
+    context = browser.new_context(viewport={"width": size[0], "height": size[1]})
+    context.set_default_timeout(WAIT_MS)
+    page = context.new_page()
+    seen = PageMetrics()
+    page.on("console", lambda m: seen.errors.append(m.text) if m.type == "error" else None)
+    page.on("pageerror", lambda error: seen.errors.append(str(error)))
+
+    def note(request: Any) -> None:
+        if not request.url.startswith((url, "data:", "blob:")):
+            seen.foreign.append(request.url)
+
+    page.on("request", note)
+    page.goto(url, timeout=WAIT_MS)
+    yield page, seen
+    context.close()
 
 
 @contextmanager
 def shown(
     browser: Browser, path: Path, size: tuple[int, int]
 ) -> Iterator[tuple[Page, PageMetrics]]:
-    """Open a page from disk in a window of its own; its errors and requests are noted."""
-    context = browser.new_context(viewport={"width": size[0], "height": size[1]})
-    context.set_default_timeout(WAIT_MS)
-    page = context.new_page()
-    seen = PageMetrics(paint_s=0.0, ready_s=0.0)
-    own = path.resolve().as_uri()
-    page.on("console", lambda m: seen.errors.append(m.text) if m.type == "error" else None)
-    page.on("pageerror", lambda error: seen.errors.append(str(error)))
-
-    def note(request: Any) -> None:
-        if not request.url.startswith((own, "data:", "blob:")):
-            seen.foreign.append(request.url)
-
-    page.on("request", note)
-    page.goto(own, timeout=WAIT_MS)
-    page.wait_for_selector("html[data-ready]", state="attached")
-    seen.ready_s = float(page.evaluate(DRAWN))
-    seen.paint_s = float(page.evaluate(PAINT))
-    yield page, seen
-    context.close()
+    """Open a report from disk until all its scripts are done."""
+    with opened(browser, path.resolve().as_uri(), size) as (page, seen):
+        page.wait_for_selector("html[data-ready]", state="attached")
+        seen.ready_s = float(page.evaluate("performance.now() / 1000"))
+        seen.paint_s = float(page.evaluate(PAINT))
+        yield page, seen
 
 
-def look(browser: Browser, path: Path, size: tuple[int, int] = DESKTOP) -> PageMetrics:
-    """Open a page, use all of it, and judge it."""
+def serious_findings(page: Page) -> list[str]:
+    """Rules of axe-core that a page breaks seriously or critically."""
+    found = Axe().run(page).response["violations"]
+    return [rule["id"] for rule in found if rule["impact"] in {"serious", "critical"}]
+
+
+def inspect(browser: Browser, path: Path, size: tuple[int, int] = DESKTOP) -> PageMetrics:
+    """Open a report and use all its controls."""
     with shown(browser, path, size) as (page, seen):
-        seen.turn_ms = float(page.evaluate(TURN, TURNS))
+        seen.turn_ms = float(page.evaluate(TURN, 20))
         select = page.get_by_label("Colour by").first
         for option in select.locator("option").all():
             select.select_option(str(option.get_attribute("value")))
@@ -116,15 +126,5 @@ def look(browser: Browser, path: Path, size: tuple[int, int] = DESKTOP) -> PageM
             summary.click()
         wide = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
         seen.wide_px = max(int(wide), 0)
-        found = Axe().run(page).response["violations"]
-        seen.serious = [rule["id"] for rule in found if rule["impact"] in {"serious", "critical"}]
+        seen.serious = serious_findings(page)
     return seen
-
-
-def paints_s(browser: Browser, path: Path, times: int) -> list[float]:
-    """Seconds to the first contentful paint of fresh windows, sorted."""
-    found = []
-    for _ in range(times):
-        with shown(browser, path, DESKTOP) as (_, seen):
-            found.append(seen.paint_s)
-    return sorted(found)

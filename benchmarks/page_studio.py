@@ -1,7 +1,6 @@
-"""The studio in a browser: how fast views follow controls, saving, a build with its report."""
+"""The studio in a browser: latency of the views, saving, a build with its report."""
 
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -14,20 +13,16 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Table
+from benchmarks.page_browser import DESKTOP, chromium, opened, serious_findings
 from phytac_design.design.design_file import load_design
 
-NAMES = ("chromium", "chromium-browser", "google-chrome")
-SOFTWARE_GL = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 START = (
     "import typer; from phytac_design.cli.studio_command import studio; typer.run(studio)",
     "cylinder60",
     "--no-browser",
 )
-MOVES = 60
-DRAGS = 10
 STEPS = 40
 """Moves of a slider in a drag, a frame (16 ms) apart."""
-PATIENCE_MS = 120_000.0
 FIELDS: dict[str, tuple[float, float]] = {
     "spiral angle (°)": (30.0, 60.0),
     "diameter outer (mm)": (56.0, 66.0),
@@ -36,7 +31,7 @@ FIELDS: dict[str, tuple[float, float]] = {
     "height far (mm)": (8.0, 12.0),
     "focal (px)": (900.0, 1100.0),
 }
-"""Controls that are moved, and how far."""
+"""Controls that are moved, and their ranges."""
 DRAG = """async ([path, low, high, steps]) => {
   const slider = document.querySelector(`[data-path='${path}'] input[type=range]`);
   const before = studio.live.times.length;
@@ -68,48 +63,34 @@ def running(root: Path) -> Iterator[str]:
 
 
 def studio(table: Table, quick: bool) -> None:
-    """Move controls of `cylinder60`, save it, build it as a draft; what the page asks and says."""
-    from playwright.sync_api import sync_playwright
-
-    program = next(filter(None, map(shutil.which, NAMES)), None)
+    """Move controls of `cylinder60`, save it, build a draft; errors and requests of the page."""
     with (
         tempfile.TemporaryDirectory() as name,
         running(Path(name)) as url,
-        sync_playwright() as driver,
+        chromium() as browser,
     ):
-        browser = driver.chromium.launch(executable_path=program, args=SOFTWARE_GL)
-        page = browser.new_page(viewport={"width": 1280, "height": 900})
-        page.set_default_timeout(PATIENCE_MS)
-        wrong: list[str] = []
-        asked: list[str] = []
-        page.on("console", lambda m: wrong.append(m.text) if m.type == "error" else None)
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.on("request", lambda request: asked.append(request.url))
         start = time.perf_counter()
-        page.goto(url)
-        _state(page, "checked")
-        row = "studio: from the page's address to the first checked design"
-        source = "cylinder60, compiled loops loaded on the way"
-        table.add(row, time.perf_counter() - start, "s", "none", source)
-        _moves(table, page, 12 if quick else MOVES)
-        _drags(table, page, 3 if quick else DRAGS)
-        # Back to a design that every stage of a build accepts.
-        page.evaluate("while (studio.model.past.length) studio.model.undo()")
-        page.evaluate("studio.model.set('layout.spiral_angle_deg', 50)")
-        _state(page, "checked")
-        _save(table, page, Path(name))
-        _build(table, page, "small" if quick else "cylinder60")
-        own = (url, "data:", "blob:")
-        foreign = [address for address in asked if not address.startswith(own)]
-        for what, found in (("console errors", wrong), ("outside requests", foreign)):
-            row = f"studio: {what}"
-            source = "project target"
-            note = "; ".join(list(dict.fromkeys(found))[:3])
-            table.add(
-                row, len(found), "errors" if found is wrong else "requests", 0, source, "== 0", note
-            )
-        _axe(table, page)
-        browser.close()
+        with opened(browser, url, DESKTOP) as (page, seen):
+            _state(page, "checked")
+            row = "studio: from the page's address to the first checked design"
+            source = "cylinder60, compiled loops loaded on the way"
+            table.add(row, time.perf_counter() - start, "s", "none", source)
+            _moves(table, page, 12 if quick else 60)
+            _drags(table, page, 3 if quick else 10)
+            # Back to a design that every stage of a build accepts.
+            page.evaluate("while (studio.model.past.length) studio.model.undo()")
+            page.evaluate("studio.model.set('layout.spiral_angle_deg', 50)")
+            _state(page, "checked")
+            _save(table, page, Path(name))
+            _build(table, page, "small" if quick else "cylinder60")
+            for what, unit, found in (
+                ("console errors", "errors", seen.errors),
+                ("outside requests", "requests", seen.foreign),
+                ("serious findings of axe-core", "findings", serious_findings(page)),
+            ):
+                note = "; ".join(list(dict.fromkeys(found))[:3])
+                row = f"studio: {what}"
+                table.add(row, len(found), unit, 0, "project target", "== 0", note)
 
 
 def _state(page: Any, state: str) -> None:
@@ -117,7 +98,7 @@ def _state(page: Any, state: str) -> None:
 
 
 def _moves(table: Table, page: Any, moves: int) -> None:
-    """One change at a time, each drawn before the next, some while the check still runs."""
+    """One change at a time, each drawn before the next one."""
     rng = np.random.default_rng(0)
     before = page.evaluate("studio.live.times.length")
     names = list(FIELDS)
@@ -137,7 +118,7 @@ def _moves(table: Table, page: Any, moves: int) -> None:
 
 
 def _drags(table: Table, page: Any, drags: int) -> None:
-    """A slider drawn to and fro: how long after the last move all is drawn, and what is between."""
+    """A slider moved to and fro: latency after the last move, and views drawn meanwhile."""
     late, drawn = [], []
     for drag in range(drags):
         ends = (40.0, 55.0) if drag % 2 else (55.0, 40.0)
@@ -177,9 +158,9 @@ def _build(table: Table, page: Any, what: str) -> None:
     start = time.perf_counter()
     page.get_by_role("button", name="Build", exact=True).click()
     page.locator("#build-state:not(:empty)").wait_for(timeout=1_200_000.0)
-    said = page.locator("#build-state").inner_text()
+    state = page.locator("#build-state").inner_text()
     shown = 0
-    if "is built" in said:
+    if "is built" in state:
         frame = page.frame_locator("#report iframe")
         frame.locator("h1").first.wait_for()
         shown = int(frame.locator("h1").first.inner_text() != "")
@@ -188,13 +169,4 @@ def _build(table: Table, page: Any, what: str) -> None:
     table.add(row, time.perf_counter() - start, "s", "none", source)
     row = "studio: the build's report shows"
     source = "heading of the report in its frame"
-    table.add(row, shown, "true", 1, source, "== 1", "" if shown else said)
-
-
-def _axe(table: Table, page: Any) -> None:
-    from axe_playwright_python.sync_playwright import Axe
-
-    found = Axe().run(page).response["violations"]
-    serious = [item["id"] for item in found if item["impact"] in {"serious", "critical"}]
-    row = "studio: serious findings of axe-core"
-    table.add(row, len(serious), "findings", 0, "axe-core, all rules", "== 0", ", ".join(serious))
+    table.add(row, shown, "true", 1, source, "== 1", "" if shown else state)

@@ -1,4 +1,4 @@
-"""Spoilt files of every kind: only ``PhytacError`` comes out, soon and in little memory."""
+"""Malformed files of every kind: only ``PhytacError`` is raised, soon and in little memory."""
 
 import json
 import time
@@ -9,9 +9,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from benchmarks.page_fuzz import InputFolder, fault_of, little_memory, read_inputs
-from benchmarks.page_fuzz_change import json_text, toml_text
-from benchmarks.page_fuzz_readers import READERS, shipped
 from phytac_decoder.estimation.force_regions import load_regions
 from phytac_decoder.io.bundle import load_bundle, save_bundle
 from phytac_decoder.serving.wire_protocol import MessageSplitter
@@ -20,6 +17,9 @@ from phytac_design.design.scene import load_scene
 from phytac_design.simulation.scenario.scenario_file import load_scenario
 from phytac_design.study.search.study_file import load_study
 from phytac_shapes.errors import InputError
+from tests.fuzz.corruption import json_text, toml_text
+from tests.fuzz.judge import InputFolder, fault_of, little_memory, read_inputs
+from tests.fuzz.readers import READERS, shipped
 from verification.test_readers import bundle
 
 TABLES = {
@@ -41,7 +41,7 @@ VALUES = st.recursive(
     max_leaves=6,
 )
 ONCE = {"dataset": (166, 230), "calibration": (2427,), "regions": (1404,), "logs": (60,)}
-"""Inputs of the long run that were faults once."""
+"""Inputs of the long run that were faults once; a new one is repeated by adding its number."""
 QUIET = settings(
     deadline=None,
     derandomize=True,
@@ -51,14 +51,13 @@ QUIET = settings(
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_spoilt_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
+def test_malformed_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
     """The first inputs of the long run (``python -m benchmarks.page --parts fuzz``)."""
-    reader, place = READERS[name](), InputFolder(tmp_path)
-    tally = read_inputs(name, reader, range(120), place)
-    for number in ONCE.get(name, ()):
-        assert read_inputs(name, reader, range(number, number + 1), place).faults == []
-    assert tally.faults == []
-    assert min(tally.read, tally.refused) >= 5
+    place = InputFolder(tmp_path)
+    counts = read_inputs(name, range(120), place)
+    assert read_inputs(name, ONCE.get(name, ()), place).faults == []
+    assert counts.faults == []
+    assert min(counts.read, counts.refused) >= 5
 
 
 @pytest.mark.parametrize("kind", TABLES)
@@ -141,7 +140,7 @@ def test_what_a_reader_must_not_do_is_found(tmp_path: Path) -> None:
 
 
 def test_what_was_slow_once_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("benchmarks.page_fuzz.SECONDS_MAX", 0.1)
+    monkeypatch.setattr("tests.fuzz.judge.SECONDS_MAX", 0.1)
     turns: list[int] = []
 
     def slow() -> None:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.page_fuzz import fault_of, little_memory, little_time
 from phytac_decoder.estimation.force_regions import load_regions
 from phytac_decoder.io.bundle import load_bundle, save_bundle
 from phytac_design.datasets.samples_reader import read_samples
@@ -29,6 +28,7 @@ from phytac_design.workflows.design_from_step import patch_changes
 from phytac_shapes.bounded_reader import LETTERS_MAX, joined, read_bytes, read_text, toml_table
 from phytac_shapes.errors import InputError, PhytacError
 from tests.designs import small
+from tests.fuzz.judge import fault_of, little_memory, little_time
 from verification.test_readers import bundle
 
 READ: dict[str, Callable[[Path], Any]] = {

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from benchmarks.page_fuzz import little_time
 from phytac_design.design.design_file import load_design, parse_design, shipped_designs
 from phytac_design.studio.files import ConfirmationError, ProjectFolder, edited
 from phytac_shapes.errors import DesignError, InputError, OutputError
+from tests.fuzz.judge import little_time
 from tests.studio.place import DESIGN, Client
 
 Json = dict[str, Any]

@@ -1,4 +1,4 @@
-"""Readers of files from elsewhere, each with sound files to begin from, for ``page_fuzz``."""
+"""Every reader of user files, each with valid files to start from."""
 
 import json
 import random
@@ -13,12 +13,12 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from benchmarks.page_fuzz_change import changed, changed_table, json_text, toml_text
+from tests.fuzz.corruption import changed, changed_table, json_text, toml_text
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "phytac_design" / "data"
 TABLES = 0.6
-"""Share of inputs whose values are changed, rather than their bytes."""
+"""Share of inputs with changed values; the others have changed bytes."""
 
 Files = dict[str, bytes]
 
@@ -30,22 +30,19 @@ class Reader:
     Attributes
     ----------
     make : callable
-        From a generator to the files of an input, by name.
+        Random generator to the files of an input, by name.
     read : callable
-        Reads them in a folder.
-    weight : int
-        Its inputs in every thousand of all.
+        Reads them from a folder.
     """
 
     make: Callable[[random.Random], Files]
     read: Callable[[Path], Any]
-    weight: int
 
 
 def texts(
     name: str, seeds: Sequence[bytes], *, parse: Any = None, write: Any = None
 ) -> Callable[[random.Random], Files]:
-    """Inputs of one file; where it can be parsed and written, mostly with values changed."""
+    """Inputs of one file; with ``parse`` and ``write``, mostly by changed values."""
     tables = [parse(seed.decode()) for seed in seeds] if parse else []
 
     def make(rng: random.Random) -> Files:
@@ -57,7 +54,7 @@ def texts(
 
 
 def shipped(kind: str) -> list[bytes]:
-    """TOML files that come with the package."""
+    """TOML files of the package."""
     return [path.read_bytes() for path in sorted((PACKAGE / kind).glob("*.toml"))]
 
 
@@ -68,7 +65,7 @@ def _toml(name: str, seeds: list[bytes]) -> Callable[[random.Random], Files]:
 def _design() -> Reader:
     from phytac_design.design.design_file import load_design
 
-    # The points of a patch are 80 kB that say one thing.
+    # 80 kB of points of a patch would take most of the changes.
     small = [seed for seed in shipped("designs") if len(seed) < 20_000]
     regions = b'\n[[regions]]\nname = "tip"\nmarkers = [0, 1]\n'
     body = (
@@ -76,35 +73,35 @@ def _design() -> Reader:
     )
     seeds = [*small, small[0] + regions, small[0] + body + b"to_mm = [0, 0, 9]\n"]
     make = _toml("x.toml", seeds)
-    return Reader(make=make, read=lambda at: load_design(str(at / "x.toml")), weight=60)
+    return Reader(make=make, read=lambda at: load_design(str(at / "x.toml")))
 
 
-def _tables(kind: str, load: Callable[[str], Any], weight: int) -> Reader:
-    """Reader of TOML files of a kind that ships with the package."""
+def _tables(kind: str, load: Callable[[str], Any]) -> Reader:
+    """Reader of a kind of TOML file that the package contains."""
     make = _toml("x.toml", shipped(kind))
-    return Reader(make=make, read=lambda at: load(str(at / "x.toml")), weight=weight)
+    return Reader(make=make, read=lambda at: load(str(at / "x.toml")))
 
 
 def _study() -> Reader:
     from phytac_design.study.search.study_file import load_study
 
-    return _tables("studies", load_study, 60)
+    return _tables("studies", load_study)
 
 
 def _scene() -> Reader:
     from phytac_design.design.scene import load_scene
 
-    return _tables("scenes", load_scene, 80)
+    return _tables("scenes", load_scene)
 
 
 def _scenario() -> Reader:
     from phytac_design.simulation.scenario.scenario_file import load_scenario
 
-    return _tables("scenarios", load_scenario, 80)
+    return _tables("scenarios", load_scenario)
 
 
 def _folder_of(write: Callable[[Path], Any]) -> Files:
-    """Files that something writes into a folder."""
+    """Files that ``write`` leaves in a folder."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as name:
@@ -136,7 +133,7 @@ def _dataset() -> Reader:
             files["samples.npz"] = _changed_zip(rng, files["samples.npz"])
         else:
             table = changed_table(rng, table)
-        # Sums are made right again, or nothing behind them would ever be reached.
+        # Corrected checksums, or no code after their check would be reached.
         file = {
             "bytes": len(files["samples.npz"]),
             "sha256": sha256(files["samples.npz"]).hexdigest(),
@@ -149,11 +146,11 @@ def _dataset() -> Reader:
             return files | {"dataset.json": json_text(table)}
         return files | {"dataset.json": json_text(table)}
 
-    return Reader(make=make, read=read_samples, weight=50)
+    return Reader(make=make, read=read_samples)
 
 
 def _changed_zip(rng: random.Random, data: bytes) -> bytes:
-    """A zip whose members were changed, renamed, doubled, lost, or say what they are not."""
+    """A zip with changed, renamed, missing or mislabelled members."""
     with zipfile.ZipFile(BytesIO(data)) as file:
         members = {name: file.read(name) for name in file.namelist()}
     name = rng.choice(sorted(members))
@@ -211,11 +208,11 @@ def _bundle() -> Reader:
         text = json_text(_changed_head(rng, head))
         return seed | {"bundle.safetensors": struct.pack("<Q", len(text)) + text + body}
 
-    return Reader(make=make, read=load_bundle, weight=130)
+    return Reader(make=make, read=load_bundle)
 
 
 def _changed_head(rng: random.Random, head: dict[str, Any]) -> dict[str, Any]:
-    """A header of safetensors with other types, shapes and places of its arrays."""
+    """A header of safetensors with other types, shapes and offsets of its arrays."""
     out: dict[str, Any] = json.loads(json.dumps(head))
     if rng.random() < 0.4:
         changed_head: dict[str, Any] = changed_table(rng, out)
@@ -260,7 +257,7 @@ def _calibration() -> Reader:
     def read(at: Path) -> Any:
         return read_measurements(at / "x.csv", surface, markers, wall_mm=design.wall.thickness_mm)
 
-    return Reader(make=texts("x.csv", MEASURED), read=read, weight=130)
+    return Reader(make=texts("x.csv", MEASURED), read=read)
 
 
 def _stream() -> Reader:
@@ -271,14 +268,14 @@ def _stream() -> Reader:
         {"type": "frame", "sequence": 5, "timestamp_s": 0.25, "forces_N": [1.0], "koi": [7]},
         {"type": "end", "reason": "ü"},
     ]
-    sound = {
+    valid = {
         framing: [encode(message, framing) for message in messages]
         for framing in ("lines", "length")
     }
 
     def make(rng: random.Random) -> Files:
         framing = rng.choice(("lines", "length"))
-        parts = list(sound[framing])
+        parts = list(valid[framing])
         if rng.random() < 0.3:
             text = json_text(changed_table(rng, rng.choice(messages)))
             ends = (b"", b"\n") if framing == "lines" else (struct.pack(">I", len(text)), b"")
@@ -294,7 +291,7 @@ def _stream() -> Reader:
         for first in range(0, len(data), step):
             splitter.feed(data[first : first + step])
 
-    return Reader(make=make, read=read, weight=200)
+    return Reader(make=make, read=read)
 
 
 POSITIONS = (
@@ -315,21 +312,21 @@ def _positions() -> Reader:
     from phytac_design.design.positions import read_positions
 
     make = texts("x.csv", POSITIONS)
-    return Reader(make=make, read=lambda at: read_positions(at / "x.csv"), weight=80)
+    return Reader(make=make, read=lambda at: read_positions(at / "x.csv"))
 
 
 def _body() -> Reader:
     from phytac_design.design.fixture_files import read_stl
 
     make = texts("x.stl", BODIES)
-    return Reader(make=make, read=lambda at: read_stl(at / "x.stl"), weight=80)
+    return Reader(make=make, read=lambda at: read_stl(at / "x.stl"))
 
 
 def _tensile() -> Reader:
     from phytac_design.mechanics.switch.material_fit import read_test
 
     make = texts("x.csv", STRETCHED)
-    return Reader(make=make, read=lambda at: read_test(at / "x.csv"), weight=50)
+    return Reader(make=make, read=lambda at: read_test(at / "x.csv"))
 
 
 def _lens() -> Reader:
@@ -345,7 +342,7 @@ def _lens() -> Reader:
 
     seeds = [seed(kind) for kind in kinds]
     make = texts("x.yaml", seeds)
-    return Reader(make=make, read=lambda at: read_lens(at / "x.yaml"), weight=20)
+    return Reader(make=make, read=lambda at: read_lens(at / "x.yaml"))
 
 
 def _regions() -> Reader:
@@ -359,7 +356,7 @@ def _regions() -> Reader:
         b"point_mm = [0, 0, 0]\nradius_mm = 9\n"
     )
     make = _toml("x.toml", [seed])
-    return Reader(make=make, read=lambda at: load_regions(at / "x.toml", place), weight=50)
+    return Reader(make=make, read=lambda at: load_regions(at / "x.toml", place))
 
 
 def _logs() -> Reader:
@@ -372,9 +369,7 @@ def _logs() -> Reader:
     rig = (ROOT / "examples" / "rig" / "log.csv").read_bytes()[:600].rpartition(b"\n")[0]
     make = texts("x.csv", [bench, rig])
 
-    return Reader(
-        make=make, read=lambda at: read_rig_log(at / "x.csv", RowProblems(where="x.csv")), weight=60
-    )
+    return Reader(make=make, read=lambda at: read_rig_log(at / "x.csv", RowProblems(where="x.csv")))
 
 
 READERS: dict[str, Callable[[], Reader]] = {
@@ -393,4 +388,4 @@ READERS: dict[str, Callable[[], Reader]] = {
     "logs": _logs,
     "tensile test": _tensile,
 }
-"""By name; made when they are needed."""
+"""By name; created on demand."""

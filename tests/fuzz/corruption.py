@@ -1,7 +1,7 @@
-"""Changes to files that were sound: bytes, words, values, whole tables; all from a seed.
+"""Corruptions of valid files, reproducible from a seed.
 
-A text is cut, doubled, joined and sprinkled with what breaks parsers; a table (of TOML or JSON)
-gets values of other kinds and sizes, keys that are missing or double, names of other files.
+Texts are cut, duplicated, joined, and given tokens that break parsers. Tables (of TOML or JSON) get
+values of other types and sizes, missing or duplicate keys, and names of other files.
 """
 
 import copy
@@ -66,7 +66,7 @@ def _insert(rng: random.Random, data: bytes, _: Sequence[bytes]) -> bytes:
 
 
 def _number(rng: random.Random, data: bytes, _: Sequence[bytes]) -> bytes:
-    # From a place at random: a large file is not searched whole.
+    # From a random offset, so that a large file is not searched completely.
     found = NUMBER.search(data, rng.randrange(len(data) + 1))
     if found is None:
         return data
@@ -83,7 +83,7 @@ def _join(rng: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
 
 
 def _lines(rng: random.Random, data: bytes, _: Sequence[bytes]) -> bytes:
-    """A line is lost, doubled, or stands elsewhere."""
+    """Remove, duplicate or move a line."""
     lines = data.splitlines(keepends=True)
     if not lines:
         return data
@@ -107,7 +107,7 @@ CHANGES: tuple[Change, ...] = (
 
 
 def changed(rng: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """Bytes with one to three changes; ``others`` may be joined to them."""
+    """Apply one to three changes to bytes; ``others`` may be joined to them."""
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         data = rng.choice(CHANGES)(rng, data, others)
     return data
@@ -121,7 +121,7 @@ def _deep(rng: random.Random) -> Any:
 
 
 def changed_table(rng: random.Random, table: Any) -> Any:
-    """A copy of nested tables and lists with one to three values, keys or lengths changed."""
+    """Copy nested tables and lists with one to three values, keys or lengths changed."""
     out = copy.deepcopy(table)
     for _ in range(rng.choice((1, 1, 2, 3))):
         at = out
@@ -131,7 +131,7 @@ def changed_table(rng: random.Random, table: Any) -> Any:
                 break
             at = rng.choice(inner)
         if isinstance(at, dict | list) and at:
-            _spoil(rng, at)
+            _corrupt(rng, at)
     return out
 
 
@@ -139,7 +139,7 @@ def _items(at: Any) -> list[Any]:
     return list(at.values()) if isinstance(at, dict) else at if isinstance(at, list) else []
 
 
-def _spoil(rng: random.Random, at: Any) -> None:
+def _corrupt(rng: random.Random, at: Any) -> None:
     """Change one thing of a table or list in place."""
     key = rng.choice(list(at)) if isinstance(at, dict) else rng.randrange(len(at))
     how = rng.random()
@@ -158,7 +158,7 @@ def _spoil(rng: random.Random, at: Any) -> None:
 
 
 def json_text(table: Any) -> bytes:
-    """JSON, with NaN where Python's has it."""
+    """JSON as Python writes it, NaN included."""
     try:
         return json.dumps(table).encode()
     except (ValueError, RecursionError):
@@ -166,7 +166,7 @@ def json_text(table: Any) -> bytes:
 
 
 def toml_text(table: dict[str, Any]) -> bytes:
-    """TOML, tables inline where they stand in lists; what TOML has not becomes text."""
+    """TOML with inline tables in lists; values that TOML lacks become strings."""
     lines: list[str] = []
     try:
         _section(table, "", lines)
