@@ -14,8 +14,7 @@ import pytest
 
 from phytac_decoder.estimation.force_regions import Region
 from phytac_decoder.pipeline.frame_reading import Reading
-from phytac_decoder.serving.live_view import CURVE_MAX, VIEWERS_MAX, LiveView, unrolled
-from phytac_decoder.serving.live_view_page import PAGE
+from phytac_decoder.serving.live_view import LiveView, unrolled
 from phytac_decoder.serving.wire_protocol import Message, MessageBuilder
 from phytac_shapes.errors import OutputError
 from tests.decoder.toy_sensor import toy_bundle
@@ -70,9 +69,10 @@ def get(view: LiveView, path: str, host: str | None = None) -> tuple[int, bytes]
 
 
 def test_the_page_needs_nothing_from_the_network() -> None:
-    assert not re.findall(r"https?://|<link|src=|@import|url\(", PAGE)
     with LiveView(messages().hello(), port=0) as view:
-        assert get(view, "/") == (200, PAGE.encode())
+        status, page = get(view, "/")
+        assert status == 200
+        assert not re.findall(rb"https?://|<link|src=|@import|url\(", page)
         assert get(view, "/", f"localhost:{view.port}")[0] == 200
         assert get(view, "/other")[0] == 404
         # A page of another site that has its name point here may not read forces.
@@ -137,12 +137,12 @@ def test_browsers_that_stall_or_leave_delay_nothing() -> None:
 
 def test_no_more_browsers_than_there_is_room_for() -> None:
     with LiveView(messages().hello(), port=0) as view:
-        for _ in range(VIEWERS_MAX):
+        for _ in range(LiveView.viewers_max):
             assert view.count_viewer(1)
         status, body = get(view, "/events")
         assert status == 503
         assert b"8 browsers are connected already" in body
-        for _ in range(VIEWERS_MAX):
+        for _ in range(LiveView.viewers_max):
             view.count_viewer(-1)
 
 
@@ -155,7 +155,7 @@ def test_a_late_browser_gets_curves_thinned_evenly() -> None:
             next(events)
             curve = next(events)["curve"]
     numbers = [round(480.0 * point[0]) for point in curve]
-    assert len(numbers) == CURVE_MAX
+    assert len(numbers) == LiveView.curve_max
     assert (numbers[0], numbers[-1]) == (0, 999)
     assert max(np.diff(numbers)) <= 17
 

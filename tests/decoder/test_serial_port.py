@@ -7,11 +7,8 @@ import threading
 import time
 from pathlib import Path
 
-import pytest
-
 from phytac_decoder.io.serial_port import SerialPort
-from phytac_decoder.serving import force_server
-from phytac_decoder.serving.force_server import StreamServer
+from phytac_decoder.serving.force_server import ClientLimits, StreamServer
 from phytac_decoder.serving.wire_protocol import Message, MessageSplitter
 
 
@@ -30,9 +27,9 @@ def test_settings_of_an_earlier_user_go() -> None:
     os.close(master)
 
 
-def test_hello_is_repeated_even_on_a_full_port(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hello_is_repeated_even_on_a_full_port() -> None:
     """Frames come faster than they go out, so that two always wait."""
-    monkeypatch.setattr(force_server, "HELLO_AGAIN_S", 0.3)
+    limits = ClientLimits(hello_again_s=0.3)
     master, slave = os.openpty()
     port = SerialPort(Path(os.ttyname(slave)))
     hello = {"type": "hello", "name": "x" * 100}
@@ -49,7 +46,7 @@ def test_hello_is_repeated_even_on_a_full_port(monkeypatch: pytest.MonkeyPatch) 
 
     reader = threading.Thread(target=read)
     reader.start()
-    with StreamServer(hello, port=0, serial=port, serial_hello=hello) as server:
+    with StreamServer(hello, port=0, serial=port, limits=limits) as server:
         until = time.monotonic() + 4.0
         sent = 0
         while time.monotonic() < until:

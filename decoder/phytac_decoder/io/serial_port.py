@@ -66,20 +66,6 @@ class SerialPort:
         """The open device."""
         return self._handle
 
-    def send(self, data: memoryview) -> int:
-        """Write what can be written without blocking; returns the number of bytes.
-
-        Raises
-        ------
-        BlockingIOError
-            If none did.
-        """
-        return os.write(self._handle, data)
-
-    def recv(self, size: int) -> bytes:
-        """Bytes that have arrived, without blocking."""
-        return os.read(self._handle, size)
-
     def close(self) -> None:
         """Close the device."""
         os.close(self._handle)

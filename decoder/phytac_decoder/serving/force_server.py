@@ -1,14 +1,14 @@
 """A server of forces over TCP and a serial port, whose receivers cannot slow the sensor."""
 
+import asyncio
 import contextlib
-import selectors
 import socket
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 from phytac_decoder.io.serial_port import SerialPort
 from phytac_decoder.serving.wire_protocol import (
@@ -21,21 +21,6 @@ from phytac_decoder.serving.wire_protocol import (
 )
 from phytac_shapes.errors import OutputError, PhytacError
 
-PORT = 5757
-LOOPBACK = "127.0.0.1"
-TIMEOUT_S = 0.25
-"""The server looks at least this often for stalled clients."""
-DRAIN_S = 2.0
-"""At the end, clients that read have this long to take what waits."""
-HELLO_AGAIN_S = 5.0
-"""A serial port repeats its hello: nobody knows when someone begins to listen."""
-SERIAL_QUEUE = 2
-"""A serial port is slow: what waits for it must be fresh."""
-REPORTS_MAX = 20
-"""Reports per second."""
-SEND_BUFFER_BYTES = 1 << 17
-"""Of the system, for each client: half a second at 480 fps."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class ClientLimits:
@@ -45,96 +30,124 @@ class ClientLimits:
     ----------
     clients : int
         At once.
-    queue : int
-        Messages that may wait for a client; beyond that the oldest are dropped.
+    queue, serial_queue : int
+        Messages that may wait for a client, and for a serial port, which is slow: what waits for
+        it must be fresh. Beyond that the oldest are dropped.
     patience_s : float
         A client that takes nothing for this long is closed.
     received_bytes : int
         Clients have nothing to send; one that sends more than this is closed.
+    send_buffer_bytes : int
+        Of the system, for each client: half a second at 480 fps.
+    hello_again_s : float
+        A serial port repeats its hello: nobody knows when someone begins to listen.
+    drain_s : float
+        At the end, clients that read have this long to take what waits.
+    reports_per_s : int
+        A flood of clients is no flood of reports.
     """
 
     clients: int = 64
     queue: int = 256
+    serial_queue: int = 2
     patience_s: float = 10.0
     received_bytes: int = 65536
+    send_buffer_bytes: int = 1 << 17
+    hello_again_s: float = 5.0
+    drain_s: float = 2.0
+    reports_per_s: int = 20
 
 
-class Receiver:
+class Receiver(asyncio.Protocol):
     """A client or serial port behind a bounded queue, from which the oldest message is dropped.
 
     A message of which a part is sent is always finished, so the stream stays readable.
 
     Parameters
     ----------
-    handle : socket or SerialPort
-        Where bytes go without ever blocking.
-    name : str
-        Of the receiver, for people.
-    framing : str
-        One of :data:`phytac_decoder.serving.wire_protocol.FRAMINGS`.
-    hello : bytes
-        JSON of the first message.
-    queue : int
-        Messages that may wait.
-    patience_s : float or None
-        Stalled if it takes nothing for this long while something waits; never if None.
+    server : StreamServer
+        To which it belongs.
+    serial : SerialPort or None
+        The port; None for a client.
     """
 
-    def __init__(
-        self,
-        handle: socket.socket | SerialPort,
-        name: str,
-        *,
-        framing: str,
-        hello: bytes,
-        queue: int,
-        patience_s: float | None,
-    ) -> None:
-        self.handle, self.name = handle, name
-        self.received_bytes, self.dropped, self.ended = 0, 0, False
-        self._framing, self._queue, self._patience_s = framing, queue, patience_s
+    def __init__(self, server: "StreamServer", serial: SerialPort | None = None) -> None:
+        self.serial, self.dropped = serial, 0
+        self._server, self._limits = server, server.limits
+        self._framing = "lines" if serial else server.framing
+        self._queue = self._limits.serial_queue if serial else self._limits.queue
+        self._received_bytes, self._full = 0, False
         self._waiting: deque[bytes] = deque()
-        self._urgent: bytes | None = hello
-        self._going = memoryview(b"")
-        self._moved_s = time.monotonic()
+        self._urgent: bytes | None = None
+        self._rest_bytes, self._moved_s = 0, time.monotonic()
+
+    def connection_made(self, transport: Any) -> None:
+        """Send the hello; turn a client away if there are too many."""
+        self.transport = transport
+        # Whatever the system does not take at once is too much.
+        transport.set_write_buffer_limits(high=0)
+        if self.serial:
+            self.name = f"serial port {self.serial.name}"
+        else:
+            host, port, *_ = transport.get_extra_info("peername") or ("that has gone", 0)
+            self.name = f"client {host}:{port}"
+            with contextlib.suppress(OSError):
+                link = transport.get_extra_info("socket")
+                link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+                link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self._limits.send_buffer_bytes)
+        self._server.join(self)
+
+    def pause_writing(self) -> None:
+        """Wait: the system takes no more."""
+        self._full = True
+
+    def resume_writing(self) -> None:
+        """Send what waits."""
+        self._full = False
+        self.flush()
+
+    def data_received(self, data: bytes) -> None:
+        """Count what a client sends."""
+        self._received_bytes += len(data)
+        if self._received_bytes > self._limits.received_bytes:
+            self._server.remove(self, "sends data, and has nothing to say here")
+
+    def eof_received(self) -> bool:
+        """Stay: a client may close its own half and continue to listen."""
+        return True
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Leave the server."""
+        self._server.remove(self, f"is gone ({getattr(exc, 'strerror', None) or exc})")
 
     @property
     def idle(self) -> bool:
         """Whether everything is sent."""
-        return not self._going and not self._waiting and self._urgent is None
+        return not (self._full or self._waiting or self._urgent)
 
-    @property
-    def stalled(self) -> bool:
+    def stalled(self, now_s: float) -> bool:
         """Whether it has taken nothing for too long."""
-        if self._patience_s is None or self.idle:
-            return False
-        return time.monotonic() - self._moved_s > self._patience_s
+        rest_bytes = self.transport.get_write_buffer_size()
+        if rest_bytes != self._rest_bytes or not rest_bytes:
+            self._rest_bytes, self._moved_s = rest_bytes, now_s
+        return not self.serial and now_s - self._moved_s > self._limits.patience_s
 
     def put(self, text: bytes, *, urgent: bool = False) -> None:
-        """Queue a message's JSON; an urgent one goes before all others and drops none."""
-        if self.idle:
-            self._moved_s = time.monotonic()
+        """Send a message's JSON, or queue it; an urgent one goes first and drops none."""
         if urgent:
             self._urgent = text
-            return
-        if len(self._waiting) >= self._queue:
-            self._waiting.popleft()
-            self.dropped += 1
-        self._waiting.append(text)
+        else:
+            if len(self._waiting) >= self._queue:
+                self._waiting.popleft()
+                self.dropped += 1
+            self._waiting.append(text)
+        self.flush()
 
     def flush(self) -> None:
-        """Send what can be sent without waiting; raises OSError if the receiver is gone."""
-        while not self.idle:
-            if not self._going:
-                text = self._urgent or self._waiting.popleft()
-                self._urgent = None
-                self._going = memoryview(framed(with_dropped(text, self.dropped), self._framing))
-            try:
-                sent = self.handle.send(self._going)
-            except (BlockingIOError, InterruptedError):
-                return
-            self._going = self._going[sent:]
-            self._moved_s = time.monotonic()
+        """Send what the system takes."""
+        while not self._full and (self._waiting or self._urgent):
+            text, self._urgent = self._urgent or self._waiting.popleft(), None
+            self.transport.write(framed(with_dropped(text, self.dropped), self._framing))
 
 
 class StreamServer:
@@ -154,7 +167,7 @@ class StreamServer:
         Also sent there, as JSON lines.
     serial_hello : dict, optional
         Hello of the serial port, if another.
-    limits : Limits
+    limits : ClientLimits
         See there.
     report : callable
         Called with who connects and leaves, from the server's thread.
@@ -169,8 +182,8 @@ class StreamServer:
         self,
         hello: Message,
         *,
-        host: str = LOOPBACK,
-        port: int = PORT,
+        host: str = "127.0.0.1",
+        port: int = 5757,
         framing: str = "lines",
         serial: SerialPort | None = None,
         serial_hello: Message | None = None,
@@ -178,39 +191,21 @@ class StreamServer:
         report: Callable[[str], None] = lambda _: None,
     ) -> None:
         check_framing(framing)
-        self._hello = json_bytes(hello)
-        self._framing, self._report = framing, report
-        self._reported: deque[float] = deque(maxlen=REPORTS_MAX)
-        self._limits = limits or ClientLimits()
+        self.framing, self.limits = framing, limits or ClientLimits()
+        self._hello, self._serial_hello = json_bytes(hello), json_bytes(serial_hello or hello)
+        self._serial, self._report = serial, report
+        self._reported: deque[float] = deque(maxlen=self.limits.reports_per_s)
         self._receivers: list[Receiver] = []
-        self._inbox: deque[bytes] = deque()
+        self._inbox: list[bytes] = []
         self._lock = threading.Lock()
-        self._stopping = threading.Event()
         self._arrival = threading.Event()
         self._failed: BaseException | None = None
-        self._lost = 0
-        self._gone_dropped = 0
+        self._lost, self._gone_dropped = 0, 0
         self._listener = _listen(host, port)
         self.host, self.port = self._listener.getsockname()[:2]
-        self._wake_in, self._wake_out = socket.socketpair()
-        for handle in (self._listener, self._wake_in, self._wake_out):
-            handle.setblocking(False)
-        self._selector = selectors.DefaultSelector()
-        self._selector.register(self._listener, selectors.EVENT_READ)
-        self._selector.register(self._wake_in, selectors.EVENT_READ)
-        self._serial: Receiver | None = None
-        self._serial_hello = json_bytes(serial_hello or hello)
-        if serial is not None:
-            self._serial = Receiver(
-                serial,
-                f"serial port {serial.name}",
-                framing="lines",
-                hello=self._serial_hello,
-                queue=SERIAL_QUEUE,
-                patience_s=None,
-            )
-            self._receivers.append(self._serial)
-            self._watch(self._serial)
+        self._loop = asyncio.new_event_loop()
+        self._loop.set_exception_handler(self._on_exception)
+        self._stopping = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="server", daemon=True)
         self._thread.start()
 
@@ -226,7 +221,7 @@ class StreamServer:
     @property
     def clients(self) -> int:
         """Number of clients now, without the serial port."""
-        return sum(receiver is not self._serial for receiver in list(self._receivers))
+        return sum(receiver.serial is None for receiver in list(self._receivers))
 
     @property
     def dropped(self) -> int:
@@ -247,11 +242,13 @@ class StreamServer:
             raise OutputError(f"the server has stopped: {self._failed}") from self._failed
         text = json_bytes(message)
         with self._lock:
-            if len(self._inbox) >= self._limits.queue:
-                self._inbox.popleft()
+            if len(self._inbox) >= self.limits.queue:
+                del self._inbox[0]
                 self._lost += 1
             self._inbox.append(text)
-        self._wake()
+            first = len(self._inbox) == 1
+        if first:
+            self._call(self._hand_out)
 
     def wait_for_client(self, timeout_s: float | None = None) -> bool:
         """Wait until a client has connected; whether one has."""
@@ -259,153 +256,104 @@ class StreamServer:
 
     def close(self, reason: str = "stopped") -> None:
         """Send clients the end and its reason, and close all. May be called twice."""
-        if not self._stopping.is_set():
+        if self._thread.is_alive() and not self._stopping.is_set():
             with contextlib.suppress(OutputError):
                 self.publish(end_message(reason))
-            self._stopping.set()
-            self._wake()
-        self._thread.join(timeout=2.0 * DRAIN_S)
+            self._call(self._stopping.set)
+        self._thread.join(timeout=2.0 * self.limits.drain_s)
+
+    def join(self, receiver: Receiver) -> None:
+        """Begin to send to a receiver, in the server's thread."""
+        most = self.limits.clients
+        if not receiver.serial and self.clients >= most:
+            receiver.put(json_bytes(end_message(f"{most} clients listen already")))
+            receiver.transport.close()
+            self._log(f"{receiver.name} turned away: {most} listen already")
+            return
+        self._receivers.append(receiver)
+        receiver.put(self._serial_hello if receiver.serial else self._hello, urgent=True)
+        if not receiver.serial:
+            self._log(f"{receiver.name} listens")
+            self._arrival.set()
+
+    def remove(self, receiver: Receiver, reason: str) -> None:
+        """Close a receiver, in the server's thread."""
+        if receiver in self._receivers:
+            self._receivers.remove(receiver)
+            self._gone_dropped += receiver.dropped
+            receiver.transport.abort()
+            if not self._stopping.is_set():
+                self._log(f"{receiver.name} {reason}; closed")
+
+    def _call(self, function: Callable[[], None]) -> None:
+        """Call in the server's thread; after its end nothing has to be done."""
+        with contextlib.suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(function)
 
     def _log(self, text: str) -> None:
         """Report, but limit a flood."""
         now = time.monotonic()
-        if len(self._reported) == REPORTS_MAX and now - self._reported[0] < 1.0:
+        if len(self._reported) == self.limits.reports_per_s and now - self._reported[0] < 1.0:
             return
         self._reported.append(now)
         # Whoever reads reports may have gone.
         with contextlib.suppress(OSError, ValueError):
             self._report(text)
 
-    def _wake(self) -> None:
-        # A full pipe wakes it as well; after the end nobody has to be woken.
-        with contextlib.suppress(OSError):
-            self._wake_out.send(b"\0")
+    def _on_exception(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        error = context.get("exception")
+        if isinstance(error, OSError):  # no file handle is left for a client, for instance
+            self._log(f"{context['message']} ({error.strerror})")
+        else:  # raised by the next publish
+            self._failed = error or RuntimeError(context["message"])
+            self._stopping.set()
 
     def _run(self) -> None:
         try:
-            self._serve()
+            self._loop.run_until_complete(self._serve())
         except Exception as error:  # noqa: BLE001 - raised by the next publish
             self._failed = error
         finally:
-            for receiver in list(self._receivers):
-                self._remove(receiver)
-            for handle in (self._listener, self._wake_in, self._wake_out, self._selector):
-                handle.close()
+            self._loop.close()
 
-    def _serve(self) -> None:
+    async def _serve(self) -> None:
+        loop, limits = self._loop, self.limits
+        server = await loop.create_server(lambda: Receiver(self), sock=self._listener)
+        if self._serial:
+            await loop.connect_write_pipe(lambda: Receiver(self, self._serial), self._serial)
         hello_s = time.monotonic()
-        deadline = None
-        while True:
-            for key, mask in self._selector.select(TIMEOUT_S):
-                if key.fileobj is self._listener:
-                    self._accept()
-                elif key.fileobj is self._wake_in:
-                    self._wake_in.recv(65536)
-                elif key.data in self._receivers:
-                    self._attend(key.data, readable=bool(mask & selectors.EVENT_READ))
+        while not self._stopping.is_set():
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._stopping.wait(), min(0.25, limits.hello_again_s))
             now = time.monotonic()
-            if self._serial and now - hello_s > HELLO_AGAIN_S:
-                self._serial.put(self._serial_hello, urgent=True)
+            for receiver in [each for each in self._receivers if each.stalled(now)]:
+                lost = f"{receiver.dropped} messages dropped"
+                self.remove(receiver, f"took nothing for {limits.patience_s:g} s, {lost}")
+            if now - hello_s >= limits.hello_again_s:
                 hello_s = now
-            # Read before: what is published before the end is handed out before it.
-            stopping = self._stopping.is_set()
-            self._hand_out()
-            for receiver in [each for each in self._receivers if each.stalled]:
-                patience = f"took nothing for {self._limits.patience_s:g} s"
-                self._remove(receiver, f"{patience}, {receiver.dropped} messages dropped")
-            if stopping:
-                deadline = deadline or now + DRAIN_S
-                if now > deadline or all(receiver.idle for receiver in self._receivers):
-                    return
+                for receiver in [each for each in self._receivers if each.serial]:
+                    receiver.put(self._serial_hello, urgent=True)
+        server.close()
+        end_s = time.monotonic() + limits.drain_s
+        while time.monotonic() < end_s and not all(each.idle for each in self._receivers):
+            await asyncio.sleep(0.005)
+        for receiver in self._receivers:
+            if receiver.idle:
+                receiver.transport.close()
+            else:
+                receiver.transport.abort()
+        # The loop closes them in its next rounds.
+        await asyncio.sleep(0.01)
 
     def _hand_out(self) -> None:
         """Send all that has been published to all receivers."""
         with self._lock:
-            texts = list(self._inbox)
-            self._inbox.clear()
+            texts, self._inbox = self._inbox, []
             lost, self._lost = self._lost, 0
         for receiver in list(self._receivers):
             receiver.dropped += lost
             for text in texts:
                 receiver.put(text)
-            self._attend(receiver, readable=False)
-
-    def _attend(self, receiver: Receiver, *, readable: bool) -> None:
-        """Take what a receiver sent, and send it what it can take."""
-        try:
-            if readable:
-                with contextlib.suppress(BlockingIOError, InterruptedError):
-                    data = receiver.handle.recv(4096)
-                    receiver.received_bytes += len(data)
-                    # A client may close its own half and continue to listen.
-                    receiver.ended = not data
-            if receiver.received_bytes > self._limits.received_bytes and (
-                receiver is not self._serial
-            ):
-                self._remove(receiver, "sends data, and has nothing to say here")
-                return
-            receiver.flush()
-        except OSError as error:
-            self._remove(receiver, f"is gone ({error.strerror})")
-        else:
-            self._watch(receiver)
-
-    def _watch(self, receiver: Receiver) -> None:
-        """Wait for what can happen to a receiver."""
-        wanted = 0 if receiver.ended else selectors.EVENT_READ
-        if not receiver.idle:
-            wanted |= selectors.EVENT_WRITE
-        key = self._selector.get_map().get(receiver.handle.fileno())
-        if key and key.events != wanted:
-            self._selector.unregister(receiver.handle)
-        if wanted and not (key and key.events == wanted):
-            self._selector.register(receiver.handle, wanted, receiver)
-
-    def _accept(self) -> None:
-        try:
-            client, address = self._listener.accept()
-        except OSError as error:
-            # It has left again already, or no file handle is left for it.
-            if not isinstance(error, BlockingIOError | ConnectionError):
-                self._log(f"a client could not be let in ({error.strerror})")
-                time.sleep(0.01)
-            return
-        name = f"client {address[0]}:{address[1]}"
-        client.setblocking(False)
-        with contextlib.suppress(OSError):
-            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            client.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-            client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-        most = self._limits.clients
-        if self.clients >= most:
-            refusal = json_bytes(end_message(f"{most} clients listen already"))
-            with contextlib.suppress(OSError):
-                client.send(framed(with_dropped(refusal, 0), self._framing))
-            client.close()
-            self._log(f"{name} turned away: {most} listen already")
-            return
-        receiver = Receiver(
-            client,
-            name,
-            framing=self._framing,
-            hello=self._hello,
-            queue=self._limits.queue,
-            patience_s=self._limits.patience_s,
-        )
-        self._receivers.append(receiver)
-        self._log(f"{name} listens")
-        self._attend(receiver, readable=False)
-        self._arrival.set()
-
-    def _remove(self, receiver: Receiver, reason: str = "") -> None:
-        self._receivers.remove(receiver)
-        self._gone_dropped += receiver.dropped
-        with contextlib.suppress(KeyError, ValueError):
-            self._selector.unregister(receiver.handle)
-        with contextlib.suppress(OSError):
-            receiver.handle.close()
-        if reason:
-            self._log(f"{receiver.name} {reason}; closed")
 
 
 def _listen(host: str, port: int) -> socket.socket:

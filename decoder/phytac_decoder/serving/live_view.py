@@ -11,24 +11,16 @@ from collections import deque
 from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
 from typing import Self
 
 import numpy as np
 
-from phytac_decoder.serving.live_view_page import PAGE
 from phytac_decoder.serving.wire_protocol import Message, end_message, json_bytes
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import OutputError
 
-PORT = 8057
 LOOPBACK = "127.0.0.1"
-VIEWERS_MAX = 8
-PUSH_S = 1.0 / 30.0
-"""Least time between two messages to a browser."""
-KEPT = 4096
-"""Frames whose forces wait to be drawn as curves: over 8 s at 480 fps."""
-CURVE_MAX = 64
-"""Points of the curves in one message; of more, evenly chosen ones."""
 
 
 def unrolled(position_mm: FloatArray) -> FloatArray:
@@ -69,12 +61,20 @@ class LiveView:
         If the port is taken.
     """
 
-    def __init__(self, hello: Message, *, port: int = PORT) -> None:
+    viewers_max = 8
+    push_s = 1.0 / 30.0
+    """Least time between two messages to a browser."""
+    kept = 4096
+    """Frames whose forces wait to be drawn as curves: over 8 s at 480 fps."""
+    curve_max = 64
+    """Points of the curves in one message; of more, evenly chosen ones."""
+
+    def __init__(self, hello: Message, *, port: int = 8057) -> None:
         place = np.asarray(hello["positions_mm"], dtype=np.float64)
         self.hello = json_bytes(hello | {"unrolled_mm": np.round(unrolled(place), 2).tolist()})
         self._news = threading.Condition()
         self._last: Message | None = None
-        self._curve: deque[tuple[int, list[float]]] = deque(maxlen=KEPT)
+        self._curve: deque[tuple[int, list[float]]] = deque(maxlen=self.kept)
         self._count = itertools.count(1)
         self.number = 0
         self.viewers = 0
@@ -142,15 +142,15 @@ class LiveView:
                 return (-1, json_bytes(end_message(self.ended))) if self.ended else None
             number, message = self.number, self._last
             points = [point for at, point in self._curve if at > seen]
-        if len(points) > CURVE_MAX:
-            chosen = np.linspace(0, len(points) - 1, CURVE_MAX).round().astype(int)
+        if len(points) > self.curve_max:
+            chosen = np.linspace(0, len(points) - 1, self.curve_max).round().astype(int)
             points = [points[k] for k in chosen]
         return number, json_bytes({**(message or {}), "curve": points})
 
     def count_viewer(self, step: int) -> bool:
         """Count a browser in or out; False if there are too many."""
         with self._news:
-            if step > 0 and self.viewers >= VIEWERS_MAX:
+            if step > 0 and self.viewers >= self.viewers_max:
                 return False
             self.viewers += step
             return True
@@ -189,7 +189,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.NOT_FOUND)
 
     def _page(self) -> None:
-        body = PAGE.encode()
+        body = files(__package__).joinpath("live_view.html").read_bytes()
         self._head("text/html; charset=utf-8")
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
@@ -199,7 +199,7 @@ class _Handler(BaseHTTPRequestHandler):
         view = self.view
         if not view.count_viewer(1):
             self.send_error(
-                HTTPStatus.SERVICE_UNAVAILABLE, f"{VIEWERS_MAX} browsers are connected already"
+                HTTPStatus.SERVICE_UNAVAILABLE, f"{view.viewers_max} browsers are connected already"
             )
             return
         try:
@@ -215,7 +215,7 @@ class _Handler(BaseHTTPRequestHandler):
                     continue
                 seen, text = news
                 self._send(text)
-                time.sleep(PUSH_S)
+                time.sleep(view.push_s)
         finally:
             view.count_viewer(-1)
 
