@@ -12,15 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import (
-    fabrication_bench,
-    fabrication_facets,
-    fabrication_hardware,
-    fabrication_molds,
-    fabrication_printing,
-    fabrication_switch,
-)
-from benchmarks.fabrication_outside import repair_row, slice_row
+from benchmarks import fabrication_parts, fabrication_switch
+from benchmarks.fabrication_parts import repair_row, slice_row
 from benchmarks.harness import Table, median_of, run_parts
 from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.design.spec import WallSection
@@ -195,14 +188,12 @@ def add_rows(table: Table, *, quick: bool) -> None:
         folder = Path(name)
         facts(table, main_case)
         routes(table, main_case, folder)
-        fabrication_facets.facet_rows(table, main_case)
         outside(table, main_case, folder)
         if quick:
             shapes_rows(table, ["plane"], folder, rows=3)
             return
         dense = load("cylinder60-dense")
         routes(table, dense, folder)
-        fabrication_facets.facet_rows(table, dense)
         other = load("cylinder40")
         facts(table, other)
         outside(table, other, folder)
@@ -214,11 +205,10 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
     """All parts by name, in order."""
     return {
         "shells": partial(add_rows, quick=quick),
-        "printing": partial(fabrication_printing.add_rows, quick=quick),
+        "printing": partial(fabrication_parts.printing_rows, quick=quick),
         "switch": partial(fabrication_switch.add_rows, quick=quick),
-        "bench": partial(fabrication_bench.add_rows, quick=quick),
-        "molds": partial(fabrication_molds.add_rows, quick=quick),
-        "hardware": partial(fabrication_hardware.add_rows, quick=quick),
+        "molds": partial(fabrication_parts.mold_rows, quick=quick),
+        "hardware": partial(fabrication_parts.hardware_rows, quick=quick),
     }
 
 

@@ -7,12 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.document_measurements import (
-    fit_shift_mm,
-    rasterise_pdf,
-    red_centres_mm,
-    tick_places_mm,
-)
 from phytac_design.design.spec import Design
 from phytac_design.fabrication.documents.paint_map import (
     OVERLAP_mm,
@@ -29,6 +23,12 @@ from phytac_design.layout.sensor import Sensor
 from phytac_shapes.arrays import FloatArray
 from tests.fabrication.bench_cases import switches
 from tests.fabrication.cases import FAMILIES, built, family_design, shipped
+from tests.fabrication.document_measurements import (
+    fit_shift_mm,
+    rasterise_pdf,
+    red_centres_mm,
+    tick_places_mm,
+)
 
 FLAT = ("cylinder", "cone", "plane", "cuboid")
 ROUND = ("hemisphere", "grip", "capped cone")

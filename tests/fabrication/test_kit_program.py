@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.document_measurements import Move, in_sensor, read_gcode, tool_axis, tool_x
 from phytac_design.design.design_file import to_toml
 from phytac_design.fabrication.calibration_rig.log_template import NOTE, log_head
 from phytac_design.fabrication.calibration_rig.program import (
@@ -31,6 +30,7 @@ from phytac_design.mechanics.shell.receptor_stiffness import receptor_stiffness
 from phytac_design.stages.build import copy_of
 from tests.designs import small
 from tests.fabrication.cases import built, shipped
+from tests.fabrication.document_measurements import Move, in_sensor, read_gcode, tool_axis, tool_x
 from tests.test_cli import phytac
 
 SHAPES = ("cylinder60", "cone", "cuboid", "grip", "hemisphere", "plane", "patch")
