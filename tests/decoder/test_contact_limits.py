@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from phytac_decoder.estimation.contact_grouping import REACH_SPACINGS, Contact, QuadricPatches
+from phytac_decoder.estimation.contact_grouping import Contact, ContactGrouper
 from phytac_decoder.estimation.contact_tracker import SETTINGS, ContactTracker
-from tests.decoder.test_contacts import FPS, PLANE, ids_of, press, spiral, tracker
+from tests.decoder.test_contacts import FPS, PLANE, around, ids_of, press, spiral, tracker
 
 SPACING_MM = 5.0
 
@@ -33,28 +33,13 @@ def test_the_strongest_contact_comes_first() -> None:
 
 
 def test_a_quadric_is_not_asked_far_away() -> None:
-    skin = QuadricPatches.through(spiral())
-    marker = 147
-    spacing = float(skin.spacing_mm[marker])
-    for axis in skin.axes[marker][:2]:
-        far = skin.position_mm[marker] + 20.0 * spacing * axis
-        found = skin.nearest(far, [marker])
-        flat = skin.axes[marker][:2] @ (found - skin.position_mm[marker])
-        assert np.linalg.norm(flat) == pytest.approx(REACH_SPACINGS * spacing)
-
-
-def test_the_nearest_marker_has_most_to_say() -> None:
-    """On a wavy face: what a quadric says of its neighbours' places is off."""
-    x, y = (line.ravel() for line in np.meshgrid(np.arange(0.0, 60.0, 4.0), np.arange(0, 40, 4.0)))
-    places = np.column_stack([x, y, 3.0 * np.sin(x / 4.0)])
-    skin = QuadricPatches.through(places)
-    inner = np.flatnonzero((x > 10) & (x < 46) & (y > 8) & (y < 30))
-    gap = np.linalg.norm(places[:, None] - places, axis=2)
-    off = [
-        float(np.linalg.norm(skin.nearest(places[i], np.argsort(gap[i])[:9].tolist()) - places[i]))
-        for i in inner.tolist()
-    ]
-    assert np.mean(off) < 0.06
+    position = spiral()
+    face = ContactGrouper(position_mm=position, neighbours=around(position))
+    out = position[147] * [1.0, 1.0, 0.0] / np.linalg.norm(position[147, :2])
+    tangent = np.cross(out, [0.0, 0.0, 1.0])
+    for axis in (tangent, np.array([0.0, 0.0, 1.0])):
+        found = face.onto_surface(position[147] + 200.0 * axis, [147]) - position[147]
+        assert abs(found @ axis) < 2.5 * face.spacing_mm
 
 
 def test_a_wide_contact_may_go_farther() -> None:

@@ -1,20 +1,16 @@
 """Key nodes grouped to contacts, with place, force and size.
 
-Places between markers lie on local quadric patches, each fitted through a marker and its nearest
-others (derived here).
+Places between markers lie on local quadrics, each fitted through a marker and its nearest others.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import exp, sqrt
+from math import sqrt
 
 import numpy as np
 
 from phytac_shapes.arrays import FloatArray, IntArray
-
-REACH_SPACINGS = 2.0
-"""Largest distance, in marker spacings, at which a quadric is evaluated."""
 
 Place = tuple[float, float, float]
 
@@ -111,85 +107,6 @@ def assign_to_contacts(
 
 
 @dataclass(frozen=True, kw_only=True)
-class QuadricPatches:
-    """The outer face around each of n markers: p + x·a + y·b + (c · [x, y, x², xy, y²])·normal.
-
-    Attributes
-    ----------
-    position_mm : (n, 3) float
-        Markers.
-    axes : (n, 3, 3) float
-        Rows a, b and the normal, orthonormal; the normal's sign is any.
-    quadric : (n, 5) float
-        Coefficients c; 1/mm for the last three.
-    spacing_mm : (n,) float
-        Distance to the markers around it.
-    """
-
-    position_mm: FloatArray
-    axes: FloatArray
-    quadric: FloatArray
-    spacing_mm: FloatArray
-
-    @classmethod
-    def through(cls, position_mm: FloatArray) -> "QuadricPatches":
-        """Fit quadrics to markers (n, 3), weighted by a Gaussian of their distance."""
-        count = len(position_mm)
-        gap = np.linalg.norm(position_mm[:, None] - position_mm[None], axis=2)
-        order = np.argsort(gap, axis=1)[:, 1:13]
-        near = np.take_along_axis(gap, order, axis=1)
-        # Of the four nearest: at a rim some of the eight neighbours are missing.
-        spacing = np.median(near[:, :4], axis=1) if count > 1 else np.ones(count)
-        offset = position_mm[order] - position_mm[:, None]
-        weight = np.exp(-0.5 * (near / (1.5 * spacing[:, None])) ** 2)
-        _, vectors = np.linalg.eigh(np.einsum("nk,nki,nkj->nij", weight, offset, offset))
-        # Eigenvalues ascend: the last two vectors span the tangent plane.
-        axes = np.swapaxes(vectors[:, :, ::-1], 1, 2)
-        x, y, z = np.moveaxis(np.einsum("nai,nki->nka", axes, offset), 2, 0)
-        terms = np.stack([x, y, x * x, x * y, y * y], axis=2)
-        root = np.sqrt(weight)[:, :, None]
-        quadric = (np.linalg.pinv(root * terms, rcond=1e-6) @ (root * z[:, :, None]))[:, :, 0]
-        return cls(
-            position_mm=position_mm,
-            axes=np.ascontiguousarray(axes),
-            quadric=quadric,
-            spacing_mm=np.maximum(spacing, 1e-9),
-        )
-
-    def nearest(self, point_mm: FloatArray, markers: Sequence[int]) -> FloatArray:
-        """Return the point (3,) of the face next to ``point_mm`` (3,), by ``markers``.
-
-        Parameters
-        ----------
-        point_mm : (3,) float
-            Within about a marker spacing of the face.
-        markers : sequence of int
-            Markers around it, at least one.
-        """
-        places = self.position_mm[markers]
-        gap = np.linalg.norm(places - point_mm, axis=1)
-        best = int(gap.argmin())
-        spacing = float(self.spacing_mm[markers[best]])
-        near = np.linalg.norm(places - places[best], axis=1) <= 1.5 * spacing
-        total, out = 0.0, np.zeros(3)
-        for row in np.flatnonzero(near):
-            share = exp(-2.0 * (gap[row] ** 2 - gap[best] ** 2) / spacing**2)
-            out += share * self._onto(markers[int(row)], point_mm)
-            total += share
-        return np.asarray(out / total)
-
-    def _onto(self, marker: int, point_mm: FloatArray) -> FloatArray:
-        """Project a point (3,) onto one marker's quadric, along its normal."""
-        axes, origin = self.axes[marker], self.position_mm[marker]
-        x, y, _ = axes @ (point_mm - origin)
-        far = sqrt(x * x + y * y) / (REACH_SPACINGS * float(self.spacing_mm[marker]))
-        if far > 1.0:
-            x, y = x / far, y / far
-        z = self.quadric[marker] @ np.array([x, y, x * x, x * y, y * y])
-        return np.asarray(origin + x * axes[0] + y * axes[1] + z * axes[2])
-
-
-@dataclass(frozen=True, kw_only=True)
 class ContactGrouper:
     """Groups the key nodes of a frame to contacts.
 
@@ -205,14 +122,41 @@ class ContactGrouper:
     neighbours: IntArray
 
     @cached_property
-    def patches(self) -> QuadricPatches:
-        """The outer face between the markers."""
-        return QuadricPatches.through(self.position_mm)
+    def _near(self) -> tuple[IntArray, FloatArray]:
+        """The twelve nearest others (n, 12) of each marker, and its distance (n,) mm to them."""
+        gap = np.linalg.norm(self.position_mm[:, None] - self.position_mm[None], axis=2)
+        order = np.argsort(gap, axis=1)[:, 1:13]
+        # Of the four nearest: at a rim some of the eight neighbours are missing.
+        four = np.take_along_axis(gap, order[:, :4], axis=1)
+        spacing = np.median(four, axis=1) if len(gap) > 1 else np.ones(len(gap))
+        return order, np.maximum(spacing, 1e-9)
 
     @cached_property
     def spacing_mm(self) -> float:
         """Median distance of neighbouring markers."""
-        return float(np.median(self.patches.spacing_mm))
+        return float(np.median(self._near[1]))
+
+    def onto_surface(self, point_mm: FloatArray, markers: Sequence[int]) -> FloatArray:
+        """Return the point (3,) of the outer face next to ``point_mm`` (3,).
+
+        The face is the quadric around the nearest of ``markers``, fitted through it and the markers
+        around with weights that fall with their distance; it ends two spacings from the marker.
+        """
+        gap = np.linalg.norm(self.position_mm[markers] - point_mm, axis=1)
+        own = markers[int(gap.argmin())]
+        origin, spacing = self.position_mm[own], float(self._near[1][own])
+        arm = self.position_mm[self._near[0][own]] - origin
+        weight = np.exp(-0.25 * np.sum((arm / (1.5 * spacing)) ** 2, axis=1))[:, None]
+        # The last principal axis is the normal.
+        axes = np.linalg.eigh((weight * arm).T @ (weight * arm))[1].T[::-1]
+        x, y, z = axes @ arm.T
+        terms = weight * np.column_stack([x, y, x * x, x * y, y * y])
+        quadric = np.linalg.lstsq(terms, weight[:, 0] * z, rcond=1e-6)[0]
+        x, y, _ = axes @ (point_mm - origin)
+        far = max(sqrt(x * x + y * y) / (2.0 * spacing), 1.0)
+        x, y = x / far, y / far
+        z = quadric @ np.array([x, y, x * x, x * y, y * y])
+        return np.asarray(origin + np.array([x, y, z]) @ axes)
 
     def find(self, forces_N: FloatArray, koi: IntArray) -> list[Contact]:
         """Return the contacts, the strongest first.
@@ -241,10 +185,10 @@ class ContactGrouper:
         places = self.position_mm[markers]
         centroid = weight @ places
         # Second moments: r²/2 of a uniform disc of radius r, a²/6 of a square cell of side a.
-        cell = float(weight @ self.patches.spacing_mm[markers] ** 2) / 6.0
+        cell = float(weight @ self._near[1][markers] ** 2) / 6.0
         moment = float(weight @ np.sum((places - centroid) ** 2, axis=1)) + cell
         if len(markers) > 1:
-            centroid = self.patches.nearest(centroid, markers)
+            centroid = self.onto_surface(centroid, markers)
         x, y, z = centroid.tolist()
         return Contact(
             markers=tuple(markers),

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import dist
 
+import cv2
 import numpy as np
 
 from phytac_decoder.estimation.contact_grouping import Contact, Place
@@ -27,8 +28,8 @@ class TrackingSettings:
 
 SETTINGS = TrackingSettings()
 ZERO_VELOCITY: Place = (0.0, 0.0, 0.0)
-UNPAIRED_COST = 1e9
-"""Cost of a pair that must not be matched."""
+UNPAIRED_COST = 1e4
+"""Cost of a pair that must not be matched: above all distances in mm, far from float32's limit."""
 
 
 @dataclass(kw_only=True)
@@ -76,46 +77,16 @@ class _Track:
         self.markers = frozenset(contact.markers)
 
 
-def linear_assignment(cost: FloatArray) -> list[int]:
-    """Return the columns of the rows of a cost matrix (r, c), r <= c, at the least total cost.
+def match_pairs(cost: FloatArray) -> list[tuple[int, int]]:
+    """Return pairs of rows and columns of costs (r, c): as many as possible, at the least total.
 
-    Shortest augmenting paths (Jonker and Volgenant 1987); the decoder does without SciPy.
+    The earth mover's distance of unit weights is an assignment, and the decoder does without SciPy.
     """
-    rows, columns = cost.shape
-    # Entry 0 stands for no row, and for no column.
-    owner, before = np.zeros(columns + 1, dtype=np.int64), np.zeros(columns + 1, dtype=np.int64)
-    by_row, by_column = np.zeros(rows + 1), np.zeros(columns + 1)
-    padded = np.pad(cost, ((1, 0), (1, 0)))
-    for row in range(1, rows + 1):
-        owner[0], column = row, 0
-        shortest, used = np.full(columns + 1, np.inf), np.zeros(columns + 1, dtype=np.bool_)
-        while owner[column]:
-            used[column] = True
-            reduced = padded[owner[column]] - by_row[owner[column]] - by_column
-            better = ~used & (reduced < shortest)
-            shortest[better], before[better] = reduced[better], column
-            column = int(np.where(used, np.inf, shortest).argmin())
-            step = shortest[column]
-            by_row[owner[used]] += step
-            by_column[used] -= step
-            shortest[~used] -= step
-        while column:
-            owner[column] = owner[before[column]]
-            column = int(before[column])
-    taken = {int(row) - 1: column for column, row in enumerate(owner[1:]) if row}
-    return [taken[row] for row in range(rows)]
-
-
-def match_pairs(cost: Sequence[Sequence[float]]) -> list[tuple[int, int]]:
-    """Return pairs of rows and columns: as many as possible, at the least total cost."""
-    if not cost or not cost[0]:
+    if not cost.size:
         return []
-    table = np.array(cost)
-    if len(cost) <= len(cost[0]):
-        pairs = list(enumerate(linear_assignment(table)))
-    else:
-        pairs = [(row, column) for column, row in enumerate(linear_assignment(table.T))]
-    return [(row, column) for row, column in pairs if cost[row][column] < UNPAIRED_COST]
+    rows, columns = (np.ones((count, 1), dtype=np.float32) for count in cost.shape)
+    _, _, flow = cv2.EMD(rows, columns, cv2.DIST_USER, cost=cost.astype(np.float32))
+    return [(int(row), int(column)) for row, column in np.argwhere(flow > 0.5)]
 
 
 @dataclass(kw_only=True)
@@ -181,11 +152,16 @@ class ContactTracker:
         self, tracks: Sequence[_Track], contacts: Sequence[Contact], time_s: float
     ) -> dict[int, _Track]:
         """Match contacts and tracks by the distance from the predictions."""
-        cost = []
-        for track in tracks:
-            predicted = track.predicted(time_s, SETTINGS.gate_spacings * self.spacing_mm)
-            cost.append([self._cost(track, predicted, contact) for contact in contacts])
-        return {column: tracks[row] for row, column in match_pairs(cost)}
+        reach_mm = SETTINGS.gate_spacings * self.spacing_mm
+        predicted = [track.predicted(time_s, reach_mm) for track in tracks]
+        cost = np.array(
+            [
+                [self._cost(track, place, contact) for contact in contacts]
+                for track, place in zip(tracks, predicted, strict=True)
+            ]
+        )
+        pairs = match_pairs(cost)
+        return {column: tracks[row] for row, column in pairs if cost[row, column] < UNPAIRED_COST}
 
     def _cost(self, track: _Track, predicted: Place, contact: Contact) -> float:
         """Return the distance of a contact from a prediction, less a bonus for shared markers."""
@@ -213,7 +189,7 @@ class ContactTracker:
         weights = np.maximum([contacts[piece].force_N for piece in pieces], 1e-9)
         moved = weights @ now / weights.sum() - track.merged_at
         before = np.array([member.place for member in track.inside]) + moved
-        cost = np.sum((before[:, None] - now) ** 2, axis=2).tolist()
+        cost = np.sum((before[:, None] - now) ** 2, axis=2)
         members, track.inside = track.inside, []
         # More pieces than members leave one without: it is a new contact.
         del self._tracks[track.id], found[row]
@@ -221,7 +197,7 @@ class ContactTracker:
         for member, piece in pairs:
             found[pieces[piece]] = self._tracks[members[member].id] = members[member]
         for member in sorted(set(range(len(members))) - {member for member, _ in pairs}):
-            nearest = min(pairs, key=lambda pair: cost[member][pair[1]])
+            nearest = min(pairs, key=lambda pair: cost[member, pair[1]])
             self._merge(members[nearest[0]], members[member], contacts[pieces[nearest[1]]])
 
     def _was_in(self, track: _Track, contact: Contact) -> bool:

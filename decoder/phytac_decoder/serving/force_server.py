@@ -335,8 +335,9 @@ class StreamServer:
                     receiver.put(self._serial_hello, urgent=True)
         server.close()
         end_s = time.monotonic() + limits.drain_s
-        while time.monotonic() < end_s and not all(each.idle for each in self._receivers):
-            await asyncio.sleep(0.005)
+        for receiver in list(self._receivers):
+            while not receiver.idle and time.monotonic() < end_s:  # noqa: ASYNC110 - rare
+                await asyncio.sleep(0.005)
         for receiver in self._receivers:
             if receiver.idle:
                 receiver.transport.close()
