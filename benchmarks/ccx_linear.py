@@ -3,25 +3,20 @@
 import os
 import resource
 import subprocess
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from phytac_design.mechanics.shell.mesh_writers import inp_loads, write_lines
 from phytac_shapes.arrays import FloatArray
-from verification.quadratic_shell import QuadraticMesh
-
-ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "CCX_NPROC_EQUATION_SOLVER", "CCX_NPROC_STIFFNESS"), "1"
-)
-STOPPED = 201
-"""Exit status of CalculiX after ``*NO ANALYSIS``."""
+from verification.calculix import read_dat
+from verification.quadratic_shell import QuadraticMesh, model_lines
 
 
 @dataclass(frozen=True, kw_only=True)
 class CcxRun:
-    """What CalculiX found and how long it took.
+    """Results of CalculiX and its time.
 
     Attributes
     ----------
@@ -51,10 +46,14 @@ def run_linear(
 
     ``analysis=False`` reads the file, expands the shells and stops (``*NO ANALYSIS``).
     """
-    lines = [*_model(mesh, modulus_MPa, poisson)]
+    lines = model_lines(mesh, modulus_MPa, poisson)
     for load in loads:
-        lines += _step(load, analysis)
-    (folder / "job.inp").write_text("\n".join(lines) + "\n", encoding="ascii")
+        lines += ["*STEP", "*STATIC" if analysis else "*NO ANALYSIS"]
+        lines += ["*CLOAD, OP=NEW", *list(inp_loads(load))[1:]]
+        lines += ["*NODE PRINT, NSET=ALL", "U"] if analysis else []
+        lines.append("*END STEP")
+    write_lines(folder / "job.inp", lines)
+    names = ("OMP_NUM_THREADS", "CCX_NPROC_EQUATION_SOLVER", "CCX_NPROC_STIFFNESS")
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     run = subprocess.run(
         ["ccx", "job"],
@@ -62,47 +61,16 @@ def run_linear(
         capture_output=True,
         text=True,
         check=False,
-        env={**os.environ, **ONE_THREAD},
+        env={**os.environ, **dict.fromkeys(names, "1")},
     )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    assert run.returncode == (0 if analysis else STOPPED), run.stdout[-400:]
+    # CalculiX exits with 201 after *NO ANALYSIS.
+    assert run.returncode == (0 if analysis else 201), run.stdout[-400:]
     if not analysis:
         return CcxRun(displacement_mm=np.zeros((0, 0, 3)), seconds=seconds, equations=0)
     tail = run.stdout.split("number of equations", 1)[1].split()
-    found = _read(folder / "job.dat", len(mesh.nodes_mm))
+    tables = read_dat((folder / "job.dat").read_text())
+    found = np.stack([table["displacements", "ALL"][1] for table in tables])
     assert len(found) == len(loads), run.stdout[-400:]
     return CcxRun(displacement_mm=found, seconds=seconds, equations=int(tail[0]))
-
-
-def _model(mesh: QuadraticMesh, modulus_MPa: float, poisson: float) -> Iterator[str]:
-    yield "*NODE, NSET=ALL"
-    for k, (x, y, z) in enumerate(mesh.nodes_mm.tolist(), start=1):
-        yield f"{k}, {x:.12e}, {y:.12e}, {z:.12e}"
-    yield "*ELEMENT, TYPE=S8R, ELSET=SHELL"
-    for k, octet in enumerate((mesh.octets + 1).tolist(), start=1):
-        yield f"{k}, {', '.join(map(str, octet))}"
-    yield from ("*MATERIAL, NAME=RESIN", "*ELASTIC", f"{modulus_MPa:.9g}, {poisson:.9g}")
-    yield from ("*SHELL SECTION, ELSET=SHELL, MATERIAL=RESIN", f"{mesh.linear.thickness_mm:.9g}")
-    yield "*BOUNDARY"
-    yield from (f"{k}, 1, 6" for k in (mesh.held + 1).tolist())
-
-
-def _step(load: FloatArray, analysis: bool) -> Iterator[str]:
-    yield from ("*STEP", "*STATIC" if analysis else "*NO ANALYSIS", "*CLOAD, OP=NEW")
-    for node, axis in zip(*(k.tolist() for k in np.nonzero(load)), strict=True):
-        yield f"{node + 1}, {axis + 1}, {load[node, axis]:.12e}"
-    yield from ("*NODE PRINT, NSET=ALL", "U") if analysis else ()
-    yield "*END STEP"
-
-
-def _read(path: Path, count: int) -> FloatArray:
-    steps: list[FloatArray] = []
-    with path.open() as lines:
-        for line in lines:
-            row = line.split()
-            if "displacements" in line:
-                steps.append(np.full((count, 3), np.nan))
-            elif len(row) == 4 and row[0].isdigit():
-                steps[-1][int(row[0]) - 1] = [float(x) for x in row[1:]]
-    return np.stack(steps)

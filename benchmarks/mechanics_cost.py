@@ -112,29 +112,20 @@ def exponent(x: list[float], y: list[float]) -> float:
 
 def add_rows(table: Table, *, sizes: tuple[tuple[int, int], ...] = SIZES) -> None:
     """Seconds, memory and exponents over ``sizes``."""
-    found: dict[str, list[dict[str, Any]]] = {}
-    for solver in ("superlu",):
-        for along, around in sizes:
-            try:
-                text = python("benchmarks.mechanics_cost", str(along), str(around))
-            except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
-                why = str(getattr(error, "stderr", "") or error).strip().splitlines()[-1:]
-                print(f"{solver} stops at {along} × {around}: {why}", flush=True)
-                break
-            found.setdefault(solver, []).append(json.loads(text))
-    for solver, runs in found.items():
-        _report(table, solver, runs)
-
-
-def _report(table: Table, solver: str, runs: list[dict[str, Any]]) -> None:
-    for run in runs:
-        seconds = run["seconds"]
-        row = f"cost: {solver}, {run['dof']} DOF"
+    runs: list[dict[str, Any]] = []
+    for along, around in sizes:
+        try:
+            text = python("benchmarks.mechanics_cost", str(along), str(around))
+        except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
+            why = str(getattr(error, "stderr", "") or error).strip().splitlines()[-1:]
+            print(f"superlu stops at {along} × {around}: {why}", flush=True)
+            break
+        runs.append(json.loads(text))
+        run, seconds = runs[-1], runs[-1]["seconds"]
+        row = f"cost: superlu, {run['dof']} DOF"
         source = "processor time, one thread, process of its own"
-        note = (
-            "; ".join(f"{name} {seconds[name]:.3g} s" for name in PARTS)
-            + f"; peak memory {run['peak_GiB']:.2f} GiB"
-        )
+        each = "; ".join(f"{name} {seconds[name]:.3g} s" for name in PARTS)
+        note = f"{each}; peak memory {run['peak_GiB']:.2f} GiB"
         table.add(row, sum(seconds.values()), "s", "-", source, note=note)
     if len(runs) < 2:
         return
@@ -143,7 +134,7 @@ def _report(table: Table, solver: str, runs: list[dict[str, Any]]) -> None:
     columns["peak memory"] = [run["peak_GiB"] for run in runs]
     theory = {"elements": 1.0, "assembly": 1.0, "factorisation": 1.5}
     for name, values in columns.items():
-        row = f"cost: {solver}, exponent of {name} over {sizes[0]:.0f} to {sizes[-1]:.0f} DOF"
+        row = f"cost: superlu, exponent of {name} over {sizes[0]:.0f} to {sizes[-1]:.0f} DOF"
         source = "theory of nested dissection in the plane" if name in theory else "fit"
         table.add(row, exponent(sizes, values), "-", theory.get(name, "-"), source)
 

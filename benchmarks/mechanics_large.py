@@ -13,15 +13,14 @@ from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design
 from phytac_design.mechanics.large.linear_error import check_linear
 from phytac_design.mechanics.large.load_path import solve_large
-from phytac_design.mechanics.large.newton import Equilibrium, Loading, System
+from phytac_design.mechanics.large.newton import Loading
 from phytac_design.mechanics.meshing.mesh import chart_mesh
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import ShellModel, clamped_model
 from phytac_shapes.arrays import FloatArray
-from phytac_shapes.errors import NumericalError
 from verification import large_shells as large_cases
 from verification.contact_mesh import contact_mesh
-from verification.path_tracing import trace_arc, trace_displacement
+from verification.path_tracing import trace_displacement
 from verification.quadratic_shell import quadratic_mesh, quadratic_patch, run_ccx
 from verification.solid_roof import solid_roof
 
@@ -108,60 +107,11 @@ def _honesty(table: Table, model: ShellModel, unit: Any) -> None:
         table.add(row, max(ratio, 1.0 / ratio), "x", float(off), source, "<= 2", note)
 
 
-def add_rows(table: Table, *, quick: bool) -> None:
-    """Stability and jumps, the roof against bricks, units and frames, batches over processes."""
-    _jumps(table, 4 if quick else 8)
-    if shutil.which("ccx") is not None:
-        _bricks(table, bricks=6 if quick else 12, ours=12 if quick else 48)
-
-
-def _jumps(table: Table, n: int) -> None:
-    """Load control over and under the limit loads of both roofs; signs of the tangent's pivots."""
-    silent = false = wrong = states = 0
-    for thickness in (12.7, 6.35):
-        model, load, middle = large_cases.hinged_roof(n, thickness=thickness)
-        found = large_cases.roof_path(n, thickness=thickness).turns["limit"]
-        for share in (0.3, 0.6, 0.9, 0.97, 0.99, 1.02, 1.05, 1.2, 1.5, 3.0):
-            try:
-                end = solve_large(model, Loading(force=load), factors=[share * found])[0]
-            except NumericalError:
-                false += share < 1.0
-                continue
-            silent += share > 1.0 and not end.jumped
-            false += share < 1.0 and end.jumped
-        for state in _arc(model, load, middle):
-            states += 1
-            wrong += state.negative_pivots != _negative_eigenvalues(model, load, state)
-    for label, value in (
-        ("snapped states of load control not marked, 10 loads beyond the limit", silent),
-        ("states below the limit marked or refused, 10 loads", false),
-        (f"states of {states} along the arcs whose pivots miscount negative eigenvalues", wrong),
-    ):
-        row = f"large: hinged roofs, {n} a side: {label}"
-        source = "LAPACK eigenvalues" if "pivots" in label else "arc-length path, same mesh"
-        table.add(row, value, "states", 0, source, "== 0")
-
-
-def _arc(model: ShellModel, load: FloatArray, middle: int) -> list[Equilibrium]:
-    return trace_arc(
-        model,
-        Loading(force=load),
-        first_mm=0.5,
-        longest_mm=1.0,
-        stop=lambda s: s.state.displacement_mm[middle, 2] < -25.0 and s.load_factor > 0.0,
-    )
-
-
-def _negative_eigenvalues(model: ShellModel, load: FloatArray, state: Equilibrium) -> int:
-    system = System(model, Loading(force=load))
-    K = system.shell.tangent(system.shell.local(state.state))
-    free = np.ix_(system.free, system.free)
-    scaled = (system.scale[:, None] * K.toarray() * system.scale)[free]
-    return int(np.sum(np.linalg.eigvalsh(0.5 * (scaled + scaled.T)) < 0.0))
-
-
-def _bricks(table: Table, *, bricks: int, ours: int) -> None:
-    """The roof's curve against CalculiX' bricks: both laws, and a flatter roof."""
+def bricks(table: Table, *, quick: bool) -> None:
+    """The roof's curve against bricks of CalculiX: both material laws, and a flatter roof."""
+    if shutil.which("ccx") is None:
+        return
+    bricks, ours = (6, 12) if quick else (12, 48)
     miss = "the laws of ours and ccx differ by the strain (0.2-0.5 %): with the other law, or a "
     for flatter, neo in ((1.0, False), (1.0, True), (4.0, False)):
         sags = [sag / flatter for sag in ROOF_SAGS_MM]

@@ -1,20 +1,18 @@
-"""Receptors on the shell: cell models, and whole small sensors as solids of the true CAD.
+"""Receptors on the shell: cell models, and whole sensors as solids of the true CAD.
 
-``add_rows`` adds to the table of ``mechanics``; ``python -m benchmarks.mechanics_receptors``
-prints the rows alone, ``--table`` makes the tables of ``receptor_stiffness``.
+Part ``receptors`` of ``mechanics``; ``python -m benchmarks.mechanics_receptors`` makes the tables
+of ``receptor_stiffness``.
 """
 
-import argparse
 import resource
 import tempfile
 import time
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Table, median_of
+from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design, parse_design
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
@@ -23,7 +21,7 @@ from phytac_design.mechanics.meshing.mesh import marker_mesh
 from phytac_design.mechanics.pressing.contact_patch import ContactPatch
 from phytac_design.mechanics.pressing.press import press
 from phytac_design.mechanics.shell import receptor_stiffness as rc
-from phytac_design.mechanics.shell.compliance import marker_compliance, point_motion
+from phytac_design.mechanics.shell.compliance import point_motion
 from phytac_design.mechanics.shell.loads import patch_loads
 from phytac_design.mechanics.shell.solve import clamped_model
 from phytac_design.mechanics.solid.load import solid_patch_load
@@ -42,8 +40,6 @@ FINER = 0.75
 CCX = "CalculiX, quadratic tetrahedra of the true CAD (gmsh)"
 NU = 0.38
 DENSE = "tables are for ν = 0.38 and one area fraction; here ν = 0.3, tubes over 27 % of the wall"
-CELL_MM = 4.43
-"""Radius of the disc that has the area of a marker's cell on cylinder60."""
 STIFF = "a coarse solid moves too little: at this factor the ø30 sensor 1.6 % of the peak"
 CELLS = (  # receptors of cylinder60 (short, middle) and cylinder40, and one off the tables' grid
     ("cylinder60, h 0.5 mm", 5.217, 11.78, 0.8, 0.5, 3.0, 1.6, 0.38),
@@ -62,43 +58,14 @@ def small_sensor() -> Design:
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
-    """Add the rows; without Gmsh or CalculiX say so and add none of theirs."""
+    """Add the rows that Gmsh and CalculiX allow."""
     try:
-        compliance(table, refine=2 if quick else 4, finer=4 if quick else 12)
         cells(table, quick=quick)
         whole_sensor(table, quick=quick)
         if not quick:
             whole_prototype(table)
     except MissingPartError as error:
         print(f"receptor rows left out: {error}", flush=True)
-
-
-def compliance(table: Table, *, refine: int, finer: int) -> None:
-    """Compliance of all markers of cylinder60 with and without receptors: time, error of tips."""
-    design = load_design("cylinder60")
-    surface = design.surface()
-    markers = make_markers(design, surface)
-
-    def tips(level: int, *, receptors: bool) -> tuple[FloatArray, int]:
-        mesh = marker_mesh(surface, markers, thickness_mm=design.wall.thickness_mm, refine=level)
-        model = rc.sensor_model(design, markers, mesh, receptors=receptors)
-        found = marker_compliance(model, mesh, surface, markers, load_radius_mm=CELL_MM)
-        return point_motion(found.motion, markers.tip_mm - markers.mid_mm), found.solves
-
-    truth = tips(finer, receptors=True)[0]
-    peak = np.linalg.norm(truth, axis=1).max(axis=0)
-    for receptors, how, target in ((False, "plain wall", None), (True, "with receptors", "<= 3")):
-        found, solves = tips(refine, receptors=receptors)
-        row = f"cylinder60 compliance of all markers, refine {refine}, {how}: seconds"
-        source = "project target"
-        note = f"mesh, model, factorisation and {solves} loads of 368, the others turned"
-        value = median_of(partial(tips, refine, receptors=receptors), 3)
-        table.add(row, value, "s", 3.0, source, target, note)
-        error = np.linalg.norm(found - truth, axis=1).max(axis=0) / peak
-        row = f"cylinder60 compliance of all markers, refine {refine}, {how}: tip error"
-        source = f"our shell with receptors, refine {finer}"
-        value = 100.0 * float(np.sqrt(np.mean(error**2)))
-        table.add(row, value, "% of each load's peak, RMS over loads", 0.0, source)
 
 
 def cells(table: Table, *, quick: bool) -> None:
@@ -243,7 +210,7 @@ def solid_tips(
 
 
 def effect_tables() -> None:
-    """Print the tables of ``receptors`` again (about ten minutes)."""
+    """Print the tables of ``receptor_stiffness`` (about ten minutes)."""
     shape = (len(rc.DIAMETER_OVER_T), len(rc.HOLE_OVER_DIAMETER), len(rc.HEIGHT_OVER_T))
     membrane, bending = np.zeros(shape), np.zeros(shape)
     share = np.pi / 4.0 / 2.56**2
@@ -278,17 +245,5 @@ def effect_tables() -> None:
         print(f"{name} = np.array({np.array2string(values, precision=3, separator=', ')})")
 
 
-def main() -> None:
-    """Print the rows, or the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="smaller cases")
-    parser.add_argument("--table", action="store_true", help="make the tables of receptors.py")
-    chosen = parser.parse_args()
-    if chosen.table:
-        effect_tables()
-    else:
-        add_rows(Table("mechanics_receptors"), quick=chosen.quick)
-
-
 if __name__ == "__main__":
-    main()
+    effect_tables()

@@ -185,18 +185,6 @@ def one_load(table: Table, shell: Shell) -> None:
             PAIRS,
             THEIRS,
         ),
-        "ours extrapolated from two graded meshes, theirs one even mesh": (
-            graded_o,
-            even_t,
-            GRADED_PAIRS,
-            THEIRS,
-        ),
-        "ours extrapolated from two graded meshes, theirs one graded": (
-            graded_o,
-            graded_t,
-            GRADED_PAIRS,
-            GRADED_THEIRS,
-        ),
         "both extrapolated from two graded meshes": (
             graded_o,
             cache(lambda s: _pair(shell.theirs, shell.graded, s, 0.5)),

@@ -116,7 +116,7 @@ def run_ccx(path: Path) -> list[dict[tuple[str, str], tuple[IntArray, FloatArray
     if run.returncode or bad or not table.exists():
         text = bad.group(0) if bad else run.stdout[-300:] + run.stderr[-300:]
         raise NumericalError(f"ccx failed on {path.name} (code {run.returncode}): {text.strip()}")
-    return _read_dat(table.read_text())
+    return read_dat(table.read_text())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,8 +166,8 @@ def read_convergence(path: Path) -> Convergence:
     )
 
 
-def _read_dat(text: str) -> list[dict[tuple[str, str], tuple[IntArray, FloatArray]]]:
-    """Tables of a ``.dat`` file by time."""
+def read_dat(text: str) -> list[dict[tuple[str, str], tuple[IntArray, FloatArray]]]:
+    """Tables of the text of a ``.dat`` file, by time as :func:`run_ccx` returns them."""
     head = re.compile(r"^ *(\w+) \([^)]*\) for set (\S+) and time +(\S+)$", re.MULTILINE)
     marks = list(head.finditer(text))
     times: dict[float, dict[tuple[str, str], tuple[IntArray, FloatArray]]] = {}

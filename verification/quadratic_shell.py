@@ -129,13 +129,14 @@ def run_ccx(
     NumericalError
         If CalculiX does not finish the step.
     """
-    path = write_lines(folder / "s8r.inp", _lines(mesh, forces, modulus_MPa, poisson))
+    step = ("*STEP, NLGEOM, INC=200", "*STATIC", "0.5, 1.0", *inp_loads(forces))
+    lines = [*model_lines(mesh, modulus_MPa, poisson), *step]
+    path = write_lines(folder / "s8r.inp", [*lines, "*NODE PRINT, NSET=ALL", "U", "*END STEP"])
     return calculix.run_ccx(path)[-1]["displacements", "ALL"][1]
 
 
-def _lines(
-    mesh: QuadraticMesh, forces: FloatArray, modulus_MPa: float, poisson: float
-) -> list[str]:
+def model_lines(mesh: QuadraticMesh, modulus_MPa: float, poisson: float) -> list[str]:
+    """Nodes, elements, section and clamped rims of an ``.inp`` file."""
     octets = [
         f"{k}, {', '.join(map(str, row))}"
         for k, row in enumerate((mesh.octets + 1).tolist(), start=1)
@@ -146,7 +147,4 @@ def _lines(
         *inp_material(modulus_MPa, poisson),
         *("*SHELL SECTION, ELSET=SHELL, MATERIAL=RESIN", f"{mesh.linear.thickness_mm:.9g}"),
         *("*BOUNDARY", *(f"{k}, 1, 6" for k in (mesh.held + 1).tolist())),
-        *("*STEP, NLGEOM, INC=200", "*STATIC", "0.5, 1.0"),
-        *inp_loads(forces),
-        *("*NODE PRINT, NSET=ALL", "U", "*END STEP"),
     ]

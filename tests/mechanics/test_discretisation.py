@@ -128,7 +128,7 @@ def sensor(part: Prototype, radius_mm: float = 6.0) -> DiscretisationError:
 def test_sensor_under_fingertips(cylinder60: Prototype) -> None:
     found = sensor(cylinder60)
     assert found.motion.shape == (cylinder60.markers.count + 2, 3, 2)
-    # Errors of the finest meshes run (16 and 8 to a pitch, ``benchmarks/mechanics_error``).
+    # Errors against 16 and 8 elements to a pitch, extrapolated.
     truth = np.array([0.0485, 0.0735])
     assert np.all(found.relative > 0.5 * truth)
     assert np.all(found.relative < 2.0 * truth)

@@ -64,7 +64,7 @@ EFFECTS = np.fromstring(
 """Rows by diameter, and in each group by hole; columns by height: membrane, then bending."""
 EFFECT_MEMBRANE, EFFECT_BENDING = EFFECTS[:, :, 0], EFFECTS[:, :, 1]
 """e by (diameter, hole, height) at ν = 0.38, area fraction 0.12; converged with the mesh to 0.3 %
-of a cell's stiffness. ``python -m benchmarks.mechanics_receptors --table`` makes them. From ν = 0.3
+of a cell's stiffness. ``python -m benchmarks.mechanics_receptors`` makes them. From ν = 0.3
 to 0.45 e changes by up to 12 %: a cell's stiffness by 1 %, by 5 % where tubes are very dense."""
 ROUNDING = 1.0 + 1e-9
 """Rounding allowed beyond the tables' ends."""
