@@ -290,9 +290,9 @@ def test_without_graphics_libraries_only_the_step_is_left_out(
 
     none = {"libEGL.so.1": False, "libGL.so.1": False, "libX11.so.6": False}
     monkeypatch.setattr(stage, "graphics_libraries", lambda: none)
-    monkeypatch.setattr("phytac_design.solids.cad.shell_cad", absent)
+    monkeypatch.setattr("phytac_design.stages.shell_stage.shell_cad", absent)
     monkeypatch.setattr("phytac_design.fabrication.hardware.by_cad.cadquery", absent)
-    monkeypatch.setattr("phytac_design.optics.picture.render_picture", absent)
+    monkeypatch.setattr("phytac_design.stages.views_stage.render_picture", absent)
     assert shell_stage.STEP.graphics
     assert views_stage.VIEWS.graphics
     result = build(small(), tmp_path / "x", accuracy="draft", progress=quiet)
@@ -311,7 +311,7 @@ def test_a_shell_that_the_cad_kernel_cannot_fuse_is_printed_all_the_same(
     def broken(*_: object) -> None:
         raise CadKernelError("OpenCASCADE cannot fuse receptors and wall: 4 solids instead of 1")
 
-    monkeypatch.setattr("phytac_design.solids.cad.shell_cad", broken)
+    monkeypatch.setattr("phytac_design.stages.shell_stage.shell_cad", broken)
     monkeypatch.setattr("phytac_design.fabrication.hardware.step.shell_cad", broken)
     whole = replace(PRESETS["draft"], cad_tolerance_mm=0.02)
     only = ["step", "hardware"]

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from phytac_design.core import figures
+from phytac_design.core import html as page
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import Context, write_arrays, write_facts
 from phytac_design.geometry import flat_map
@@ -16,12 +16,12 @@ from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.report import (
     figure_names,
-    page,
     report_figures,
     report_sections,
     score_tables,
     verdict,
 )
+from phytac_design.report.report_figures import MAP
 from phytac_design.report.sensor_drawing import Drawing
 from phytac_design.stages.build import BuildResult
 from phytac_design.stages.report_stage import forced_past
@@ -138,15 +138,12 @@ def test_the_colour_bar_is_as_tall_as_the_map(sides: tuple[float, float]) -> Non
     assert wide / tall == pytest.approx(extent[0] / extent[1], rel=1e-6)
     data = report_figures.value_map(flat, places[:, 0], label="mm", colours=["blue"] * 50)
     image: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-    top = report_figures.ABOVE_IN * figures.DPI
-    bottom = top + tall * figures.DPI
-    at = round(
-        (report_figures.LEFT_IN + wide + report_figures.BAR_GAP_IN + report_figures.BAR_IN / 2.0)
-        * figures.DPI
-    )
+    top = MAP.above_in * 130
+    bottom = top + tall * 130
+    at = round((MAP.left_in + wide + MAP.gap_in + MAP.bar_in / 2.0) * 130)
     bar = np.flatnonzero(np.ptp(image[:, at].astype(int), axis=1) > 40)
     assert (bar[0], bar[-1]) == (pytest.approx(top, abs=3), pytest.approx(bottom, abs=3))
-    edge = round(report_figures.LEFT_IN * figures.DPI)
+    edge = round(MAP.left_in * 130)
     frame = np.flatnonzero((image[:, edge - 2 : edge + 3] < 90).all(axis=2).any(axis=1))
     assert frame[0] == pytest.approx(top, abs=3)
     assert bottom - 3 <= frame[-1]
@@ -155,10 +152,10 @@ def test_the_colour_bar_is_as_tall_as_the_map(sides: tuple[float, float]) -> Non
 def test_figures_that_do_not_exist_are_dashes_with_their_reason() -> None:
     for value in (None, float("nan"), float("inf"), ""):
         assert page.number(value) == "–"
-    html = page.facts({"first_force_N": None, "odd": None, "presses": 3}, "under_load")
+    html = figure_names.facts({"first_force_N": None, "odd": None, "presses": 3}, "under_load")
     assert "– (nothing hides or fuses)" in html
     assert ">smallest force at which a marker hides or fuses (N)<" in html
-    assert ">under_load.odd</th><td>–</td>" in html
+    assert 'title="under_load.odd">odd</th><td>–</td>' in html
     assert html.index("places pressed") < html.index("smallest force")
     assert "None" not in html
     assert page.number([[0.0, 1.0], [2.0, 3.5]]) == "0, 1; 2, 3.5"
@@ -338,7 +335,7 @@ def test_bars_of_very_unlike_errors_and_of_none_are_drawn() -> None:
 
 def test_records_are_tables_of_their_own() -> None:
     parts = [{"note": "a", "part": "switch A0"}, {"part": "switch A1", "note": None}]
-    html = page.facts({"parts": parts, "red": {"unreadable": 2}}, "switch")
+    html = figure_names.facts({"parts": parts, "red": {"unreadable": 2}}, "switch")
     assert html.count("<table") == 2
     assert html.index(">part<") < html.index(">note<")
     assert ">switch A1</th><td>–</td>" in html

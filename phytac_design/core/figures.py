@@ -1,34 +1,19 @@
-"""Figures as PNG bytes. matplotlib is imported at first use."""
+"""Figures as PNG bytes. matplotlib is imported at first use, without its pyplot."""
 
 from io import BytesIO
 from typing import Any
 
-DPI = 130
-
 
 def png(figure: Any) -> bytes:
-    """PNG of a figure, the same bytes for the same figure; the figure is closed."""
-    import matplotlib.pyplot as plt
-
+    """PNG of a figure, the same bytes for the same figure."""
     buffer = BytesIO()
     # Without a fixed date and program the same figure would not give the same bytes.
-    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
-    plt.close(figure)
+    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
     return buffer.getvalue()
 
 
-def new_figure(size: tuple[float, float]) -> Any:
-    """Figure without axes, of a size in inches, drawn off screen; its parts don't overlap."""
-    figure = blank_figure(size)
-    figure.set_layout_engine("constrained")
-    return figure
+def new_figure(size: tuple[float, float], *, layout: str | None = "constrained") -> Any:
+    """Figure without axes, of a size in inches; with the default layout its parts don't overlap."""
+    from matplotlib.figure import Figure
 
-
-def blank_figure(size: tuple[float, float]) -> Any:
-    """Figure without axes or layout, of a size in inches, drawn off screen."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt.figure(figsize=size)
+    return Figure(figsize=size, layout=layout)

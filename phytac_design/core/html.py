@@ -2,9 +2,9 @@
 
 import math
 import re
-from base64 import b64encode
-from collections.abc import Sequence
-from html import escape
+from base64 import b64decode, b64encode
+from collections.abc import Mapping, Sequence
+from html import escape, unescape
 from importlib import resources
 from typing import Any
 
@@ -12,10 +12,6 @@ STYLE = (resources.files("phytac_design.core") / "page.css").read_text(encoding=
 POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src {}"
 """Content security: a page fetches nothing."""
 DASH = "–"
-SHOWN = 12
-"""Items of a list that are shown."""
-SMALL = 1e-3
-LARGE = 1e4
 
 
 class Html(str):
@@ -38,13 +34,14 @@ def number(value: Any) -> str:
     if missing(value):
         return DASH
     if isinstance(value, float):
-        if value != 0.0 and abs(value) < SMALL:
+        if value != 0.0 and abs(value) < 1e-3:
             return f"{value:.2g}"
-        return f"{value:.0f}" if abs(value) >= LARGE else f"{value:.4g}"
+        return f"{value:.0f}" if abs(value) >= 1e4 else f"{value:.4g}"
     if isinstance(value, list | tuple):
+        shown = 12
         inner = any(isinstance(item, list | tuple) for item in value)
-        more = f" … ({len(value)})" if len(value) > SHOWN else ""
-        return (("; " if inner else ", ").join(map(number, value[:SHOWN])) or "none") + more
+        more = f" … ({len(value)})" if len(value) > shown else ""
+        return (("; " if inner else ", ").join(map(number, value[:shown])) or "none") + more
     return escape(str(value))
 
 
@@ -127,3 +124,31 @@ def page(
 def slug(head: str) -> str:
     """Heading as a name for links."""
     return re.sub(r"[^a-z0-9]+", "-", head.lower()).strip("-")
+
+
+def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested mappings as one with dotted keys."""
+    out: dict[str, Any] = {}
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            out |= flatten(value, f"{name}.")
+        else:
+            out[name] = value
+    return out
+
+
+def images_of(html: str) -> dict[str, bytes]:
+    """Return the named images of a page, by file name."""
+    found = re.findall(r'<img [^>]*?data-file="([^"]+)"[^>]*? src="data:[^,]+,([^"]*)"', html)
+    return {unescape(name): b64decode(source) for name, source in found}
+
+
+def side_by_side(*parts: str) -> str:
+    """Figures side by side where there is room."""
+    return f'<div class="pair">{"".join(parts)}</div>'
+
+
+def details(summary: str, html: str) -> str:
+    """HTML that is shown when its summary is clicked, and in print."""
+    return f"<details><summary>{escape(summary)}</summary>{html}</details>"

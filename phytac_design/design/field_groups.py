@@ -86,6 +86,15 @@ PARTS: dict[str, tuple[str, ...]] = {
         "receptor.diameter_hole_mm",
         "material",
     ),
+    # All that the mechanics and the imaging of presses depend on, but the presses themselves.
+    "mechanics": ("tubes", "cameras", "stiffness"),
+    # The presses.
+    "touch": (
+        "training.force_max_N",
+        "training.patch_radius_min_mm",
+        "training.patch_radius_max_mm",
+    ),
+    "pictures": ("markers", "cameras", "bodies", "camera.noise_pixel"),
     # What trips a switch.
     "trips": ("switch.threshold_N", "switch.regions", "switch.footprint_diameter_mm"),
 }
@@ -97,8 +106,10 @@ def fields_of(design: Design, names: Iterable[str]) -> tuple[str, ...]:
     for name in names:
         if name in RECEPTORS:
             found |= set(receptor_fields(design, name))
+        elif name in PARTS:
+            found |= set(fields_of(design, PARTS[name]))
         else:
-            found |= set(PARTS.get(name, (name,)))
+            found.add(name)
     tables = {name for name in found if "." not in name}
     return tuple(
         sorted(name for name in found if "." not in name or name.partition(".")[0] not in tables)

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from phytac_design.report import page, verdict
+from phytac_design.core import html as page
+from phytac_design.report import verdict
 from phytac_shapes.bounded_reader import read_bytes, toml_table
 from phytac_shapes.errors import InputError
 

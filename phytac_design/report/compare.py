@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any, get_args
 
-from phytac_design.report import page, verdict
+from phytac_design.core import html as page
+from phytac_design.report import verdict
 from phytac_design.report.built_sensors import FIGURES, PICTURES, Build, keyed
 from phytac_design.report.viewer.assets import PAGE_SCRIPTS, data_tag, script_tags, style
 from phytac_design.report.viewer.data import LOG_RANGE

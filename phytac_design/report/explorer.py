@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from phytac_design.core import html as page
 from phytac_design.engine.stage import Context
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.density import density_map
-from phytac_design.report import page
 from phytac_design.report.viewer.data import Colouring, base_colourings, viewer_data
 from phytac_design.report.viewer.still import still_picture
 from phytac_shapes.arrays import FloatArray

@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any
 
+from phytac_design.core import html as page
 from phytac_design.engine.stage import EXPORT, Context
-from phytac_design.report import page
+from phytac_design.report import figure_names
 from phytac_design.report.verdict import sentence
 
 SHELL_FILE = "shell/shell.stl"
@@ -82,7 +83,7 @@ def print_rules(context: Context) -> str:
     )
     picture = drawn.read_text(encoding="utf-8") if drawn.is_file() else ""
     shown = page.svg_figure(picture, "The shell as printed, with broken rules") if picture else ""
-    rules = page.facts(page.flatten(printed["rules"], "rules."))
+    rules = figure_names.facts(page.flatten(printed["rules"], "rules."))
     return f"<h3>Print rules</h3>{text}{shown}{listed}" + page.details("All rules", rules)
 
 
@@ -106,4 +107,4 @@ def fabrication_section(context: Context, report: Mapping[str, Any]) -> str:
     if joints:
         out += page.table(("joint", "screw", "count", "head in", "thread in"), joints)
     plain = {key: value for key, value in facts.items() if key not in ("screws", "print_unchecked")}
-    return out + page.facts(plain, "fabrication") + print_rules(context)
+    return out + figure_names.facts(plain, "fabrication") + print_rules(context)

@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 
 from phytac_decoder.camera.camera import Camera
+from phytac_design.core import html as page
 from phytac_design.engine.stage import Context
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.render_scene import build_scene
-from phytac_design.report import page
 from phytac_design.simulation.contacts import Contacts, switch_states
 from phytac_shapes.arrays import FloatArray, ImageArray
 

@@ -6,10 +6,11 @@ from html import escape
 from importlib import metadata
 from typing import Any
 
+from phytac_design.core import html as page
 from phytac_design.design.design_file import design_hash, to_toml
 from phytac_design.engine import cache
 from phytac_design.engine.stage import Context
-from phytac_design.report import page
+from phytac_design.report import figure_names
 
 PACKAGES = (
     "phytac-design",
@@ -77,7 +78,7 @@ def time_section(context: Context, report: Mapping[str, Any]) -> str:
         f"<p>The plan: {escape(limited)}. Times are of when each stage ran; a stage whose inputs "
         "have not changed is taken from the cache. <code>phytac plan</code> says beforehand what a "
         "build costs, <code>phytac tradeoff</code> what each setting's speed costs in newtons.</p>"
-        f"{table}" + page.facts(page.flatten({key: report[key] for key in ("accuracy", "seed")}))
+        f"{table}" + figure_names.facts({key: report[key] for key in ("accuracy", "seed")})
     )
 
 

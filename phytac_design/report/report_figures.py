@@ -1,14 +1,16 @@
 """Figures of the report, as PNG bytes."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any
 
 import cv2
 import numpy as np
 
-from phytac_design.core.figures import blank_figure, new_figure, png
+from phytac_design.core.figures import new_figure, png
 from phytac_design.geometry.flat_map import FlatMap
+from phytac_design.layout.markers import Markers
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 
 INK = {
@@ -18,9 +20,26 @@ INK = {
     "magenta": "#c2189b",
     "cyan": "#0fa3b1",
 }
-LEFT_IN, RIGHT_IN, BELOW_IN, ABOVE_IN = 0.85, 1.0, 0.65, 0.15
-BAR_IN, BAR_GAP_IN = 0.16, 0.1
-"""Margins of a map, and width and distance of its colour bar, inches."""
+
+
+@dataclass(frozen=True)
+class MapLayout:
+    """Margins of a map, and width and distance of its colour bar, inches."""
+
+    left_in: float = 0.85
+    right_in: float = 1.0
+    below_in: float = 0.65
+    above_in: float = 0.15
+    bar_in: float = 0.16
+    gap_in: float = 0.1
+
+
+MAP = MapLayout()
+
+
+def paint_of_each(colours: Sequence[str], markers: Markers) -> list[str]:
+    """Paint of each marker, of a layout's ``colours``."""
+    return [colours[index % len(colours)] for index in markers.colour]
 
 
 def map_size_in(flat: FlatMap) -> tuple[float, float]:
@@ -66,14 +85,14 @@ def value_map(
         Place to mark with a cross.
     """
     wide, tall = map_size_in(flat)
-    size = LEFT_IN + wide + RIGHT_IN, BELOW_IN + tall + ABOVE_IN
-    figure = blank_figure(size)
+    size = MAP.left_in + wide + MAP.right_in, MAP.below_in + tall + MAP.above_in
+    figure = new_figure(size, layout=None)
 
     def box(left: float, width: float) -> Any:
-        rectangle = (left / size[0], BELOW_IN / size[1], width / size[0], tall / size[1])
+        rectangle = (left / size[0], MAP.below_in / size[1], width / size[0], tall / size[1])
         return figure.add_axes(rectangle)
 
-    axes, bar = box(LEFT_IN, wide), box(LEFT_IN + wide + BAR_GAP_IN, BAR_IN)
+    axes, bar = box(MAP.left_in, wide), box(MAP.left_in + wide + MAP.gap_in, MAP.bar_in)
     draw_map(axes, flat)
     _break_labels(axes, wide, tall)
     known = np.isfinite(values)

@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from phytac_design.core import html as page
 from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.geometry import flat_map
 from phytac_design.optics.density import density_map
 from phytac_design.optics.separability import check_paints, separability_svg
 from phytac_design.optics.sharpness import DIRECTIONS
-from phytac_design.report import figure_names, page, report_figures, score_tables
+from phytac_design.report import figure_names, report_figures, score_tables
 from phytac_design.report.explorer import GAP_PX, explorer_section, softness_um_N
 from phytac_design.report.fabrication_section import fabrication_section
 from phytac_design.report.press_pictures import press_pictures, press_slider
@@ -137,7 +138,7 @@ def camera_section(context: Context, report: Mapping[str, Any], draw: Drawing) -
     # With several cameras the table above has these for each of them.
     omitted = {"end", "stand_off_mm"} if several else set()
     rest = {key: value for key, value in report["camera"].items() if key not in omitted}
-    return "".join(parts) + page.facts(rest, "camera")
+    return "".join(parts) + figure_names.facts(rest, "camera")
 
 
 def lens_section(context: Context, report: Mapping[str, Any]) -> str:
@@ -221,7 +222,7 @@ def under_load_section(context: Context, report: Mapping[str, Any], draw: Drawin
             ),
         )
         + (by_camera if each else "")
-        + page.facts(shown, "under_load")
+        + figure_names.facts(shown, "under_load")
     )
 
 
@@ -252,7 +253,7 @@ def resolution_section(context: Context, report: Mapping[str, Any], draw: Drawin
                 name="resolution_along",
             ),
         )
-        + page.facts({key: found[key] for key in found if key != "bound"}, "resolution")
+        + figure_names.facts({key: found[key] for key in found if key != "bound"}, "resolution")
     )
 
 
@@ -270,7 +271,7 @@ def markers_section(context: Context, report: Mapping[str, Any], draw: Drawing) 
             "The paints under the light: three standard deviations of one pixel, and the "
             "decoder's borders",
         ),
-    ) + page.facts(report["markers"], "markers")
+    ) + figure_names.facts(report["markers"], "markers")
 
 
 def mechanics_section(context: Context, report: Mapping[str, Any], draw: Drawing) -> str:
@@ -315,7 +316,7 @@ def mechanics_section(context: Context, report: Mapping[str, Any], draw: Drawing
         + note
         + "<h3>Mesh for other solvers, and the printed shell</h3>"
         + page.side_by_side(
-            page.facts(report["mesh"], "mesh"), page.facts(report["shell"], "shell")
+            figure_names.facts(report["mesh"], "mesh"), figure_names.facts(report["shell"], "shell")
         )
     )
 
@@ -339,7 +340,7 @@ def switch_section(context: Context, report: Mapping[str, Any]) -> str:
                 for path in curves
             )
         )
-        + page.facts(red, "switch")
+        + figure_names.facts(red, "switch")
     )
 
 
@@ -359,7 +360,7 @@ def frames_section(context: Context, report: Mapping[str, Any], table: str) -> s
     return (
         f"{table}<p>({page.number(PAPER)}.)</p>"
         + page.side_by_side(*shown)
-        + page.facts(report["frames"], "frames")
+        + figure_names.facts(report["frames"], "frames")
     )
 
 
@@ -396,13 +397,13 @@ def sections_of(context: Context, report: Mapping[str, Any]) -> list[tuple[str, 
             + "<p>Contacts anywhere on the surface, between receptors too:</p>"
             + table("decoder_anywhere")
             + "<p>Contacts that trip no switch cannot be decoded and are counted apart.</p>"
-            + page.facts(learnt),
+            + figure_names.facts(learnt),
         ),
         (
             "Assumptions",
             "<p>Not stated by the paper; set these to your own parts. Names as in the design "
             "file.</p>"
-            + page.details("All of them", page.facts(report["assumptions"], "assumptions")),
+            + page.details("All of them", figure_names.facts(report["assumptions"], "assumptions")),
         ),
         ("Time and plan", time_section(context, report)),
         ("Provenance", provenance_section(context, report)),

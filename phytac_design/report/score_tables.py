@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from phytac_design.report import page
+from phytac_design.core import html as page
 
 STIFFNESS = ("fem", "fem_nn", "fem_nn_identity")
 """Estimators that use K·u."""

@@ -6,9 +6,10 @@ from functools import cached_property
 from typing import Any
 
 from phytac_decoder.io.recorded_frames import read_image
+from phytac_design.core import html as page
 from phytac_design.engine.stage import EXPORT, Context
 from phytac_design.geometry import flat_map
-from phytac_design.report import page, report_figures
+from phytac_design.report import report_figures
 from phytac_shapes.arrays import BoolArray, FloatArray
 
 MARKS = ("", "_far")
@@ -24,8 +25,9 @@ class Drawing:
     @cached_property
     def colours(self) -> list[str]:
         """Paint of each marker."""
-        paints = self.context.design.layout.colours
-        return [paints[index % len(paints)] for index in self.context.markers.colour]
+        return report_figures.paint_of_each(
+            self.context.design.layout.colours, self.context.markers
+        )
 
     @cached_property
     def flat(self) -> flat_map.FlatMap:

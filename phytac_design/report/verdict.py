@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any, Literal, get_args
 
-from phytac_design.report.page import DASH, missing, number
+from phytac_design.core.html import DASH, missing, number
 
 Level = Literal["good", "odd", "bad"]
 LEVELS: tuple[Level, ...] = ("good", "odd", "bad")

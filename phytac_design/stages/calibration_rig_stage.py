@@ -4,20 +4,18 @@ from pathlib import Path
 from typing import Any
 
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
-from phytac_design.stages.response_stage import TOUCH
+from phytac_design.fabrication.calibration_rig.guide import guide_text
+from phytac_design.fabrication.calibration_rig.log_template import log_head
+from phytac_design.fabrication.calibration_rig.program import gcode, make_program, program_csv
+from phytac_design.fabrication.calibration_rig.regions import make_regions
+from phytac_design.fabrication.calibration_rig.tool_bodies import kit_bodies, kit_parts
+from phytac_design.solids.mesh_export import write_stl
+from phytac_design.solids.solid_mesh import stl_triangles
 from phytac_design.stages.switch_stage import switches_of, without_switches
 
 
 def run(context: Context, folder: Path) -> None:
     """Write ``kit/…`` and the facts: parts, regions, tools."""
-    from phytac_design.fabrication.calibration_rig.guide import guide_text
-    from phytac_design.fabrication.calibration_rig.log_template import log_head
-    from phytac_design.fabrication.calibration_rig.program import gcode, make_program, program_csv
-    from phytac_design.fabrication.calibration_rig.regions import make_regions
-    from phytac_design.fabrication.calibration_rig.tool_bodies import kit_bodies, kit_parts
-    from phytac_design.solids.mesh_export import write_stl
-    from phytac_design.solids.solid_mesh import stl_triangles
-
     if without_switches(context, folder):
         return
     sensor = context.sensor
@@ -65,7 +63,7 @@ KIT = Stage(
         "receptor",
         "switch",
         "training.force_min_N",
-        *TOUCH,
+        "touch",
         "kit",
     ),
     settings=("cad_tolerance_mm",),

@@ -3,31 +3,29 @@
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from phytac_decoder.estimation.cascade_network import Activation
 from phytac_decoder.estimation.estimators import ForceModel
+from phytac_decoder.estimation.locator import ContactLocator
+from phytac_decoder.io.bundle import Bundle, CameraView, save_bundle, stamp_bundle
+from phytac_decoder.vision.switch_detection import RED_RATIO_MIN, RED_AREA_MIN_px, TipModel
+from phytac_design.design.design_file import design_hash
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import EXPORT, Context, Stage, write_arrays, write_facts
 from phytac_design.layout.heights_along import along_mm, middle_mm
+from phytac_design.layout.region_chart import design_regions
 from phytac_design.layout.thresholds import thresholds_N
 from phytac_design.simulation.dataset import Dataset, decode_points, key_node_data
+from phytac_design.simulation.expected_image import colour_model
+from phytac_design.simulation.force_errors import contact_forces, score_contacts
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.places_stage import locator_of
-from phytac_design.stages.response_stage import TOUCH, readers_of
+from phytac_design.stages.response_stage import readers_of
+from phytac_design.training.levenberg_marquardt import split_samples, train_network
 from phytac_shapes.arrays import BoolArray, FloatArray
-
-if TYPE_CHECKING:
-    from phytac_decoder.estimation.locator import ContactLocator
-    from phytac_decoder.io.bundle import Bundle
-    from phytac_decoder.vision.switch_detection import TipModel
-
-ACTIVATIONS: dict[str, Activation] = {"fem_nn": "rectified", "fem_nn_identity": "identity"}
-"""Networks of the bundle: both readings of the paper's \"linear unit\"."""
-UNUSED_N = 1e4
-"""Threshold of switches that a scene's decoder does not use: the largest force of a design."""
 
 
 def untrained_model(context: Context) -> ForceModel:
@@ -44,15 +42,13 @@ def untrained_model(context: Context) -> ForceModel:
     )
 
 
-def _locator(context: Context) -> "ContactLocator":
+def _locator(context: Context) -> ContactLocator:
     """Return the estimator ``auto`` by design, with its unreadable switches."""
     played = played_in(context)
     return replace(locator_of(context), blind=_tips(context, "tip_", played).blind(played))
 
 
-def _tips(
-    context: Context, prefix: str, played: BoolArray, camera: int | None = None
-) -> "TipModel":
+def _tips(context: Context, prefix: str, played: BoolArray, camera: int | None = None) -> TipModel:
     """Return the tips as the cameras see them; of all arrays of a prefix, or of one camera's."""
     views = context.arrays("views")
     own = slice(None) if camera is None else camera
@@ -62,7 +58,7 @@ def _tips(
     return tips_in_play(on, red_rest, red_on, played)
 
 
-def assemble_bundle(context: Context, model: ForceModel, notes: dict[str, Any]) -> "Bundle":
+def assemble_bundle(context: Context, model: ForceModel, notes: dict[str, Any]) -> Bundle:
     """Return the bundle of the stages ``views`` and ``response`` and a force model.
 
     It has no design name yet, see :func:`finish`.
@@ -76,9 +72,6 @@ def assemble_bundle(context: Context, model: ForceModel, notes: dict[str, Any]) 
     notes : dict
         Provenance, plain JSON.
     """
-    from phytac_decoder.io.bundle import Bundle, CameraView
-    from phytac_design.simulation.expected_image import colour_model
-
     design, views = context.design, context.arrays("views")
     colours, classes = colour_model(design)
     readers = readers_of(context)
@@ -99,8 +92,9 @@ def assemble_bundle(context: Context, model: ForceModel, notes: dict[str, Any]) 
         tip_bias_px=views["tip_bias_px"],
         tips=_tips(context, "tip_", played),
         model=model,
-        # A switch out of play is reported as faulty in every frame: no force explains it.
-        threshold_N=np.where(played, thresholds_N(design, context.markers), UNUSED_N),
+        # No force explains a switch out of play, so it is reported as faulty in every frame: its
+        # threshold is the largest force of a design.
+        threshold_N=np.where(played, thresholds_N(design, context.markers), 1e4),
         noise_centroid_px=design.camera.noise_centroid_px,
         force_max_N=design.training.force_max_N,
         shown=shown if len(shown) > 1 else (),
@@ -118,14 +112,12 @@ def played_in(context: Context) -> BoolArray:
 
 def tips_in_play(
     on_px: FloatArray, red_rest_px: FloatArray, red_on_px: FloatArray, played: BoolArray
-) -> "TipModel":
+) -> TipModel:
     """Return tips as the decoder reads them.
 
     An unreadable switch out of play needs more red than any tip shows: otherwise the motion, which
     means nothing there, would decide.
     """
-    from phytac_decoder.vision.switch_detection import RED_RATIO_MIN, RED_AREA_MIN_px, TipModel
-
     tips = TipModel(on_px=on_px, red_rest_px=red_rest_px, red_on_px=red_on_px)
     never = 4.0 * (RED_RATIO_MIN * red_rest_px + RED_AREA_MIN_px)
     return replace(tips, red_on_px=np.where(played | tips.readable, red_on_px, never))
@@ -133,8 +125,6 @@ def tips_in_play(
 
 def run(context: Context, folder: Path) -> None:
     """Write ``decoder/bundle.{json,safetensors}`` and the table of estimators."""
-    from phytac_decoder.io.bundle import save_bundle
-
     twin = context.arrays("twin")
     model = untrained_model(context)
     training: dict[str, Any] = {"key_nodes": 0, "samples": 0}
@@ -175,12 +165,12 @@ def scene_notes(context: Context) -> dict[str, Any]:
 
 def train_networks(context: Context, model: ForceModel, data: Dataset) -> dict[str, Any]:
     """Train the networks of the paper into ``model``; return figures of the fit."""
-    from phytac_design.training.levenberg_marquardt import split_samples, train_network
-
     rows = key_node_data(model, data)
     first, second, third = split_samples(data.contacts.samples, seed=context.seed)
     training: dict[str, Any] = {"key_nodes": len(rows.force_N), "samples": data.contacts.samples}
-    for name, activation in ACTIVATIONS.items():
+    # Both readings of the paper's "linear unit".
+    activations: dict[str, Activation] = {"fem_nn": "rectified", "fem_nn_identity": "identity"}
+    for name, activation in activations.items():
         context.progress(f"decoder: training {name}")
         fit = train_network(
             rows.take(first), rows.take(second), activation=activation, seed=context.seed
@@ -200,8 +190,6 @@ def evaluate_estimators(
     context: Context, model: ForceModel, twin: dict[str, Any]
 ) -> tuple[dict[str, Any], dict[str, FloatArray]]:
     """Return scores of every estimator on both held-out sets, and the decoded forces (c,), N."""
-    from phytac_design.simulation.force_errors import contact_forces, score_contacts
-
     scores: dict[str, Any] = {}
     arrays: dict[str, FloatArray] = {}
     for name in ("test", "anywhere"):
@@ -225,7 +213,7 @@ def evaluate_estimators(
     return scores, arrays
 
 
-def limit_facts(bundle: "Bundle") -> dict[str, Any]:
+def limit_facts(bundle: Bundle) -> dict[str, Any]:
     """Return the limits of the sensor: noise of K·u in N, marker ids, sentences."""
     noise = bundle.noise_centroid_px * bundle.model.stiffness_noise_N_px
     inverse = bundle.noise_centroid_px * bundle.model.inverse_noise_N_px
@@ -252,10 +240,6 @@ def limit_facts(bundle: "Bundle") -> dict[str, Any]:
 
 def finish(design: Design, out: Path) -> None:
     """Write the design's name, hash and regions into the exported bundle."""
-    from phytac_decoder.io.bundle import stamp_bundle
-    from phytac_design.design.design_file import design_hash
-    from phytac_design.layout.region_chart import design_regions
-
     stamp_bundle(
         out / "decoder",
         design=design.name,
@@ -266,7 +250,7 @@ def finish(design: Design, out: Path) -> None:
 
 DECODER = Stage(
     name="decoder",
-    design_fields=("markers", "cameras", "trips", "camera.noise_centroid_px", *TOUCH),
+    design_fields=("markers", "cameras", "trips", "camera.noise_centroid_px", "touch"),
     depends_on=("views", "response", "places", "twin"),
     seeded=True,
     scene=("name", "networks", "regions", "reach_mm"),

@@ -5,37 +5,24 @@ from pathlib import Path
 from typing import Any
 
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
+from phytac_design.fabrication.documents import bill_of_materials as bill
+from phytac_design.fabrication.documents.assembly_page import assembly_html
+from phytac_design.fabrication.documents.exploded import Body, part_colour, picture, switch_bodies
+from phytac_design.fabrication.documents.fixture_steps import fixture_steps
+from phytac_design.fabrication.documents.paint_map import make_map, paper_pages, whole_page
+from phytac_design.fabrication.documents.pdf import pdf_bytes
+from phytac_design.fabrication.documents.recipe import make_recipe, recipe_steps, recipe_text
+from phytac_design.fabrication.documents.section_view import section_svg
+from phytac_design.fabrication.documents.sheet_drawing import svg_text
+from phytac_design.fabrication.documents.switch_placement import placement_csv
+from phytac_design.fabrication.hardware.sensor_solids import exploded_bodies
+from phytac_design.solids.mesh_export import DISPLAY_COLOURS, read_stl
+from phytac_design.stages.printing_stage import OTHERS
 from phytac_design.stages.switch_stage import switches_of, without_switches
-
-DESIGN_FIELDS = (
-    "name",
-    "description",
-    "markers",
-    "cameras",
-    "bodies",
-    "camera.pixel_um",
-    "switch",
-    "mold",
-    "bench",
-    "hardware",
-    "print_rules",
-)
-LISTS = ("mold", "hardware", "kit")
-"""Stages whose facts list parts."""
 
 
 def run(context: Context, folder: Path) -> None:
     """Write ``bench/…`` and the facts: map, bill, recipe."""
-    from phytac_design.fabrication.documents import bill_of_materials as bill
-    from phytac_design.fabrication.documents.assembly_page import assembly_html
-    from phytac_design.fabrication.documents.fixture_steps import fixture_steps
-    from phytac_design.fabrication.documents.paint_map import make_map, paper_pages, whole_page
-    from phytac_design.fabrication.documents.pdf import pdf_bytes
-    from phytac_design.fabrication.documents.recipe import make_recipe, recipe_steps, recipe_text
-    from phytac_design.fabrication.documents.section_view import section_svg
-    from phytac_design.fabrication.documents.sheet_drawing import svg_text
-    from phytac_design.fabrication.documents.switch_placement import placement_csv
-
     if without_switches(context, folder):
         return
     design, markers = context.design, context.markers
@@ -97,7 +84,7 @@ def run(context: Context, folder: Path) -> None:
 
 def parts_of(context: Context) -> dict[str, list[dict[str, Any]]]:
     """Parts lists of the other stages, by stage."""
-    return {name: context.facts(name)["parts"] for name in LISTS}
+    return {name: context.facts(name)["parts"] for name in OTHERS}
 
 
 def _volume_mm3(rows: list[dict[str, Any]], material: str) -> float:
@@ -112,14 +99,6 @@ def rubber_mm3(rows: list[dict[str, Any]]) -> float:
 def pictures(context: Context) -> dict[str, bytes]:
     """Exploded pictures by caption."""
     pull_mm = 16.0  # how far the exploded picture pulls the switches out
-    from phytac_design.fabrication.documents.exploded import (
-        Body,
-        part_colour,
-        picture,
-        switch_bodies,
-    )
-    from phytac_design.fabrication.hardware.sensor_solids import exploded_bodies
-    from phytac_design.solids.mesh_export import DISPLAY_COLOURS, read_stl
 
     markers = context.markers
     out = {}
@@ -140,8 +119,20 @@ def pictures(context: Context) -> dict[str, bytes]:
 
 BENCH = Stage(
     name="bench",
-    design_fields=DESIGN_FIELDS,
+    design_fields=(
+        "name",
+        "description",
+        "markers",
+        "cameras",
+        "bodies",
+        "camera.pixel_um",
+        "switch",
+        "mold",
+        "bench",
+        "hardware",
+        "print_rules",
+    ),
     settings=("cad_tolerance_mm",),
-    depends_on=("shell", "switch", "printing", *LISTS),
+    depends_on=("shell", "switch", "printing", *OTHERS),
     run=run,
 )

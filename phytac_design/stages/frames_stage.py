@@ -3,24 +3,33 @@
 import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from phytac_decoder.io.bundle import load_bundle
+from phytac_decoder.pipeline.decode import measure_frame, rest_positions
 from phytac_design.design.scene import ALL_AT_ONCE
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
+from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.layout.heights_along import along_mm, middle_mm
-from phytac_design.simulation.contacts import Contacts, Switching
+from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
+from phytac_design.mechanics.meshing.mesh import ShellMesh
+from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
+from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_design.optics.frame_renderer import render_frame
+from phytac_design.optics.render_scene import build_scene
+from phytac_design.simulation.contacts import Contacts, Switching, draw_contacts, switch_states
+from phytac_design.simulation.force_errors import score_contacts
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
+from phytac_design.simulation.indenters import flat_touches
+from phytac_design.simulation.linear_response import motion_responses, superpose
+from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
 from phytac_design.simulation.scenario.scene_scope import scope_of
-from phytac_design.stages.response_stage import MECHANICS, truth_model
+from phytac_design.stages.response_stage import truth_model
 from phytac_design.stages.views_stage import write_image
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import InputError
-
-if TYPE_CHECKING:
-    from phytac_design.mechanics.meshing.mesh import ShellMesh
-    from phytac_design.mechanics.shell.solve import ShellModel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,9 +64,6 @@ class DecodedFrames:
 
 def draw_frame_contacts(context: Context) -> FrameContacts:
     """Draw contacts of one to five at once and solve them on the simulated sensor's mesh."""
-    from phytac_design.simulation.contacts import draw_contacts, switch_states
-    from phytac_design.simulation.linear_response import motion_responses, superpose
-
     rng = np.random.default_rng([context.seed, 2])
     scope = scope_of(context)
     contacts = draw_contacts(
@@ -81,14 +87,9 @@ def draw_frame_contacts(context: Context) -> FrameContacts:
 
 
 def _large(
-    context: Context, mesh: "ShellMesh", model: "ShellModel", contacts: Contacts
+    context: Context, mesh: ShellMesh, model: ShellModel, contacts: Contacts
 ) -> FloatArray | None:
     """Motion (n, 6) under the contacts of one sample by large displacements; None without one."""
-    from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
-    from phytac_design.mechanics.shell.pressure import Holes, indentation_loads
-    from phytac_design.simulation.indenters import flat_touches
-    from phytac_design.simulation.receptor_kinematics import ReceptorKinematics
-
     receptor, surface, uv = context.design.receptor, context.surface, context.markers.uv
     holes = Holes.of(surface, uv, receptor.diameter_hole_mm / 2.0)
     unit = indentation_loads(mesh, surface, flat_touches(contacts), holes=holes)
@@ -107,10 +108,6 @@ def render_sample(
 
     ``motion`` (n, 6) stands in for the sample's own.
     """
-    from phytac_design.layout.cameras import tolerance_mm
-    from phytac_design.optics.frame_renderer import render_frame
-    from phytac_design.optics.render_scene import build_scene
-
     design, markers = context.design, context.markers
     bits = None if index is None else pressed.switching.bits[index]
     rng = np.random.default_rng([context.seed, 3, 0 if index is None else index + 1])
@@ -134,9 +131,6 @@ def write_frames(folder: Path, name: str, frames: tuple[ImageArray, ...]) -> Non
 
 def decode_all(context: Context, folder: Path, pressed: FrameContacts) -> DecodedFrames:
     """Render and decode every sample; write the unloaded frame and the example."""
-    from phytac_decoder.io.bundle import load_bundle
-    from phytac_decoder.pipeline.decode import measure_frame, rest_positions
-
     bundle = load_bundle(context.folders["decoder"] / EXPORT / "decoder")
     # All frames but the example are of a linear shell.
     bundle = replace(bundle, model=bundle.model.linear)
@@ -176,8 +170,6 @@ def decode_all(context: Context, folder: Path, pressed: FrameContacts) -> Decode
 
 def run(context: Context, folder: Path) -> None:
     """Decode rendered frames of one to five contacts each and evaluate the forces."""
-    from phytac_design.simulation.force_errors import score_contacts
-
     pressed = draw_frame_contacts(context)
     tally = decode_all(context, folder, pressed)
     contacts, switching = pressed.contacts, pressed.switching
@@ -208,7 +200,7 @@ def run(context: Context, folder: Path) -> None:
 
 FRAMES = Stage(
     name="frames",
-    design_fields=(*MECHANICS, "markers", "bodies", "trips", "training", "camera.noise_pixel"),
+    design_fields=("mechanics", "markers", "bodies", "trips", "training", "camera.noise_pixel"),
     settings=("truth_refine", "frames", "place_orders"),
     depends_on=("decoder",),
     seeded=True,

@@ -1,19 +1,21 @@
 """Camera mount, cover, light bar, connector or frame: printable files and the whole assembly."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from phytac_design.design.hardware_table import HardwareSection
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
+from phytac_design.fabrication.hardware.assembly_checks import hardware_facts, verdict
+from phytac_design.fabrication.hardware.by_cad import CadKernel
+from phytac_design.fabrication.hardware.hardware_assembly import make_hardware
+from phytac_design.fabrication.hardware.parts import HardwareAssembly
+from phytac_design.fabrication.hardware.sensor_solids import hardware_solids, sensor_solids
+from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodies, wall_body
+from phytac_design.solids.cad import cad_facts, write_assembly, write_step
+from phytac_design.solids.mesh_export import write_stl
+from phytac_design.solids.solid_mesh import to_triangles
 from phytac_design.stages.switch_stage import refusal, switches_of
 from phytac_shapes.errors import CadKernelError, DesignError, MissingPartError, NumericalError
-
-if TYPE_CHECKING:
-    from phytac_design.fabrication.hardware.parts import HardwareAssembly
-
-DESIGN_FIELDS = (
-    "name", "markers", "cameras", "bodies", "camera.pixel_um", "switch", "print_rules", "hardware"
-)  # fmt: skip
 
 
 def run(context: Context, folder: Path) -> None:
@@ -50,8 +52,6 @@ def run(context: Context, folder: Path) -> None:
         context.progress(f"hardware: STEP left out ({error})")
         facts["step_left_out"] = str(error)
         shapes = {}
-    from phytac_design.solids.mesh_export import write_stl
-    from phytac_design.solids.solid_mesh import to_triangles
 
     for part in kit.parts:
         if part.printed:
@@ -62,12 +62,8 @@ def run(context: Context, folder: Path) -> None:
     write_facts(folder, facts)
 
 
-def _checked(context: Context) -> tuple["HardwareAssembly", dict[str, Any], dict[str, Any]]:
+def _checked(context: Context) -> tuple[HardwareAssembly, dict[str, Any], dict[str, Any]]:
     """Kit, its solids with shell and switches, and facts; rejected unless all checks pass."""
-    from phytac_design.fabrication.hardware.assembly_checks import hardware_facts, verdict
-    from phytac_design.fabrication.hardware.hardware_assembly import make_hardware
-    from phytac_design.fabrication.hardware.sensor_solids import hardware_solids, sensor_solids
-
     design, surface = context.design, context.surface
     kit = make_hardware(design, surface)
     if not kit.parts:
@@ -82,12 +78,10 @@ def _checked(context: Context) -> tuple["HardwareAssembly", dict[str, Any], dict
     return kit, solids, hardware_facts(design, kit, found, solids)
 
 
-def _cad(context: Context, kit: "HardwareAssembly", solids: dict[str, Any]) -> dict[str, Any]:
+def _cad(context: Context, kit: HardwareAssembly, solids: dict[str, Any]) -> dict[str, Any]:
     """CAD of all parts by name, each compared with its mesh."""
     # Largest relative difference of the two kernels' volumes that a build accepts.
     volume_tol = 1e-3
-    from phytac_design.fabrication.hardware.by_cad import CadKernel
-    from phytac_design.solids.cad import cad_facts
 
     kernel = CadKernel(context.surface)
     shapes = {}
@@ -106,13 +100,11 @@ def _cad(context: Context, kit: "HardwareAssembly", solids: dict[str, Any]) -> d
 
 
 def _write_step(
-    context: Context, kit: "HardwareAssembly", shapes: dict[str, Any], folder: Path
+    context: Context, kit: HardwareAssembly, shapes: dict[str, Any], folder: Path
 ) -> dict[str, Any]:
     """Write each printed part and the assembly; return what it contains."""
     # From this tolerance on, the STEP assembly holds the whole shell and all switches.
     whole_mm = 0.02
-    from phytac_design.fabrication.hardware.step import hardware_bodies, sensor_bodies, wall_body
-    from phytac_design.solids.cad import write_assembly, write_step
 
     design = context.design
     for part in kit.parts:
@@ -137,7 +129,16 @@ def _write_step(
 
 HARDWARE = Stage(
     name="hardware",
-    design_fields=DESIGN_FIELDS,
+    design_fields=(
+        "name",
+        "markers",
+        "cameras",
+        "bodies",
+        "camera.pixel_um",
+        "switch",
+        "print_rules",
+        "hardware",
+    ),
     settings=("cad_tolerance_mm",),
     depends_on=("switch",),
     graphics=True,

@@ -3,18 +3,21 @@
 from dataclasses import asdict, dataclass
 from functools import reduce
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
+from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.layout.worst_places import SAME_mm, press_places
+from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
+from phytac_design.mechanics.shell.compliance import column_turn
+from phytac_design.mechanics.shell.loads import patch_loads
+from phytac_design.optics.loaded_visibility import LoadedVisibility, visibility_under_load
+from phytac_design.optics.render_scene import build_scene
 from phytac_design.simulation.scenario.scene_scope import scope_of
-from phytac_design.stages.response_stage import MECHANICS, TOUCH
+from phytac_design.stages.response_stage import decoder_shell
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from phytac_design.optics.loaded_visibility import LoadedVisibility
 
 LOAD_STEPS = (0.5, 1.0)
 """Shares of the design's largest force at which the shell is solved; between, interpolated."""
@@ -24,20 +27,9 @@ class PressedShell:
     """The shell of a sensor, and presses on it with the design's largest force."""
 
     def __init__(self, context: Context) -> None:
-        from phytac_design.mechanics.meshing.mesh import marker_mesh
-        from phytac_design.mechanics.shell.compliance import column_turn
-        from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
-
         self.context = context
-        design, markers = context.design, context.markers
-        self.mesh = marker_mesh(
-            context.surface,
-            markers,
-            thickness_mm=design.wall.thickness_mm,
-            refine=context.accuracy.refine,
-        )
-        receptors = context.accuracy.receptors and not unknown_receptors(design)
-        self.model = sensor_model(design, markers, self.mesh, receptors=receptors)
+        self.mesh, self.model, _ = decoder_shell(context)
+        markers = context.markers
         columns = markers.lattice.columns if markers.lattice else 1
         self.repeats = column_turn(self.model, self.mesh, columns) is not None
 
@@ -46,9 +38,6 @@ class PressedShell:
 
         NaN without a solution. Also the large-displacement samples; none with linear theory.
         """
-        from phytac_design.mechanics.large.quasi_newton import QuasiNewtonSolver
-        from phytac_design.mechanics.shell.loads import patch_loads
-
         context, mesh = self.context, self.mesh
         training = context.design.training
         radius = training.patch_radius_max_mm
@@ -104,7 +93,7 @@ class Presses:
 
     uv: FloatArray
     motion: FloatArray
-    found: "LoadedVisibility"
+    found: LoadedVisibility
     facts: dict[str, Any]
 
     def shown(self) -> int:
@@ -116,7 +105,7 @@ class Presses:
 
 def see_pressed(
     context: Context, gap_px: FloatArray, camera_number: IntArray | None = None
-) -> tuple[FloatArray, "LoadedVisibility", dict[str, Any]]:
+) -> tuple[FloatArray, LoadedVisibility, dict[str, Any]]:
     """Places, visibility and method of :func:`press_and_see`."""
     done = press_and_see(context, gap_px, camera_number)
     return done.uv, done.found, done.facts
@@ -137,10 +126,6 @@ def press_and_see(
     camera_number : (n,) int, optional
         Camera that each marker is read through; the first by default.
     """
-    from phytac_design.layout.cameras import tolerance_mm
-    from phytac_design.optics.loaded_visibility import visibility_under_load
-    from phytac_design.optics.render_scene import build_scene
-
     design, surface, markers = context.design, context.surface, context.markers
     reader = np.zeros(markers.count, dtype=np.int64) if camera_number is None else camera_number
     views = [
@@ -157,7 +142,7 @@ def press_and_see(
     choose = press_places if scope is None else scope.presses
     uv = choose(surface, markers, gap_px, context.accuracy.press_places, repeats=shell.repeats)
 
-    def look(motions: FloatArray, forces_N: FloatArray) -> dict[int, "LoadedVisibility"]:
+    def look(motions: FloatArray, forces_N: FloatArray) -> dict[int, LoadedVisibility]:
         return {
             number: visibility_under_load(
                 scene,
@@ -198,12 +183,12 @@ def press_and_see(
     return Presses(uv=uv, motion=full[:, -1], found=found, facts=facts)
 
 
-def merged(each: dict[int, "LoadedVisibility"]) -> "LoadedVisibility":
+def merged(each: dict[int, LoadedVisibility]) -> LoadedVisibility:
     """Results of all cameras, each for the markers that it reads."""
     return reduce(lambda one, other: one.with_other(other), each.values())
 
 
-def figures_of(found: "LoadedVisibility", own: BoolArray) -> dict[str, Any]:
+def figures_of(found: LoadedVisibility, own: BoolArray) -> dict[str, Any]:
     """Figures of all presses, for some of the markers (n,)."""
     return {
         "hidden_most": int(found.hidden.max(initial=0)),
@@ -293,7 +278,7 @@ def load_verdict(context: Context) -> str:
 
 UNDERLOAD = Stage(
     name="underload",
-    design_fields=(*MECHANICS, "markers", "bodies", *TOUCH, "demands"),
+    design_fields=("mechanics", "markers", "bodies", "touch", "demands"),
     settings=("refine", "receptors", "press_places", "press_tolerance"),
     depends_on=("views",),
     arrays={"views": ("gap_same_colour_px", "gap_other_colour_px", "camera")},

@@ -3,17 +3,14 @@
 from pathlib import Path
 
 from phytac_design.engine.stage import EXPORT, Context, Stage, write_facts
-
-LOAD_N = 10.0
-"""Force of the ready load step: a fingertip in the middle of the sensor."""
+from phytac_design.mechanics.pressing.contact_patch import middle_marker, parse_contact_patch
+from phytac_design.mechanics.solid.mesh_files import make_folder, write_shell_files
 
 
 def run(context: Context, folder: Path) -> None:
     """Write ``mesh/shell.{inp,msh,vtu}`` with a fingertip load step and its linear result."""
-    from phytac_design.mechanics.pressing.contact_patch import middle_marker, parse_contact_patch
-    from phytac_design.mechanics.solid.mesh_files import make_folder, write_shell_files
-
-    place = parse_contact_patch(context.sensor, force_N=LOAD_N)
+    load_N = 10.0  # a fingertip in the middle of the sensor
+    place = parse_contact_patch(context.sensor, force_N=load_N)
     target = folder / EXPORT / "mesh"
     make_folder(target)
     facts = write_shell_files(target, context.sensor, place, refine=context.accuracy.refine)
@@ -21,7 +18,7 @@ def run(context: Context, folder: Path) -> None:
         folder,
         facts
         | {
-            "load_N": LOAD_N,
+            "load_N": load_N,
             "load_radius_mm": place.radius_mm,
             "load_marker": middle_marker(context.surface, context.markers),
         },

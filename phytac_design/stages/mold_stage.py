@@ -1,15 +1,22 @@
 """Molds for the design's switches: plates or trays as STL, checked before they are written."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
 from phytac_design.fabrication.bill import bill_part, csv_text
+from phytac_design.fabrication.molds.audit import (
+    audit_facts,
+    audit_set,
+    check_mold,
+    fine_sections,
+    volumes_mm3,
+)
+from phytac_design.fabrication.molds.make import MoldSet, make_molds
+from phytac_design.fabrication.molds.rules import rule_rows
+from phytac_design.fabrication.switch_set import SwitchSet
+from phytac_design.solids.mesh_export import stl_bytes
 from phytac_design.stages.switch_stage import switches_of, without_switches
-
-if TYPE_CHECKING:
-    from phytac_design.fabrication.molds.make import MoldSet
-    from phytac_design.fabrication.switch_set import SwitchSet
 
 NAMES = {
     "dome_plate": "mold, dome plate",
@@ -22,17 +29,6 @@ NAMES = {
 
 def run(context: Context, folder: Path) -> None:
     """Write ``mold/*.stl`` and ``mold/cavities.csv``, and the mold's facts."""
-    from phytac_design.fabrication.molds.audit import (
-        audit_facts,
-        audit_set,
-        check_mold,
-        fine_sections,
-        volumes_mm3,
-    )
-    from phytac_design.fabrication.molds.make import make_molds
-    from phytac_design.fabrication.molds.rules import rule_rows
-    from phytac_design.solids.mesh_export import stl_bytes
-
     if without_switches(context, folder):
         return
     design, switches = context.design, switches_of(context)
@@ -78,7 +74,7 @@ def run(context: Context, folder: Path) -> None:
     )
 
 
-def _table(made: "list[MoldSet]", switches: "SwitchSet") -> str:
+def _table(made: list[MoldSet], switches: SwitchSet) -> str:
     """CSV of the cavities of each kind of switch."""
     rows = [
         [

@@ -1,31 +1,24 @@
 """What a contact at any place does to the markers' images: tables for the estimator ``auto``."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
+from phytac_decoder.estimation.locator import ContactLocator
+from phytac_decoder.io.bundle_locator import response_arrays, response_from_arrays
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
 from phytac_design.layout.thresholds import thresholds_N
+from phytac_design.simulation.cramer_rao import cell_prior
+from phytac_design.simulation.response_tables import place_spacing_mm, tabulate_responses
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_design.stages.response_stage import (
     IMAGE_ARRAYS,
-    MECHANICS,
-    TOUCH,
     decoder_shell,
     image_response_of,
 )
 
-if TYPE_CHECKING:
-    from phytac_decoder.estimation.locator import ContactLocator
-
-NOISE_FACTOR = 1.4
-"""Noise of measured shifts over that of a centroid: they are differences of two."""
-
 
 def run_places(context: Context, folder: Path) -> None:
     """Tabulate linear and large-displacement shifts over the surface."""
-    from phytac_decoder.io.bundle_locator import response_arrays
-    from phytac_design.simulation.response_tables import place_spacing_mm, tabulate_responses
-
     design = context.design
     training, accuracy, scope = design.training, context.accuracy, scope_of(context)
     mesh, model, _ = decoder_shell(context)
@@ -60,13 +53,8 @@ def run_places(context: Context, folder: Path) -> None:
     )
 
 
-def locator_of(context: Context) -> "ContactLocator":
+def locator_of(context: Context) -> ContactLocator:
     """The estimator ``auto`` by design alone: no sample of the sensor has been seen."""
-    from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
-    from phytac_decoder.estimation.locator import ContactLocator
-    from phytac_decoder.io.bundle_locator import response_from_arrays
-    from phytac_design.simulation.cramer_rao import cell_prior
-
     design, surface, markers = context.design, context.surface, context.markers
     training = design.training
     arrays, facts = context.arrays("places"), context.facts("places")
@@ -86,13 +74,14 @@ def locator_of(context: Context) -> "ContactLocator":
         footprint_mm=design.switch.footprint_diameter_mm / 2.0,
         threshold_N=thresholds_N(design, markers),
         prior=ContactPrior(place_mm=prior.place_mm, moments_sd_mm2=(spread, spread / 2.0, spread)),
-        noise=ShiftNoise(centroid_px=NOISE_FACTOR * design.camera.noise_centroid_px),
+        # Measured shifts are differences of two centroids.
+        noise=ShiftNoise(centroid_px=1.4 * design.camera.noise_centroid_px),
     )
 
 
 PLACES = Stage(
     name="places",
-    design_fields=(*MECHANICS, *TOUCH),
+    design_fields=("mechanics", "touch"),
     settings=("refine", "receptors", "place_share", "place_orders"),
     depends_on=("views",),
     arrays=IMAGE_ARRAYS,

@@ -5,36 +5,37 @@ from pathlib import Path
 from typing import Any
 
 from phytac_design.engine.stage import EXPORT, Context, Stage, export_path, write_facts
+from phytac_design.fabrication.printing.overhang import suggest
+from phytac_design.fabrication.printing.parting import part_shell
+from phytac_design.fabrication.printing.print_checks import check_body, check_shell
+from phytac_design.fabrication.printing.print_drawing import draw_report
+from phytac_design.geometry.ray_tree import RayTree
+from phytac_design.solids.mesh_export import read_stl, write_stl
+from phytac_design.solids.solid_mesh import shell_manifold, to_triangles
 from phytac_shapes.errors import DesignError
 
 OTHERS = ("mold", "hardware", "kit")
 """Stages whose parts lists name more printed files."""
-SHELL_FILE = "shell/shell.stl"
-SPACING_mm = 1.0
-"""Between the points at which the other parts are measured: they are sturdier than the shell."""
 
 
 def run(context: Context, folder: Path) -> None:
     """Write ``shell/print_report.json`` and ``.svg``, and ``shell/shell_part_….stl`` if parted."""
-    from phytac_design.fabrication.printing.print_checks import check_body, check_shell
-    from phytac_design.fabrication.printing.print_drawing import draw_report
-    from phytac_design.geometry.ray_tree import RayTree
-    from phytac_design.solids.mesh_export import read_stl
-
     design, rules = context.design, context.design.print_rules
     tolerance = context.accuracy.cad_tolerance_mm
-    mesh = read_stl(context.folders["shell"] / EXPORT / SHELL_FILE)
+    shell_file = "shell/shell.stl"
+    mesh = read_stl(context.folders["shell"] / EXPORT / shell_file)
     report = check_shell(context.sensor, mesh, tolerance_mm=tolerance)
     picture = draw_report(RayTree(mesh), report, rules, f"{design.name}: the shell, as printed")
     export_path(folder, "shell/print_report.svg").write_text(picture, encoding="utf-8")
-    parts = {SHELL_FILE: report.as_dict()}
+    parts = {shell_file: report.as_dict()}
     others = printed_files(context)
     unchecked = [] if context.accuracy.print_tools else sorted(others)
     for file, path in others.items():
         if file in unchecked:
             continue
         context.progress(f"printing: {file}")
-        other = check_body(read_stl(path), rules, spacing_mm=SPACING_mm, tolerance_mm=tolerance)
+        # Measured at coarser points than the shell: they are sturdier.
+        other = check_body(read_stl(path), rules, spacing_mm=1.0, tolerance_mm=tolerance)
         parts[file] = other.as_dict()
     facts: dict[str, Any] = {
         "process": rules.process,
@@ -72,12 +73,6 @@ def printed_files(context: Context) -> dict[str, Path]:
 
 def _part(context: Context, folder: Path) -> dict[str, Any]:
     """Write the pieces of a shell that is larger than the bed; their facts."""
-    from phytac_design.fabrication.printing.overhang import suggest
-    from phytac_design.fabrication.printing.parting import part_shell
-    from phytac_design.geometry.ray_tree import RayTree
-    from phytac_design.solids.mesh_export import write_stl
-    from phytac_design.solids.solid_mesh import shell_manifold, to_triangles
-
     design = context.design
     tolerance = context.accuracy.cad_tolerance_mm
     solid = shell_manifold(context.sensor, tolerance_mm=tolerance)

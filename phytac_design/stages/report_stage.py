@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from phytac_design.core.html import images_of, page
 from phytac_design.core.json_values import finite
 from phytac_design.design.design_file import assumptions
 from phytac_design.design.spec import Design
@@ -14,7 +15,6 @@ from phytac_design.engine.stage import Context, Stage, export_path, write_facts
 from phytac_design.optics.separability import check_paints
 from phytac_design.report.explorer import DATA_ID, explorer_data
 from phytac_design.report.fabrication_section import fabrication_facts
-from phytac_design.report.page import images_of, page
 from phytac_design.report.provenance import provenance_of
 from phytac_design.report.report_sections import sections_of
 from phytac_design.report.suggested_changes import changes_of
@@ -44,9 +44,6 @@ DEPENDS_ON = (
     "decoder",
     "frames",
 )
-FABRICATION = ("hardware", "mold", "kit", "printing", "bench")
-GATED = (VIEWS, UNDERLOAD, SWITCH)
-"""Stages that can stop a build, which --force overrides."""
 
 
 def gather(context: Context) -> dict[str, Any]:
@@ -93,7 +90,9 @@ def gather(context: Context) -> dict[str, Any]:
         "lens": views["cameras"][0]["lens"],
         "shell": shell | step,
         "switch": context.facts("switch"),
-        "fabrication": fabrication_facts({name: context.facts(name) for name in FABRICATION}),
+        "fabrication": fabrication_facts(
+            {name: context.facts(name) for name in ("hardware", "mold", "kit", "printing", "bench")}
+        ),
         "mesh": context.facts("mesh"),
         "decoder": {name: decoder["test"][name] for name in decoder["test"]},
         "decoder_anywhere": decoder["anywhere"],
@@ -115,7 +114,7 @@ def gather(context: Context) -> dict[str, Any]:
 
 def forced_past(context: Context) -> list[str]:
     """Why this build would have stopped without --force; empty if it would not have."""
-    reasons = [stage.gate(context) for stage in GATED if stage.gate is not None]
+    reasons = [stage.gate(context) for stage in (VIEWS, UNDERLOAD, SWITCH) if stage.gate]
     return [reason for reason in reasons if reason]
 
 

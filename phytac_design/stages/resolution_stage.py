@@ -2,25 +2,27 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
+from phytac_design.simulation.cramer_rao import (
+    ContactSignals,
+    CramerRaoBound,
+    cell_prior,
+    contact_signals,
+)
+from phytac_design.simulation.linear_response import motion_responses
 from phytac_design.simulation.scenario.scene_scope import scope_of
-from phytac_design.stages.response_stage import MECHANICS, TOUCH, decoder_shell
+from phytac_design.stages.response_stage import decoder_shell
 from phytac_shapes.arrays import BoolArray, FloatArray
 
-if TYPE_CHECKING:
-    from phytac_design.simulation.cramer_rao import CramerRaoBound
-
-FORCES_N = (1.0, 5.0, 10.0, 25.0)
-"""Forces at which the bound is stated, besides the design's greatest."""
 RIM_SHARE = 0.125
 """Share of the height next to each rim that is reported apart (15-105 mm of 120)."""
 
 
-def _medians(bound: "CramerRaoBound", middle: BoolArray) -> dict[str, float]:
+def _medians(bound: CramerRaoBound, middle: BoolArray) -> dict[str, float]:
     """Figures over all receptors, and over those (n,) in the middle of the sensor."""
     return {
         "force_N_median_middle": float(np.median(bound.force_N[middle])),
@@ -34,9 +36,6 @@ def _medians(bound: "CramerRaoBound", middle: BoolArray) -> dict[str, float]:
 
 def run_resolution(context: Context, folder: Path) -> None:
     """Cramér-Rao bound of force and place at every receptor."""
-    from phytac_design.simulation.cramer_rao import ContactSignals, cell_prior, contact_signals
-    from phytac_design.simulation.linear_response import motion_responses
-
     design, surface, markers = context.design, context.surface, context.markers
     training = design.training
     mesh, model, _ = decoder_shell(context)
@@ -73,7 +72,7 @@ def run_resolution(context: Context, folder: Path) -> None:
     read = np.repeat((views["camera"] == np.arange(len(slopes))[:, None]).ravel(), 2)
     as_read = ContactSignals(shift=signals.shift[:, read], slopes=signals.slopes[:, read])
     table_read: dict[str, Any] = {}
-    for force in sorted({*FORCES_N, training.force_max_N}):
+    for force in sorted({1.0, 5.0, 10.0, 25.0, training.force_max_N}):
         bound = signals.bound(force, noise_px=noise, prior=prior)
         for key, value in asdict(bound).items():
             # A scene knows nothing of receptors that are not in play.
@@ -98,7 +97,7 @@ def run_resolution(context: Context, folder: Path) -> None:
 
 RESOLUTION = Stage(
     name="resolution",
-    design_fields=(*MECHANICS, "camera.noise_centroid_px", *TOUCH),
+    design_fields=("mechanics", "camera.noise_centroid_px", "touch"),
     settings=("refine", "receptors"),
     depends_on=("views",),
     arrays={"views": ("paint_slopes", "seen_by", "camera")},

@@ -1,25 +1,31 @@
 """The decoder's own mechanics (response) and, on another mesh, simulated data (stage twin)."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from phytac_design.design.scene import ALL_AT_ONCE
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage, write_arrays, write_facts
+from phytac_design.layout.cameras import Readers
+from phytac_design.mechanics.meshing.mesh import ShellMesh, marker_mesh
+from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
+from phytac_design.mechanics.shell.solve import ShellModel
+from phytac_design.simulation.contacts import draw_contacts, switch_states
+from phytac_design.simulation.dataset import Dataset
+from phytac_design.simulation.instance_shell import local_mesh, truth_mesh, truth_shell
+from phytac_design.simulation.linear_response import (
+    condense_pressed,
+    motion_responses,
+    pressed_motion,
+    superpose,
+)
+from phytac_design.simulation.pressed_series import ImageResponse
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
-if TYPE_CHECKING:
-    from phytac_design.layout.cameras import Readers
-    from phytac_design.mechanics.meshing.mesh import ShellMesh
-    from phytac_design.mechanics.shell.solve import ShellModel
-    from phytac_design.simulation.pressed_series import ImageResponse
-
-MECHANICS = ("tubes", "cameras", "stiffness")
-TOUCH = ("training.force_max_N", "training.patch_radius_min_mm", "training.patch_radius_max_mm")
 IMAGE_ARRAYS = {"views": ("paint_point_mm", "paint_slope", "camera")}
 """Where the paint is, how its image moves with the wall, and which camera reads it: all that
 mechanics asks of the pictures."""
@@ -32,27 +38,20 @@ def arms_mm(context: Context) -> FloatArray:
     return np.asarray(context.arrays("views")["paint_point_mm"] - context.markers.mid_mm)
 
 
-def readers_of(context: Context) -> "Readers":
+def readers_of(context: Context) -> Readers:
     """The cameras, each marker read through the one that sees it best (of the stage ``views``)."""
-    from phytac_design.layout.cameras import Readers
-
     cameras = context.sensor.cameras
     return Readers(cameras=cameras, read_by=context.arrays("views")["camera"])
 
 
-def image_response_of(context: Context) -> "ImageResponse":
+def image_response_of(context: Context) -> ImageResponse:
     """What the cameras see of motion (of the stage ``views``)."""
-    from phytac_design.simulation.pressed_series import ImageResponse
-
     slope = context.arrays("views")["paint_slope"]
     return ImageResponse(readers_of(context), context.markers.mid_mm, arms_mm(context), slope)
 
 
-def decoder_shell(context: Context) -> "tuple[ShellMesh, ShellModel, bool]":
+def decoder_shell(context: Context) -> tuple[ShellMesh, ShellModel, bool]:
     """Mesh and model of the decoder's own shell, and whether it has its receptors' stiffness."""
-    from phytac_design.mechanics.meshing.mesh import marker_mesh
-    from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
-
     design, markers = context.design, context.markers
     mesh = marker_mesh(
         context.surface,
@@ -81,9 +80,6 @@ def run_response(context: Context, folder: Path) -> None:
 
     In a scene only forces on receptors in play are: to the others the matrices give no force.
     """
-    from phytac_design.mechanics.shell.receptor_stiffness import unknown_receptors
-    from phytac_design.simulation.linear_response import condense_pressed, pressed_motion
-
     surface, markers = context.surface, context.markers
     unknown = unknown_receptors(context.design)
     if context.accuracy.receptors and unknown:
@@ -126,11 +122,6 @@ def run_response(context: Context, folder: Path) -> None:
 
 def run_twin(context: Context, folder: Path) -> None:
     """Draw contacts, solve them on the finer mesh, project and add noise."""
-    from phytac_design.mechanics.shell.receptor_stiffness import unknown_receptors
-    from phytac_design.simulation.contacts import draw_contacts, switch_states
-    from phytac_design.simulation.dataset import Dataset
-    from phytac_design.simulation.linear_response import motion_responses, superpose
-
     design = context.design
     rng = np.random.default_rng([context.seed, 1])
     count = samples_of(design, context.accuracy.sample_share)
@@ -184,11 +175,8 @@ def run_twin(context: Context, folder: Path) -> None:
     )
 
 
-def truth_model(context: Context) -> "tuple[ShellMesh, ShellModel]":
+def truth_model(context: Context) -> tuple[ShellMesh, ShellModel]:
     """Mesh and model of the simulated sensor; in a scene fine in its regions alone."""
-    from phytac_design.mechanics.shell.receptor_stiffness import sensor_model, unknown_receptors
-    from phytac_design.simulation.instance_shell import local_mesh, truth_mesh, truth_shell
-
     design, surface, scope = context.design, context.surface, scope_of(context)
     refine = context.accuracy.truth_refine
     if scope is None:
@@ -232,7 +220,7 @@ def samples_of(design: Design, share: float) -> dict[str, int]:
 
 RESPONSE = Stage(
     name="response",
-    design_fields=MECHANICS,
+    design_fields=("mechanics",),
     settings=("refine", "receptors"),
     depends_on=("views",),
     arrays=IMAGE_ARRAYS,
@@ -241,7 +229,7 @@ RESPONSE = Stage(
 )
 TWIN = Stage(
     name="twin",
-    design_fields=(*MECHANICS, "trips", "training", "camera.noise_centroid_px"),
+    design_fields=("mechanics", "trips", "training", "camera.noise_centroid_px"),
     settings=("truth_refine", "sample_share"),
     depends_on=("views",),
     arrays=IMAGE_ARRAYS,

@@ -3,6 +3,10 @@
 from pathlib import Path
 
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
+from phytac_design.solids.cad import cad_facts, shell_cad, write_step
+from phytac_design.solids.mesh_export import write_3mf, write_stl
+from phytac_design.solids.mesh_facts import shell_facts
+from phytac_design.solids.solid_mesh import painted_manifolds, shell_manifold, to_triangles
 from phytac_shapes.errors import CadKernelError, MissingPartError, NumericalError
 
 VOLUME_TOL = 1e-3
@@ -16,10 +20,6 @@ def run_shell(context: Context, folder: Path) -> None:
 
     Where lib3mf is not installed, the 3MF file is left out and the facts give the reason.
     """
-    from phytac_design.solids.mesh_export import write_3mf, write_stl
-    from phytac_design.solids.mesh_facts import shell_facts
-    from phytac_design.solids.solid_mesh import painted_manifolds, shell_manifold, to_triangles
-
     design = context.design
     tolerance = context.accuracy.cad_tolerance_mm
     solid = shell_manifold(context.sensor, tolerance_mm=tolerance)
@@ -46,8 +46,6 @@ def run_step(context: Context, folder: Path) -> None:
     On a machine without the graphics libraries that CadQuery links, or where OpenCASCADE cannot
     make the solid, the file is left out and the report gives the reason; STL and 3MF need neither.
     """
-    from phytac_design.solids.cad import cad_facts, shell_cad, write_step
-
     reason = ""
     try:
         solid = shell_cad(context.sensor)
@@ -84,8 +82,6 @@ def _compare_finer(context: Context, step_mm3: float) -> None:
     NumericalError
         If that differs as well.
     """
-    from phytac_design.solids.solid_mesh import shell_manifold
-
     solid = shell_manifold(context.sensor, tolerance_mm=FINE_mm)
     volume = float(solid.volume())
     if not abs(volume / step_mm3 - 1.0) <= VOLUME_TOL:

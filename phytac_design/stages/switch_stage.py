@@ -11,11 +11,12 @@ from phytac_design.core.json_values import finite
 from phytac_design.engine.stage import Context, Stage, export_path, write_facts
 from phytac_design.fabrication.switch_set import SwitchSet, make_switches, revolved_volume_mm3
 from phytac_design.layout.thresholds import thresholds_N
-from phytac_shapes.arrays import FloatArray
+from phytac_design.mechanics.switch.design import design_switch
+from phytac_design.mechanics.switch.line_plot import write_svg
+from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
+from phytac_design.mechanics.switch.switch_report import curve_plot, switch_dict
+from phytac_design.mechanics.switch.switch_space import Tolerance
 from phytac_shapes.errors import DesignError
-
-RED = {"views": ("tip_red_rest_px", "tip_red_on_px")}
-DESIGN_FIELDS = ("tubes", "cameras", "wall", "receptor", "switch", "mold", "print_rules")
 
 
 def run(context: Context, folder: Path) -> None:
@@ -56,12 +57,6 @@ def design_switches(context: Context, folder: Path) -> list[dict[str, Any]]:
     DesignError
         If one does not fit the space or has no data for its rubber.
     """
-    from phytac_design.mechanics.switch.design import design_switch
-    from phytac_design.mechanics.switch.line_plot import write_svg
-    from phytac_design.mechanics.switch.switch_inputs import rubber_of, space_of
-    from phytac_design.mechanics.switch.switch_report import curve_plot, switch_dict
-    from phytac_design.mechanics.switch.switch_space import Tolerance
-
     design, switch = context.design, context.design.switch
     rubber, space = rubber_of(design), space_of(design)
     tolerance = Tolerance(thickness_mm=switch.wall_tolerance_mm, modulus=switch.modulus_tolerance)
@@ -93,9 +88,8 @@ def red_of(context: Context) -> dict[str, Any]:
     rest, out = views["tip_red_rest_px"], views["tip_red_on_px"]
     needed = RED_RATIO_MIN * rest + RED_AREA_MIN_px
     worst = int(np.argmin(out - needed))
-    far = int(
-        np.argmax(np.linalg.norm(context.markers.tip_mm - _camera_position_mm(context), axis=1))
-    )
+    from_camera = context.markers.tip_mm - context.sensor.cameras[0].position_mm
+    far = int(np.argmax(np.linalg.norm(from_camera, axis=1)))
     return {
         "worst_marker": context.markers.name(worst),
         "worst_on_px": float(out[worst]),
@@ -105,11 +99,6 @@ def red_of(context: Context) -> dict[str, Any]:
         "farthest_needed_px": float(needed[far]),
         "unreadable": int((out <= needed).sum()),
     }
-
-
-def _camera_position_mm(context: Context) -> FloatArray:
-
-    return context.sensor.cameras[0].position_mm
 
 
 def switches_of(context: Context) -> SwitchSet:
@@ -141,9 +130,9 @@ def _set_of(context: Context, made: list[dict[str, Any]]) -> SwitchSet:
 
 SWITCH = Stage(
     name="switch",
-    design_fields=DESIGN_FIELDS,
+    design_fields=("tubes", "cameras", "wall", "receptor", "switch", "mold", "print_rules"),
     depends_on=("views",),
-    arrays=RED,
+    arrays={"views": ("tip_red_rest_px", "tip_red_on_px")},
     gate=refusal,
     run=run,
 )

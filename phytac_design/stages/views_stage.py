@@ -2,27 +2,35 @@
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
 
+from phytac_decoder.camera.camera import Camera
 from phytac_design.design.spec import Design
 from phytac_design.engine.stage import Context, Stage, export_path, write_arrays, write_facts
+from phytac_design.layout.cameras import stand_off_mm, tolerance_mm
 from phytac_design.layout.sensor import Sensor
+from phytac_design.optics.density import density_of
+from phytac_design.optics.frame_renderer import render_frame
+from phytac_design.optics.lens_facts import lens_facts
+from phytac_design.optics.picture import render_picture
+from phytac_design.optics.raster import rasterise
+from phytac_design.optics.render_scene import RenderScene, build_scene, paint_owner, red_owner
+from phytac_design.optics.visibility import (
+    Visibility,
+    best_of,
+    check_visibility,
+    measure_visibility,
+    visibility_advice,
+)
+from phytac_design.simulation.expected_image import ExpectedView, measure_expected
 from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
+from phytac_design.simulation.imaging.nominal_view import owner_centroids, paint_slope
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_shapes.arrays import FloatArray, ImageArray
 from phytac_shapes.errors import DesignError, MissingPartError
-
-if TYPE_CHECKING:
-    from phytac_decoder.camera.camera import Camera
-    from phytac_design.optics.render_scene import RenderScene
-    from phytac_design.optics.visibility import Visibility
-    from phytac_design.simulation.expected_image import ExpectedView
-
-PICTURES = ("markers", "cameras", "bodies", "camera.noise_pixel")
-SHARPNESS = ("camera.f_number", "camera.pixel_um", "camera.focus_mm", "camera.noise_centroid_px")
 
 
 def write_image(path: Path, image: ImageArray) -> None:
@@ -33,9 +41,6 @@ def write_image(path: Path, image: ImageArray) -> None:
 
 def picture_or_frame(scene: Any, camera: Any) -> tuple[ImageArray, str]:
     """Picture by OpenGL where it works, else the project's own renderer; and which it was."""
-    from phytac_design.optics.frame_renderer import render_frame
-    from phytac_design.optics.picture import render_picture
-
     try:
         return render_picture(scene, camera), "pyrender"
     except MissingPartError:
@@ -44,8 +49,6 @@ def picture_or_frame(scene: Any, camera: Any) -> tuple[ImageArray, str]:
 
 def id_picture(part: Any) -> ImageArray:
     """ID map as colours: neighbours in number get far hues, background black."""
-    from phytac_design.optics.render_scene import paint_owner
-
     owner = paint_owner(part)
     hue = (np.maximum(owner, 0).astype(np.int64) * 67) % 180
     hsv = np.stack([hue, np.full_like(hue, 200), np.where(owner >= 0, 255, 0)], axis=-1)
@@ -54,9 +57,6 @@ def id_picture(part: Any) -> ImageArray:
 
 def red_centroids(part: Any, count: int) -> FloatArray:
     """Centroid (n, 2) px of the visible red of each tip in an ID map, NaN where none."""
-    from phytac_design.optics.render_scene import red_owner
-    from phytac_design.simulation.imaging.nominal_view import owner_centroids
-
     return owner_centroids(red_owner(part), count)
 
 
@@ -64,15 +64,15 @@ def red_centroids(part: Any, count: int) -> FloatArray:
 class Shot:
     """What one camera sees, and what the decoder's marker detector expects in its image."""
 
-    camera: "Camera"
-    seen: "Visibility"
-    expected: "ExpectedView"
+    camera: Camera
+    seen: Visibility
+    expected: ExpectedView
     paint_slope: FloatArray
     renderer: str
 
 
 def shoot(
-    context: Context, folder: Path, camera: "Camera", mark: str, rng: Any, *, alone: bool = True
+    context: Context, folder: Path, camera: Camera, mark: str, rng: Any, *, alone: bool = True
 ) -> Shot:
     """Look through one camera at rest and with all switches on; write its pictures.
 
@@ -80,14 +80,6 @@ def shoot(
     names of its files. A marker that shows nowhere is expected where its tip would be, as long as
     no other camera may see it (``alone``), else nowhere (NaN).
     """
-    from phytac_design.layout.cameras import tolerance_mm
-    from phytac_design.optics.frame_renderer import render_frame
-    from phytac_design.optics.raster import rasterise
-    from phytac_design.optics.render_scene import build_scene
-    from phytac_design.optics.visibility import measure_visibility
-    from phytac_design.simulation.expected_image import measure_expected
-    from phytac_design.simulation.imaging.nominal_view import paint_slope
-
     sensor = context.sensor
     design, markers = context.design, context.markers
     tolerance = tolerance_mm(camera, markers)
@@ -122,14 +114,12 @@ def shoot(
 def write_pictures(
     context: Context,
     folder: Path,
-    camera: "Camera",
+    camera: Camera,
     mark: str,
-    rest: "RenderScene",
-    on: "RenderScene",
+    rest: RenderScene,
+    on: RenderScene,
 ) -> str:
     """Write pictures of a camera at rest and with all switches on, and its ID map; by what."""
-    from phytac_design.optics.raster import rasterise
-
     context.progress("views: pictures")
     picture, renderer = picture_or_frame(rest, camera)
     write_image(export_path(folder, f"views/camera{mark}.png"), picture)
@@ -142,11 +132,6 @@ def write_pictures(
 
 def run_views(context: Context, folder: Path) -> None:
     """Visibility, density, expectations of the marker detector, and pictures."""
-    from phytac_design.layout.cameras import stand_off_mm
-    from phytac_design.optics.density import density_of
-    from phytac_design.optics.lens_facts import lens_facts
-    from phytac_design.optics.visibility import best_of
-
     design, surface, markers = context.design, context.surface, context.markers
     rng = np.random.default_rng(context.seed)
     cameras = context.sensor.cameras
@@ -222,8 +207,6 @@ def told_apart(context: Context) -> str:
 
     In a scene, of those in play.
     """
-    from phytac_design.optics.visibility import visibility_advice
-
     views, scope = context.arrays("views"), scope_of(context)
     counted = np.ones(context.markers.count, dtype=np.bool_)
     if scope is not None:
@@ -241,10 +224,6 @@ def straight_of(design: Design) -> Design:
 
 def run_compare(context: Context, folder: Path) -> None:
     """Visibility of the straight layout with the same counts, and its picture, for spirals."""
-    from phytac_design.layout.cameras import tolerance_mm
-    from phytac_design.optics.render_scene import build_scene
-    from phytac_design.optics.visibility import best_of, check_visibility
-
     if context.design.layout.kind != "spiral":
         write_facts(folder, {"straight": None})
         return
@@ -264,11 +243,19 @@ def run_compare(context: Context, folder: Path) -> None:
 
 VIEWS = Stage(
     name="views",
-    design_fields=(*PICTURES, *SHARPNESS),
+    design_fields=(
+        "pictures",
+        "camera.f_number",
+        "camera.pixel_um",
+        "camera.focus_mm",
+        "camera.noise_centroid_px",
+    ),
     seeded=True,
     graphics=True,
     scene=("pictures",),
     gate=told_apart,
     run=run_views,
 )
-COMPARE = Stage(name="compare", design_fields=PICTURES, seeded=True, graphics=True, run=run_compare)
+COMPARE = Stage(
+    name="compare", design_fields=("pictures",), seeded=True, graphics=True, run=run_compare
+)

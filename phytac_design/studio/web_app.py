@@ -14,9 +14,9 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
+from phytac_design.core.html import STYLE
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.design_file import parse_design, shipped_designs
-from phytac_design.report.page import STYLE
 from phytac_design.report.viewer.assets import SCRIPTS, style, text_of
 from phytac_design.studio import request_bodies as bodies
 from phytac_design.studio.access_control import RejectedError

@@ -9,8 +9,8 @@ import pytest
 from phytac_design.engine.stage import Context
 from phytac_design.layout import make_markers
 from phytac_design.layout.sensor import Sensor
-from phytac_design.solids import cad
 from phytac_design.solids.solid_mesh import shell_manifold
+from phytac_design.stages import shell_stage
 from phytac_design.stages.shell_stage import VOLUME_TOL, FINE_mm, run_step
 from phytac_shapes.errors import NumericalError
 from tests.designs import drawn
@@ -34,9 +34,9 @@ def test_coarse_facets_are_no_other_shell(
     true, printed = volume(FINE_mm), volume(COARSE_mm)
     assert abs(printed / true - 1.0) > VOLUME_TOL
     facts = SimpleNamespace(valid=True, solids=1, volume_mm3=share * true)
-    monkeypatch.setattr(cad, "shell_cad", lambda *_: None)
-    monkeypatch.setattr(cad, "cad_facts", lambda _: facts)
-    monkeypatch.setattr(cad, "write_step", lambda _, path, **__: path.write_text("STEP"))
+    monkeypatch.setattr(shell_stage, "shell_cad", lambda *_: None)
+    monkeypatch.setattr(shell_stage, "cad_facts", lambda _: facts)
+    monkeypatch.setattr(shell_stage, "write_step", lambda _, path, **__: path.write_text("STEP"))
     context: Any = SimpleNamespace(
         design=DESIGN,
         sensor=Sensor.of(DESIGN, SURFACE, MARKERS),

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 from phytac_decoder.camera.lens import BrownConrady
+from phytac_design.core import html as page
 from phytac_design.design.accuracy import PRESETS
 from phytac_design.engine.stage import Context, write_arrays, write_facts
 from phytac_design.layout.cameras import cameras_of, tolerance_mm
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.loaded_visibility import LoadedVisibility
 from phytac_design.optics.render_scene import build_scene
-from phytac_design.report import explorer, page, press_pictures, suggested_changes
+from phytac_design.report import explorer, press_pictures, suggested_changes
 from phytac_design.stages.build import BuildResult
 from phytac_design.stages.loaded_views_stage import Presses
 from tests.designs import small

@@ -20,7 +20,6 @@ from phytac_design.optics.visibility import FRACTION_MIN, best_of
 from phytac_design.rules.check import check_design
 from phytac_design.stages.loaded_views_stage import UNDERLOAD, see_pressed
 from phytac_design.stages.resolution_stage import RESOLUTION, RIM_SHARE
-from phytac_design.stages.views_stage import PICTURES
 from phytac_design.study.search.fidelity_levels import views_at_rest
 from phytac_design.study.search.surrogate import FORCE_N, predict
 from phytac_shapes import Surface
@@ -168,7 +167,7 @@ def evaluate_design(design: Design, accuracy: Accuracy, *, seed: int = 0) -> Eva
     )
     seen, views = _cached(
         "advice-views",
-        [values_of(design, PICTURES), seed],
+        [values_of(design, ("pictures",)), seed],
         lambda folder: _view_at_rest(context, folder),
     )
     context.folders["views"] = seen
@@ -198,7 +197,7 @@ def evaluate_design(design: Design, accuracy: Accuracy, *, seed: int = 0) -> Eva
 def _inputs(stage: Stage, context: Context) -> Any:
     """Everything that a stage's result depends on, the views included."""
     settings = context.accuracy.as_dict()
-    fields = values_of(context.design, {*stage.design_fields, *PICTURES})
+    fields = values_of(context.design, {*stage.design_fields, "pictures"})
     return [fields, {name: settings[name] for name in stage.settings}, context.seed]
 
 
