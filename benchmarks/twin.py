@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from benchmarks import twin_detection, twin_engine, twin_theory
+from benchmarks import twin_camera, twin_engine, twin_theory
 from benchmarks.harness import Table, run_parts
 from benchmarks.referee.contacts import COUNTS
 from benchmarks.referee.read import Solved, data_file, read_solved
@@ -39,8 +39,8 @@ AT_N = (5.0, 10.0, 25.0)
 LIMIT = 2.0
 RIM_MM = 5.0
 RIM = (
-    "the worst tip stands beside a clamped rim: a solid is stiffer there than a shell (rows of the "
-    "clamped strip), and a tall tube multiplies the turn"
+    "the worst tip stands beside a clamped rim: a solid is stiffer there than a shell, and a tall "
+    "tube multiplies the turn"
 )
 GROUPS: tuple[tuple[str, Callable[[Solved], bool]], ...] = (
     ("all", lambda _: True),
@@ -214,7 +214,7 @@ def parts(*, quick: bool) -> dict[str, Callable[[Table], None]]:
         name: partial(rows, quick=quick)
         for name, rows in (
             ("theory", twin_theory.add_rows),
-            ("eyes", twin_detection.add_rows),
+            ("eyes", twin_camera.add_rows),
             ("time", twin_engine.time_rows),
             ("workers", twin_engine.worker_rows),
             ("kills", twin_engine.kill_rows),

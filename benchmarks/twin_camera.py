@@ -1,6 +1,8 @@
-"""The camera of the twin: what its faults do, its cost, which renderer, and who can be read."""
+"""How the simulated sensor sees: points against frames, noise, faults of a camera, who is read.
 
-import os
+Rows of ``twin``.
+"""
+
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,18 +13,13 @@ import numpy as np
 
 from benchmarks.harness import Table
 from phytac_decoder.pipeline.decode import locate_markers
-from phytac_design.core.threads import THREADS, one_thread_each
+from phytac_design.design.design_file import load_design, shipped_designs
 from phytac_design.design.spec import Design
 from phytac_design.layout import Markers, make_markers
-from phytac_design.layout.cameras import cameras_of, tolerance_mm
+from phytac_design.layout.cameras import cameras_of
 from phytac_design.layout.sensor import Sensor
 from phytac_design.layout.thresholds import thresholds_N
-from phytac_design.optics.exposure import CLEAN, Exposure, expose, lens_blur, light_on_chip
-from phytac_design.optics.frame_renderer import render_frame, sample_views
-from phytac_design.optics.light import triangle_light
-from phytac_design.optics.picture import render_picture
-from phytac_design.optics.raster import rasterise
-from phytac_design.optics.render_scene import build_scene
+from phytac_design.optics.exposure import CLEAN, Exposure
 from phytac_design.simulation.contacts import draw_contacts, switch_states
 from phytac_design.simulation.imaging.imaging_model import ImagingModel
 from phytac_design.simulation.imaging.nominal_view import expected_views
@@ -32,12 +29,12 @@ from phytac_design.simulation.scenario.scenario_sections import SolveSection
 from phytac_design.simulation.sensor_instance import SensorInstance, ThicknessField
 from phytac_design.stages.build import copy_of
 from phytac_shapes import Surface
-from phytac_shapes.arrays import FloatArray, ImageArray
+from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import InputError
 
 FORCE_N = 25.0
-EDGE_LEVELS, EDGE_PX = 8.0, 1
-"""Pixels differ if by more grey levels than this; they lie away from edges beyond this distance."""
+DRAWS = 16
+"""Draws of noise that are averaged, to leave that which hangs on the place on the pixels."""
 SAMPLES = SolveSection().samples_per_pixel
 """Of a pixel in frames of ``phytac simulate``."""
 FAULTS: dict[str, dict[str, Any]] = {
@@ -144,144 +141,6 @@ def faults(table: Table, case: CameraCase) -> None:
         table.add(row, rms(moved), "px RMS", 0.0, source, note=note)
 
 
-def camera_chain(table: Table, case: CameraCase, *, quick: bool) -> None:
-    """Seconds of everything behind the renderer, on one thread; how good eight lens points are."""
-    design, camera = case.design, case.unit.cameras[0]
-    scene = build_scene(
-        Sensor.of(design, case.surface, case.markers),
-        tolerance_mm=tolerance_mm(camera, case.markers),
-    )
-    light, blur = (
-        triangle_light(scene, camera),
-        lens_blur(Sensor.of(design, case.surface, case.markers), camera),
-    )
-    with one_thread_each(THREADS):
-        sharp, blurred, spent = [], [], []
-        chip = light_on_chip(scene, camera, light=light, blur=blur)
-        exposure = Exposure(noise_pixel=2.0, jpeg_quality=90)
-        for k in range(1 if quick else 3):
-            sharp.append(timed(lambda: light_on_chip(scene, camera, light=light, blur=None))[1])
-            blurred.append(timed(lambda: light_on_chip(scene, camera, light=light, blur=blur))[1])
-            rng = np.random.default_rng(k)
-            spent.append(timed(partial(expose, chip, camera, exposure, rng=rng))[1])
-    extra = float(np.median(spent)) + max(float(np.median(blurred)) - float(np.median(sharp)), 0.0)
-    row = f"{design.name} {camera.width_px}x{camera.height_px}: blur, vignetting, noise and JPEG 90"
-    source = "rendering the sharp frame, 8 samples a pixel"
-    note = (
-        f"vignetting, noise, sRGB and JPEG {np.median(spent):.2f} s; blur "
-        f"{np.median(blurred) - np.median(sharp):.2f} s more than a sharp frame: its samples look "
-        "through points of the lens"
-    )
-    table.add(row, extra, "s of one core", float(np.median(sharp)), source, "<= 0.7", note)
-    many = 32 if quick else 64
-    (motion,), (bits,) = case.pressed(1)
-    moves, places, images = [], [], []
-    for samples in (8, many):
-        eyes = case.eyes(replace(CLEAN, lens_blur=True), samples=samples)
-        frames = [
-            eyes.frame(pose, on)
-            for pose, on in ((np.zeros_like(motion), np.zeros_like(bits)), (motion, bits))
-        ]
-        rest, pressed = (locate_markers(eyes.nominal, each)[0].position_px for each in frames)
-        moves.append(pressed - rest)
-        places.append(rest)
-        images.append(frames[0][0].astype(np.float64))
-    difference = np.abs(images[0] - images[1])
-    edge = difference.max(axis=2) > 0.0
-    row = f"{design.name}: eight lens points, displacements"
-    source = f"{many} lens points a pixel: the disc, occlusion and all"
-    note = (
-        f"centroids at rest {rms(places[0] - places[1]):.3f} px RMS (most of it stays when "
-        f"pressed); {100.0 * np.mean(edge):.1f} % of the pixels differ at all, "
-        f"{rms(difference[edge]):.1f} grey levels RMS there, "
-        f"{np.percentile(difference, 99.9):.0f} at the worst of 1000; {FORCE_N:g} N"
-    )
-    table.add(row, rms(moves[0] - moves[1]), "px RMS", 0.0, source, "<= 0.05", note)
-
-
-def samples_of_a_pixel(table: Table, case: CameraCase, *, quick: bool) -> None:
-    """What samples of a pixel cost, and how far markers seem to move as they cross the pixels."""
-    camera, label = case.unit.cameras[0], case.design.name
-    with one_thread_each(THREADS):
-        for samples in (8, 24) if quick else (8, 23, 24, 54, 96):
-            eyes = case.eyes(replace(CLEAN, lens_blur=True), samples=samples)
-            scene = eyes.cameras[0].rest
-            eyes.cameras[0].light(scene)
-            light, seconds = timed(partial(eyes.cameras[0].light, scene))
-            scatter = rms(eyes.at_rest.grid_px)
-            views, side = sample_views(samples)
-            row = (
-                f"{label} {camera.width_px}x{camera.height_px}: {samples} samples a pixel, scatter "
-                "of markers over places on the pixels"
-            )
-            source = "a frame moved by parts of a pixel, moved back"
-            note = (
-                f"{seconds:.2f} s of one core to render {light.shape[1]}x{light.shape[0]}; "
-                f"lattices of {side}x{side} through {views} points of the aperture"
-            )
-            table.add(
-                row, scatter, "px RMS", 0.0, source, "<= 0.02" if samples == SAMPLES else None, note
-            )
-
-
-def _positions(case: CameraCase, image: ImageArray) -> FloatArray:
-    """Marker positions (n, 2) in one frame, by the design's eyes."""
-    return locate_markers(case.eyes(CLEAN).nominal, (image,))[0].position_px
-
-
-def renderers(table: Table, case: CameraCase) -> None:
-    """The project's renderer against pyrender: seconds, pixels, centroids."""
-    design, camera = case.design, case.unit.cameras[0]
-    scene = build_scene(
-        Sensor.of(design, case.surface, case.markers),
-        tolerance_mm=tolerance_mm(camera, case.markers),
-    )
-    works: list[Callable[[], ImageArray]] = [
-        lambda: render_frame(scene, camera),
-        lambda: render_picture(scene, camera),
-        lambda: render_frame(scene, camera, samples=64),
-    ]
-    frames = [work() for work in works]
-    seconds = []
-    for work in works[:2]:
-        times = []
-        for _ in range(3):
-            start = time.perf_counter()
-            work()
-            times.append(time.perf_counter() - start)
-        seconds.append(float(np.median(times)))
-    part = rasterise(scene, camera).triangle
-    near = np.zeros(part.shape, dtype=np.bool_)
-    marks = np.where(part >= 0, scene.part[part], 0)
-    for axis in (0, 1):
-        for step in range(-EDGE_PX, EDGE_PX + 1):
-            near |= np.roll(marks, step, axis=axis) != marks
-    far = np.abs(frames[0].astype(float) - frames[1]).max(axis=2) > EDGE_LEVELS
-    label = f"{design.name} {camera.width_px}x{camera.height_px}"
-    row = f"{label}: pixels away from edges where own renderer and pyrender differ by > 8 levels"
-    source = "pyrender (OpenGL, EGL), same light"
-    note = (
-        f"{100.0 * float(near.mean()):.1f} % of the pixels lie on an edge between parts; of "
-        f"those {100.0 * float(far[near].mean()):.0f} % differ: OpenGL averages its four samples "
-        "after the gamma"
-    )
-    table.add(row, 100.0 * float(far[~near].mean()), "%", 0.0, source, "<= 0.1", note)
-    rest = [_positions(case, frame) for frame in frames]
-    row = f"{label}: marker centroids, own renderer"
-    source = "pyrender; both against 64 samples a pixel"
-    note = (
-        "the own renderer is taken for frames: it averages linear light as a sensor does, "
-        "bends for any lens, blurs with true occlusion, needs no OpenGL, and gives the same bits "
-        "on every machine"
-    )
-    value = rms(rest[0] - rest[2])
-    table.add(row, value, "px RMS", rms(rest[1] - rest[2]), source, "<= 0.05", note)
-    row = f"{label}: seconds a frame, own renderer (8 samples a pixel)"
-    source = "pyrender (4 samples a pixel, a context per frame), same run"
-    note = f"own renderer on {len(os.sched_getaffinity(0))} threads"
-    table.add(row, seconds[0], "s", seconds[1], source, note=note)
-
-
 def readable(table: Table, case: CameraCase) -> None:
     """Whether a design is read with the default exposure: markers and bits."""
     eyes = case.eyes()
@@ -320,3 +179,104 @@ def quarter(design: Design) -> Design:
             "pixel_um": camera.pixel_um * 4.0,
         },
     )
+
+
+def points_and_frames(table: Table, case: CameraCase, count: int) -> None:  # noqa: PLR0915 - rows
+    """Displacements of both kinds of points against noise-free frames; noise; seconds."""
+    name, eyes = case.design.name, case.eyes(samples=SAMPLES)
+    _, ready = timed(lambda: eyes.status)
+    if eyes.status:
+        table.add(f"{name}: can be read", 0.0, "-", reference=1.0, source="rest frame",
+                  target=">= 1", note=eyes.status)  # fmt: skip
+        return
+    both = {
+        "paint": eyes,
+        "pixels": case.eyes(centroids="pixels", at_rest=eyes.rest, samples=SAMPLES),
+    }
+    still, off = np.zeros((case.markers.count, 6)), np.zeros(case.markers.count, dtype=np.bool_)
+    zero = eyes.read(eyes.frame(still, off)).shift_px
+    fixed = case.eyes(wall_follows=False, at_rest=eyes.rest, samples=SAMPLES)
+    motions, every = case.pressed(count)
+    found: dict[str, list[FloatArray]] = {"paint": [], "pixels": []}
+    seconds: dict[str, list[float]] = {"paint": [], "pixels": [], "frame": [], "read": []}
+    frames, wall, put_in, wrong, lost = [], [], [], 0, 0
+    for own in both.values():
+        own.points(motions[0], every[0])  # compiled and measured once
+    for motion, bits in zip(motions, every, strict=True):
+        images, spent = timed(partial(eyes.frame, motion, bits))
+        seen, read = timed(partial(eyes.read, images))
+        seconds["frame"].append(spent)
+        seconds["read"].append(read)
+        frames.append(seen.shift_px - zero)
+        wall.append(fixed.read(fixed.frame(motion, bits)).shift_px - zero - frames[-1])
+        wrong += int((seen.bits != bits).sum())
+        lost += int((~seen.found).sum())
+        exact = eyes.points(motion, bits).shift_px
+        noisy = [
+            eyes.points(motion, bits, rng=np.random.default_rng(k)).shift_px for k in range(DRAWS)
+        ]
+        put_in.append(np.mean(noisy, axis=0) - exact)  # the noise of a frame is nearly gone
+        for kind, own in both.items():
+            points, spent = timed(partial(own.points, motion, bits))
+            found[kind].append(points.shift_px)
+            seconds[kind].append(spent)
+    shift = np.linalg.norm(np.array(frames), axis=2)
+    moving = shift > 0.1 * np.nanmax(shift, axis=1, keepdims=True)
+    loads = (
+        f"{count} samples of one to three contacts of {FORCE_N:g} N, linear shell; greatest shift "
+        f"{np.nanmax(shift):.1f} px; frames with lens blur, fall-off, vignetting, without noise; "
+        f"{wrong} bits read wrong, {lost} markers not found"
+    )
+    for kind in both:
+        error = np.array(found[kind]) - np.array(frames)
+        for which, pick in (("all markers", np.ones_like(moving)), ("that move", moving)):
+            whole, noise = rms(error[pick]), rms(np.array(put_in)[pick])
+            row = f"{name}: points ({kind}) against frames, {which}: beyond the noise put in"
+            source = "frames through the decoder's eyes"
+            note = (
+                f"{whole:.3f} px RMS in all, {noise:.3f} of it the marker's place on the "
+                f"pixels, which points have as noise; {loads}"
+            )
+            value = float(np.sqrt(max(whole**2 - noise**2, 0.0)))
+            table.add(row, value, "px RMS", 0.0, source, "<= 0.05", note)
+    row = f"{name}: shift that changes if the wall in frames stands still"
+    source = "frames whose wall follows its receptors"
+    note = f"greatest {np.nanmax(np.abs(np.array(wall))):.2g} px"
+    table.add(row, rms(np.array(wall)), "px RMS", 0.0, source, note=note)
+    rest = eyes.at_rest
+    given = case.design.camera.noise_centroid_px
+    for what, values in (("noise of a frame", rest.noise_px), ("place on pixels", rest.grid_px)):
+        row = f"{name}: centroid error, {what}, median of all markers"
+        source = "the design's camera.noise_centroid_px"
+        note = f"{np.nanmin(values):.2g} to {np.nanmax(values):.2g} px, RMS {rms(values):.2g} px"
+        table.add(row, float(np.nanmedian(values)), "px", given, source, note=note)
+    row = f"{name}: a sample by points (paint)"
+    source = "a sample by frames: rendered, exposed, read"
+    note = (
+        f"points (pixels) {np.median(seconds['pixels']):.2f} s; a frame "
+        f"{np.median(seconds['frame']):.2f} s, reading it {np.median(seconds['read']):.2f} s; "
+        f"measuring the unit at rest {ready:.1f} s, once"
+    )
+    value = float(np.median(seconds["paint"]))
+    reference = float(np.median(seconds["frame"])) + float(np.median(seconds["read"]))
+    table.add(row, value, "s of one core", reference, source, note=note)
+
+
+def add_rows(table: Table, *, quick: bool) -> None:
+    """Rows of how the simulated sensor sees."""
+    if quick:
+        case = CameraCase.of(quarter(load_design("hemisphere")))
+        points_and_frames(table, case, 1)
+        faults(table, case)
+        readable(table, case)
+        return
+    for name in sorted(shipped_designs()):
+        case = CameraCase.of(load_design(name))
+        readable(table, case)
+        if name in {"cylinder60", "plane", "hemisphere"}:
+            points_and_frames(table, case, 3)
+        if name == "cylinder60":
+            faults(table, case)
+    two = copy_of(load_design("cylinder60"), camera={"ends": "both"})
+    two = two.model_copy(update={"name": "cylinder60 with a camera at both ends"})
+    points_and_frames(table, CameraCase.of(two), 2)

@@ -1,4 +1,4 @@
-"""The simulation itself: time, workers, kills, sizes, extremes, every shape; rows of ``twin``."""
+"""The simulation itself: time, workers, kills, sizes, every shape; rows of ``twin``."""
 
 import hashlib
 import os

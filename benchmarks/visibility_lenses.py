@@ -1,8 +1,4 @@
-"""Lenses: there and back, ID maps of all designs against Embree, and the sampled path.
-
-``python -m benchmarks.visibility_lenses [--quick]`` prints the rows; ``benchmarks.visibility``
-writes them.
-"""
+"""Lenses: ID maps of all designs against Embree, and the sampled path; rows of ``visibility``."""
 
 import os
 import time
@@ -19,12 +15,10 @@ from benchmarks.harness import Table
 from phytac_decoder.camera.camera import Camera
 from phytac_design.design.design_file import load_design, parse_design, shipped_designs
 from phytac_design.design.spec import CameraSection, Design
-from phytac_design.layout import make_markers
-from phytac_design.layout.cameras import cameras_of, tolerance_mm
+from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.layout.sensor import Sensor
-from phytac_design.optics.distorted_triangles import lens_bounds
 from phytac_design.optics.raster import pixels_alone, rasterise
-from phytac_design.optics.rays import pixel_rays, ray_grid
+from phytac_design.optics.rays import pixel_rays
 from phytac_design.optics.render_scene import RenderScene, build_scene, paint_owner
 from phytac_design.optics.sampled_visibility import RAYS, sampled_fraction
 from phytac_design.stages.build import copy_of
@@ -64,13 +58,11 @@ def make(camera: dict[str, Any], *, factor: int = 1, **tables: Any) -> Design:
     return parse_design(data | tables, "benchmark")
 
 
-def scene_at(design: Design, *, finer: float = 1.0) -> tuple[RenderScene, Camera]:
-    """Scene at rest before the design's first camera; polygons ``finer`` than the shipped ones."""
-    surface = design.surface()
-    markers = make_markers(design, surface)
-    camera = cameras_of(design, surface)[0]
-    tolerance = tolerance_mm(camera, markers) / finer
-    return build_scene(Sensor.of(design, surface, markers), tolerance_mm=tolerance), camera
+def scene_at(design: Design) -> tuple[RenderScene, Camera]:
+    """Scene at rest before the design's first camera."""
+    sensor = Sensor(design)
+    camera = sensor.cameras[0]
+    return build_scene(sensor, tolerance_mm=tolerance_mm(camera, sensor.markers)), camera
 
 
 class Rays:
@@ -80,11 +72,7 @@ class Rays:
         self.tree = rtcore_scene.EmbreeScene()
         TriangleMesh(self.tree, scene.vertices[scene.triangles].astype(np.float32))
         self.scene, self.camera = scene, camera
-        self.make()
-
-    def make(self) -> None:
-        """Directions of all pixels from the project's table (fast, and the same for both)."""
-        camera = self.camera
+        # Directions of all pixels from the project's table: fast, and the same for both.
         table = pixel_rays(camera.lens).reshape(-1, 3)
         self.seen = np.isfinite(table[:, 0])
         self.rays = (table[self.seen] @ camera.rotation).astype(np.float32)
@@ -102,15 +90,6 @@ class Rays:
         out = np.zeros(len(self.seen), dtype=np.int32)
         out[self.seen] = np.where(hit >= 0, self.scene.part[np.maximum(hit, 0)], 0)
         return out.reshape(self.camera.height_px, self.camera.width_px)
-
-    def whole(self) -> NDArray[np.int32]:
-        """ID map from the camera: rays made pixel by pixel by the lens (numpy)."""
-        camera = self.camera
-        y, x = np.indices((camera.height_px, camera.width_px))
-        rays = camera.rays(np.column_stack([x.ravel(), y.ravel()]).astype(np.float64))
-        self.seen = np.isfinite(rays[:, 0])
-        self.rays = rays[self.seen].astype(np.float32)
-        return self.parts()
 
 
 def busy() -> str:
@@ -133,12 +112,6 @@ def in_turn(works: Sequence[Callable[[], object]], repeats: int) -> list[float]:
     return [float(t) for t in np.median(times, axis=0)]
 
 
-def forget() -> None:
-    """Have the tables of lenses rebuilt at the next call."""
-    for table in (ray_grid, pixel_rays, lens_bounds):
-        table.cache_clear()
-
-
 def maps(table: Table, name: str, design: Design, repeats: int) -> None:
     """ID map of one lens against Embree: same IDs, and how much faster."""
     scene, camera = scene_at(design)
@@ -150,22 +123,13 @@ def maps(table: Table, name: str, design: Design, repeats: int) -> None:
     note = f"{differs} of {ours.size} pixels differ"
     table.add(row, 100.0 * (1.0 - differs / ours.size), "%", 100.0, EMBREE, ">= 99.99", note)
 
-    def rebuilt() -> None:
-        forget()
-        rasterise(scene, camera)
-
     own, ready = in_turn([lambda: rasterise(scene, camera), embree.parts], repeats)
-    first, whole = in_turn([rebuilt, embree.whole], max(1, repeats // 2))
     row = f"{label}: ID map, times faster than Embree with rays ready for both"
     note = (
         f"ours {own:.3f} s on all threads, Embree {ready:.3f} s (embreex runs on one); 0.1 to "
         "0.2 us a ray leave little to win where it is given its rays and its tree; " + busy()
     )
     table.add(row, ready / own, "ratio", 1.0, EMBREE, ">= 10", note)
-    row = f"{label}: ID map, times faster than Embree, each from scene and camera"
-    source = f"{EMBREE}, rays by the lens's inverse in numpy; ours with its table rebuilt"
-    note = f"ours {first:.3f} s, Embree {whole:.3f} s with its tree built before; {busy()}"
-    table.add(row, whole / first, "ratio", 1.0, source, ">= 10", note)
 
 
 def exact_fraction(scene: RenderScene, camera: Camera) -> FloatArray:
@@ -182,23 +146,16 @@ def sampled(table: Table, name: str, kind: str, design: Design, repeats: int) ->
     near_exact(table, f"{name} {kind}", scene, camera)
     embree = Rays(scene, camera)
 
-    def rebuilt() -> None:
-        forget()
-        sampled_fraction(scene, camera)
-
     own, ready = in_turn([lambda: sampled_fraction(scene, camera), embree.parts], repeats)
-    first, whole = in_turn([rebuilt, embree.whole], repeats)
-    for what, ours, other in (
-        ("each from scene and camera", first, whole),
-        ("with rays ready for both", own, ready),
-    ):
-        row = f"{name} {kind}: sampled path, times faster than Embree on every pixel, {what}"
-        note = (
-            f"ours {ours:.3f} s on all threads, Embree {other:.3f} s (embreex runs on one) "
-            "with its tree built before; every triangle is projected once, however few its rays; "
-            + busy()
-        )
-        table.add(row, other / ours, "ratio", 1.0, EMBREE, ">= 20", note)
+    row = (
+        f"{name} {kind}: sampled path, times faster than Embree on every pixel, with rays ready "
+        "for both"
+    )
+    note = (
+        f"ours {own:.3f} s on all threads, Embree {ready:.3f} s (embreex runs on one) with its "
+        "tree built before; every triangle is projected once, however few its rays; " + busy()
+    )
+    table.add(row, ready / own, "ratio", 1.0, EMBREE, ">= 20", note)
 
 
 def shipped(table: Table, name: str) -> None:

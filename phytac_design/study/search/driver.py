@@ -4,6 +4,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import timedelta
 from pathlib import Path
 from typing import Literal
 
@@ -36,7 +37,7 @@ class StudyRun:
         Candidates in its results, and those of this run.
     seconds : float
         Wall time of this run.
-    statuses : dict
+    statuses : Counter
         Number of this run's candidates by status.
     """
 
@@ -67,15 +68,12 @@ class _ProgressReporter:
         if now - self.last < 2.0:
             return
         self.last = now
-        new = self.statuses.total()
-        rate = new / (now - self.start)
-        seconds = max(self.total - self.before - new, 0) / rate
-        units = {"d": 86400.0, "h": 3600.0, "min": 60.0, "s": 1.0}
-        unit = next((name for name, size in units.items() if seconds >= 2.0 * size), "s")
+        done = self.before + self.statuses.total()
+        rate = self.statuses.total() / (now - self.start)
+        left = timedelta(seconds=round(max(self.total - done, 0) / rate))
         counts = ", ".join(f"{n} {status}" for status, n in self.statuses.most_common())
         self.progress(
-            f"{self.before + new} of {self.total} candidates, {rate:.3g}/s, about "
-            f"{seconds / units[unit]:.0f} {unit} remaining ({counts})"
+            f"{done} of {self.total} candidates, {rate:.3g}/s, about {left} remaining ({counts})"
         )
 
 
@@ -124,19 +122,16 @@ def run_study(
             source = Sweep(study, space)
         run.rows = store.rows
         reporter = _ProgressReporter(progress, store.rows, source.total)
-        size, limit_s = study.sampling.batch, study.budget.seconds or float("inf")
-        batch = source.ask(store.rows, size)
-        while batch and time.monotonic() - start <= limit_s:
+        limit_s = study.budget.seconds or float("inf")
+        while time.monotonic() - start <= limit_s:
+            batch = source.ask(store.rows, study.sampling.batch)
+            if not batch:
+                break
+            outcomes = _evaluate_batch(study, store, batch, pool or SerialPool(), reporter)
             first = store.rows
-            # A batch that depends on the results of this one cannot be drawn yet.
-            following = source.ask(first + len(batch), size) if source.independent else []
-            outcomes = _evaluate_batch(
-                study, store, batch, following, pool or SerialPool(), reporter
-            )
             rows = [store.row(first + k, own, outcomes[k]) for k, own in enumerate(batch)]
             store.close_batch(rows)
             source.tell(batch, rows)
-            batch = following if source.independent else source.ask(store.rows, size)
             run.rows, run.new = store.rows, run.new + len(rows)
             run.statuses.update(row["status"] for row in rows)
         store.merge()
@@ -147,25 +142,18 @@ def run_study(
 
 
 def _evaluate_batch(
-    study: Study,
-    store: Store,
-    batch: list[Params],
-    following: list[Params],
-    pool: SerialPool,
-    reporter: _ProgressReporter,
+    study: Study, store: Store, batch: list[Params], pool: SerialPool, reporter: _ProgressReporter
 ) -> dict[int, Outcome]:
     """Outcomes of a batch, one group of levels after the other; equal values are evaluated once."""
     outcomes: dict[int, Outcome] = {}
     remaining = set(range(len(batch)))
     groups = study.level_groups()
-    later = [task_of(k, store.spec, params, groups[0]) for k, params in enumerate(following)]
     for levels in groups:
         last, level = levels == groups[-1], levels[-1]
-        tasks = {k: task_of(k, store.spec, batch[k], levels) for k in sorted(remaining)}
-        unique = {task.key: task for task in reversed(tasks.values())}
-        wanted = [task for task in unique.values() if task.key not in store.open_results]
+        tasks = {k: task_of(store.spec, batch[k], levels) for k in sorted(remaining)}
         copies = Counter(task.key for task in tasks.values())
-        for task, outcome in pool.run(wanted, later):
+        unique = {task.key: task for task in tasks.values() if task.key not in store.open_results}
+        for task, outcome in pool.run(unique.values()):
             store.keep(task, outcome)
             if last or outcome.status != OK:
                 reporter.add(outcome.status, copies[task.key])

@@ -36,9 +36,6 @@ def sobol(dimensions: int, seed: int, first: int, count: int) -> FloatArray:
 class Sweep:
     """Candidates of a sweep: a grid, a Sobol sequence or a Latin hypercube."""
 
-    independent = True
-    """Whether candidates do not depend on earlier results."""
-
     def __init__(self, study: Study, space: DesignSpace) -> None:
         self.study, self.space = study, space
         self.total = study.budget.candidates
@@ -93,8 +90,6 @@ def optuna_library() -> Any:
 
 class Search:
     """Candidates of `phytac optimise`: a Sobol start, then those of an Optuna sampler."""
-
-    independent = False
 
     def __init__(self, study: Study, space: DesignSpace, storage: str) -> None:
         if not study.objective:

@@ -73,9 +73,8 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Task:
-    """Levels to evaluate with some values; ``order`` is its place in the batch."""
+    """Levels to evaluate with some values."""
 
-    order: int
     key: str
     spec: str
     params: Params
@@ -92,31 +91,17 @@ def spec_of(study: Study, space: DesignSpace) -> str:
     return json.dumps(data, sort_keys=True)
 
 
-def task_of(order: int, spec: str, params: Params, levels: tuple[str, ...]) -> Task:
+def task_of(spec: str, params: Params, levels: tuple[str, ...]) -> Task:
     """Task with the key of its result: hash of the design's values, the levels and the program."""
     text = json.dumps([code_hash(), spec, params, levels], sort_keys=True)
-    return Task(order, sha256(text.encode()).hexdigest()[:32], spec, params, levels)
+    return Task(sha256(text.encode()).hexdigest()[:32], spec, params, levels)
 
 
 class SerialPool:
     """Evaluates tasks one after the other in this process; base of pools with workers."""
 
-    @property
-    def workers(self) -> int:
-        """How many tasks run at once."""
-        return 1
-
-    def run(
-        self, tasks: Iterable[Task], following: Iterable[Task] = ()
-    ) -> Iterator[tuple[Task, Outcome]]:
-        """Results as they come, in any order; every task once.
-
-        Parameters
-        ----------
-        following : iterable of Task
-            Tasks of the next call, which idle workers may begin.
-        """
-        del following
+    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Outcome]]:
+        """Results as they come, in any order; every task once."""
         keep_memory()
         for task in tasks:
             yield task, Outcome(**task.run())

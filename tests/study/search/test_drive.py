@@ -56,10 +56,8 @@ class Killed(SerialPool):
     def __init__(self, after: int) -> None:
         self.left = after
 
-    def run(
-        self, tasks: Iterable[Task], following: Iterable[Task] = ()
-    ) -> Iterator[tuple[Task, Outcome]]:
-        for result in super().run(tasks, following):
+    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Outcome]]:
+        for result in super().run(tasks):
             if self.left == 0:
                 raise KilledError
             self.left -= 1
@@ -69,10 +67,8 @@ class Killed(SerialPool):
 class Backwards(SerialPool):
     """A pool whose results come in another order."""
 
-    def run(
-        self, tasks: Iterable[Task], following: Iterable[Task] = ()
-    ) -> Iterator[tuple[Task, Outcome]]:
-        yield from super().run(reversed(list(tasks)), following)
+    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Outcome]]:
+        yield from super().run(reversed(list(tasks)))
 
 
 def run(
@@ -124,10 +120,8 @@ class Counted(SerialPool):
 
     evaluated = 0
 
-    def run(
-        self, tasks: Iterable[Task], following: Iterable[Task] = ()
-    ) -> Iterator[tuple[Task, Outcome]]:
-        for result in super().run(tasks, following):
+    def run(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Outcome]]:
+        for result in super().run(tasks):
             self.evaluated += 1
             yield result
 

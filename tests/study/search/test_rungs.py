@@ -98,7 +98,7 @@ def test_load_presses_and_looks() -> None:
 def test_an_evaluation_gives_plain_figures_and_the_hash_of_its_design() -> None:
     study = tiny(objective=SEEN)
     space = space_of(study)
-    task = task_of(0, spec_of(study, space), PARAMS, ("rules", "sampled", "exact"))
+    task = task_of(spec_of(study, space), PARAMS, ("rules", "sampled", "exact"))
     outcome = Outcome(**json.loads(json.dumps(task.run())))
     assert outcome.status == OK
     assert outcome.design == design_hash(space.design(PARAMS))
@@ -157,10 +157,10 @@ def test_keys_differ_by_values_levels_and_studies() -> None:
     spec = spec_of(study, space_of(study))
     other = spec_of(tiny(seed=9), space_of(tiny(seed=9)))
     keys = {
-        task_of(0, spec, PARAMS, ("rules",)).key,
-        task_of(5, spec, dict(PARAMS), ("rules",)).key,
-        task_of(0, spec, PARAMS, ("rules", "sampled")).key,
-        task_of(0, spec, PARAMS | {"layout.rows": 9}, ("rules",)).key,
-        task_of(0, other, PARAMS, ("rules",)).key,
+        task_of(spec, PARAMS, ("rules",)).key,
+        task_of(spec, dict(PARAMS), ("rules",)).key,
+        task_of(spec, PARAMS, ("rules", "sampled")).key,
+        task_of(spec, PARAMS | {"layout.rows": 9}, ("rules",)).key,
+        task_of(other, PARAMS, ("rules",)).key,
     }
     assert len(keys) == 4
