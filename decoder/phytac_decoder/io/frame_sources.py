@@ -139,7 +139,8 @@ class RecordingSource(Source):
         return (self._clock_s() - self._started_s) * self._fps >= number + 1
 
     def _rewind(self) -> None:
-        self._steps.rewind()
+        for track in self._tracks:
+            track.rewind()
         if self._stamps:
             first, last, steps = self._stamps[0], self._stamps[-1], len(self._stamps) - 1
             # One usual interval between the last frame and the first of the next round.

@@ -3,7 +3,6 @@
 import math
 import re
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -16,8 +15,6 @@ from phytac_shapes.errors import InputError
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 STAMP_NS = re.compile(r"\d{16,19}")
 STAMP_S = re.compile(r"\d+\.\d+")
-ENDS_OF_FILES = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8": b"\xff\xd9"}
-"""What a whole PNG or JPEG begins and ends with; OpenCV gives half an image for half a file."""
 
 
 class ImageSequence(ABC):
@@ -168,17 +165,12 @@ class VideoFile(ImageSequence):
                 return False
             failed += 1
         now_s = self.time_s()
-        self.at += 1 + (self._lost(failed, now_s, left - 1) if failed else 0)
+        if failed and self.interval_s and now_s > self._last_s:
+            # One failure may stand for several images.
+            failed = round((now_s - self._last_s) / self.interval_s) - 1
+        self.at += 1 + max(min(failed, left - 1), 0)
         self._last_s = now_s
         return True
-
-    def _lost(self, failed: int, now_s: float, most: int) -> int:
-        """Images lost in a damaged place: one failure may stand for several."""
-        usual_s = self._last_s / (self.at - 1) if self.at > 1 else 0.0
-        passed_s = now_s - self._last_s
-        if usual_s > 0.0 and passed_s > 0.0:
-            failed = max(round(passed_s / usual_s) - 1, 0)
-        return max(min(failed, most), 0)
 
     def retrieve(self) -> ImageArray:
         """Return the current image."""
@@ -220,8 +212,6 @@ class SynchronisedTracks:
         Whether images are paired by time.
     """
 
-    interval_samples = 31
-    """Steps whose median is a camera's interval."""
     pair_share = 0.55
     """Images of one instant are at most this share of an interval apart: any two are at most half
     an interval apart, plus jitter."""
@@ -230,9 +220,6 @@ class SynchronisedTracks:
         self._tracks, self._report = tracks, report
         self._reported: set[str] = set()
         self.by_time = len(tracks) > 1 and comparable(*tracks)
-        # The rate in a header is a first guess.
-        self._steps_s = [deque([each.interval_s], self.interval_samples) for each in tracks]
-        self._last = [(0, 0.0) for _ in tracks]
         timed = all(track.stamped and track.interval_s > 0.0 for track in tracks)
         if len(tracks) > 1 and timed and not self.by_time:
             said = " and ".join(track.description for track in tracks)
@@ -244,10 +231,10 @@ class SynchronisedTracks:
         Returns the number of frames passed, lost ones included, and 0 after the last.
         """
         before = [track.at for track in self._tracks]
-        more = [self._advance(camera) for camera in range(len(self._tracks))]
+        more = [track.grab() for track in self._tracks]
         first = self._counted(before)
         while all(more) and (behind := self._behind()) is not None:
-            more[behind] = self._advance(behind)
+            more[behind] = self._tracks[behind].grab()
         if not all(more):
             self._report_end(more, number)
             return 0
@@ -262,37 +249,14 @@ class SynchronisedTracks:
             self._report(f"{which} skipped: {why}")
         return steps
 
-    def rewind(self) -> None:
-        """Return to before the first image."""
-        for track in self._tracks:
-            track.rewind()
-        self._last = [(0, 0.0) for _ in self._tracks]
-
-    def _advance(self, camera: int) -> bool:
-        """Advance one camera's recording, and measure its interval."""
-        track = self._tracks[camera]
-        if not track.grab():
-            return False
-        if self.by_time:
-            now_s = track.time_s()
-            at, last_s = self._last[camera]
-            if at and now_s > last_s:
-                self._steps_s[camera].append((now_s - last_s) / (track.at - at))
-            self._last[camera] = track.at, now_s
-        return True
-
     def _counted(self, before: Sequence[int]) -> list[int]:
         return [track.at - at for track, at in zip(self._tracks, before, strict=True)]
 
     def _behind(self) -> int | None:
         """The camera that has to advance alone; None if the images belong together."""
-        if self.by_time:
-            places: list[float] = [last_s for _, last_s in self._last]
-            behind = places.index(min(places))
-            apart = self.pair_share * float(np.median(self._steps_s[behind]))
-        else:
-            places = [track.at for track in self._tracks]
-            behind, apart = places.index(min(places)), 0.0
+        places = [track.time_s() if self.by_time else track.at for track in self._tracks]
+        behind = places.index(min(places))
+        apart = self.pair_share * self._tracks[behind].interval_s if self.by_time else 0.0
         return behind if max(places) - min(places) > apart else None
 
     def _report_end(self, more: Sequence[bool], number: int) -> None:
@@ -338,9 +302,9 @@ def read_image(path: Path) -> ImageArray:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"no image at {path} ({error.strerror})") from None
-    # Some cameras pad their files.
-    body = data.rstrip(b"\0")
-    ends = ENDS_OF_FILES.items()
+    # What a whole PNG or JPEG begins and ends with: OpenCV gives half an image for half a file.
+    ends = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8": b"\xff\xd9"}.items()
+    body = data.rstrip(b"\0")  # some cameras pad their files
     if not data or any(data.startswith(head) and not body.endswith(tail) for head, tail in ends):
         raise InputError(f"{path} is cut off; it holds {len(data)} bytes")
     try:
