@@ -1,7 +1,7 @@
-"""The short table of the README from the committed results; the long pages on demand.
+"""The short table of the README from the committed results; all rows on demand.
 
 ``python -m benchmarks.tables`` writes the README's table; ``--check`` only reports whether it is up
-to date; ``--out FOLDER`` also writes ``verification.md`` and ``api.md`` there.
+to date; ``--out FOLDER`` also writes all rows as ``verification.md`` there.
 """
 
 import argparse
@@ -126,7 +126,7 @@ def main() -> None:
     """Write or check."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing")
-    parser.add_argument("--out", type=Path, help="folder for verification.md and api.md")
+    parser.add_argument("--out", type=Path, help="folder for verification.md")
     given = parser.parse_args()
     results = read()
     old = README.read_text()
@@ -136,11 +136,8 @@ def main() -> None:
         sys.exit(f"out of date: {README}" if new != old else 0)
     README.write_text(new)
     if given.out:
-        from benchmarks import api_docs
-
         given.out.mkdir(parents=True, exist_ok=True)
         (given.out / "verification.md").write_text(page(results), encoding="utf-8")
-        (given.out / "api.md").write_text(api_docs.page(), encoding="utf-8")
 
 
 if __name__ == "__main__":
