@@ -28,8 +28,8 @@ from phytac_decoder.io.bundle_check import (
     bounded,
     check_bundle,
     describe_fault,
+    number,
     numbers,
-    positive_numbers,
     reject_constant,
 )
 from phytac_decoder.io.bundle_locator import locator_arrays, locator_from, locator_table
@@ -378,8 +378,8 @@ def _network(name: str, table: dict[str, Any], parameters: FloatArray) -> Cascad
     return CascadeNetwork(
         parameters=parameters,
         activation=table["activation"],
-        scale_in=positive_numbers(table["scale_in"], INPUTS),
-        scale_out=float(numbers([table["scale_out"]], 1)[0]),
+        scale_in=numbers(table["scale_in"], INPUTS, positive=True),
+        scale_out=number(table["scale_out"]),
     )
 
 

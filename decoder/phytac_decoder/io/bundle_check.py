@@ -27,9 +27,13 @@ ARRAYS: dict[str, tuple[str, tuple[int | str, ...]]] = {
     "neighbours": ("model.neighbours", ("n", 8)),
 }
 """Attribute of a bundle and shape of each array, for n markers."""
-SHOWN = ("shown_rest_px", "shown_tip_on_px", "shown_tip_red_rest_px", "shown_tip_red_on_px")
-"""Further arrays of a bundle of two cameras: the view of each."""
-Shapes = dict[str, tuple[int, ...]]
+SHOWN: dict[str, tuple[int | str, ...]] = {
+    "shown_rest_px": (2, "n", 2),
+    "shown_tip_on_px": (2, "n", 2),
+    "shown_tip_red_rest_px": (2, "n"),
+    "shown_tip_red_on_px": (2, "n"),
+}
+"""Further arrays of a bundle of two cameras, the view of each, and their shapes."""
 
 
 def check_bundle(
@@ -55,21 +59,16 @@ def check_bundle(
             f"{folder}/bundle.json has {cameras} cameras, a sensor has one or two; rebuild the "
             "decoder"
         )
-    sizes = {"n": n, "2n": 2 * n}
-    shapes: Shapes = {
-        name: tuple(sizes[size] if isinstance(size, str) else size for size in shape)
-        for name, (_, shape) in ARRAYS.items()
-    }
+    shapes = {name: shape for name, (_, shape) in ARRAYS.items()}
     shapes |= {f"network.{name}": (parameter_count(),) for name in sorted(networks)}
-    if cameras == 2:
-        shapes |= dict.fromkeys(SHOWN[:2], (2, n, 2)) | dict.fromkeys(SHOWN[2:], (2, n))
     check_arrays(
         arrays,
-        shapes,
+        shapes | SHOWN if cameras == 2 else shapes,
+        {"n": n, "2n": 2 * n},
         where=where,
         kinds=dict.fromkeys(("colour", "neighbours", "read_by"), np.int64),
         # NaN marks what a camera does not see.
-        partial=("tip_on_px", *SHOWN[:2]),
+        partial=("tip_on_px", "shown_rest_px", "shown_tip_on_px"),
     )
     for name, low, high in (("neighbours", -1, n), ("colour", 0, colours), ("read_by", 0, cameras)):
         if arrays[name].min(initial=low) < low or arrays[name].max(initial=low) >= high:
@@ -88,7 +87,8 @@ def check_bundle(
 
 def check_arrays(
     arrays: Mapping[str, Any],
-    shapes: Shapes,
+    shapes: Mapping[str, tuple[int | str, ...]],
+    sizes: dict[str, int],
     *,
     where: str,
     kinds: Mapping[str, Any],
@@ -100,7 +100,9 @@ def check_arrays(
     Parameters
     ----------
     shapes : dict
-        Expected shape by name.
+        Expected shape by name, of numbers and names of sizes.
+    sizes : dict
+        Known sizes; one that is missing is added as the first array has it.
     where : str
         File, the start of a message.
     kinds : dict
@@ -119,10 +121,14 @@ def check_arrays(
         if name not in arrays:
             raise InputError(f"{where} lacks '{prefix}{name}'; rebuild the decoder")
         array, kind = arrays[name], np.dtype(kinds.get(name, np.float64))
-        if array.shape != shape:
+        for size, length in zip(shape, array.shape, strict=False):
+            if isinstance(size, str):
+                sizes.setdefault(size, length)
+        expected = tuple(sizes.get(size, 0) if isinstance(size, str) else size for size in shape)
+        if array.shape != expected:
             raise InputError(
-                f"{where}: {prefix}{name} has shape {array.shape}, expected {shape}; the two files "
-                "are of different builds"
+                f"{where}: {prefix}{name} has shape {array.shape}, expected {expected}; the two "
+                "files are of different builds"
             )
         if array.dtype != kind:
             raise InputError(
@@ -154,34 +160,22 @@ def reject_constant(name: str) -> float:
     raise ValueError(f"{name} is no number of JSON")
 
 
-def numbers(values: Any, count: int) -> FloatArray:
+def numbers(values: Any, count: int, *, positive: bool = False) -> FloatArray:
     """Return ``count`` finite numbers, (count,).
 
     Raises
     ------
     ValueError
-        If the values are something else.
+        If the values are something else, or not above zero where they must be ``positive``.
     """
     out = np.asarray(values, dtype=np.float64)
     if out.shape != (count,) or not np.isfinite(out).all():
         raise ValueError(f"expected {count} finite numbers (got {values!r})")
-    return out
-
-
-def positive_numbers(values: Any, count: int) -> FloatArray:
-    """Return ``count`` finite numbers above zero, (count,).
-
-    Raises
-    ------
-    ValueError
-        If the values are something else.
-    """
-    out = numbers(values, count)
-    if not (out > 0.0).all():
+    if positive and not (out > 0.0).all():
         raise ValueError(f"expected numbers above zero (got {values!r})")
     return out
 
 
-def above_zero(value: Any) -> float:
-    """Return a finite number above zero; raise ``ValueError`` for anything else."""
-    return float(positive_numbers([value], 1)[0])
+def number(value: Any, *, positive: bool = False) -> float:
+    """Return a finite number; raise ``ValueError`` for anything else."""
+    return float(numbers([value], 1, positive=positive)[0])

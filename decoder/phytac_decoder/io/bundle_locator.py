@@ -1,6 +1,7 @@
 """The estimator ``auto`` in a bundle: its tables, its priors and its fitted correction."""
 
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -9,13 +10,7 @@ import numpy as np
 from phytac_decoder.estimation.contact_fit import ContactPrior, ShiftNoise
 from phytac_decoder.estimation.force_correction import LEGACY_LENGTHS, ForceCorrection
 from phytac_decoder.estimation.locator import ContactLocator
-from phytac_decoder.io.bundle_check import (
-    Shapes,
-    above_zero,
-    check_arrays,
-    numbers,
-    positive_numbers,
-)
+from phytac_decoder.io.bundle_check import check_arrays, number, numbers
 from phytac_decoder.mechanics.interaction_table import InteractionTable
 from phytac_decoder.mechanics.membrane_stretching import BergerWall
 from phytac_decoder.mechanics.response_table import ResponseTable
@@ -25,44 +20,40 @@ from phytac_shapes.errors import InputError
 PREFIX, PAIR, WALL, RATIO = "places.", "pair_", "wall_", "noise_ratio"
 FRAME = ("point_mm", "along", "around")
 PLACES_MIN = 4
-KINDS: dict[str, Any] = {
-    "shift_px": np.float32,
-    PAIR + "coordinates": np.float32,
-    PAIR + "axes_px": np.float32,
-    WALL + "slopes": np.float32,
-    WALL + "number": np.int64,
+SHAPES: dict[str, tuple[int | str, ...]] = {
+    **dict.fromkeys(FRAME, ("places", 3)),
+    "shift_px": ("places", "orders", "2n"),
+    **dict.fromkeys((PAIR + name for name in FRAME), ("pairs", 3)),
+    PAIR + "axes_px": ("axes", "2n"),
+    PAIR + "coordinates": ("pairs", "pairs", "axes"),
+    WALL + "number": ("places",),
+    WALL + "slopes": ("places", "powers", "modes"),
+    WALL + "most": (1,),
+    RATIO: ("2n",),
+    "weight": ("contacts",),
+    "centre": ("contacts", 5),
 }
-"""Types of arrays that are not float64."""
+"""Shapes of all arrays for n markers; interactions, walls, the ratio of noise and the fitted
+correction (the last two) may be missing."""
 
 
 def locator_table(locator: ContactLocator) -> dict[str, Any]:
     """Return the part of ``bundle.json``."""
-    prior, noise, fitted = locator.prior, locator.noise, locator.correction
-    table: dict[str, Any] = {
-        "radius_mm": locator.places.radius_mm,
-        **({"top_N": locator.places.top_N} if np.isfinite(locator.places.top_N) else {}),
+    places, fitted = locator.places, locator.correction
+    return {
+        "radius_mm": places.radius_mm,
+        **({"top_N": places.top_N} if np.isfinite(places.top_N) else {}),
         "footprint_mm": locator.footprint_mm,
-        "prior": {
-            "place_mm": prior.place_mm,
-            "moments_mm2": list(prior.moments_mm2),
-            "moments_sd_mm2": list(prior.moments_sd_mm2),
-        },
-        "noise": {
-            "centroid_px": noise.centroid_px,
-            "share": noise.share,
-            "switched_px": noise.switched_px,
-        },
+        "prior": _plain(locator.prior),
+        "noise": _plain(locator.noise, "ratio"),
+        **({"learnt": _plain(fitted, "centre", "weight")} if fitted else {}),
     }
-    if fitted is not None:
-        table["learnt"] = {
-            "low_mm": fitted.low_mm.tolist(),
-            "size_mm": fitted.size_mm,
-            "force_max_N": fitted.force_max_N,
-            "spread": fitted.spread,
-            "spread_share": fitted.spread_share,
-            "lengths": list(fitted.lengths),
-        }
-    return table
+
+
+def _plain(item: Any, *arrays: str) -> dict[str, Any]:
+    """Return a dataclass's fields without its ``arrays``, as plain JSON."""
+    names = [field.name for field in fields(item) if field.name not in arrays]
+    return {name: np.asarray(getattr(item, name)).tolist() for name in names}
 
 
 def locator_arrays(locator: ContactLocator) -> dict[str, Any]:
@@ -158,35 +149,36 @@ def locator_from(
     if "learnt" in table:
         stored = table["learnt"]
         # Up to schema 1.6 all length scales were the same.
-        lengths = positive_numbers(stored.get("lengths", LEGACY_LENGTHS), 3).tolist()
+        lengths = numbers(stored.get("lengths", LEGACY_LENGTHS), 3, positive=True).tolist()
         correction = ForceCorrection(
             centre=own["centre"],
             weight=own["weight"],
             low_mm=numbers(stored["low_mm"], 3),
-            size_mm=above_zero(stored["size_mm"]),
-            force_max_N=above_zero(stored["force_max_N"]),
-            spread=above_zero(stored["spread"]),
-            spread_share=float(numbers([stored["spread_share"]], 1)[0]),
+            size_mm=number(stored["size_mm"], positive=True),
+            force_max_N=number(stored["force_max_N"], positive=True),
+            spread=number(stored["spread"], positive=True),
+            spread_share=number(stored["spread_share"]),
             lengths=tuple(lengths),
         )
     prior, noise = table["prior"], table["noise"]
+    radius_mm = number(table["radius_mm"], positive=True)
     # Up to schema 1.7 there was no largest force.
-    top_N = above_zero(table["top_N"]) if "top_N" in table else np.inf
+    top_N = number(table["top_N"], positive=True) if "top_N" in table else np.inf
     return ContactLocator(
-        places=response_from_arrays(own, above_zero(table["radius_mm"]), top_N),
+        places=response_from_arrays(own, radius_mm, top_N),
         position_mm=position_mm,
         neighbours=neighbours,
-        footprint_mm=above_zero(table["footprint_mm"]),
+        footprint_mm=number(table["footprint_mm"], positive=True),
         threshold_N=threshold_N,
         prior=ContactPrior(
-            place_mm=above_zero(prior["place_mm"]),
+            place_mm=number(prior["place_mm"], positive=True),
             moments_mm2=tuple(numbers(prior["moments_mm2"], 3).tolist()),
-            moments_sd_mm2=tuple(positive_numbers(prior["moments_sd_mm2"], 3).tolist()),
+            moments_sd_mm2=tuple(numbers(prior["moments_sd_mm2"], 3, positive=True).tolist()),
         ),
         noise=ShiftNoise(
-            centroid_px=above_zero(noise["centroid_px"]),
-            share=float(numbers([noise["share"]], 1)[0]),
-            switched_px=float(numbers([noise["switched_px"]], 1)[0]),
+            centroid_px=number(noise["centroid_px"], positive=True),
+            share=number(noise["share"]),
+            switched_px=number(noise["switched_px"]),
             # Up to schema 1.5 all coordinates had the same noise.
             ratio=own.get(RATIO),
         ),
@@ -196,47 +188,28 @@ def locator_from(
 
 def _check(own: Mapping[str, Any], columns: int, *, fitted: bool, folder: Path) -> None:
     where = f"{folder}/bundle.safetensors"
-    shapes = _expected_shapes(own, columns, fitted=fitted)
-    check_arrays(own, shapes, where=where, kinds=KINDS, prefix=PREFIX)
-    count = len(own["point_mm"])
-    if count < PLACES_MIN:
-        raise InputError(f"{where}: {PREFIX}point_mm has {count} places; rebuild the decoder")
-    if WALL + "most" in own and not 0.0 < float(own[WALL + "most"][0]) < 1.0:
+    absent = [part for part in (PAIR, WALL, RATIO) if not any(n.startswith(part) for n in own)]
+    absent += () if fitted else ("weight", "centre")
+    shapes = {name: shape for name, shape in SHAPES.items() if not name.startswith(tuple(absent))}
+    sizes = {"2n": columns}
+    kinds = dict.fromkeys(
+        ("shift_px", PAIR + "coordinates", PAIR + "axes_px", WALL + "slopes"), np.float32
+    ) | {WALL + "number": np.int64}
+    check_arrays(own, shapes, sizes, where=where, kinds=kinds, prefix=PREFIX)
+    if sizes["places"] < PLACES_MIN:
         raise InputError(
-            f"{where}: {PREFIX}{WALL}most holds {own[WALL + 'most'][0]:g}, expected a number "
-            "between 0 and 1; rebuild the decoder"
+            f"{where}: {PREFIX}point_mm has {sizes['places']} places; rebuild the decoder"
         )
-    if RATIO in own and not (own[RATIO] > 0.0).all():
+    # Powers of v from 0; all but the first have rows in shift_px.
+    if not 1 < sizes.get("powers", 2) <= max(sizes["orders"], 2):
         raise InputError(
-            f"{where}: {PREFIX}{RATIO} holds {own[RATIO].min():g}, expected numbers above zero; "
-            "rebuild the decoder"
+            f"{where}: {PREFIX}{WALL}slopes has {sizes['powers']} powers, and the tables have "
+            f"{sizes['orders']} orders; the two files are of different builds"
         )
-
-
-def _expected_shapes(own: Mapping[str, Any], columns: int, *, fitted: bool) -> Shapes:
-    """Return shapes by name; a size that only the file knows is taken from the array itself."""
-
-    def size(name: str, axis: int, rank: int) -> int:
-        """Return the size of an array's axis; 0 if it is missing or of another rank."""
-        array = own.get(name)
-        return 0 if array is None or array.ndim != rank else int(array.shape[axis])
-
-    count, orders = size("point_mm", 0, 2), size("shift_px", 1, 3)
-    shapes: Shapes = dict.fromkeys(FRAME, (count, 3))
-    shapes["shift_px"] = (count, max(orders, 1), columns)
-    if any(name.startswith(PAIR) for name in own):
-        pairs, axes = size(PAIR + "point_mm", 0, 2), size(PAIR + "axes_px", 0, 2)
-        shapes |= dict.fromkeys((PAIR + name for name in FRAME), (pairs, 3))
-        shapes |= {PAIR + "axes_px": (axes, columns), PAIR + "coordinates": (pairs, pairs, axes)}
-    if any(name.startswith(WALL) for name in own):
-        # Powers of v from 0; all but the first have rows in shift_px.
-        powers, modes = size(WALL + "slopes", 1, 3), size(WALL + "slopes", 2, 3)
-        powers = powers if 1 < powers <= orders else 2
-        shapes |= {WALL + "number": (count,), WALL + "slopes": (count, powers, modes)}
-        shapes[WALL + "most"] = (1,)
-    if RATIO in own:
-        shapes[RATIO] = (columns,)
-    if fitted:
-        contacts = size("weight", 0, 1)
-        shapes |= {"weight": (contacts,), "centre": (contacts, 5)}
-    return shapes
+    for name, high in ((WALL + "most", 1.0), (RATIO, np.inf)):
+        wrong = own[name][~((own[name] > 0.0) & (own[name] < high))] if name in own else ()
+        if len(wrong):
+            kind = "a number between 0 and 1" if high == 1.0 else "numbers above zero"
+            raise InputError(
+                f"{where}: {PREFIX}{name} holds {wrong[0]:g}, expected {kind}; rebuild the decoder"
+            )
