@@ -1,12 +1,12 @@
 """``phytac advise``: what to change about a design."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, say
+from phytac_design.cli.output import names_of, print_json, resumable
 
 
 def advise(
@@ -38,7 +38,6 @@ def advise(
 
     Evaluations are cached: a command that was stopped resumes where it was.
     """
-    from phytac_design.core.json_values import finite
     from phytac_design.design.accuracy import settings_of, with_settings
     from phytac_design.design.design_file import load_design
     from phytac_design.study.advice import advice_report as report
@@ -47,8 +46,8 @@ def advise(
 
     loaded = load_design(design)
     chosen = with_settings(settings_of(accuracy.value), settings or [])
-    names = [name.strip() for name in only.split(",") if name.strip()]
-    try:
+    names = names_of(only)
+    with resumable():
         if polish:
             done = polishing.refine(
                 loaded, chosen, only=names, rounds=rounds, seed=seed, progress=say
@@ -63,7 +62,7 @@ def advise(
             facts, text = report.as_dict(found), report.text(found)
             if out:
                 text += f"\nwritten to {report.write_advice(found, out)}"
-    except KeyboardInterrupt:
-        say("stopped; run the same command again to resume")
-        raise typer.Exit(130) from None
-    typer.echo(json.dumps(finite(facts), indent=1, ensure_ascii=False) if as_json else text)
+    if as_json:
+        print_json(facts)
+    else:
+        typer.echo(text)

@@ -1,6 +1,5 @@
 """The command ``phytac``: short calls into the library, one clear line for every error."""
 
-import json
 import os
 import sys
 from pathlib import Path
@@ -32,6 +31,7 @@ from phytac_design.cli import (
     train_command,
 )
 from phytac_design.cli.options import DesignArgument, JsonOption, SeedOption, say
+from phytac_design.cli.output import print_json
 from phytac_shapes.errors import DesignError, MissingPartError, PhytacError
 
 app = typer.Typer(
@@ -45,13 +45,12 @@ app = typer.Typer(
 @app.command()
 def check(design: DesignArgument, seed: SeedOption = 0, as_json: JsonOption = False) -> None:
     """Check rules, visibility and density alone: no solid, no mesh."""
-    from phytac_design.core.json_values import finite
     from phytac_design.design.design_file import load_design
     from phytac_design.rules.design_review import checkup
 
     report = checkup(load_design(design), seed=seed)
     if as_json:
-        typer.echo(json.dumps(finite(report), indent=1))
+        print_json(report)
     else:
         _print_check(report)
     for warning in report["warnings"]:
@@ -121,7 +120,7 @@ def schema() -> None:
     """Print the JSON Schema of design files."""
     from phytac_design.design.spec import Design
 
-    typer.echo(json.dumps(Design.model_json_schema(), indent=1, ensure_ascii=False))
+    print_json(Design.model_json_schema())
 
 
 @app.command()
@@ -133,7 +132,7 @@ def shapes(
     from phytac_design.design.catalogue import shape_facts, shape_list, shape_page
 
     if as_json:
-        typer.echo(json.dumps(shape_facts(), indent=1, ensure_ascii=False))
+        print_json(shape_facts())
     else:
         typer.echo(shape_page(name) if name else shape_list())
 

@@ -1,12 +1,12 @@
 """``phytac build``: everything of a design, or what a scene, a tolerance or a budget asks for."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from phytac_design.cli.options import JsonOption, Preset, SeedOption, say
+from phytac_design.cli.output import names_of, print_json, resumable
 from phytac_shapes.errors import DesignError
 
 
@@ -78,9 +78,9 @@ def build(
     else:
         loaded = load_design(design)
     target = out or Path("exports") / (f"{loaded.name}-{scene}" if scene else loaded.name)
-    names = [name.strip() for name in only.split(",") if name.strip()]
+    names = names_of(only)
     chosen = with_settings(settings_of((accuracy or Preset.standard).value), settings or [])
-    try:
+    with resumable():
         if within:
             from phytac_design.cli.tradeoff_command import build_within
 
@@ -111,9 +111,6 @@ def build(
             force=force,
             progress=say,
         )
-    except KeyboardInterrupt:
-        say("stopped; run the same command again to resume")
-        raise typer.Exit(130) from None
     if as_json:
         summary = {
             "out": str(result.out),
@@ -122,7 +119,7 @@ def build(
             "seconds": round(result.seconds, 3),
             "timing_s": result.timing_s,
         }
-        typer.echo(json.dumps(summary, indent=1))
+        print_json(summary)
         return
     typer.echo(
         f"{target}: {len(result.ran)} stages run, {len(result.cached)} from the cache, "

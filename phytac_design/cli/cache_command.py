@@ -1,15 +1,13 @@
 """``phytac cache``: contents of the stage cache, and eviction."""
 
-import json
 import re
 from typing import Annotated
 
 import typer
 
 from phytac_design.cli.options import JsonOption, say
+from phytac_design.cli.output import print_json
 from phytac_shapes.errors import DesignError
-
-UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 
 
 def cache(
@@ -68,7 +66,7 @@ def cache(
     if kept:
         say(f"warning: {len(kept)} damaged results are read by a running build and stay for now")
     if as_json:
-        typer.echo(json.dumps(facts, indent=1))
+        print_json(facts)
         return
     if verify:
         typer.echo(f"{len(damaged)} damaged results dropped; the next build makes them again")
@@ -110,4 +108,4 @@ def duration_s(text: str) -> float:
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([smhd])\s*", text)
     if not match:
         raise DesignError(f"no time {text!r}; write it as 90s, 30m, 12h or 7d")
-    return float(match[1]) * UNITS_S[match[2]]
+    return float(match[1]) * {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}[match[2]]

@@ -1,14 +1,12 @@
 """``phytac compare``: two or more builds side by side."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from phytac_design.cli.options import JsonOption
-
-FEWEST = 2
+from phytac_design.cli.output import print_json
 
 
 def compare(
@@ -25,13 +23,13 @@ def compare(
     from phytac_design.report.compare import compare_page, comparison
     from phytac_shapes.errors import InputError, OutputError
 
-    if len(folders) < FEWEST:
+    if len(folders) < 2:
         raise InputError(
             f"a comparison needs two builds or more (got {len(folders)}); name another folder"
         )
     builds = read_builds(folders)
     if as_json:
-        typer.echo(json.dumps(comparison(builds), indent=1, ensure_ascii=False))
+        print_json(comparison(builds))
     if as_json and out is None:
         return
     target = out or Path("comparison.html")

@@ -1,7 +1,6 @@
 """The command that decodes frames: one to a table of forces, a recording to one row per frame."""
 
 import contextlib
-import json
 import re
 import sys
 from collections import Counter
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from phytac_design.cli.options import JsonOption, say
+from phytac_design.cli.output import print_json
 from phytac_design.cli.serve_command import (
     BundleArgument,
     DesignOption,
@@ -155,7 +155,7 @@ def _decode_frame(
         }
         if regions:
             result["regions"] = {name: round(force, 4) for name, force in region_N.items()}
-        typer.echo(json.dumps(result, indent=1))
+        print_json(result)
         return
     typer.echo(f"{bundle.design}: {int(measured.found.sum())} of {len(forces)} markers found")
     for marker in koi:

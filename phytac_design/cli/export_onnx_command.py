@@ -1,13 +1,12 @@
 """The command that exports a decoder's network."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from phytac_design.cli.options import JsonOption
-from phytac_shapes.errors import InputError
+from phytac_design.cli.output import print_json
 
 
 def export_onnx(
@@ -19,15 +18,9 @@ def export_onnx(
     as_json: JsonOption = False,
 ) -> None:
     """Write a decoder's network as ONNX, checked equal to the decoder's own."""
-    try:
-        from phytac_design.training.onnx_export import INPUT, OPSET, OUTPUT
-        from phytac_design.training.onnx_export import export_onnx as run
-    except ModuleNotFoundError as error:
-        if error.name != "onnx":
-            raise
-        raise InputError(
-            "the package onnx is missing; install it with: pip install 'phytac-design[train]'"
-        ) from None
+    from phytac_design.training.onnx_export import INPUT, OPSET, OUTPUT
+    from phytac_design.training.onnx_export import export_onnx as run
+
     difference = run(bundle, out, estimator=estimator)
     if as_json:
         facts = {
@@ -38,7 +31,7 @@ def export_onnx(
             "opset": OPSET,
             "difference": difference,
         }
-        typer.echo(json.dumps(facts, indent=1))
+        print_json(facts)
         return
     typer.echo(
         f"{out}: network of {estimator}, {INPUT} to {OUTPUT}, opset {OPSET}; equal "

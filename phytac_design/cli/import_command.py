@@ -1,12 +1,12 @@
 """The command that reads a user's own rig."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, say
+from phytac_design.cli.output import print_json
 from phytac_design.cli.simulate_commands import Keep
 
 
@@ -94,7 +94,7 @@ def import_(
             "problems": [text for _, text in done.problems.found],
             "notes": done.meta.notes,
         }
-        typer.echo(json.dumps(summary, indent=1))
+        print_json(summary)
         return
     said = f", {done.left_out} left out" if done.left_out else ""
     typer.echo(

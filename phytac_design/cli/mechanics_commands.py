@@ -1,6 +1,5 @@
 """Commands of the shell's mechanics: press, mesh, calibrate."""
 
-import json
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -8,11 +7,7 @@ from typing import Annotated
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, Preset, say
-
-FORCE = "Force of the press, N, inward."
-AT = "Marker number, or chart position u,v; the middle if not given."
-RADIUS = "Radius of the pressed disc, mm; the design's fingertip if not given, 0 for a point."
-REFINE = "Shell elements per marker pitch around."
+from phytac_design.cli.output import names_of, print_json
 
 
 class Theory(StrEnum):
@@ -31,14 +26,24 @@ class Parameter(StrEnum):
     poisson = "poisson"
 
 
-AtOption = Annotated[str, typer.Option(help=AT)]
-RadiusOption = Annotated[float | None, typer.Option(help=RADIUS)]
-RefineOption = Annotated[int, typer.Option(help=REFINE, min=1, max=32)]
+AtOption = Annotated[
+    str,
+    typer.Option(help="Marker number, or chart position u,v; the middle if not given."),
+]
+RadiusOption = Annotated[
+    float | None,
+    typer.Option(
+        help="Radius of the pressed disc, mm; the design's fingertip if not given, 0 for a point."
+    ),
+]
+RefineOption = Annotated[
+    int, typer.Option(help="Shell elements per marker pitch around.", min=1, max=32)
+]
 
 
 def press(
     design: DesignArgument,
-    force: Annotated[float, typer.Option(help=FORCE)],
+    force: Annotated[float, typer.Option(help="Force of the press, N, inward.")],
     at: AtOption = "",
     radius: RadiusOption = None,
     theory: Annotated[
@@ -78,7 +83,7 @@ def press(
         say(f"warning: {warning}")
     if as_json:
         plain = press_dict(result, sensor.markers, name=loaded.name, tolerance=accepted)
-        typer.echo(json.dumps(plain, indent=1))
+        print_json(plain)
     else:
         typer.echo(press_text(result, sensor.markers, name=loaded.name, tolerance=accepted))
 
@@ -108,7 +113,7 @@ def mesh(
     from phytac_design.mechanics.pressing.contact_patch import parse_contact_patch
     from phytac_design.mechanics.solid import mesh_files
 
-    kinds = [kind.strip() for kind in formats.split(",") if kind.strip()]
+    kinds = names_of(formats)
     mesh_files.check_formats(kinds)
     loaded = load_design(design)
     sensor = Sensor(loaded)
@@ -124,7 +129,7 @@ def mesh(
             out, sensor, place, size=size, formats=kinds, progress=say
         )
     if as_json:
-        typer.echo(json.dumps({"out": str(out)} | facts, indent=1))
+        print_json({"out": str(out)} | facts)
         return
     for name, made in facts.items():
         files = ", ".join(f"{name}.{kind}" for kind in kinds)
@@ -154,4 +159,7 @@ def calibrate(
     )
     if out:
         say(f"wrote {write_calibrated(loaded, fit, out)}")
-    typer.echo(json.dumps(fit.as_dict(), indent=1) if as_json else fit.text())
+    if as_json:
+        print_json(fit.as_dict())
+    else:
+        typer.echo(fit.text())

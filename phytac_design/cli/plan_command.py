@@ -1,12 +1,12 @@
 """``phytac plan``: the stages that a scene requires, their cost, and their build."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, say
+from phytac_design.cli.output import print_json
 
 if TYPE_CHECKING:
     from phytac_design.design.accuracy import Accuracy
@@ -36,7 +36,6 @@ def plan(
     as_json: JsonOption = False,
 ) -> None:
     """Show what a scene models of a design, at which resolution, why and at what cost."""
-    from phytac_design.core.json_values import finite
     from phytac_design.design.accuracy import PRESETS
     from phytac_design.design.design_file import load_design
     from phytac_design.design.scene import Scene, load_scene
@@ -59,7 +58,7 @@ def plan(
         if not as_json:
             print_audit(found, target)
     if as_json:
-        typer.echo(json.dumps(finite(report), indent=1, ensure_ascii=False))
+        print_json(report)
 
 
 def build_scene(
@@ -73,7 +72,6 @@ def build_scene(
     as_json: bool,
 ) -> None:
     """Build what a scene requires, as ``phytac build --scene`` does, and audit the plan."""
-    from phytac_design.core.json_values import finite
     from phytac_design.design.scene import load_scene
     from phytac_design.study.planning.plan import plan_scene
     from phytac_design.study.planning.run_plan import run_plan
@@ -82,7 +80,7 @@ def build_scene(
     built, audit = run_plan(made, out, seed=seed, force=force, progress=say)
     if as_json:
         report = made.as_dict() | {"out": str(out), "ran": list(built.ran), "audit": audit}
-        typer.echo(json.dumps(finite(report), indent=1, ensure_ascii=False))
+        print_json(report)
         return
     print_audit(audit, out)
 

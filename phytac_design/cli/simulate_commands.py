@@ -1,7 +1,7 @@
 """The commands of the virtual sensor."""
 
-import json
 import os
+from collections import Counter
 from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
@@ -10,11 +10,8 @@ from typing import Annotated
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, say
+from phytac_design.cli.output import print_json, resumable
 from phytac_shapes.errors import DesignError
-
-REASONS = 5
-"""Reasons listed at the end."""
-
 
 Route = StrEnum("Route", ["points", "frames"])
 Displacement = StrEnum("Displacement", ["auto", "linear", "large"])
@@ -99,22 +96,20 @@ def simulate(
     )
     target = out or Path("exports") / f"{loaded.name}-{wanted.name}"
     count = workers or len(os.sched_getaffinity(0))
-    try:
+    with resumable():
         done = run(job, target, workers=count, force=force, progress=say)
-    except KeyboardInterrupt:
-        say("stopped; run the same command again to resume")
-        raise typer.Exit(130) from None
     if as_json:
         summary = asdict(done) | {"out": str(done.out), "seconds": round(done.seconds, 3)}
-        typer.echo(json.dumps(summary, indent=1))
+        print_json(summary)
         return
     statuses = ", ".join(f"{number} {name}" for name, number in done.statuses.items() if number)
     theories = ", ".join(f"{number} {name}" for name, number in done.theories.items() if number)
     typer.echo(f"{done.out}: {done.samples} samples ({statuses}; {theories}), {done.seconds:.0f} s")
-    for reason, number in sorted(done.reasons.items(), key=lambda item: -item[1])[:REASONS]:
+    reasons = Counter(done.reasons).most_common()
+    for reason, number in reasons[:5]:
         typer.echo(f"  {number} sample{'' if number == 1 else 's'}: {reason}")
-    if len(done.reasons) > REASONS:
-        typer.echo(f"  and {len(done.reasons) - REASONS} other reasons")
+    if len(reasons) > 5:
+        typer.echo(f"  and {len(reasons) - 5} other reasons")
 
 
 def scenarios(as_json: JsonOption = False) -> None:
@@ -123,7 +118,7 @@ def scenarios(as_json: JsonOption = False) -> None:
 
     known = {name: load_scenario(name).description for name in shipped_scenarios()}
     if as_json:
-        typer.echo(json.dumps(known, indent=1))
+        print_json(known)
         return
     for name, description in known.items():
         typer.echo(f"{name:10s} {description}")

@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from phytac_design.cli.options import say
-from phytac_shapes.errors import MissingPartError
 
 
 def studio(
@@ -25,14 +24,8 @@ def studio(
     Designs are read from and saved in the current folder; builds are written to its subfolder
     `exports`, and its studies are listed.
     """
-    try:
-        from phytac_design.studio.server import StudioServer, open_browser
-    except ModuleNotFoundError as error:
-        if error.name not in {"starlette", "uvicorn"}:
-            raise
-        raise MissingPartError(
-            f"the studio needs {error.name}; pip install 'phytac-design[studio]'"
-        ) from None
+    from phytac_design.studio.server import StudioServer, open_browser
+
     server = StudioServer(Path.cwd(), design, port=port)
 
     def ready(url: str) -> None:

@@ -1,6 +1,5 @@
 """The commands that search the design space."""
 
-import json
 from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -8,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from phytac_design.cli.options import JsonOption, say
+from phytac_design.cli.output import print_json
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -106,10 +106,8 @@ def _run(
     page = write_page(done.folder)
     figures = summary(read_results(done.folder))
     if as_json:
-        from phytac_design.core.json_values import finite
-
         facts = {"out": str(done.folder), "seconds": done.seconds, "new": done.new} | figures
-        typer.echo(json.dumps(finite(facts), indent=1, ensure_ascii=False))
+        print_json(facts)
         return
     counts = ", ".join(f"{count} {status}" for status, count in figures["statuses"].items())
     typer.echo(
@@ -142,10 +140,7 @@ def _list_measures(*, as_json: bool) -> None:
     from phytac_design.study.search.measures import MEASURES
 
     if as_json:
-        from phytac_design.core.json_values import finite
-
-        every = [finite(asdict(measure)) for measure in MEASURES.values()]
-        typer.echo(json.dumps(every, indent=1, ensure_ascii=False))
+        print_json([asdict(measure) for measure in MEASURES.values()])
         return
     for measure in MEASURES.values():
         unit = f" ({measure.unit})" if measure.unit else ""

@@ -1,12 +1,12 @@
 """The command of the threshold switch."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from phytac_design.cli.options import JsonOption, say
+from phytac_design.cli.output import print_json
 
 
 def switch(
@@ -78,7 +78,7 @@ def switch(
         minded.append(f"this design also has regions with {more} N: see --threshold-N")
     if as_json:
         plain = switch_dict(made) | {"design": loaded.name, "warnings": minded}
-        typer.echo(json.dumps(plain, indent=1, ensure_ascii=False))
+        print_json(plain)
         return
     for warning in minded:
         say(f"warning: {warning}")

@@ -1,12 +1,12 @@
 """``phytac tradeoff``, and the options ``--tolerance`` and ``--budget`` of ``phytac build``."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, say
+from phytac_design.cli.output import names_of, print_json, resumable
 
 if TYPE_CHECKING:
     from phytac_design.design.spec import Design
@@ -33,14 +33,11 @@ def tradeoff(
 
     loaded = load_design(design)
     target = out or Path("exports") / f"{loaded.name}-tradeoff"
-    names = [name.strip() for name in only.split(",") if name.strip()]
-    try:
+    names = names_of(only)
+    with resumable():
         done = run(loaded, target, only=names, quick=quick, progress=say)
-    except KeyboardInterrupt:
-        say("stopped; run the same command again to resume")
-        raise typer.Exit(130) from None
     if as_json:
-        typer.echo(json.dumps(done.as_dict(), indent=1, ensure_ascii=False))
+        print_json(done.as_dict())
         return
     typer.echo(done.text())
     typer.echo(f"written to {target}")

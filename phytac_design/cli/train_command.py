@@ -1,12 +1,12 @@
 """The commands that train and evaluate decoders."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from phytac_design.cli.options import DesignArgument, JsonOption, Preset, SeedOption, say
+from phytac_design.cli.output import print_json
 
 DataArgument = Annotated[
     list[Path], typer.Argument(help="Data sets of `phytac simulate` or `phytac import`.")
@@ -55,7 +55,7 @@ def train(
         progress=say,
     )
     if as_json:
-        _print_json({"out": str(out)} | facts)
+        print_json({"out": str(out)} | facts)
         return
     parts = ", ".join(f"{count} {name}" for name, count in facts["samples"].items())
     typer.echo(f"{out}: {parts} samples")
@@ -102,7 +102,7 @@ def evaluate(
         progress=say,
     )
     if as_json:
-        _print_json({"out": str(out)} | facts)
+        print_json({"out": str(out)} | facts)
         return
     typer.echo(
         f"{out}: {facts['contacts']['judged']} contacts in {facts['samples']['judged']} "
@@ -123,9 +123,3 @@ def _interval(measure: dict[str, Any], factor: float, digits: int) -> str:
     if measure["low"] is None:
         return "[too few samples for an interval]"
     return f"[{factor * measure['low']:.{digits}f}, {factor * measure['high']:.{digits}f}]"
-
-
-def _print_json(facts: dict[str, Any]) -> None:
-    from phytac_design.core.json_values import finite
-
-    typer.echo(json.dumps(finite(facts), indent=1, ensure_ascii=False))

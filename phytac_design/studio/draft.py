@@ -5,7 +5,6 @@ camera's own pixels; the image is a small one of the same view. ``exact`` is `ph
 """
 
 from base64 import b64encode
-from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -24,6 +23,7 @@ from phytac_design.optics.raster import rasterise
 from phytac_design.optics.render_scene import RenderScene, build_scene, paint_owner
 from phytac_design.optics.sampled_visibility import sampled_fraction
 from phytac_design.optics.visibility import FRACTION_MIN, heights_face
+from phytac_design.report.press_pictures import window
 from phytac_design.report.viewer.data import Colouring, base_colourings, viewer_data
 from phytac_design.rules.design_review import checkup
 from phytac_design.studio.latest_only import Check, SupersededError
@@ -230,21 +230,8 @@ def _view(candidate: Candidate, fraction: FloatArray, per_cm2: FloatArray) -> Js
 def small_camera(camera: Camera, side_px: int) -> Camera:
     """The same view with fewer pixels: the longer side at most ``side_px``."""
     share = min(1.0, side_px / max(camera.width_px, camera.height_px))
-    width, height = (max(round(share * n), 1) for n in (camera.width_px, camera.height_px))
-    lens, own = camera.lens, (width / camera.width_px, height / camera.height_px)
-    return replace(
-        camera,
-        lens=replace(
-            lens,
-            width_px=width,
-            height_px=height,
-            fx_px=lens.fx_px * own[0],
-            fy_px=lens.fy_px * own[1],
-            # Pixel centres are whole numbers: edges scale, centres do not.
-            cx_px=(lens.cx_px + 0.5) * own[0] - 0.5,
-            cy_px=(lens.cy_px + 0.5) * own[1] - 0.5,
-        ),
-    )
+    width = max(round(share * camera.width_px), 1)
+    return window(camera, np.zeros(2), camera.width_px, width)
 
 
 def _scene(candidate: Candidate, camera: Camera, coarse: float) -> RenderScene:

@@ -1,7 +1,6 @@
 """Design files of the folder that the studio was started in; comments survive saving."""
 
 import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any
 
 import tomlkit
 
+from phytac_design.core.journal import write_atomically
 from phytac_design.design.design_file import design_hash, parse_design, shipped_designs, to_toml
 from phytac_design.design.spec import Design
 from phytac_shapes.bounded_reader import read_text, toml_table
@@ -181,7 +181,7 @@ class ProjectFolder:
             if not replace or digest != replace:
                 raise ConfirmationError(f"{name} exists already; overwrite it?")
         text = self.text_of(data, after, source)
-        write_atomically(path, text)
+        write_file(path, text)
         return OpenedDesign(name=name, text=text, data=toml_table(text))
 
     def text_of(self, data: Json, design: Design, source: str) -> str:
@@ -220,29 +220,19 @@ def _edit(table: Any, old: Json, new: Json) -> None:
             table[key] = value  # keeps the comment behind the value
 
 
-def write_atomically(path: Path, text: str) -> None:
-    """Write a file completely or not at all.
+def write_file(path: Path, text: str) -> None:
+    """Write a file completely or not at all; it keeps its permissions.
 
     Raises
     ------
     OutputError
         If it cannot be written.
     """
-    partial = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        number, partial = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".part")
-        with os.fdopen(number, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.umask(mask := os.umask(0))
-        mode = path.stat().st_mode if path.exists() else 0o666 & ~mask
-        Path(partial).chmod(mode & 0o777)
-        Path(partial).replace(path)
+        mode = path.stat().st_mode & 0o777 if path.exists() else None
+        write_atomically(path, text.encode(), mode=mode)
     except OSError as error:
-        if partial:
-            Path(partial).unlink(missing_ok=True)
         raise OutputError(
             f"cannot write {path.name}: {error.strerror}; free disk space, or choose another name"
         ) from None

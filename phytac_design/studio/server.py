@@ -6,70 +6,14 @@ import socket
 import webbrowser
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import uvicorn
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from phytac_design.design.design_file import load_design, shipped_designs
-from phytac_design.studio.access_control import TIMEOUT_S, Guard
+from phytac_design.studio.access_control import Guard
 from phytac_design.studio.files import ProjectFolder
 from phytac_design.studio.web_app import Studio
 from phytac_shapes.errors import OutputError
-
-LOOPBACK = "127.0.0.1"
-
-
-class TimeoutProtocol(H11Protocol):
-    """A connection that ends if no complete request comes, or no response is received, in time."""
-
-    timeout_s = TIMEOUT_S
-    waiting_since_s: float | None = None
-    progress_at_s = 0.0
-    waiting_bytes = 0
-
-    def connection_made(self, transport: Any) -> None:
-        """Start the timeout."""
-        super().connection_made(transport)
-        self.waiting_since_s = self.progress_at_s = self.loop.time()
-        self._watch()
-
-    def data_received(self, data: bytes) -> None:
-        """Note when a request began, until it is complete."""
-        if self.waiting_since_s is None and self._idle:
-            self.waiting_since_s = self.loop.time()
-        super().data_received(data)
-        if not self._idle:
-            self.waiting_since_s = None
-
-    def resume_writing(self) -> None:
-        """Note that the client has received something."""
-        self.progress_at_s = self.loop.time()
-        super().resume_writing()
-
-    @property
-    def _idle(self) -> bool:
-        """Whether no response is under way."""
-        return self.cycle is None or self.cycle.response_complete
-
-    def _watch(self) -> None:
-        waiting, before = self.transport.get_write_buffer_size(), self.waiting_bytes
-        self.waiting_bytes = waiting
-        if not waiting or waiting < before:
-            self.progress_at_s = self.loop.time()
-        elif self.loop.time() - self.progress_at_s >= self.timeout_s:
-            # Closing would wait for the rest to be received.
-            self.transport.abort()
-            return
-        if self.transport.is_closing() and not waiting:
-            return
-        if (
-            self.waiting_since_s is not None
-            and self.loop.time() - self.waiting_since_s >= self.timeout_s
-        ):
-            self.waiting_since_s = None
-            self.transport.close()
-        self.loop.call_later(self.timeout_s / 4.0, self._watch)
 
 
 class StudioServer:
@@ -83,8 +27,6 @@ class StudioServer:
         A shipped design, or the path of a design file.
     port : int
         0 for a free one.
-    timeout_s : float
-        A client that is slower than this is disconnected.
 
     Raises
     ------
@@ -94,9 +36,7 @@ class StudioServer:
         If the port is taken.
     """
 
-    def __init__(
-        self, root: Path, design: str, *, port: int = 0, timeout_s: float = TIMEOUT_S
-    ) -> None:
+    def __init__(self, root: Path, design: str, *, port: int = 0) -> None:
         load_design(design)
         given = None if design in shipped_designs() else Path(design).resolve()
         project = ProjectFolder(root, given)
@@ -108,11 +48,9 @@ class StudioServer:
         self.port = int(self.listener.getsockname()[1])
         self.token = secrets.token_urlsafe(16)
         self.studio = Studio(project, name)
-        guard = Guard(self.studio.app(), token=self.token, port=self.port, timeout_s=timeout_s)
-        protocol = type("Own", (TimeoutProtocol,), {"timeout_s": timeout_s})
         config = uvicorn.Config(
-            guard,
-            http=protocol,
+            Guard(self.studio.app(), token=self.token, port=self.port),
+            http="h11",
             loop="asyncio",
             ws="none",
             lifespan="on",
@@ -122,7 +60,7 @@ class StudioServer:
             proxy_headers=False,
             limit_concurrency=200,
             h11_max_incomplete_event_size=32_768,
-            timeout_keep_alive=max(1, int(timeout_s)),
+            timeout_keep_alive=10,
             timeout_graceful_shutdown=3,
         )
         self.server = uvicorn.Server(config)
@@ -130,7 +68,7 @@ class StudioServer:
     @property
     def url(self) -> str:
         """Address, with this run's token."""
-        return f"http://{LOOPBACK}:{self.port}/{self.token}/"
+        return f"http://127.0.0.1:{self.port}/{self.token}/"
 
     def run(self, *, ready: Callable[[str], None] = lambda _: None) -> None:
         """Serve until Ctrl-C or SIGTERM; ``ready`` receives the address, which listens already."""
@@ -146,13 +84,13 @@ def _listen(port: int) -> socket.socket:
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listener.bind((LOOPBACK, port))
+        listener.bind(("127.0.0.1", port))
         listener.listen(128)
     except (OSError, OverflowError) as error:
         listener.close()
         reason = getattr(error, "strerror", None) or error
         raise OutputError(
-            f"cannot listen at {LOOPBACK}, port {port} ({reason}); give another --port"
+            f"cannot listen at 127.0.0.1, port {port} ({reason}); give another --port"
         ) from None
     return listener
 

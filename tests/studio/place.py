@@ -70,12 +70,12 @@ def stand_in(root: Path, mode: str) -> Path:
 
 
 @contextmanager
-def studio(root: Path, design: str = "", *, timeout_s: float = 10.0) -> Iterator[StudioServer]:
+def studio(root: Path, design: str = "") -> Iterator[StudioServer]:
     """Run a studio while the block lasts."""
     path = root / "short.toml"
     if not path.exists():
         path.write_text(DESIGN, encoding="utf-8")
-    running = StudioServer(root, design or str(path), timeout_s=timeout_s)
+    running = StudioServer(root, design or str(path))
     ready = threading.Event()
     thread = threading.Thread(target=lambda: running.run(ready=lambda _: ready.set()))
     thread.start()

@@ -68,7 +68,7 @@ def test_a_build_is_followed_to_its_report(client: Client, program: Path, data: 
     (program / "mode").write_text("short")
     data["layout"]["rows"] = 7
     status, state = client.post("api/build", {"data": data, "source": "", "accuracy": "draft"})
-    assert (status, state["state"], state["out"]) == (202, "running", "exports/short")
+    assert (status, state["state"], state["out"]) == (200, "running", "exports/short")
     states = events(client)
     assert states[-1]["state"] == "done"
     assert states[-1]["done"] == 1.0
@@ -89,7 +89,7 @@ def test_a_build_that_fails_says_why(
     client: Client, program: Path, data: Json, mode: str, why: str
 ) -> None:
     (program / "mode").write_text(mode)
-    assert client.post("api/build", {"data": data, "source": ""})[0] == 202
+    assert client.post("api/build", {"data": data, "source": ""})[0] == 200
     last = events(client)[-1]
     assert (last["state"], last["error"]) == ("failed", why)
 
@@ -99,7 +99,7 @@ def test_one_build_at_a_time_and_it_can_be_stopped(
 ) -> None:
     (program / "mode").write_text("long")
     body = {"data": data, "source": ""}
-    assert client.post("api/build", body)[0] == 202
+    assert client.post("api/build", body)[0] == 200
     child = int(wait_for(program / "child"))
     status, answer = client.post("api/build", body)
     assert status == 400
@@ -110,13 +110,13 @@ def test_one_build_at_a_time_and_it_can_be_stopped(
     assert gone(child)
     assert client.post("api/build/stop", {})[1]["state"] == "stopped"
     (program / "mode").write_text("short")
-    assert client.post("api/build", body)[0] == 202
+    assert client.post("api/build", body)[0] == 200
     assert events(client)[-1]["state"] == "done"
 
 
 def test_a_build_that_takes_no_word_is_killed(client: Client, program: Path, data: Json) -> None:
     (program / "mode").write_text("stubborn")
-    assert client.post("api/build", {"data": data, "source": ""})[0] == 202
+    assert client.post("api/build", {"data": data, "source": ""})[0] == 200
     (program / "ready").touch()
     pid = int(wait_for(program / "pid"))
     time.sleep(0.3)
@@ -153,7 +153,7 @@ def test_the_studio_ends_with_its_build(tmp_path: Path) -> None:
         heads = {"content-type": "application/json"}
         ask = urllib.request.Request(f"{url}api/build", body, heads)  # noqa: S310 - our own
         with urllib.request.urlopen(ask, timeout=PATIENCE_S) as answer:  # noqa: S310 - our own
-            assert answer.status == 202
+            assert answer.status == 200
         child = int(wait_for(tmp_path / "child"))
         own.send_signal(signal.SIGTERM)
         assert own.wait(PATIENCE_S) == -signal.SIGTERM

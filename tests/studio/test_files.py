@@ -174,7 +174,7 @@ def test_a_folder_that_cannot_be_written_is_reported(
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("os.fsync", full)
+    monkeypatch.setattr(Path, "replace", full)
     with pytest.raises(OutputError, match="No space left on device"):
         project.save("short.toml", data, source="short.toml", force=True)
     assert (project.root / "short.toml").read_text() == DESIGN

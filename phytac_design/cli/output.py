@@ -1,0 +1,32 @@
+"""What the commands print, and how a long one ends."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import typer
+
+from phytac_design.cli.options import say
+
+
+def print_json(facts: Any) -> None:
+    """JSON on standard output; figures that do not exist are null."""
+    from phytac_design.core.json_values import finite
+
+    typer.echo(json.dumps(finite(facts), indent=1, ensure_ascii=False))
+
+
+def names_of(text: str) -> list[str]:
+    """Names in a list with commas."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+@contextmanager
+def resumable() -> Iterator[None]:
+    """Ctrl-C ends the command, with a note that it can be resumed."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        say("stopped; run the same command again to resume")
+        raise typer.Exit(130) from None
