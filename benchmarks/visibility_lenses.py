@@ -20,7 +20,7 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.raster import pixels_alone, rasterise
 from phytac_design.optics.rays import pixel_rays
 from phytac_design.optics.render_scene import RenderScene, build_scene, paint_owner
-from phytac_design.optics.sampled_visibility import RAYS, sampled_fraction
+from phytac_design.optics.sampled_visibility import sampled_fraction
 from phytac_design.stages.build import copy_of
 from phytac_shapes.arrays import FloatArray
 
@@ -136,7 +136,7 @@ def exact_fraction(scene: RenderScene, camera: Camera) -> FloatArray:
     """Visible fraction of every marker from the whole ID map."""
     owner = paint_owner(rasterise(scene, camera).part)
     visible = np.bincount(owner[owner >= 0], minlength=scene.count)
-    alone = pixels_alone(scene, camera)[0]
+    alone = pixels_alone(scene, camera)
     return np.divide(visible, alone, out=np.zeros(scene.count), where=alone > 0)
 
 
@@ -185,7 +185,7 @@ def near_exact(table: Table, label: str, scene: RenderScene, camera: Camera) -> 
     row = f"{label}: markers whose sampled visible fraction is within 0.02 of the exact"
     source = "own exact ID map"
     note = (
-        f"{RAYS} rays a marker requested, {few.alone.mean():.0f} cast on average; "
+        f"64 rays a marker requested, {few.alone.mean():.0f} cast on average; "
         f"{int((exact < 0.99).sum())} of {scene.count} markers partly hidden"
     )
     value = 100.0 * float(np.mean(np.abs(few.fraction - exact) <= 0.02))

@@ -7,9 +7,7 @@ from phytac_design.core.kernels import in_bands, kernel
 from phytac_shapes.arrays import FloatArray, IntArray
 
 
-def marker_gaps(
-    marker: NDArray[np.int32], colour: IntArray, *, limit_px: float = np.inf
-) -> tuple[FloatArray, FloatArray]:
+def marker_gaps(marker: NDArray[np.int32], colour: IntArray) -> tuple[FloatArray, FloatArray]:
     """Least distance of each marker to another one of its own, and of another, colour.
 
     Parameters
@@ -18,8 +16,6 @@ def marker_gaps(
         Marker whose paint each pixel shows, -1 for none.
     colour : (n,) int
         Colour of each marker.
-    limit_px : float
-        Gaps beyond this are not wanted (and given as inf), which saves time.
 
     Returns
     -------
@@ -27,23 +23,21 @@ def marker_gaps(
         Distance in px between the nearest pixel centres: 1 means touching, so ``gap - 1`` free
         pixels lie between. inf if there is no such marker or this one is not visible.
     """
-    inner = np.zeros(marker.shape, dtype=np.bool_)
-    middle = marker[1:-1, 1:-1]
-    inner[1:-1, 1:-1] = (
-        (marker[:-2, 1:-1] == middle)
-        & (marker[2:, 1:-1] == middle)
-        & (marker[1:-1, :-2] == middle)
-        & (marker[1:-1, 2:] == middle)
-    )
-    y, x = np.nonzero((marker >= 0) & ~inner)
+    y, x = np.nonzero(marker >= 0)
     owner = marker[y, x]
+    inner = np.ones(len(owner), dtype=np.bool_)
+    for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        row, column = y + down, x + right
+        inside = (row >= 0) & (row < marker.shape[0]) & (column >= 0) & (column < marker.shape[1])
+        inner &= inside & (marker[np.where(inside, row, y), np.where(inside, column, x)] == owner)
+    y, x, owner = y[~inner], x[~inner], owner[~inner]
     order = np.argsort(owner, kind="stable")
     starts = np.searchsorted(owner[order], np.arange(len(colour) + 1))
-    return outline_gaps(np.column_stack([x, y])[order], starts, colour, limit_px=limit_px)
+    return outline_gaps(np.column_stack([x, y])[order], starts, colour)
 
 
 def outline_gaps(
-    pixels: IntArray, starts: IntArray, colour: IntArray, *, limit_px: float = np.inf
+    pixels: IntArray, starts: IntArray, colour: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """Least distances as :func:`marker_gaps`, from the markers' outlines.
 
@@ -55,8 +49,7 @@ def outline_gaps(
         Where each marker's pixels start.
     """
     count = len(colour)
-    most = np.floor(limit_px * limit_px) + 1.0  # squared distances are whole
-    squared = np.full((count, 2), most)
+    squared = np.full((count, 2), np.inf)
     box = np.zeros((count, 4), dtype=np.int64)
     shown = np.flatnonzero(np.diff(starts))
     if len(shown):
@@ -68,7 +61,7 @@ def outline_gaps(
         _outline_gaps(shown[first:last], shown, pixels, starts, box, colour, squared)
 
     in_bands(some, len(shown))
-    gaps = np.sqrt(np.where(squared < most, squared, np.inf))
+    gaps = np.sqrt(squared)
     return gaps[:, 0], gaps[:, 1]
 
 

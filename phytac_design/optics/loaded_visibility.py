@@ -14,14 +14,14 @@ pushed outward beside a dent stays visible.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from phytac_decoder.camera.camera import Camera
-from phytac_design.optics.gaps import outline_gaps
-from phytac_design.optics.incremental_renderer import IncrementalRenderer, RenderSample
-from phytac_design.optics.render_scene import RenderScene
+from phytac_design.optics.gaps import marker_gaps
+from phytac_design.optics.raster import paint_alone, project_scene, rasterise
+from phytac_design.optics.render_scene import SHELL, RenderScene, paint_owner
 from phytac_design.optics.visibility import FRACTION_MIN, PIXELS_MIN
 from phytac_shapes.arrays import BoolArray, FloatArray, IntArray
 
@@ -86,15 +86,32 @@ class MarkerState:
         return np.asarray(np.nan_to_num(np.linalg.norm(self.offset_px - rest.offset_px, axis=1)))
 
 
-def scene_state(scene: RenderScene, camera: Camera) -> MarkerState:
-    """Visibility, gaps and centroid offsets of a scene, at rest or moved."""
-    return marker_state(IncrementalRenderer(scene, camera).render(scene), scene)
+def scene_state(scene: RenderScene, camera: Camera, *, wall_setback: float = 0.0) -> MarkerState:
+    """Visibility, gaps and centroid offsets of a scene, at rest or moved.
 
-
-def marker_state(sample: RenderSample, scene: RenderScene) -> MarkerState:
-    """Visibility, gaps and centroid offsets of a rendered pose of ``scene``."""
-    own, other = outline_gaps(sample.pixels, sample.starts, scene.colour)
-    visible, alone = sample.visible, sample.alone
+    Parameters
+    ----------
+    wall_setback : float
+        Relative increase of the distance between camera and wall. The wall of the scene is fixed,
+        but a real one moves with its receptors: a receptor slightly behind it is not hidden.
+    """
+    if wall_setback > 0.0:
+        wall = np.unique(scene.triangles[scene.part == SHELL])
+        vertices = scene.vertices.copy()
+        vertices[wall] += wall_setback * (vertices[wall] - camera.position_mm)
+        scene = replace(scene, vertices=vertices)
+    view = project_scene(scene, camera)
+    marker = paint_owner(rasterise(scene, camera, view=view).part)
+    y, x = np.nonzero(marker >= 0)
+    visible = np.stack(
+        [
+            np.bincount(marker[y, x], weights=weights, minlength=scene.count)
+            for weights in (np.ones(len(x)), x, y)
+        ],
+        axis=1,
+    )
+    alone = paint_alone(scene, camera, view=view, beyond=False)
+    own, other = marker_gaps(marker, scene.colour)
     with np.errstate(divide="ignore", invalid="ignore"):
         own_px = alone[:, 1:] / alone[:, :1]
         offset = visible[:, 1:] / visible[:, :1] - own_px
@@ -179,10 +196,9 @@ class _PressedSensor:
         pivots_mm: FloatArray,
         forces_N: FloatArray,
     ) -> None:
-        self.scene, self.counted, self.pivots_mm = scene, counted, pivots_mm
+        self.scene, self.camera, self.counted, self.pivots_mm = scene, camera, counted, pivots_mm
         self.forces_N = np.concatenate([[0.0], forces_N])
-        self.renderer = IncrementalRenderer(scene, camera, wall_setback=WALL_SETBACK)
-        self.rest = marker_state(self.renderer.render(scene), scene).of(counted)
+        self.rest = scene_state(scene, camera, wall_setback=WALL_SETBACK).of(counted)
 
     def at(self, path: FloatArray, force_N: float) -> MarkerState:
         """State at a force; motion is linear between the forces of the path (k, n, 6)."""
@@ -192,7 +208,7 @@ class _PressedSensor:
         before = path[k - 1] if k > 0 else np.zeros_like(path[0])
         motion = (1.0 - share) * before + share * path[k]
         moved = self.scene.moved(motion[:, :3], motion[:, 3:], self.pivots_mm)
-        return marker_state(self.renderer.render(moved), moved).of(self.counted)
+        return scene_state(moved, self.camera, wall_setback=WALL_SETBACK).of(self.counted)
 
     def lost(self, seen: MarkerState) -> BoolArray:
         """Markers that are hidden or fused, and are not at rest."""

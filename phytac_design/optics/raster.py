@@ -64,12 +64,13 @@ def all_pieces(view: View) -> NDArray[np.int32]:
     return np.arange(len(view.source), dtype=np.int32)
 
 
-def rasterise(scene: RenderScene, camera: Camera) -> Buffers:
+def rasterise(scene: RenderScene, camera: Camera, *, view: View | None = None) -> Buffers:
     """Exact ID map and depth of a scene: one sample per pixel centre, nearest triangle wins.
 
     Of triangles at the very same depth the first in the scene wins, so a run is repeatable.
+    ``view`` is ``project_scene(scene, camera)``, where it is known already.
     """
-    view = project_scene(scene, camera)
+    view = project_scene(scene, camera) if view is None else view
     chosen = all_pieces(view)
     shape = (camera.height_px, camera.width_px)
     triangle = np.zeros(shape, dtype=np.int32)
@@ -123,38 +124,61 @@ def points_seen(
     return np.asarray(camera.position_mm + distance[:, None] * ray)
 
 
-def pixels_alone(scene: RenderScene, camera: Camera) -> tuple[IntArray, IntArray]:
-    """Pixels of each marker's paint and red tip when its receptor is rendered alone, (n,) each.
+def paint_alone(
+    scene: RenderScene,
+    camera: Camera,
+    *,
+    view: View | None = None,
+    offset_px: tuple[float, float] = (0.0, 0.0),
+    beyond: bool = True,
+) -> FloatArray:
+    """Pixels of each marker's paint, and sums of their x and y, with its receptor rendered alone.
 
-    The receptor's own tube and tip still hide parts of it. Pixels up to half an image beyond the
-    frame count too, where the lens has an image, so that the visible fraction of a marker that
-    leaves the picture drops.
+    The receptor's own tube and tip still hide parts of it. (n, 3).
+
+    Parameters
+    ----------
+    view : View, optional
+        ``project_scene(scene, camera)``, where it is known already.
+    offset_px : (x, y)
+        Place of the sample in each pixel; the centre by default.
+    beyond : bool
+        Whether pixels up to half an image beyond the frame count too, where the lens has an image,
+        so that the visible fraction of a marker that leaves the picture drops.
     """
-    view = project_scene(scene, camera)
+    view = project_scene(scene, camera) if view is None else view
     chosen, starts = pieces_by_marker(scene, view)
     windows = marker_windows(view, chosen, starts, camera)
-    counts = np.zeros((scene.count, 2), dtype=np.int64)
-    beyond = leaves(windows, camera) & (view.rays.shape[0] > 0)
-    inside = np.where(beyond[:, None], 0, windows)
+    sums = np.zeros((scene.count, 3))
+    if not beyond:
+        windows = clipped(windows, camera)
+    # The view has the rays of the pixel centres of the image and no others.
+    apart = leaves(windows, camera) | bool(any(offset_px))
+    apart &= (view.rays.shape[0] > 0) & (windows[:, 2] > 0)
+    inside = np.where(apart[:, None], 0, windows)
 
     def some(first: int, last: int) -> None:
-        rows = slice(first, last)
-        own = starts[first : last + 1]
-        _count_alone(view, chosen, own, inside[rows], scene.part, counts[rows])
+        rows, own = slice(first, last), starts[first : last + 1]
+        _sum_alone(view, chosen, own, inside[rows], offset_px, scene.part, sums[rows])
 
     in_bands(some, scene.count)
-    for i in np.flatnonzero(beyond):
+    for i in np.flatnonzero(apart):
         one, own = slice(i, i + 1), starts[i : i + 2]
-        here = window_rays(view, camera.lens, windows[i])
-        _count_alone(here, chosen, own, windows[one], scene.part, counts[one])
-    return counts[:, 0], counts[:, 1]
+        here = window_rays(view, camera.lens, windows[i], offset_px)
+        _sum_alone(here, chosen, own, windows[one], offset_px, scene.part, sums[one])
+    return sums
 
 
-def window_rays(view: View, lens: Lens, window: IntArray) -> View:
+def pixels_alone(scene: RenderScene, camera: Camera) -> IntArray:
+    """Pixels (n,) of each marker's paint when its receptor is rendered alone."""
+    return paint_alone(scene, camera)[:, 0].astype(np.int64)
+
+
+def window_rays(view: View, lens: Lens, window: IntArray, offset_px: tuple[float, float]) -> View:
     """View with the rays of the pixels of one window (4,), which may reach beyond the image."""
     left, top, columns, rows = (int(value) for value in window)
     x, y = np.meshgrid(np.arange(columns) + left, np.arange(rows) + top)
-    rays = lens.unproject(np.column_stack([x.ravel(), y.ravel()]).astype(np.float64))
+    rays = lens.unproject(np.column_stack([x.ravel(), y.ravel()]) + np.array(offset_px))
     return view._replace(rays=rays.reshape(rows, columns, 3), origin=np.array([left, top]))
 
 
@@ -177,6 +201,15 @@ def marker_windows(
     windows = np.zeros((len(starts) - 1, 4), dtype=np.int64)
     _windows(view, chosen, starts, limits, windows)
     return windows
+
+
+def clipped(windows: IntArray, camera: Camera) -> IntArray:
+    """Windows (n, 4) clipped to the image."""
+    low = np.maximum(windows[:, :2], 0)
+    high = np.minimum(windows[:, :2] + windows[:, 2:], [camera.width_px, camera.height_px])
+    size = np.maximum(high - low, 0)
+    size[(size == 0).any(axis=1)] = 0
+    return np.concatenate([low, size], axis=1)
 
 
 def leaves(windows: IntArray, camera: Camera) -> BoolArray:
@@ -212,22 +245,27 @@ def _windows(
 
 
 @kernel
-def _count_alone(
+def _sum_alone(
     view: View,
     chosen: NDArray[np.int32],
     starts: IntArray,
     windows: IntArray,
+    offset_px: tuple[float, float],
     codes: NDArray[np.int32],
-    counts: IntArray,
+    sums: FloatArray,
 ) -> None:
-    """Fill each marker's pieces in a window of its own; ``counts`` (n, 2) gets paint and red."""
+    """Fill each marker's pieces in a window of its own; see :func:`paint_alone`."""
     for i in range(len(starts) - 1):
-        if windows[i, 2] == 0:
+        left, top, columns, rows = windows[i]
+        if columns == 0:
             continue
-        owner = np.full((windows[i, 3], windows[i, 2]), -1, dtype=np.int32)
-        own = chosen[starts[i] : starts[i + 1]]
-        grid = (windows[i, 0], windows[i, 1], 1, 0.0, 0.0)
-        fill(view, own, grid, owner, np.zeros(owner.shape))
-        for t in owner.ravel():
-            if t >= 0 and codes[t] >= FIRST_MARKER:
-                counts[i, codes[t] % 2] += 1
+        owner = np.full((rows, columns), -1, dtype=np.int32)
+        own, (right, down) = chosen[starts[i] : starts[i + 1]], offset_px
+        fill(view, own, (left, top, 1, right, down), owner, np.zeros(owner.shape))
+        for row in range(rows):
+            for column in range(columns):
+                t = owner[row, column]
+                if t >= 0 and codes[t] >= FIRST_MARKER and codes[t] % 2 == 0:
+                    sums[i, 0] += 1.0
+                    sums[i, 1] += column + left + right
+                    sums[i, 2] += row + top + down

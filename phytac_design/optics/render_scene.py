@@ -71,6 +71,17 @@ class RenderScene:
         owner: NDArray[np.int32] = self.vertex_owner[self.triangles[:, 0]]
         return owner
 
+    def part_of(self, chosen: IntArray) -> "RenderScene":
+        """Scene of the ``chosen`` triangles and their vertices; markers keep their numbers."""
+        vertices, index = np.unique(self.triangles[chosen], return_inverse=True)
+        return replace(
+            self,
+            vertices=self.vertices[vertices],
+            triangles=index.reshape(-1, 3).astype(np.int32),
+            part=self.part[chosen],
+            vertex_owner=self.vertex_owner[vertices],
+        )
+
     def moved(
         self, translation: FloatArray, rotation: FloatArray, pivots: FloatArray
     ) -> "RenderScene":
@@ -101,14 +112,17 @@ class RenderScene:
 
 def paint_owner(part: NDArray[np.int32]) -> NDArray[np.int32]:
     """Marker whose *paint* each part code is, same shape; -1 for anything else."""
-    index = part - FIRST_MARKER
-    return np.where((index >= 0) & (index % 2 == 0), index // 2, -1).astype(np.int32)
+    return _owner(part, 0)
 
 
 def red_owner(part: NDArray[np.int32]) -> NDArray[np.int32]:
     """Marker whose *red tip* each part code is, same shape; -1 for anything else."""
-    index = part - FIRST_MARKER
-    return np.where((index >= 0) & (index % 2 == 1), index // 2, -1).astype(np.int32)
+    return _owner(part, 1)
+
+
+def _owner(part: NDArray[np.int32], kind: int) -> NDArray[np.int32]:
+    mine = (part >= FIRST_MARKER) & (part & 1 == kind)
+    return np.where(mine, (part - FIRST_MARKER) >> 1, -1).astype(np.int32)
 
 
 def sides_of(radius_mm: float, tolerance_mm: FloatArray) -> IntArray:

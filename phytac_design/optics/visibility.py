@@ -164,7 +164,7 @@ def measure_visibility(
     marker = paint_owner(buffers.part)
     own, other = marker_gaps(marker, rest.colour)
     visible, centroid, point = _means(buffers, marker, rest, camera)
-    alone = pixels_alone(rest, camera)[0]
+    alone = pixels_alone(rest, camera)
     fraction = np.divide(visible, alone, out=np.zeros(len(alone)), where=alone > 0)
     frame = render_frame(rest, camera, noise_std=noise_std, rng=rng, samples=samples)
     occluded = (fraction < FRACTION_MIN) | (visible < PIXELS_MIN)

@@ -20,7 +20,6 @@ PACKAGES = (
     "opencv-contrib-python-headless",
     "manifold3d",
     "cadquery",
-    "pyrender",
     "torch",
     "matplotlib",
 )

@@ -35,7 +35,6 @@ PARTS = (
     "scipy",
     "manifold3d",
     "cadquery",
-    "pyrender",
     "torch",
     "opencv-contrib-python-headless",
 )

@@ -15,9 +15,8 @@ from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.density import density_of
 from phytac_design.optics.frame_renderer import render_frame
 from phytac_design.optics.lens_facts import lens_facts
-from phytac_design.optics.picture import render_picture
 from phytac_design.optics.raster import rasterise
-from phytac_design.optics.render_scene import RenderScene, build_scene, paint_owner, red_owner
+from phytac_design.optics.render_scene import build_scene, paint_owner, red_owner
 from phytac_design.optics.visibility import (
     Visibility,
     best_of,
@@ -30,21 +29,13 @@ from phytac_design.simulation.frame_files import CAMERA_SUFFIXES
 from phytac_design.simulation.imaging.nominal_view import owner_centroids, paint_slope
 from phytac_design.simulation.scenario.scene_scope import scope_of
 from phytac_shapes.arrays import FloatArray, ImageArray
-from phytac_shapes.errors import DesignError, MissingPartError
+from phytac_shapes.errors import DesignError
 
 
 def write_image(path: Path, image: ImageArray) -> None:
     """Write a PNG (BGR)."""
     # OpenCV's own writing says nothing of a full disk and leaves half a picture.
     path.write_bytes(bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1]))
-
-
-def picture_or_frame(scene: Any, camera: Any) -> tuple[ImageArray, str]:
-    """Picture by OpenGL where it works, else the project's own renderer; and which it was."""
-    try:
-        return render_picture(scene, camera), "pyrender"
-    except MissingPartError:
-        return render_frame(scene, camera), "rasteriser"
 
 
 def id_picture(part: Any) -> ImageArray:
@@ -68,7 +59,6 @@ class Shot:
     seen: Visibility
     expected: ExpectedView
     paint_slope: FloatArray
-    renderer: str
 
 
 def shoot(
@@ -76,9 +66,9 @@ def shoot(
 ) -> Shot:
     """Look through one camera at rest and with all switches on; write its pictures.
 
-    In a scene without pictures none are made, and the renderer is "none". ``mark`` goes into the
-    names of its files. A marker that shows nowhere is expected where its tip would be, as long as
-    no other camera may see it (``alone``), else nowhere (NaN).
+    In a scene without pictures none are written. ``mark`` goes into the names of its files. A
+    marker that shows nowhere is expected where its tip would be, as long as no other camera may
+    see it (``alone``), else nowhere (NaN).
     """
     sensor = context.sensor
     design, markers = context.design, context.markers
@@ -90,44 +80,28 @@ def shoot(
     part_on = rasterise(on, camera).part
     away = camera.project(markers.tip_mm) if alone else np.nan
     place = np.where(seen.lost[:, None], away, seen.centroid_px)
+    rest_frame, on_frame = render_frame(rest, camera), render_frame(on, camera)
     expected = measure_expected(
         design,
         markers,
-        rest_frame=render_frame(rest, camera),
-        on_frame=render_frame(on, camera),
+        rest_frame=rest_frame,
+        on_frame=on_frame,
         marker_px=place,
         red_px=red_centroids(part_on, markers.count),
     )
     rest_px = np.where(seen.lost[:, None], place, expected.rest_px)
-    renderer = "none"
     if context.scene is None or context.scene.pictures:
-        renderer = write_pictures(context, folder, camera, mark, rest, on)
+        context.progress("views: pictures")
+        ids = id_picture(rasterise(rest, camera).part)
+        pictures = {"camera{}": rest_frame, "camera{}_all_on": on_frame, "ids{}": ids}
+        for name, picture in pictures.items():
+            write_image(export_path(folder, f"views/{name.format(mark)}.png"), picture)
     return Shot(
         camera=camera,
         seen=seen,
         expected=replace(expected, rest_px=rest_px),
         paint_slope=paint_slope(sensor, camera, rest=rest, seen=seen),
-        renderer=renderer,
     )
-
-
-def write_pictures(
-    context: Context,
-    folder: Path,
-    camera: Camera,
-    mark: str,
-    rest: RenderScene,
-    on: RenderScene,
-) -> str:
-    """Write pictures of a camera at rest and with all switches on, and its ID map; by what."""
-    context.progress("views: pictures")
-    picture, renderer = picture_or_frame(rest, camera)
-    write_image(export_path(folder, f"views/camera{mark}.png"), picture)
-    pressed = picture_or_frame(on, camera)[0]
-    write_image(export_path(folder, f"views/camera{mark}_all_on.png"), pressed)
-    ids = id_picture(rasterise(rest, camera).part)
-    write_image(export_path(folder, f"views/ids{mark}.png"), ids)
-    return renderer
 
 
 def run_views(context: Context, folder: Path) -> None:
@@ -196,7 +170,6 @@ def run_views(context: Context, folder: Path) -> None:
                     zip(design.camera.end_numbers, shots, strict=True)
                 )
             ],
-            "renderer": shots[0].renderer,
             "centroid_bias_px": float(np.sqrt((error**2).mean())),
         },
     )
@@ -237,7 +210,7 @@ def run_compare(context: Context, folder: Path) -> None:
     each = [check_visibility(sensor, rng=rng, camera=camera) for camera in sensor.cameras]
     near = sensor.cameras[0]
     scene = build_scene(sensor, tolerance_mm=tolerance_mm(near, markers))
-    write_image(export_path(folder, "views/straight.png"), picture_or_frame(scene, near)[0])
+    write_image(export_path(folder, "views/straight.png"), render_frame(scene, near))
     write_facts(folder, {"straight": best_of(each)[0].summary()})
 
 
@@ -251,11 +224,8 @@ VIEWS = Stage(
         "camera.noise_centroid_px",
     ),
     seeded=True,
-    graphics=True,
     scene=("pictures",),
     gate=told_apart,
     run=run_views,
 )
-COMPARE = Stage(
-    name="compare", design_fields=("pictures",), seeded=True, graphics=True, run=run_compare
-)
+COMPARE = Stage(name="compare", design_fields=("pictures",), seeded=True, run=run_compare)

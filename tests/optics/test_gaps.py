@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from phytac_design.optics.gaps import marker_gaps
-from phytac_design.optics.raster import rasterise
-from phytac_design.optics.render_scene import paint_owner
+from phytac_design.optics.gaps import marker_gaps, outline_gaps
 from phytac_shapes.arrays import FloatArray, IntArray
-from tests.optics.cases import Bench
 
 
 def every_pair(marker: NDArray[np.int32], colour: IntArray) -> FloatArray:
@@ -44,35 +41,33 @@ def test_gaps_are_those_of_every_pair_of_pixels(blots: NDArray[np.int32], colour
     np.testing.assert_allclose(np.stack(marker_gaps(blots, colour)), expected, rtol=1e-15)
 
 
-@pytest.mark.parametrize("limit_px", [1.0, 5.0, 8.3, 64.0, 200.0])
-def test_gaps_up_to_a_limit_are_the_same_and_inf_beyond(
-    blots: NDArray[np.int32], limit_px: float
-) -> None:
-    colour = np.arange(60) % 3
-    expected = every_pair(blots, colour)
-    found = np.stack(marker_gaps(blots, colour, limit_px=limit_px))
-    np.testing.assert_array_equal(found, np.where(expected <= limit_px, expected, np.inf))
-    if limit_px < 64.0:
-        assert np.isfinite(found).any()
-        assert np.isinf(found).sum() > np.isinf(expected).sum()
-
-
-def test_a_limit_that_a_gap_meets_exactly_keeps_it() -> None:
-    marker = np.full((20, 30), -1, dtype=np.int32)
-    marker[2, 2], marker[6, 5] = 0, 1  # 3, 4, 5
-    colour = np.zeros(2, dtype=np.int64)
-    assert marker_gaps(marker, colour, limit_px=5.0)[0].tolist() == [5.0, 5.0]
-    assert np.isinf(marker_gaps(marker, colour, limit_px=4.999)[0]).all()
-
-
 def test_gaps_of_no_visible_marker_are_inf() -> None:
     marker = np.full((5, 5), -1, dtype=np.int32)
     assert np.isinf(np.stack(marker_gaps(marker, np.zeros(3, dtype=np.int64)))).all()
 
 
-def test_a_limit_on_a_real_picture(small: Bench) -> None:
-    marker = paint_owner(rasterise(small.scene(), small.camera).part)
-    whole = np.stack(marker_gaps(marker, small.markers.colour))
-    some = np.stack(marker_gaps(marker, small.markers.colour, limit_px=4.0))
-    assert 20 < np.isfinite(some).sum() < 0.8 * some.size
-    np.testing.assert_array_equal(some, np.where(whole <= 4.0, whole, np.inf))
+@pytest.mark.parametrize("scattered", [False, True])
+def test_gaps_with_one_colour_and_hidden_markers(
+    rng: np.random.Generator, *, scattered: bool
+) -> None:
+    """Blots of any form, some missing; and scattered pixels, where boxes tell nothing."""
+    owner = np.full((80, 90), -1, dtype=np.int32)
+    for marker in range(30):
+        if marker % 7:
+            top, left = rng.integers(0, 70), rng.integers(0, 80)
+            owner[top : top + rng.integers(1, 9), left : left + rng.integers(1, 9)] = marker
+    owner[rng.random(owner.shape) < 0.2] = -1
+    if scattered:
+        owner[:] = -1
+        owner[rng.integers(0, 80, 150), rng.integers(0, 90, 150)] = rng.integers(0, 29, 150)
+    y, x = np.nonzero(owner >= 0)
+    order = np.argsort(owner[y, x], kind="stable")
+    starts = np.searchsorted(owner[y, x][order], np.arange(31))
+    pixels = np.column_stack([x, y])[order].astype(np.int64)
+    for colours in (1, 3):
+        colour = np.arange(30) % colours
+        for mine, plain in zip(
+            outline_gaps(pixels, starts, colour), marker_gaps(owner, colour), strict=True
+        ):
+            assert np.array_equal(mine, plain)
+    assert np.isinf(outline_gaps(pixels, starts, np.zeros(30, dtype=np.int64))[1]).all()

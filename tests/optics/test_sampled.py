@@ -28,7 +28,7 @@ def exact_counts(scene: RenderScene, camera: Camera) -> tuple[IntArray, IntArray
     """Pixels of each marker's paint alone, and visible."""
     owner = paint_owner(rasterise(scene, camera).part)
     visible = np.bincount(owner[owner >= 0], minlength=scene.count).astype(np.int64)
-    return pixels_alone(scene, camera)[0], visible
+    return pixels_alone(scene, camera), visible
 
 
 def share_near(few: Sampled, alone: IntArray, visible: IntArray) -> float:
@@ -79,7 +79,7 @@ def test_a_grid_sees_what_the_whole_picture_has_there(name: str) -> None:
         sections["camera"] = LENSES[name]
     case = Bench(make_design(**sections))
     scene = case.scene()
-    alone = pixels_alone(scene, case.camera)[0]
+    alone = pixels_alone(scene, case.camera)
     few = sampled_fraction(scene, case.camera, rays=8)
     fits = [grids(few, scene, case.camera, step) for step in (1, 2, 3, 4)]
     assert np.any(fits, axis=0).all()

@@ -62,7 +62,7 @@ def over(markers: Markers, camera: Camera, front: int, back: int) -> np.ndarray:
 def test_at_rest_like_plain_visibility(sensor: tuple[Design, Markers, RenderScene, Camera]) -> None:
     _, markers, scene, camera = sensor
     rest = scene_state(scene, camera)
-    alone = pixels_alone(scene, camera)[0]
+    alone = pixels_alone(scene, camera)
     assert np.array_equal(rest.visible_px, np.rint(rest.fraction * alone))
     assert not rest.hidden.any()
     assert not rest.fused.any()

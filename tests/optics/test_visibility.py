@@ -72,7 +72,7 @@ def test_a_covered_half_counts_as_half(few: Bench) -> None:
     scene, camera = few.scene(), few.camera
     part = rasterise(scene, camera).part
     visible = np.bincount(paint_owner(part)[paint_owner(part) >= 0], minlength=12)
-    alone = pixels_alone(scene, camera)[0]
+    alone = pixels_alone(scene, camera)
     np.testing.assert_array_equal(visible, alone)
     x = np.nonzero(paint_owner(part) == 0)[1]
     cut = int(np.median(x)) + 0.5

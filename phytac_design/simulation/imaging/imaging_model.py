@@ -15,8 +15,8 @@ from phytac_design.layout import make_markers
 from phytac_design.layout.cameras import cameras_of
 from phytac_design.layout.sensor import Sensor
 from phytac_design.optics.exposure import Exposure, expose, lens_blur
-from phytac_design.optics.incremental_renderer import IncrementalRenderer
-from phytac_design.optics.loaded_visibility import WALL_SETBACK, marker_state
+from phytac_design.optics.loaded_visibility import WALL_SETBACK, scene_state
+from phytac_design.optics.render_scene import RenderScene
 from phytac_design.simulation.imaging.nominal_view import expected_views, vision_bundle
 from phytac_design.simulation.imaging.paint_centroids import PaintPoints
 from phytac_design.simulation.imaging.pixel_phase import pixel_phase_error
@@ -307,24 +307,16 @@ class ImagingModel:
         return self._places(np.zeros((self.count, 6)), 1.0)
 
     @cached_property
-    def _renderers(self) -> list[tuple[IncrementalRenderer, FloatArray]]:
-        """Each camera's renderer, and the centroid offsets (n, 2) px by occlusion at rest."""
-        out = []
-        for simulated in self.cameras:
-            renderer = IncrementalRenderer(
-                simulated.rest, simulated.camera, wall_setback=WALL_SETBACK
-            )
-            out.append(
-                (renderer, marker_state(renderer.render(simulated.rest), simulated.rest).offset_px)
-            )
-        return out
+    def _hiding_at_rest(self) -> list[FloatArray]:
+        """Centroid offsets (n, 2) px by occlusion at rest, in each camera."""
+        return [_occlusion_px(simulated, simulated.rest) for simulated in self.cameras]
 
     def _hiding(self, motion: FloatArray, bits: BoolArray) -> FloatArray:
         """How far what hides parts of a marker moves its centroid, over that at rest, (n, 2) px."""
-        each = []
-        for simulated, (renderer, rest) in zip(self.cameras, self._renderers, strict=True):
-            scene = simulated.scene(motion, bits, follow=False)
-            each.append(marker_state(renderer.render(scene), scene).offset_px - rest)
+        each = [
+            _occlusion_px(simulated, simulated.scene(motion, bits, follow=False)) - rest
+            for simulated, rest in zip(self.cameras, self._hiding_at_rest, strict=True)
+        ]
         return np.asarray(np.stack(each)[self.nominal.read_by, np.arange(self.count)])
 
     def _exposed(
@@ -410,3 +402,8 @@ class ImagingModel:
                 on_px=np.stack([item.tips.on_px for item in shown])[read_by, own],
             ),
         )
+
+
+def _occlusion_px(simulated: SimulatedCamera, scene: RenderScene) -> FloatArray:
+    """How far what hides parts of each marker moves its centroid in a scene, (n, 2) px."""
+    return scene_state(scene, simulated.camera, wall_setback=WALL_SETBACK).offset_px

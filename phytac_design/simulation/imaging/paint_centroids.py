@@ -3,10 +3,8 @@
 The paint that faces the camera is a handful of triangles per marker. They move rigidly with their
 receptor; each counts with its area on the image and with the chroma that the decoder would see in
 its light, so that turning away and shading move the centroid as they do in a frame. A tube hides
-its own far side; what neighbours hide is left to ``optics.watch``.
+its own far side; what neighbours hide is left to ``optics.loaded_visibility``.
 """
-
-from dataclasses import replace
 
 import numpy as np
 
@@ -58,14 +56,7 @@ class PaintPoints:
     ) -> None:
         owner = paint_owner(scene.part)
         own = np.flatnonzero((owner >= 0) & chosen[owner])
-        vertices, index = np.unique(scene.triangles[own], return_inverse=True)
-        self.scene = replace(
-            scene,
-            vertices=scene.vertices[vertices],
-            triangles=index.reshape(-1, 3).astype(np.int32),
-            part=scene.part[own],
-            vertex_owner=scene.vertex_owner[vertices],
-        )
+        self.scene = scene.part_of(own)
         self.owner, self.camera, self.count = owner[own], camera, scene.count
         self.strip, self.paint = strip, paint
         self.chroma = colours.chroma[colour[self.owner]]

@@ -7,8 +7,7 @@ import numpy as np
 from phytac_design.design.spec import Design
 from phytac_design.layout.cameras import tolerance_mm
 from phytac_design.layout.sensor import Sensor
-from phytac_design.optics.incremental_renderer import IncrementalRenderer
-from phytac_design.optics.loaded_visibility import FUSED_PX, WALL_SETBACK, marker_state
+from phytac_design.optics.loaded_visibility import FUSED_PX, WALL_SETBACK, scene_state
 from phytac_design.optics.render_scene import build_scene
 from phytac_design.optics.visibility import FRACTION_MIN
 from phytac_design.rules.check import check_design
@@ -43,12 +42,11 @@ def render_faults(model: LocalModel, design: Design, *, held: bool) -> dict[str,
         scene = build_scene(
             Sensor.of(design, design.surface(), markers), tolerance_mm=tolerance_mm(camera, markers)
         )
-        poses = [marker_state(IncrementalRenderer(scene, camera).render(scene), scene).of(own)]
-        renderer = IncrementalRenderer(scene, camera, wall_setback=WALL_SETBACK)
-        rest = marker_state(renderer.render(scene), scene).of(own)
+        poses = [scene_state(scene, camera).of(own)]
+        rest = scene_state(scene, camera, wall_setback=WALL_SETBACK).of(own)
         for press in view.motion.press[order[:3]]:
             moved = scene.moved(press[:, :3], press[:, 3:], markers.mid_mm)
-            poses.append(marker_state(renderer.render(moved), moved).of(own))
+            poses.append(scene_state(moved, camera, wall_setback=WALL_SETBACK).of(own))
             stray = max(stray, float(poses[-1].crosstalk_px(rest).max()))
         hidden += max(int(pose.hidden.sum()) for pose in poses)
         fused += max(int(pose.fused.sum()) for pose in poses)

@@ -59,7 +59,7 @@ def _view(
         return sampled_fraction(scene, camera).fraction, np.full((markers.count, 2), np.nan)
     owner = paint_owner(rasterise(scene, camera).part)
     seen = np.bincount(owner[owner >= 0], minlength=markers.count)
-    alone = pixels_alone(scene, camera)[0]
+    alone = pixels_alone(scene, camera)
     fraction = np.divide(seen, alone, out=np.zeros(markers.count), where=alone > 0)
     return fraction, owner_centroids(owner, markers.count)
 
