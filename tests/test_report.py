@@ -74,7 +74,7 @@ def a_report(**changes: Any) -> dict[str, Any]:
             "print_violations": 0,
             "print_process": "sla",
             "interference_mm3": 0.0,
-            "mold": {"cavities": 40, "undercut_rays": 0},
+            "mold": {"cavities": 40, "undercut_mm2": 0},
             "mold_left_out": "",
         },
         "frames": {"refused": 0, "frames": 5, "first_refusal": ""},
@@ -247,10 +247,10 @@ def test_each_answer_is_to_its_own_question() -> None:
         (
             {
                 "fabrication": a_report()["fabrication"]
-                | {"mold": {"cavities": 40, "undercut_rays": 3}}
+                | {"mold": {"cavities": 40, "undercut_mm2": 3}}
             },
             "bad",
-            "the molds catch the switches (3 rays",
+            "the molds catch the switches (3 mm²",
         ),
         (
             {

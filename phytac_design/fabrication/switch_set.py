@@ -159,7 +159,9 @@ def _thinned(line: FloatArray, tolerance_mm: float) -> FloatArray:
     return line[keep]
 
 
-def revolve(profile: FloatArray, tolerance_mm: float = 0.01) -> TriangleMesh:
+def revolve(
+    profile: FloatArray, tolerance_mm: float = 0.01, *, sides: int | None = None
+) -> TriangleMesh:
     """Solid of revolution of a half section (k, 2) whose ends lie on the axis; equal-area sides.
 
     Parameters
@@ -168,8 +170,10 @@ def revolve(profile: FloatArray, tolerance_mm: float = 0.01) -> TriangleMesh:
         (r, z), clockwise seen with r to the right: the solid lies to the right of the way.
     tolerance_mm : float
         Largest distance to the true surface.
+    sides : int, optional
+        Corners of each ring, instead.
     """
-    sides = sides_for(float(profile[:, 0].max()), tolerance_mm)
+    sides = sides or sides_for(float(profile[:, 0].max()), tolerance_mm)
     angle = 2.0 * np.pi * np.arange(sides) / sides
     inner = profile[1:-1]
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)

@@ -28,7 +28,7 @@ MOLD_FACTS = (
     "volume_error",
     "hausdorff_mm",
     "least_draft_deg",
-    "undercut_rays",
+    "undercut_mm2",
     "shared_mm3",
 )
 

@@ -118,8 +118,8 @@ def _cast(switch: Mapping[str, Any], facts: Mapping[str, Any]) -> list[Finding]:
     mold = facts["mold"]
     if not missing(facts["mold_left_out"]):
         out.append(Finding("cast", "odd", f"no molds: {facts['mold_left_out']}"))
-    elif mold.get("undercut_rays"):
-        text = f"the molds catch the switches ({mold['undercut_rays']} rays along the pull)"
+    elif mold.get("undercut_mm2"):
+        text = f"the molds catch the switches ({mold['undercut_mm2']} mm² of undercut)"
         out.append(Finding("cast", "bad", text))
     elif not missing(mold.get("cavities")):
         text = f"the molds ({mold['cavities']} cavities) open without undercut"

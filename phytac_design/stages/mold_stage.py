@@ -63,7 +63,7 @@ def run(context: Context, folder: Path) -> None:
             "pitch_mm": made[0].sizes.pitch_mm,
             "largest_mm": max(max(plate["size_mm"]) for plate in plates),
             "poured_mm3": total,
-            "undercut_rays": sum(plate["undercut_rays"] for plate in plates),
+            "undercut_mm2": sum(plate["undercut_mm2"] for plate in plates),
             "least_draft_deg": min(plate["least_draft_deg"] for plate in plates),
             "shared_mm3": max(each["shared_mm3"] for each in sets),
             "volume_error": max(each["volume_error"] for each in sets),

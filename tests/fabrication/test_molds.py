@@ -10,20 +10,17 @@ import pytest
 from phytac_design.fabrication.molds.audit import (
     Audit,
     audit_set,
-    check_mold,
-    fine_sections,
-    releases_of,
-    volumes_mm3,
-)
-from phytac_design.fabrication.molds.closed_mold import (
     cavities_of,
+    check_mold,
+    check_release,
+    fine_sections,
     fit_of,
     halves_of,
-    key_gap_mm,
+    releases_of,
     shared_mm3,
+    volumes_mm3,
 )
 from phytac_design.fabrication.molds.make import TURNED, MoldSet
-from phytac_design.fabrication.molds.release import check_release
 from phytac_design.fabrication.switch_set import SwitchSet, revolve, revolved_volume_mm3
 from phytac_design.geometry.triangles import TriangleMesh
 from phytac_design.solids.mesh_export import write_stl
@@ -54,7 +51,7 @@ def test_every_part_is_sound(way: str, switches: SwitchSet) -> None:
     (made,) = molds(switches, way=way, tolerance_mm=0.01)
     audit = audit_of(made, switches)
     check_mold(made, audit)
-    assert audit.caught == 0
+    assert audit.undercut_mm2 < 1e-5
     assert audit.draft_deg >= 0.5 - 1e-9
     assert audit.shared_mm3 < 1e-9
     assert audit.volume_error < 0.002
@@ -117,7 +114,7 @@ def test_shrinkage_of_every_step_is_taken_out(way: str) -> None:
         )
     (cavity,) = cavities_of(made.plan, made.sizes, halves_of(parts, made.sizes)).values()
     true = switches.profile(switches.kinds[0], 1e-4)
-    fit = fit_of(cavity, true, rubber, made.sizes.sides)
+    fit = fit_of(cavity, true, rubber)
     assert abs(fit.volume_error) < 0.005
     assert fit.hausdorff_mm < 0.012
     plain = to_manifold(revolve(true, 0.001)).volume()
@@ -127,7 +124,7 @@ def test_shrinkage_of_every_step_is_taken_out(way: str) -> None:
         vertices_mm=np.asarray(cavity.vertices_mm + 4e-6 * np.cos(1e3 * cavity.vertices_mm)),
         triangles=cavity.triangles,
     )
-    again = fit_of(rough, true, rubber, made.sizes.sides)
+    again = fit_of(rough, true, rubber)
     assert again.hausdorff_mm == pytest.approx(fit.hausdorff_mm, abs=1e-4)
 
 
@@ -138,7 +135,7 @@ def test_print_scale_is_the_shrinkage_s(way: str) -> None:
     scale = 1.0 / 0.9 / (0.96 if way == "silicone-master" else 1.0)
     for name in plain.parts:
         ratio = large.printed(name).volume_mm3 / plain.printed(name).volume_mm3
-        assert ratio == pytest.approx(scale**3, rel=1e-9)
+        assert ratio == pytest.approx(scale**3, rel=1e-6)
 
 
 def test_stem_length_moves_the_depth_of_the_cavity() -> None:
@@ -157,11 +154,11 @@ def test_a_wrong_switch_is_seen() -> None:
     (made,) = molds(switches)
     (cavity,) = cavities_of(made.plan, made.sizes, halves_of(made.parts, made.sizes)).values()
     other = switch_set((4.0,), None, {"thickness_mm": 0.25})
-    fit = fit_of(cavity, other.profile(other.kinds[0], 1e-4), 0.005, made.sizes.sides)
+    fit = fit_of(cavity, other.profile(other.kinds[0], 1e-4), 0.005)
     assert fit.hausdorff_mm > 0.025
     assert fit.volume_error < -0.03
     longer = switch_set((4.1,))
-    fit = fit_of(cavity, longer.profile(longer.kinds[0], 1e-4), 0.005, made.sizes.sides)
+    fit = fit_of(cavity, longer.profile(longer.kinds[0], 1e-4), 0.005)
     assert fit.hausdorff_mm == pytest.approx(0.1, abs=0.005)
 
 
@@ -182,9 +179,8 @@ def test_a_planted_undercut_is_found_where_it_is(way: str, name: str) -> None:
     points[end, :2] += off[end] * 0.9
     bad = changed(made, name, TriangleMesh(vertices_mm=points, triangles=mesh.triangles))
     release = releases_of(bad)[name]
-    assert release.caught > 20
-    assert np.hypot(*(release.places_mm - centre).T).max() < 1.3
-    with pytest.raises(NumericalError, match=f"{name} does not release.*rays along the pull"):
+    assert release.undercut_mm2 > 0.2
+    with pytest.raises(NumericalError, match=f"{name} does not release.*along the pull"):
         check_mold(bad, audit_of(bad, switches))
 
 
@@ -200,13 +196,11 @@ def test_too_little_draft_is_found() -> None:
 
 def test_slope_of_a_known_cone() -> None:
     cone = revolve(np.array([[0.0, 10.0], [1.0, 10.0], [2.0, 0.0], [0.0, 0.0]]), 0.001)
-    release = check_release(cone, 0.02)
-    assert release.caught == 0
+    release = check_release(cone)
+    assert release.undercut_mm2 < 1e-7
     assert release.draft_deg == pytest.approx(np.degrees(np.arctan(0.1)), rel=0.003)
-    assert release.rays * 0.02**2 == pytest.approx(np.pi * 4.0, rel=0.01)
     over = revolve(np.array([[0, 3.0], [1, 3.0], [2, 2.0], [1, 1.0], [2, 0.0], [0, 0.0]]), 0.01)
-    ring = check_release(over, 0.02)
-    assert ring.caught * 0.02**2 == pytest.approx(np.pi * 3.0, rel=0.02)
+    assert check_release(over).undercut_mm2 == pytest.approx(np.pi * 3.0, rel=1e-6)
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -226,7 +220,7 @@ def test_plates_that_do_not_mate_are_seen() -> None:
     aside = changed(made, "core_plate", moved(made.parts["core_plate"], np.array([0.3, 0.0, 0.0])))
     halves = halves_of(aside.parts, aside.sizes)
     assert shared_mm3(*halves) > 1.0
-    assert key_gap_mm(aside.plan, aside.sizes, halves) == 0.0
+    assert audit_of(aside, switches).key_gap_mm == 0.0
     with pytest.raises(NumericalError, match="share"):
         check_mold(aside, audit_of(aside, switches))
 

@@ -14,6 +14,7 @@ from phytac_design.design.accuracy import PRESETS
 from phytac_design.design.spec import Design
 from phytac_design.design.switch_table import MoldSection
 from phytac_design.engine.stage import Context
+from phytac_design.fabrication.molds.audit import check_release
 from phytac_design.fabrication.molds.labels import GLYPHS, label, strokes
 from phytac_design.fabrication.molds.make import MoldSet
 from phytac_design.fabrication.molds.plate_grid import PlateLayout, plan_sets
@@ -120,16 +121,13 @@ def test_labels_can_be_read_off_the_core_plate() -> None:
 def test_every_letter_is_a_sound_solid_of_its_own() -> None:
     areas = set()
     for letter in GLYPHS:
-        patch = label(letter, 8.0, 0.4, 0.4)
-        top = patch.mesh.vertices_mm[patch.inner]
-        assert (top[:, 2].min(), top[:, 2].max()) == pytest.approx((0.0, 0.4), abs=1e-9)
-        flat = patch.mesh.corners_mm[(patch.mesh.corners_mm[:, :, 2] > 0.39).all(axis=1)]
-        a, b, c = np.moveaxis(flat, 1, 0)
-        areas.add(round(float(np.cross(b - a, c - a)[:, 2].sum() / 2.0), 6))
-        a, b, c = np.moveaxis(patch.mesh.corners_mm, 1, 0)
-        normal = np.cross(b - a, c - a)
-        assert normal[:, 2].min() > 0.0
-        assert normal[:, 2].sum() / 2.0 == pytest.approx(64.0)
+        solid = label(letter, 8.0, 0.4, 0.4)
+        release = check_release(to_triangles(solid))
+        assert release.undercut_mm2 < 1e-6
+        assert release.draft_deg == pytest.approx(5.0)
+        assert solid.bounding_box()[5] == pytest.approx(0.4)
+        assert np.abs(solid.bounding_box()[:2]).max() < 4.0
+        areas.add(round(solid.slice(0.39).area(), 6))
     assert len(areas) > 20
 
 
@@ -217,7 +215,7 @@ def test_a_build_writes_every_part_and_the_same_again(way: str, tmp_path: Path) 
     listed = {Path(part["file"]).name for part in facts["parts"] if part["file"]}
     assert listed == {name for name in files if name.endswith(".stl")}
     assert facts["cavities"] == 12
-    assert facts["undercut_rays"] == 0
+    assert facts["undercut_mm2"] == 0
     rows = list(csv.DictReader(files["cavities.csv"].decode().splitlines()))
     assert sum(int(row["count"]) for row in rows) == 12
     context = context_of(case, tmp_path)

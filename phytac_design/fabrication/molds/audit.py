@@ -1,4 +1,8 @@
-"""Checks of every mold that is written, and the volumes of its materials."""
+"""Checks of every mold that is written, and the volumes of its materials.
+
+Independent of how the plates were built: a half of silicone is a block minus its tray, a cavity is
+a column minus both halves.
+"""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -6,28 +10,51 @@ from typing import Any
 
 import numpy as np
 
-from phytac_design.fabrication.molds.closed_mold import (
-    Fit,
-    cap_gap_mm,
-    cavities_of,
-    fit_of,
-    halves_of,
-    key_gap_mm,
-    shared_mm3,
-)
+from phytac_design.fabrication.molds.cavity import Cavity, MoldSizes
 from phytac_design.fabrication.molds.make import MoldSet
-from phytac_design.fabrication.molds.plate_grid import SwitchKind
-from phytac_design.fabrication.molds.plates import dome_away_mm, dome_edge_mm
-from phytac_design.fabrication.molds.release import Bottom, Release, check_release
+from phytac_design.fabrication.molds.plate_grid import PlateLayout, SwitchKind
 from phytac_design.fabrication.switch_set import SwitchSet, revolved_volume_mm3
-from phytac_design.solids.solid_mesh import to_manifold
-from phytac_shapes.arrays import FloatArray
+from phytac_design.geometry.triangles import TriangleMesh, prisms
+from phytac_design.solids.solid_mesh import box, to_manifold, to_triangles
+from phytac_shapes.arrays import BoolArray, FloatArray
 from phytac_shapes.errors import NumericalError
 
-SHARED_mm3 = 1e-6
-"""Largest volume that two plates may share: rounding."""
-FINE_mm = 3e-4
-"""Tolerance of the section that cavities are compared with."""
+COLUMN_SIDES = 48
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """A cavity against the switch that it is made for, the rubber's shrinkage undone.
+
+    Attributes
+    ----------
+    volume_mm3 : float
+        Volume of the shrunk rubber.
+    volume_error : float
+        Relative to the switch's.
+    hausdorff_mm : float
+        Largest distance between both sections, either way.
+    """
+
+    volume_mm3: float
+    volume_error: float
+    hausdorff_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Release:
+    """Whether a part leaves along the pull.
+
+    Attributes
+    ----------
+    undercut_mm2 : float
+        Projected area of faces that lie behind others along the pull.
+    draft_deg : float
+        Least slope of any face against the pull.
+    """
+
+    undercut_mm2: float
+    draft_deg: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,25 +63,24 @@ class Audit:
 
     Attributes
     ----------
+    halves : tuple of manifold3d.Manifold
+        The two solids that close around the rubber: dome side and core side.
     releases : dict
-        Rays and slopes of each part.
+        Undercuts and slopes of each part.
     shared_mm3 : float
         Largest volume that two closed parts share.
     key_gap_mm, cap_gap_mm : float or None
         Least gap of keys in sockets, of the cap's bosses in their troughs (rigid).
     fits : dict
         Cavity of each kind against its switch.
-    dome_half_mm3, core_half_mm3 : float
-        Volumes of the two solids around the rubber.
     """
 
+    halves: tuple[Any, Any]
     releases: dict[str, Release]
     shared_mm3: float
     key_gap_mm: float
     cap_gap_mm: float | None
     fits: dict[SwitchKind, Fit]
-    dome_half_mm3: float
-    core_half_mm3: float
 
     @property
     def draft_deg(self) -> float:
@@ -62,9 +88,9 @@ class Audit:
         return min(release.draft_deg for release in self.releases.values())
 
     @property
-    def caught(self) -> int:
-        """Rays along the pull that met a part more than twice."""
-        return sum(release.caught for release in self.releases.values())
+    def undercut_mm2(self) -> float:
+        """Undercut of all parts."""
+        return sum(release.undercut_mm2 for release in self.releases.values())
 
     @property
     def volume_error(self) -> float:
@@ -79,21 +105,8 @@ class Audit:
 
 def fine_sections(switches: SwitchSet) -> dict[SwitchKind, FloatArray]:
     """Sections of all kinds of switches, as accurate as the comparison with cavities needs."""
-    return {kind: switches.profile(kind, FINE_mm) for kind in switches.kinds}
-
-
-def releases_of(made: MoldSet) -> dict[str, Release]:
-    """Rays and slopes of each part; stem holes of a core plate end at their troughs."""
-    sizes, half = made.sizes, 0.5 * made.sizes.pitch_mm
-    bottoms = []
-    for run in made.plan.runs:
-        centre = made.plan.centre_mm(run.cells, sizes.pitch_mm)
-        ends = {"low_mm": centre[0] - half, "high_mm": centre[-1] + half}
-        bottoms.append(Bottom(**ends, z_mm=-sizes.cavities[run.kind].reach_mm))
-    return {
-        name: check_release(mesh, bottoms=bottoms if name == "core_plate" else ())
-        for name, mesh in made.parts.items()
-    }
+    fine_mm = 3e-4
+    return {kind: switches.profile(kind, fine_mm) for kind in switches.kinds}
 
 
 def audit_set(made: MoldSet, fine: Mapping[SwitchKind, FloatArray]) -> Audit:
@@ -106,55 +119,203 @@ def audit_set(made: MoldSet, fine: Mapping[SwitchKind, FloatArray]) -> Audit:
     """
     plan, sizes = made.plan, made.sizes
     halves = halves_of(made.parts, sizes)
-    shared = [shared_mm3(*halves)]
-    gap = None
+    shared, gap = [shared_mm3(*halves)], None
     if "cap_plate" in made.parts:
         cap = to_manifold(made.parts["cap_plate"])
-        shared += [shared_mm3(halves[1], cap)]
-        gap = cap_gap_mm(plan, sizes, halves[1], cap)
-    cavities = cavities_of(plan, sizes, halves)
+        shared.append(shared_mm3(halves[1], cap))
+        cells = [run.cells[0] for run in plan.runs]
+        gap = least_gap_mm(made, cells, (-sizes.depth_mm, 0.0), (halves[1], cap))
+    low, high = 0.1 * sizes.key_height_mm, sizes.key_height_mm + sizes.section.key_clearance_mm
     return Audit(
+        halves=halves,
         releases=releases_of(made),
         shared_mm3=float(np.abs(shared).max()),
-        key_gap_mm=key_gap_mm(plan, sizes, halves),
+        key_gap_mm=least_gap_mm(made, plan.keys, (low, high), halves),
         cap_gap_mm=gap,
         fits={
-            kind: fit_of(
-                cavity,
-                fine[kind],
-                sizes.section.shrink_rubber,
-                sizes.sides,
-            )
-            for kind, cavity in cavities.items()
+            kind: fit_of(cavity, fine[kind], sizes.section.shrink_rubber)
+            for kind, cavity in cavities_of(plan, sizes, halves).items()
         },
-        dome_half_mm3=float(halves[0].volume()),
-        core_half_mm3=float(halves[1].volume()),
     )
 
 
-def check_mold(made: MoldSet, audit: Audit) -> None:
+def halves_of(parts: Mapping[str, TriangleMesh], sizes: MoldSizes) -> tuple[Any, Any]:
+    """The two solids that close around the rubber: plates, or silicone cast up to the lips."""
+    if sizes.section.way == "rigid":
+        return to_manifold(parts["dome_plate"]), to_manifold(parts["core_plate"])
+    section = sizes.section
+
+    def cast(tray: TriangleMesh, low_mm: float, high_mm: float) -> Any:
+        # Half the frame's wall: the block's sides lie inside it at every height.
+        x, y = np.abs(tray.vertices_mm[:, :2]).max(axis=0) - 0.5 * section.wall_mm
+        return box(np.array([-x, -y, low_mm]), np.array([x, y, high_mm])) - to_manifold(tray)
+
+    half = 0.5 * section.backing_mm
+    return (
+        cast(parts["dome_tray"], -section.fence_mm - half, sizes.top_mm),
+        cast(parts["core_tray"], -sizes.depth_mm, sizes.core_mm + half),
+    )
+
+
+def shared_mm3(first: Any, second: Any) -> float:
+    """Volume that two solids share."""
+    return float((first ^ second).volume())
+
+
+def releases_of(made: MoldSet) -> dict[str, Release]:
+    """Undercuts and slopes of each part; stem holes of a core plate end at their troughs."""
+    out = {name: check_release(mesh) for name, mesh in made.parts.items()}
+    if "core_plate" in made.parts:
+        # A hole that widens downwards lets every ray pass, but not what was cast in it.
+        sizes, half = made.sizes, 0.5 * made.sizes.pitch_mm
+        corners = made.parts["core_plate"].corners_mm
+        area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
+        middle, top = corners[:, :, :2].mean(axis=1), corners[:, :, 2].max(axis=1)
+        caught: BoolArray = np.zeros(len(corners), dtype=np.bool_)
+        for run in made.plan.runs:
+            centre = made.plan.centre_mm(run.cells, sizes.pitch_mm)
+            inside = (middle >= centre[0] - half).all(axis=1)
+            inside &= (middle <= centre[-1] + half).all(axis=1)
+            caught |= inside & (top > -sizes.cavities[run.kind].reach_mm + 1e-6)
+        more = float(-area[caught & (area < 0.0)].sum())
+        plain = out["core_plate"]
+        out["core_plate"] = Release(
+            undercut_mm2=plain.undercut_mm2 + more, draft_deg=plain.draft_deg
+        )
+    return out
+
+
+def check_release(mesh: TriangleMesh) -> Release:
+    """Undercut of a closed part against a pull along z, and its steepest face.
+
+    A part that releases both ways is met once from above: its faces that look up cover its outline
+    once. What they cover more is undercut.
+    """
+    from manifold3d import CrossSection, FillRule
+
+    area_mm2 = 1e-8  # smaller triangles have no direction to speak of
+    corners = mesh.corners_mm
+    normal = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size, level = np.linalg.norm(normal, axis=1), normal[:, 2]
+    outline = to_manifold(mesh).project().to_polygons()
+    covered = float(CrossSection(outline, FillRule.Positive).area())
+    real = size > area_mm2
+    return Release(
+        undercut_mm2=max(0.0, float(level[level > 0.0].sum()) - covered),
+        draft_deg=float(np.degrees(np.arcsin((np.abs(level[real]) / size[real]).min()))),
+    )
+
+
+def cavities_of(
+    plan: PlateLayout, sizes: MoldSizes, halves: tuple[Any, Any]
+) -> dict[SwitchKind, TriangleMesh]:
+    """Cavity of the first switch of each kind, its axis at the origin."""
+    # Plates are pressed together by this, so that no film is left where they touch but for
+    # rounding: files are in single precision.
+    pressed_mm = 1e-5
+    cells = {run.kind: run.cells[0] for run in reversed(plan.runs)}
+    centre = plan.centre_mm(list(cells.values()), sizes.pitch_mm)
+    low = [2.0 * pressed_mm - sizes.cavities[kind].reach_mm for kind in cells]
+    start = np.column_stack([centre, low])
+    end = np.column_stack([centre, np.full(len(centre), sizes.dome_mm + 0.1)])
+    columns = prisms(start, end, sizes.rim_mm + 0.5 * sizes.section.land_mm, COLUMN_SIDES)
+    rest = to_manifold(columns) - halves[0] - halves[1].translate((0.0, 0.0, pressed_mm))
+    bodies = [to_triangles(body) for body in rest.decompose()]
+    middle = np.array(
+        [
+            0.5 * (b.vertices_mm[:, :2].min(axis=0) + b.vertices_mm[:, :2].max(axis=0))
+            for b in bodies
+        ]
+    )
+    found = {}
+    for kind, at in zip(cells, centre, strict=True):
+        near = np.flatnonzero(np.linalg.norm(middle - at, axis=1) < 0.5 * sizes.pitch_mm)
+        body = max((bodies[k] for k in near), key=lambda mesh: mesh.volume_mm3)
+        found[kind] = body.moved(-np.array([*at, 0.0]))
+    return found
+
+
+def fit_of(cavity: TriangleMesh, profile: FloatArray, shrink: float) -> Fit:
+    """Compare the shrunk content of a cavity with a switch's fine section (k, 2)."""
+    scale = 1.0 - shrink
+    volume = scale**3 * cavity.volume_mm3
+    turned = cavity.vertices_mm[:, [0, 2, 1]] * [scale, scale, -scale]
+    solid = to_manifold(TriangleMesh(vertices_mm=turned, triangles=cavity.triangles))
+    start, end = [], []
+    for polygon in solid.slice(0.0).to_polygons():
+        line = np.column_stack([np.abs(polygon[:, 0]), polygon[:, 1]])
+        start.append(line)
+        end.append(np.roll(line, -1, axis=0))
+    first, last = np.concatenate(start), np.concatenate(end)
+    away = max(
+        _distance(first, profile[:-1], profile[1:]).max(),
+        _distance(0.5 * (first + last), profile[:-1], profile[1:]).max(),
+        _distance(profile[1:-1], first, last).max(),
+    )
+    return Fit(
+        volume_mm3=volume,
+        volume_error=volume / revolved_volume_mm3(profile) - 1.0,
+        hausdorff_mm=float(away),
+    )
+
+
+def least_gap_mm(
+    made: MoldSet,
+    cells: list[tuple[int, int]],
+    span_mm: tuple[float, float],
+    pair: tuple[Any, Any],
+) -> float:
+    """Least distance of two solids in columns over cells, between two heights."""
+    centres = made.plan.centre_mm(cells, made.sizes.pitch_mm)
+    low, high = (np.column_stack([centres, np.full(len(centres), z)]) for z in span_mm)
+    columns = to_manifold(prisms(low, high, 0.48 * made.sizes.pitch_mm, COLUMN_SIDES))
+    first, second = (columns ^ solid for solid in pair)
+    return float(first.min_gap(second, 2.0 * made.sizes.section.key_mm))
+
+
+def _distance(points: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
+    """Distance of each point (n, 2) from the nearest of the segments (m, 2)."""
+    way = end - start
+    long = np.maximum(np.einsum("mi,mi->m", way, way), 1e-300)
+    best = np.full(len(points), np.inf)
+    for first in range(0, len(points), 1000):
+        off = points[first : first + 1000, None] - start
+        share = np.clip(np.einsum("nmi,mi->nm", off, way) / long, 0.0, 1.0)
+        gap = np.linalg.norm(off - share[..., None] * way, axis=2)
+        best[first : first + 1000] = gap.min(axis=1)
+    return best
+
+
+def check_mold(
+    made: MoldSet,
+    audit: Audit,
+    *,
+    undercut_mm2: float = 1e-2,
+    shared_mm3: float = 1e-6,
+    volume_tol: float = 0.005,
+) -> None:
     """Reject a mold that would not work.
+
+    Undercut and shared volume above rounding, or a larger relative error of a cavity's volume.
 
     Raises
     ------
     NumericalError
         If parts do not release, do not close, or hold the wrong shape.
     """
-    volume_tol = 0.005  # largest relative error of a cavity's volume
     required = made.sizes.section.draft_deg
     for name, release in audit.releases.items():
-        if release.caught:
-            x, y = release.places_mm[0]
+        if release.undercut_mm2 > undercut_mm2:
             raise NumericalError(
-                f"mold: {name} does not release: {release.caught} rays along the pull are caught, "
-                f"the first at x {x:.2f}, y {y:.2f} mm; please report this design"
+                f"mold: {name} does not release: {release.undercut_mm2:.2g} mm² of it lie behind "
+                "other faces along the pull; please report this design"
             )
         if release.draft_deg < required - 1e-3:
             raise NumericalError(
                 f"mold: {name} has a face of {release.draft_deg:.3f} degrees against the pull, "
                 f"below the required {required:g}; lower [mold] draft_deg"
             )
-    if audit.shared_mm3 > SHARED_mm3 or audit.volume_error > volume_tol:
+    if audit.shared_mm3 > shared_mm3 or audit.volume_error > volume_tol:
         raise NumericalError(
             f"mold: its parts share {audit.shared_mm3:.3g} mm³ and its cavities are "
             f"{audit.volume_error:.2%} off their switches; please report this design"
@@ -169,56 +330,33 @@ def volumes_mm3(
     ``switches`` is what stays in the cavities, ``rubber`` all that is poured: the dome half filled
     to the parting plane, and what stems and vents hold beyond what the cores displace.
     """
-    plan, sizes = made.plan, made.sizes
-    section, scale = sizes.section, 1.0 / (1.0 - sizes.section.shrink_rubber)
-    cavities = stems = cores = 0.0
-    for run in plan.runs:
+    sizes, section = made.sizes, made.sizes.section
+    scale = 1.0 / (1.0 - section.shrink_rubber)
+    cavities = stems = 0.0
+    for run in made.plan.runs:
         cavity = sizes.cavities[run.kind]
         whole = scale**3 * revolved_volume_mm3(fine[run.kind])
         over = np.array([[0.0, cavity.over[-1, 1]], *cavity.over[::-1], [0.0, 0.0]])
-        stem = _stem_mm3(made, run.kind)
         cavities += run.count * whole
-        stems += run.count * (stem + _vent_mm3(made, run.kind))
-        cores += run.count * (revolved_volume_mm3(over) + stem - whole)
-    edge, moat = dome_away_mm(sizes), section.wall_mm + section.moat_mm
-    flank = float(np.tan(np.radians(sizes.flank_deg)))
-    foot = moat + (section.overflow_mm + section.fence_mm) * flank
-    outside = _prism_mm3(made, (edge, dome_edge_mm(sizes)), sizes.top_mm + section.fence_mm)
-    opening = _prism_mm3(made, (foot, moat + section.overflow_mm * flank), section.fence_mm)
-    filled = outside - opening - audit.dome_half_mm3
-    found = {"switches": cavities, "rubber": filled + max(0.0, stems - cores)}
+        stems += run.count * (whole - revolved_volume_mm3(over) + _vent_mm3(sizes, cavity))
+    dome, core = audit.halves
+    above = dome.trim_by_plane((0.0, 0.0, 1.0), 0.0)
+    filled = float(above.hull().volume() - above.volume())
+    found = {"switches": cavities, "rubber": filled + max(0.0, stems)}
     if section.way == "silicone-master":
         grown = 1.0 / (1.0 - section.shrink_silicone) ** 3
-        found["silicone_dome"] = grown * audit.dome_half_mm3
-        found["silicone_core"] = grown * audit.core_half_mm3
+        found["silicone_dome"] = grown * float(dome.volume())
+        found["silicone_core"] = grown * float(core.volume())
     return found
 
 
-def _stem_mm3(made: MoldSet, kind: SwitchKind) -> float:
-    """Stem below the parting plane."""
-    under = made.sizes.cavities[kind].under
-    (r1, z1), (r2, z2) = under[-2], under[-1]
-    r0 = r2 + (r1 - r2) * (0.0 - z2) / (z1 - z2)
-    return float(np.pi / 3.0 * -z2 * (r0**2 + r0 * r2 + r2**2))
-
-
-def _vent_mm3(made: MoldSet, kind: SwitchKind) -> float:
+def _vent_mm3(sizes: MoldSizes, cavity: Cavity) -> float:
     """Rubber in a stem's vent, or its share of the film under the cap."""
-    sizes = made.sizes
-    cavity = sizes.cavities[kind]
     if sizes.section.way == "rigid":
         wide = 2.0 * sizes.trough_mm(cavity, -cavity.reach_mm)
         return wide * sizes.section.vent_gap_mm * sizes.pitch_mm
     (r0, z0), (r1, z1) = sizes.vent(cavity, sizes.depth_mm)
     return float(np.pi / 3.0 * (z0 - z1) * (r0**2 + r0 * r1 + r1**2))
-
-
-def _prism_mm3(made: MoldSet, away_mm: tuple[float, float], height_mm: float) -> float:
-    """Volume between two rectangles around the grid, by Simpson's rule, exact here."""
-    plan, pitch = made.plan, made.sizes.pitch_mm
-    ends = (away_mm[0], 0.5 * sum(away_mm), away_mm[1])
-    areas = [(plan.columns * pitch + 2 * a) * (plan.lines * pitch + 2 * a) for a in ends]
-    return height_mm * (areas[0] + 4.0 * areas[1] + areas[2]) / 6.0
 
 
 def audit_facts(made: MoldSet, audit: Audit) -> dict[str, Any]:
@@ -235,8 +373,7 @@ def audit_facts(made: MoldSet, audit: Audit) -> dict[str, Any]:
             "triangles": len(mesh.triangles),
             "size_mm": np.ptp(mesh.vertices_mm, axis=0).round(3).tolist(),
             "volume_mm3": mesh.volume_mm3,
-            "rays": audit.releases[name].rays,
-            "undercut_rays": audit.releases[name].caught,
+            "undercut_mm2": round(audit.releases[name].undercut_mm2, 2),
             "least_draft_deg": audit.releases[name].draft_deg,
         }
     return {

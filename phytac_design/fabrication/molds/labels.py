@@ -1,14 +1,11 @@
 """Raised labels in a font of straight strokes."""
 
-from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
 
-from phytac_design.geometry.triangles import TriangleMesh
-from phytac_design.solids.solid_mesh import box, to_triangles, united
-from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_design.solids.solid_mesh import united
+from phytac_shapes.arrays import FloatArray
 from phytac_shapes.errors import DesignError
 
 GLYPHS = {
@@ -55,25 +52,6 @@ ADVANCE = 0.82
 """From one letter to the next, over the height of letters."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Label:
-    """A square of a face with a raised text.
-
-    Attributes
-    ----------
-    mesh : TriangleMesh
-        The square, its middle at the origin, at z = 0, with the letters on it.
-    corners : (4,) int
-        Its corner points, counter-clockwise from the one to the right and back.
-    inner : (k,) int
-        All other points.
-    """
-
-    mesh: TriangleMesh
-    corners: IntArray
-    inner: IntArray
-
-
 def strokes(text: str) -> FloatArray:
     """Strokes (s, 2, 2) of a text whose letters are 1 high, its middle at the origin.
 
@@ -95,16 +73,20 @@ def strokes(text: str) -> FloatArray:
     return np.concatenate(found) - [0.5 * width, 0.5]
 
 
-@cache
-def label(text: str, side_mm: float, stroke_mm: float, height_mm: float) -> Label:
-    """Square of ``side_mm`` with a text as large as fits, ``height_mm`` raised.
+def label(
+    text: str, side_mm: float, stroke_mm: float, height_mm: float, *, slope_deg: float = 5.0
+) -> Any:
+    """Text as large as fits a square of ``side_mm``, from below z = 0 to ``height_mm``.
+
+    Its middle is the origin; sides of letters fall off by ``slope_deg`` against the pull.
 
     Raises
     ------
     DesignError
         If strokes of that width leave nothing between them.
     """
-    slope_deg = 5.0  # sides of letters fall off by this against the pull
+    import manifold3d
+
     drawn = strokes(text)
     free = 0.84 * side_mm - stroke_mm
     tall = min(free / ((len(text) - 1) * ADVANCE + 0.5), 0.5 * free)
@@ -114,39 +96,15 @@ def label(text: str, side_mm: float, stroke_mm: float, height_mm: float) -> Labe
             f"of {stroke_mm:g} mm; raise [mold] channel_mm or lower [print_rules] engrave_min_mm"
         )
     slope = np.tan(np.radians(slope_deg))
-    bars = [_bar(line, 0.5 * stroke_mm, height_mm, float(slope)) for line in tall * drawn]
-    half = 0.5 * side_mm
-    base = box(np.array([-half, -half, -1.0]), np.array([half, half, 0.0]))
-    mesh = to_triangles(united([base, *bars]))
-    top = mesh.vertices_mm[:, 2] > -1e-9
-    triangles = mesh.triangles[top[mesh.triangles].all(axis=1)]
-    edge = top & (np.abs(mesh.vertices_mm[:, :2]).max(axis=1) > half - 1e-9)
-    used = np.unique(triangles)
-    place = mesh.vertices_mm[:, :2]
-    corners = np.array(
-        [
-            np.flatnonzero(edge & (np.abs(place - half * np.array(sign)).max(axis=1) < 1e-9))[0]
-            for sign in ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    bars = []
+    for start, end in tall * drawn:
+        along = (end - start) / np.hypot(*(end - start))
+        across = np.array([-along[1], along[0]])
+        points = [
+            [*(point + (0.5 * stroke_mm - z * slope) * (sign * along + side * across)), z]
+            for z in (-0.5 * height_mm, height_mm)
+            for point, sign in ((start, -1.0), (end, 1.0))
+            for side in (-1.0, 1.0)
         ]
-    )
-    return Label(
-        mesh=TriangleMesh(vertices_mm=mesh.vertices_mm, triangles=triangles),
-        corners=corners,
-        inner=np.setdiff1d(used, corners),
-    )
-
-
-def _bar(line: FloatArray, half: float, height: float, slope: float) -> Any:
-    """Stroke with square ends, from below the face to its height, sides sloping in."""
-    import manifold3d
-
-    start, end = line
-    along = (end - start) / np.hypot(*(end - start))
-    across = np.array([-along[1], along[0]])
-    points = [
-        [*(point + (half - z * slope) * (sign * along + side * across)), z]
-        for z in (-0.5, height)
-        for point, sign in ((start, -1.0), (end, 1.0))
-        for side in (-1.0, 1.0)
-    ]
-    return manifold3d.Manifold.hull_points(np.array(points))
+        bars.append(manifold3d.Manifold.hull_points(np.array(points)))
+    return united(bars)

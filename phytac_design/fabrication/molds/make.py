@@ -13,12 +13,15 @@ from phytac_design.fabrication.molds.plates import (
     cap_plate,
     check_troughs,
     core_plate,
+    core_tray,
     dome_edge_mm,
     dome_plate,
+    dome_tray,
+    tray_edge_mm,
 )
-from phytac_design.fabrication.molds.trays import core_tray, dome_tray, tray_edge_mm
 from phytac_design.fabrication.switch_set import SwitchSet
 from phytac_design.geometry.triangles import TriangleMesh
+from phytac_design.solids.solid_mesh import stl_triangles, to_manifold
 from phytac_shapes.errors import DesignError
 
 Maker = Callable[[PlateLayout, MoldSizes], TriangleMesh]
@@ -55,7 +58,8 @@ class MoldSet:
         if name in TURNED:
             points = points * [1.0, -1.0, -1.0]
         points = points - [0.0, 0.0, points[:, 2].min()]
-        return TriangleMesh(vertices_mm=points, triangles=mesh.triangles)
+        solid = to_manifold(TriangleMesh(vertices_mm=points, triangles=mesh.triangles))
+        return stl_triangles(solid)
 
 
 def make_molds(

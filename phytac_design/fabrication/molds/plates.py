@@ -1,4 +1,6 @@
-"""Rigid mold: a dome plate, a core plate with the stem holes right through, and a cap.
+"""Plates of a rigid mold, and trays in which the halves of a silicone mold are cast.
+
+Rigid mold: a dome plate, a core plate with the stem holes right through, and a cap.
 
 How it is cast: the dome plate lies with its cavities up and is filled with degassed rubber to the
 rings around the bowls; its fence holds what runs over. The core plate goes in at a slant and is
@@ -12,18 +14,38 @@ is the fulcrum), the switches drawn off the cores as one sheet that hangs togeth
 between the rings. Stems leave by their wide ends, domes and cores by theirs: parting plane z = 0,
 pulls along z, every wall drafted.
 
-In the frame of use z points to the domes, as in a switch.
+Silicone mold: two printed trays, the masters. The dome tray carries the domes as bumps, the core
+tray the undersides: stems that rise out of recesses as deep as the bowls. Silicone is poured over
+both up to the lip in the frame. A switch's stem and its hollow bowl would lock into one block of
+silicone; parted at z = 0 (the bowl's flat rim) both halves leave by straight pulls: domes widen
+towards the parting plane, cores narrow away from it, stems and vents narrow towards the back. Pegs
+above the stems reach through the silicone and leave a vent at the end of each, a step narrower
+than the tip, so that one sees where to cut. The dome half is filled with rubber, the core half
+pressed into it, stems up; the vents' rubber is cut at the step.
+
+A tray is a block minus the silicone cast in it, which has the shape of the rigid plate. In the
+frame of use z points to the domes, as in a switch. Cutters run past the faces that they open, so
+that faces never coincide by accident.
 """
+
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from phytac_design.fabrication.molds.cavity import KEY_SIDES, Cavity, EDGE_mm, MoldSizes
-from phytac_design.fabrication.molds.mold_faces import CellGrid, core_face, dome_face
+from phytac_design.design.print_rules_table import PrintSection
+from phytac_design.fabrication.molds.cavity import KEY_SIDES, EDGE_mm, MoldSizes
+from phytac_design.fabrication.molds.labels import label
 from phytac_design.fabrication.molds.plate_grid import PlateLayout, Run
-from phytac_design.fabrication.molds.sheet import Sheet
-from phytac_design.geometry.triangles import TriangleMesh
-from phytac_shapes.arrays import FloatArray, IntArray
+from phytac_design.fabrication.switch_set import revolve
+from phytac_design.geometry.triangles import TriangleMesh, copies
+from phytac_design.solids.solid_mesh import SLIVER_mm, to_manifold, to_triangles, united
 from phytac_shapes.errors import DesignError
+
+OVER_mm = 0.1
+"""How far cutters run past the faces that they open."""
+FREEBOARD_mm = 1.5
+"""Height of a tray's frame over the level of the silicone."""
 
 
 def draft_of(sizes: MoldSizes) -> float:
@@ -44,70 +66,22 @@ def dome_edge_mm(sizes: MoldSizes) -> float:
     return dome_away_mm(sizes) + (sizes.top_mm + sizes.section.fence_mm) * draft_of(sizes)
 
 
-def dome_plate(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
-    """Plate above the domes' face, as thick as ``sizes.top_mm`` over the parting plane."""
-    sheet, section = Sheet(), sizes.section
-    sheet.up = False
-    field, inner = dome_face(sheet, plan, sizes)
-    away = dome_away_mm(sizes)
-    edge = field.outline(away, -section.fence_mm)
-    far = field.outline(dome_edge_mm(sizes), sizes.top_mm)
-    sheet.strip(edge, inner)
-    sheet.strip(far, edge)
-    sheet.up = True
-    sheet.disc(far[None], np.array([[0.0, 0.0, sizes.top_mm]]))
-    return sheet.mesh()
+def tray_edge_mm(sizes: MoldSizes) -> float:
+    """Distance of a tray's widest edge from the grid."""
+    section = sizes.section
+    dome = (sizes.top_mm + section.fence_mm, sizes.top_mm + section.fence_mm + section.backing_mm)
+    core = (sizes.depth_mm, sizes.depth_mm + sizes.core_mm + section.backing_mm)
+    return max(
+        away + section.wall_mm + (sum(span) + 2.0 * FREEBOARD_mm) * draft_of(sizes)
+        for away, span in ((dome_away_mm(sizes), dome), (section.wall_mm, core))
+    )
 
 
-def core_plate(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
-    """Plate below the cores' face; behind each run of stems a trough down to their ends."""
-    sheet, depth = Sheet(), sizes.depth_mm
-    field, edge, ends = core_face(sheet, plan, sizes, vent_level_mm=None)
-    far = field.outline(sizes.section.wall_mm + depth * draft_of(sizes), -depth)
-    sheet.strip(far, edge)
-    sheet.up = False
-    back = CellGrid(sheet, plan, sizes, -depth)
-    sheet.strip(far, back.rim())
-    for run in plan.runs:
-        cavity = sizes.cavities[run.kind]
-        mouth = _trough(back, run, cavity, -depth, 0.0)
-        floor = _trough(back, run, cavity, -cavity.reach_mm, 0.0)
-        sheet.strip(back.around(run), mouth)
-        sheet.strip(mouth, floor)
-        sheet.collar(_cells(floor, run.count), np.stack([ends[cell] for cell in run.cells]))
-    back.round_cells(plan.keys, sizes.key(socket=True) + np.array([0.0, -depth]), KEY_SIDES)
-    labels = [(run.start - 1, run.line) for run in plan.runs]
-    sheet.squares(back.corners([plan.title, *labels, *plan.blank]))
-    return sheet.mesh()
-
-
-def cap_plate(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
-    """Cap behind the core plate: a boss in each trough, pads with keys, a gap everywhere else."""
-    sheet, section = Sheet(), sizes.section
-    level = -sizes.depth_mm - section.overflow_mm
-    field = CellGrid(sheet, plan, sizes, level)
-    for run in plan.runs:
-        cavity = sizes.cavities[run.kind]
-        gap = section.key_clearance_mm / np.cos(np.radians(sizes.trough_deg))
-        foot = _trough(field, run, cavity, level, gap)
-        top = _trough(field, run, cavity, -cavity.reach_mm - section.vent_gap_mm, gap)
-        sheet.strip(field.around(run), foot)
-        sheet.strip(foot, top)
-        sheet.between_rows(top[: run.count + 1], top[: run.count : -1])
-    flank = np.tan(np.radians(sizes.flank_deg))
-    pad = np.array([[sizes.pad_mm + section.overflow_mm * flank, level], [sizes.pad_mm, 0.0]])
-    pad[1, 1] = -sizes.depth_mm
-    key = sizes.key(socket=False) + np.array([0.0, -sizes.depth_mm])
-    field.round_cells(plan.keys, np.concatenate([pad, key]), KEY_SIDES)
-    field.texts()
-    away = section.wall_mm + sizes.depth_mm * draft_of(sizes)
-    edge = field.outline(away, level)
-    far = field.outline(away + section.backing_mm * draft_of(sizes), level - section.backing_mm)
-    sheet.strip(edge, field.rim())
-    sheet.strip(far, edge)
-    sheet.up = False
-    sheet.disc(far[None], np.array([[0.0, 0.0, level - section.backing_mm]]))
-    return sheet.mesh()
+def label_sizes_mm(rules: PrintSection) -> tuple[float, float]:
+    """Width and height of a label's strokes: raised on one face, sunken in the other."""
+    label_mm = 0.4  # least height of labels: they must show in the rubber
+    stroke = max(rules.engrave_min_mm, rules.emboss_min_mm)
+    return stroke, max(stroke, label_mm)
 
 
 def check_troughs(sizes: MoldSizes) -> None:
@@ -126,19 +100,198 @@ def check_troughs(sizes: MoldSizes) -> None:
         )
 
 
-def _trough(field: CellGrid, run: Run, cavity: Cavity, z_mm: float, gap_mm: float) -> IntArray:
-    """Ring of a run's trough at a height, or of the boss in it: a point for each of its cells'."""
-    half = field.sizes.trough_mm(cavity, z_mm) - gap_mm
-    centre = field.centres(run.cells)
-    steps = 0.5 * (centre[:-1, 0] + centre[1:, 0])
-    x: FloatArray = np.concatenate([[centre[0, 0] - half], steps, [centre[-1, 0] + half]])
-    y = np.full(len(x), centre[0, 1])
-    front = np.column_stack([x, y - half, np.full(len(x), z_mm)])
-    back = np.column_stack([x, y + half, np.full(len(x), z_mm)])
-    return field.sheet.points(np.concatenate([front, back[::-1]]))
+def frustum(*ends: tuple[float, Sequence[float], Sequence[float]]) -> Any:
+    """Convex body between rectangles, each as (z, low corner, high corner)."""
+    import manifold3d
+
+    points = [(x, y, z) for z, (x0, y0), (x1, y1) in ends for x in (x0, x1) for y in (y0, y1)]
+    return manifold3d.Manifold.hull_points(np.array(points))
 
 
-def _cells(ring: IntArray, count: int) -> IntArray:
-    """Corner points (count, 4) of the cells along a run's ring, the first to the right and back."""
-    front, back = ring[: count + 1], ring[:count:-1]
-    return np.stack([back[1:], back[:-1], front[:-1], front[1:]], axis=1)
+def around_grid(plan: PlateLayout, sizes: MoldSizes, *ends: tuple[float, float]) -> Any:
+    """Frustum between rectangles around the grid, each as (z, distance from the grid)."""
+    half = 0.5 * sizes.pitch_mm * np.array([plan.columns, plan.lines])
+    return frustum(*((z, -half - away, half + away) for z, away in ends))
+
+
+class _Cells:
+    """Solids of revolution, labels and troughs over the cells of a plan."""
+
+    def __init__(self, plan: PlateLayout, sizes: MoldSizes) -> None:
+        self.plan, self.sizes = plan, sizes
+
+    def turned(
+        self, cells: Sequence[tuple[int, int]], profile: Sequence[Any], sides: int, z_mm: float = 0
+    ) -> Any:
+        """Bodies of revolution over cells, of a half section from the axis on top around."""
+        mesh = revolve(np.array(profile, dtype=np.float64), sides=sides)
+        centre = self.plan.centre_mm(cells, self.sizes.pitch_mm)
+        at = np.column_stack([centre, np.full(len(centre), z_mm)])
+        return to_manifold(copies(mesh, at, np.tile(np.eye(3), (len(at), 1, 1))))
+
+    def keys(self, z_mm: float, *, socket: bool) -> Any:
+        """Keys that rise from a height, or their sockets' cutters, from a little below it."""
+        (base, _), (top, high) = self.sizes.key(socket=socket).tolist()
+        profile = [(0, high), (top, high), (base, 0), (base, -OVER_mm), (0, -OVER_mm)]
+        return self.turned(self.plan.keys, profile, KEY_SIDES, z_mm)
+
+    def labels(self, z_mm: float) -> Any:
+        """Labels before each run and the set's number, standing on a height."""
+        plan, sizes = self.plan, self.sizes
+        texts = {(run.start - 1, run.line): sizes.labels[run.kind] for run in plan.runs}
+        texts[plan.title] = f"{plan.number}/{plan.total}"
+        stroke, height = label_sizes_mm(sizes.rules)
+        return united(
+            [
+                label(text, sizes.pitch_mm, stroke, height).translate(
+                    (*plan.centre_mm([cell], sizes.pitch_mm)[0], z_mm)
+                )
+                for cell, text in texts.items()
+            ]
+        )
+
+    def trough(self, run: Run, z_mm: tuple[float, float], gap_mm: float = 0.0) -> Any:
+        """Trough behind a run's stems between two heights, or the boss in it."""
+        centre = self.plan.centre_mm(run.cells, self.sizes.pitch_mm)
+        halves = [self.sizes.trough_mm(self.sizes.cavities[run.kind], z) - gap_mm for z in z_mm]
+        ends = zip(z_mm, halves, strict=True)
+        return frustum(*((z, centre[0] - half, centre[-1] + half) for z, half in ends))
+
+
+def _dome_half(plan: PlateLayout, sizes: MoldSizes, body: Any) -> Any:
+    """Body with the face on the domes' side: domes, pinching rings, channels, moat, fence.
+
+    Around each bowl a flat ring lies in the parting plane; all else is ``overflow_mm`` higher, so
+    that rubber runs off, plates touch on few places, and a blade goes between them.
+    """
+    section, cells = sizes.section, _Cells(plan, sizes)
+    relief, moat = section.overflow_mm, section.wall_mm + section.moat_mm
+    flank = float(np.tan(np.radians(sizes.flank_deg)))
+    low = -section.fence_mm - OVER_mm
+    opening = around_grid(plan, sizes, (relief, moat), (low, moat + (relief - low) * flank))
+    # Rings reach into the body, but not as far as their neighbours.
+    high = relief + min(0.4 * section.channel_mm / flank, section.backing_mm)
+    ring = [(0, high), (sizes.pad_mm + high * flank, high), (sizes.pad_mm, 0), (0, 0)]
+    rings = [cells.turned(run.cells, ring, sizes.sides) for run in plan.runs]
+    rings.append(cells.turned(plan.keys, ring, KEY_SIDES))
+    cutters = [cells.keys(0.0, socket=True), cells.labels(relief)]
+    for run in plan.runs:
+        over = sizes.cavities[run.kind].over
+        ends = [(over[0, 0], -OVER_mm), (0, -OVER_mm)]
+        profile = [(0, over[-1, 1]), *over[::-1], *ends]
+        cutters.append(cells.turned(run.cells, profile, sizes.sides))
+    return united([body - opening, *rings]) - united(cutters)
+
+
+def _core_half(
+    plan: PlateLayout, sizes: MoldSizes, body: Any, *, vent_level_mm: float | None = None
+) -> Any:
+    """Body with the face on the cores' side: cores, stem holes, keys.
+
+    ``vent_level_mm`` is the depth to which a vent continues below each stem.
+    """
+    cells = _Cells(plan, sizes)
+    added, stems = [cells.keys(0.0, socket=False), cells.labels(0.0)], []
+    for run in plan.runs:
+        cavity = sizes.cavities[run.kind]
+        under = cavity.under
+        top = int(under[:, 1].argmax())
+        ridge = (0, under[top, 1])
+        foot = [(under[0, 0], -OVER_mm), (0, -OVER_mm)]
+        added.append(cells.turned(run.cells, [ridge, *under[top::-1], *foot], sizes.sides))
+        stem = under[top:]
+        if vent_level_mm is not None:
+            stem = np.concatenate([stem, sizes.vent(cavity, vent_level_mm)])
+        low = stem[-1, 1] - OVER_mm
+        profile = [ridge, *stem, (stem[-1, 0], low), (0, low)]
+        stems.append(cells.turned(run.cells, profile, sizes.sides))
+    return united([body, *added]) - united(stems)
+
+
+def _mesh(solid: Any) -> TriangleMesh:
+    return to_triangles(solid.simplify(SLIVER_mm))
+
+
+def dome_plate(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
+    """Plate above the domes' face, as thick as ``sizes.top_mm`` over the parting plane."""
+    low = (-sizes.section.fence_mm, dome_away_mm(sizes))
+    body = around_grid(plan, sizes, low, (sizes.top_mm, dome_edge_mm(sizes)))
+    return _mesh(_dome_half(plan, sizes, body))
+
+
+def core_plate(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
+    """Plate below the cores' face; behind each run of stems a trough down to their ends."""
+    wall, depth, cells = sizes.section.wall_mm, sizes.depth_mm, _Cells(plan, sizes)
+    body = around_grid(plan, sizes, (0.0, wall), (-depth, wall + depth * draft_of(sizes)))
+    cutters = [cells.keys(-depth, socket=True)]
+    cutters += [
+        cells.trough(run, (-depth - OVER_mm, -sizes.cavities[run.kind].reach_mm))
+        for run in plan.runs
+    ]
+    return _mesh(_core_half(plan, sizes, body) - united(cutters))
+
+
+def cap_plate(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
+    """Cap behind the core plate: a boss in each trough, pads with keys, a gap everywhere else."""
+    section, draft, cells = sizes.section, draft_of(sizes), _Cells(plan, sizes)
+    level = -sizes.depth_mm - section.overflow_mm
+    away = section.wall_mm + sizes.depth_mm * draft
+    low = (level - section.backing_mm, away + section.backing_mm * draft)
+    flank = float(np.tan(np.radians(sizes.flank_deg)))
+    high, wide = section.overflow_mm, sizes.pad_mm + section.overflow_mm * flank
+    pad = [(0, high), (sizes.pad_mm, high), (wide, 0), (wide, -OVER_mm), (0, -OVER_mm)]
+    gap = section.key_clearance_mm / np.cos(np.radians(sizes.trough_deg))
+    bosses = [
+        cells.trough(
+            run,
+            (level - OVER_mm, -sizes.cavities[run.kind].reach_mm - section.vent_gap_mm),
+            gap,
+        )
+        for run in plan.runs
+    ]
+    body = around_grid(plan, sizes, low, (level, away))
+    pads = cells.turned(plan.keys, pad, KEY_SIDES, level)
+    keys = cells.keys(-sizes.depth_mm, socket=False)
+    return _mesh(united([body, *bosses, pads, keys, cells.labels(level)]))
+
+
+def dome_tray(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
+    """Tray below the domes' face."""
+    floor = -sizes.section.fence_mm
+    inner, tray = _frame(plan, sizes, dome_away_mm(sizes), floor, sizes.top_mm)
+    return _mesh(tray - _dome_half(plan, sizes, inner))
+
+
+def core_tray(plan: PlateLayout, sizes: MoldSizes) -> TriangleMesh:
+    """Tray above the cores' face, stems down as in use; it is printed stems up."""
+    inner, tray = _frame(plan, sizes, sizes.section.wall_mm, 0.0, -sizes.depth_mm)
+    vents = sizes.depth_mm + FREEBOARD_mm
+    return _mesh(tray - _core_half(plan, sizes, inner, vent_level_mm=vents))
+
+
+def _frame(
+    plan: PlateLayout, sizes: MoldSizes, away: float, floor: float, level: float
+) -> tuple[Any, Any]:
+    """Inside of a tray's frame, and the tray as a block with a lip at which silicone runs over.
+
+    ``away`` is the distance of the frame's foot from the grid, ``floor`` its height, ``level`` that
+    of the silicone.
+    """
+    section, slope, sign = sizes.section, draft_of(sizes), float(np.sign(level - floor))
+    back = sizes.core_mm if sign < 0.0 else 0.0
+    bottom, top = floor - sign * (back + section.backing_mm), level + sign * FREEBOARD_mm
+    edge = away + slope * abs(top - floor)
+    inner = around_grid(plan, sizes, (floor, away), (top + sign * OVER_mm, edge + slope * OVER_mm))
+    outer = edge + section.wall_mm
+    block = around_grid(plan, sizes, (top, outer), (bottom, outer + slope * abs(top - bottom)))
+    # The lip: cells in the middle of the front side; its ends rise over a cell.
+    middle, wide = plan.columns // 2, max(0, plan.columns // 8)
+    first, last = max(1, middle - wide), min(plan.columns - 1, middle + wide)
+    pitch, half = sizes.pitch_mm, 0.5 * sizes.pitch_mm * np.array([plan.columns, plan.lines])
+    x0, x1 = first * pitch - half[0], last * pitch - half[0]
+    front, more = -half[1] - outer - 1.0, pitch * (1.0 + OVER_mm / FREEBOARD_mm)
+    lip = frustum(
+        (level, (x0, front), (x1, -half[1])),
+        (top + sign * OVER_mm, (x0 - more, front), (x1 + more, -half[1])),
+    )
+    return inner, block - lip

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 
 from phytac_design.fabrication.molds.cavity import Cavity, MoldSizes
-from phytac_design.fabrication.molds.mold_faces import label_sizes_mm
-from phytac_design.fabrication.molds.trays import FREEBOARD_mm
+from phytac_design.fabrication.molds.plates import FREEBOARD_mm, label_sizes_mm
 
 
 def rule_rows(sizes: MoldSizes) -> list[dict[str, Any]]:
