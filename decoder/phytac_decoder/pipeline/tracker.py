@@ -6,21 +6,104 @@ mean velocity of the marker and its neighbours.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phytac_decoder.io.bundle import Bundle
-from phytac_decoder.pipeline.camera_tracker import CameraFollower, Observed
 from phytac_decoder.pipeline.decode import (
+    FOUND_MIN,
     FrameMeasurement,
     Frames,
     corrected_shift,
+    locate_in,
     one_frame_per_camera,
 )
-from phytac_shapes.arrays import FloatArray
+from phytac_decoder.vision.matching import nearest_same_colour_px, neighbour_median
+from phytac_decoder.vision.segmentation import Blobs, check_image, segment
+from phytac_decoder.vision.switch_detection import RED_AREA_MIN_px
+from phytac_decoder.vision.windows import Moments, PaintWindows, larger
+from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from phytac_shapes.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class FollowSettings:
+    """Choice of windows, and when a marker counts as found; set on rendered grips.
+
+    Attributes
+    ----------
+    rivals_max : int
+        Spots of one paint that a window is cut against.
+    blob_reach : float
+        At rest a blob is a marker's if it is nearer than this share of the distance to the next
+        marker of its colour.
+    border_weight : float
+        A marker is not separable if more than this share of its paint lies on the border to
+        another one.
+    extent_ratio, extent_min_px : float
+        A blob that reaches this many times as far as its neighbours' holds several markers; and
+        the least distance from a marker's centre to the edge of its paint.
+    stride_area_px : float
+        Smaller markers are read whole whatever the stride.
+    tip_half, tip_samples : float
+        From a tip's centre to the edge of its window, over the root of its area, which holds tips
+        up to three times as long as wide; and samples across a tip.
+    paint_share, paint_px : float
+        A marker that shows less than this share of its paint at rest, or less than so much, is
+        lost.
+    retry_paint_px : float
+        Markers with less paint at rest are not looked for a second time: they flicker.
+    rim_excess : float
+        A marker whose window's rim holds this share of its paint more than at rest has run out of
+        its window.
+    step_share : float
+        A marker found farther from its expected position than this share of the distance to the
+        next of its colour is looked for again, beside the motion of its neighbours.
+    gate_share : float
+        There it must be nearer than this share of the distance to any other's position.
+    wider_margins : float
+        How much farther the second look reaches, in margins.
+    damping : float
+        Share of the last velocity that is expected to last.
+    jump_px, jump_margins, jump_share : float
+        A marker jumps if it is farther than this plus so many margins from where it was expected;
+        a frame in which more than this share of the markers jump is rejected.
+    retry_frames : int
+        A marker that is lost for longer is looked for in every ``retry_frames``-th frame only.
+    rejected_max : int
+        After so many rejected frames in a row the whole frame is searched.
+    hysteresis : float
+        A switch turns on this share of the red between off and on above the threshold, and off
+        below it.
+    """
+
+    rivals_max: int = 8
+    blob_reach: float = 0.6
+    border_weight: float = 0.1
+    extent_ratio: float = 1.5
+    extent_min_px: float = 2.0
+    stride_area_px: float = 120.0
+    tip_half: float = 0.85
+    tip_samples: float = 5.0
+    paint_share: float = 0.3
+    paint_px: float = 1.5
+    retry_paint_px: float = 5.0
+    rim_excess: float = 0.05
+    step_share: float = 0.3
+    gate_share: float = 0.42
+    wider_margins: float = 4.0
+    damping: float = 0.8
+    jump_px: float = 1.0
+    jump_margins: float = 2.0
+    jump_share: float = 0.3
+    retry_frames: int = 10
+    rejected_max: int = 3
+    hysteresis: float = 0.1
+
+
+SETTINGS = FollowSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,13 +137,6 @@ class Follower:
     stride : int
         1 reads every pixel of the windows; 2 every other in both directions: faster, and less
         exact. Switches are always read from every pixel.
-    margin_px : float, optional
-        How far windows reach beyond a marker's paint at rest: markers may leave their expected
-        positions by this much from one frame to the next before a second look is needed. 1 px in
-        an image 640 px wide, 3 px in one of 2592 px, if not given.
-    search_every : int
-        A full search (slow, see :func:`locate_in`) after this many frames; 0 for only
-        when three frames in a row were rejected.
 
     Raises
     ------
@@ -68,31 +144,21 @@ class Follower:
         If the rest frame is none of this sensor, see :func:`locate_in`.
     """
 
-    def __init__(
-        self,
-        bundle: Bundle,
-        rest: Frames,
-        *,
-        stride: int = 1,
-        margin_px: float | None = None,
-        search_every: int = 0,
-    ) -> None:
+    def __init__(self, bundle: Bundle, rest: Frames, *, stride: int = 1) -> None:
         if stride not in (1, 2):
             raise InputError(f"stride must be 1 or 2 (got {stride}); 1 reads every pixel")
-        self._bundle, self._every, self._count = bundle, search_every, 0
-        self._cameras = []
-        for number, frame in enumerate(one_frame_per_camera(bundle, rest)):
-            usual = 0.4 + 1e-3 * bundle.cameras[number].width_px
-            margin = usual if margin_px is None else margin_px
-            camera = CameraFollower(bundle, number, frame, stride=stride, margin_px=margin)
-            self._cameras.append(camera)
+        self._bundle = bundle
+        self._cameras = [
+            CameraFollower(bundle, number, frame, stride)
+            for number, frame in enumerate(one_frame_per_camera(bundle, rest))
+        ]
         measured = self._read([each.rest_px for each in self._cameras])
         self.rest_px = np.where(np.isfinite(measured), measured, bundle.rest_px)
 
     @property
     def pixels(self) -> int:
         """Pixels that are read of a frame in which nothing is lost, of all cameras."""
-        return sum(each.pixels for each in self._cameras)
+        return sum(each.paint.pixels + each.red.pixels for each in self._cameras)
 
     def follow(self, frames: Frames, *, elapsed: float = 1.0) -> Followed:
         """Find markers and switches in the next frame, or the next one of each camera.
@@ -109,30 +175,16 @@ class Follower:
         InputError
             If a frame has another size, shows less than half of the markers, or more than 30 % of
             them have jumped: it is black, torn or of something else. The state of the markers does
-            not change; give the next frame.
+            not change; give the next frame. After three in a row the whole frame is searched.
         """
-        given = one_frame_per_camera(self._bundle, frames)
-        self._count += 1
-        search = self._every and self._count % self._every == 0
-        return self._measured(
-            [
-                camera.search(frame) if search else camera.follow(frame, elapsed)
-                for camera, frame in zip(self._cameras, given, strict=True)
-            ]
-        )
-
-    def _read(self, each: list[NDArray[Any]]) -> NDArray[Any]:
-        """Values of each marker from the camera that reads it."""
-        if len(each) == 1:
-            return each[0]
-        return np.asarray(np.stack(each)[self._bundle.read_by, np.arange(len(self._bundle.colour))])
-
-    def _measured(self, seen: list[Observed]) -> Followed:
-        bundle = self._bundle
+        bundle, given = self._bundle, one_frame_per_camera(self._bundle, frames)
+        seen = [
+            camera.follow(frame, elapsed)
+            for camera, frame in zip(self._cameras, given, strict=True)
+        ]
         position = self._read([item.position_px for item in seen])
-        moved = position - self.rest_px
         switch_on = self._read([item.switch_on for item in seen])
-        koi, shift = corrected_shift(bundle, switch_on, moved)
+        koi, shift = corrected_shift(bundle, switch_on, position - self.rest_px)
         return Followed(
             koi=koi,
             shift_px=shift,
@@ -141,3 +193,294 @@ class Follower:
             paint=self._read([item.paint for item in seen]),
             flags=tuple(flag for item in seen for flag in item.flags),
         )
+
+    def _read(self, each: list[NDArray[Any]]) -> NDArray[Any]:
+        """Values of each marker from the camera that reads it."""
+        if len(each) == 1:
+            return each[0]
+        return np.asarray(np.stack(each)[self._bundle.read_by, np.arange(len(self._bundle.colour))])
+
+
+class Observed(NamedTuple):
+    """What one camera's frame shows of all n markers of the bundle, as in ``Followed``."""
+
+    position_px: FloatArray
+    switch_on: BoolArray
+    paint: FloatArray
+    flags: tuple[str, ...] = ()
+
+
+class CameraFollower:
+    """Follows the m markers that one camera of a bundle shows, from a rest frame on.
+
+    Attributes
+    ----------
+    ids : (m,) int
+        Markers of the bundle.
+    place_px : (m, 2) float
+        Where they are now.
+    paint, red : PaintWindows
+        Windows of the markers, and of the t tips that can show.
+    """
+
+    def __init__(self, bundle: Bundle, number: int, rest: ImageArray, stride: int) -> None:
+        self._bundle, self._number, shown = bundle, number, bundle.shown_by(number)
+        camera, frame = bundle.cameras[number], np.ascontiguousarray(rest)
+        self._size = (camera.width_px, camera.height_px)
+        # How far windows reach beyond the paint at rest, for motion from one frame to the next:
+        # 1 px in an image 640 px wide, 3 px in one of 2592 px.
+        self._margin = 0.4 + 1e-3 * camera.width_px
+        self.ids = ids = np.flatnonzero(np.isfinite(shown.rest_px).all(axis=1))
+        colour = bundle.colour[ids]
+        self._shown_px = shown.rest_px[ids]
+        self._spacing = nearest_same_colour_px(self._shown_px, colour)
+        # Neighbours (m, 8) and rivals (m, r) are numbered as ``ids``; m for none.
+        order = np.full(len(bundle.colour) + 1, len(ids))
+        order[ids] = np.arange(len(ids))
+        self._neighbours = order[bundle.model.neighbours[ids]]
+        self._around = np.ascontiguousarray(self._neighbours.T)
+        place = self._searched(frame)
+        self._rivals = nearest_rivals(place, colour)
+        blobs = segment(frame, bundle.colours, with_labels=True)
+        xy, owner = _owned_pixels(blobs, place, colour, self._spacing)
+        tables = bundle.colours.coverage_tables
+        large = np.bincount(owner, minlength=len(ids)) >= SETTINGS.stride_area_px
+        self.paint = PaintWindows(
+            half_px=_extent(xy, owner, place, self._neighbours) + self._margin,
+            paint=colour,
+            tables=tables,
+            rivals=self._rivals,
+            size_px=self._size,
+            stride=np.where(large, stride, 1),
+        )
+        start = place
+        for _ in range(4):  # until the centroids of touching markers have settled
+            at_rest = self.paint.look(frame, place)
+            moved = np.hypot(*(at_rest.centroid_px - start).T)
+            sure = (at_rest.weight > 0.0) & (moved < 0.5 * np.minimum(self._spacing, 1e6))
+            place = np.where(sure[:, None], at_rest.centroid_px, place)
+        self.place_px, self._velocity = place, np.zeros_like(place)
+        self._set_limits(at_rest, self.paint.border_weight(frame))
+        self._lost_for = np.where(at_rest.weight >= self._paint_min, 0, 1)
+        found = at_rest.weight >= self._paint_min
+        self.rest_px = self._of_bundle(np.where(found[:, None], place, np.nan), np.nan)
+        self._rejected, self._clock = 0, 0
+        self._set_up_tips(frame, tables[bundle.colours.names.index("red")])
+
+    def _set_limits(self, at_rest: Moments, border: FloatArray) -> None:
+        """Set what a marker must show to be found, by its paint at rest."""
+        weight = at_rest.weight
+        touching = border > SETTINGS.border_weight * weight
+        separable = np.append(~touching, True)  # the last entry stands for "no rival"
+        separable[self._rivals[touching, 0]] = False
+        separable = separable[:-1]
+        # A marker that is hidden in the rest frame has as much paint as its neighbours.
+        usual = np.nan_to_num(neighbour_median(weight[:, None], self._neighbours)[:, 0])
+        self._full = np.where(weight > SETTINGS.paint_share * usual, weight, usual)
+        self._rim_max = SETTINGS.rim_excess + at_rest.rim / np.maximum(weight, 1e-6)
+        least = np.maximum(SETTINGS.paint_share * self._full, SETTINGS.paint_px)
+        self._paint_min = np.where(separable, least, np.inf)
+        self._retried = separable & (self._full >= SETTINGS.retry_paint_px)
+        self._read_here = (self._bundle.read_by[self.ids] == self._number) & separable
+
+    def _set_up_tips(self, frame: ImageArray, table: FloatArray) -> None:
+        """Choose the tips that can show, their windows and thresholds; read them at rest."""
+        tips = self._bundle.shown_by(self._number).tips
+        on_px, area = tips.on_px[self.ids], tips.red_on_px[self.ids]
+        self._tips = own = np.flatnonzero(np.isfinite(on_px[:, 0]) & (area > RED_AREA_MIN_px))
+        across, red = np.sqrt(area[own]), np.zeros(len(own), dtype=np.int64)
+        self.red = PaintWindows(
+            half_px=SETTINGS.tip_half * across + self._margin / 2.0,
+            paint=red,
+            tables=np.asarray(table[None], dtype=np.float32),
+            rivals=nearest_rivals(on_px[own], red),
+            size_px=self._size,
+            stride=np.maximum((across / SETTINGS.tip_samples).astype(np.int64), 1),
+        )
+        self._tip_px = on_px[own] - self._shown_px[own]
+        middle = tips.threshold_px[self.ids[own]]
+        contrast = np.maximum(area[own] - tips.red_rest_px[self.ids[own]], 0.0)
+        band = SETTINGS.hysteresis * contrast
+        self._on_above, self._off_below = middle + band, np.maximum(middle - band, 1.0)
+        self._on = self.red.look(frame, self.place_px[own] + self._tip_px).weight > middle
+
+    def follow(self, image: ImageArray, elapsed: float) -> Observed:
+        """Find all markers in the next frame, ``elapsed`` frames after the last one given.
+
+        Raises
+        ------
+        InputError
+            If the frame has another size, shows too few markers, or they have jumped; the state
+            of the markers does not change.
+        """
+        check_image(image, width_px=self._size[0], height_px=self._size[1])
+        frame = np.ascontiguousarray(image)
+        self._clock += 1
+        since = elapsed + self._rejected
+        expected = self.place_px + since * self._velocity
+        found, got = self._find(frame, expected)
+        reason = self._reason_to_reject(got, larger(found.centroid_px - expected), elapsed)
+        if not reason:
+            return self._update(frame, found, got, since)
+        self._rejected += 1
+        if self._rejected >= SETTINGS.rejected_max:
+            return self.search(frame)
+        raise InputError(reason)
+
+    def _reason_to_reject(self, got: BoolArray, away: FloatArray, elapsed: float) -> str:
+        """Why a frame is rejected; "" for a sound one."""
+        where = self._bundle.of_camera(self._number)
+        seen, own = np.count_nonzero(got & self._read_here), np.count_nonzero(self._read_here)
+        if seen < FOUND_MIN * own:
+            return (
+                f"found {seen} of {own} markers{where} where they were followed; "
+                f"is the frame black, torn or of another sensor than {self._bundle.design!r}? give "
+                "the next one"
+            )
+        jump = SETTINGS.jump_margins * self._margin + SETTINGS.jump_px
+        jumped = got & (away > jump * max(elapsed, 1.0))
+        if np.count_nonzero(jumped) > SETTINGS.jump_share * len(jumped):
+            return (
+                f"{np.count_nonzero(jumped)} of {len(got)} markers{where} jumped by "
+                f"{np.median(away[jumped]):.1f} px from one frame to the next: "
+                "it is torn, the camera was knocked or many frames were dropped; give the next one"
+            )
+        return ""
+
+    def search(self, frame: ImageArray) -> Observed:
+        """Find all markers in the whole frame, lost ones too.
+
+        Raises
+        ------
+        InputError
+            See :func:`phytac_decoder.pipeline.decode.locate_in`.
+        """
+        self.place_px, self._velocity[:] = self._searched(frame), 0.0
+        out = self._update(frame, *self._find(frame, self.place_px), 0.0)
+        flag = f"the whole frame{self._bundle.of_camera(self._number)} was searched"
+        return out._replace(flags=(*out.flags, flag))
+
+    def _searched(self, frame: ImageArray) -> FloatArray:
+        """Positions (m, 2) px by a search of the whole frame.
+
+        Touching markers of one colour are one blob, which is matched to one of them: it then lies
+        off the position that the neighbours' motion predicts, and the other has no blob. Both are
+        expected where their neighbours' motion puts them.
+        """
+        matched, _ = locate_in(self._bundle, self._number, frame)
+        off = matched.position_px[self.ids] - self._shown_px
+        usual = np.nan_to_num(neighbour_median(off, self._neighbours))
+        right = np.hypot(*(off - usual).T) < 0.25 * self._spacing
+        return np.asarray(self._shown_px + np.where(right[:, None], off, usual))
+
+    def _find(self, frame: ImageArray, expected: FloatArray) -> tuple[Moments, BoolArray]:
+        """Paint of all markers near their expected positions, and which of them are found."""
+        found = self.paint.look(frame, expected)
+        away = larger(found.centroid_px - expected)
+        got = found.weight >= self._paint_min
+        got &= found.rim <= self._rim_max * found.weight
+        got &= away <= SETTINGS.step_share * self._spacing
+        again = self._retried & ~got
+        if self._clock % SETTINGS.retry_frames:
+            again &= self._lost_for <= SETTINGS.retry_frames
+        if again.any():
+            self._look_again(frame, expected, found, got, np.flatnonzero(again))
+        return found, got
+
+    def _look_again(
+        self,
+        frame: ImageArray,
+        expected: FloatArray,
+        found: Moments,
+        got: BoolArray,
+        again: IntArray,
+    ) -> None:
+        """Look in wider windows for markers ``again``, where their neighbours' motion puts them.
+
+        Changes ``found`` and ``got``.
+        """
+        off = np.where(got[:, None], found.centroid_px - expected, 0.0)
+        likely = expected + self._neighbour_mean(off, got)
+        centre = np.where(got[:, None], found.centroid_px, likely)
+        wider = SETTINGS.wider_margins * self._margin
+        more = self.paint.look_wider(frame, again, centre, wider)
+        away = np.hypot(*(more.centroid_px - centre[again]).T)
+        others = np.append(centre, [[np.inf, np.inf]], axis=0)[self._rivals[again]]
+        gap = np.linalg.norm(others - centre[again][:, None], axis=2).min(axis=1, initial=np.inf)
+        sure = (more.weight >= self._paint_min[again]) & (away <= SETTINGS.gate_share * gap)
+        sure &= more.rim <= (self._rim_max[again] + SETTINGS.rim_excess) * more.weight
+        for values, new in zip((*found, got), (*more, sure), strict=True):
+            values[again] = new
+
+    def _neighbour_mean(self, step: FloatArray, got: BoolArray) -> FloatArray:
+        """Mean step (m, 2) of each marker's neighbours that were found; 0 where none was.
+
+        ``step`` is 0 for markers that were not found.
+        """
+        values = np.zeros((len(step) + 1, 3))
+        values[:-1, :2], values[:-1, 2] = step, got
+        total = values.take(self._around, axis=0).sum(axis=0)
+        return np.asarray(total[:, :2] / np.maximum(total[:, 2:], 1.0))
+
+    def _update(self, frame: ImageArray, found: Moments, got: BoolArray, since: float) -> Observed:
+        """Take what was found as the new state."""
+        step = np.where(got[:, None], found.centroid_px - self.place_px, 0.0)
+        beside = self._neighbour_mean(step, got)
+        step[~got] = beside[~got]
+        self.place_px = self.place_px + step
+        self._velocity = (0.5 * SETTINGS.damping / max(since, 1.0)) * (step + beside)
+        self._lost_for = np.where(got, 0, self._lost_for + 1)
+        self._rejected = 0
+        red = self.red.look(frame, self.place_px[self._tips] + self._tip_px).weight
+        self._on = red > np.where(self._on, self._off_below, self._on_above)
+        switch_on = np.zeros(len(got), dtype=np.bool_)
+        switch_on[self._tips] = self._on
+        return Observed(
+            position_px=self._of_bundle(np.where(got[:, None], self.place_px, np.nan), np.nan),
+            switch_on=self._of_bundle(switch_on, fill=False),
+            paint=self._of_bundle(found.weight / np.maximum(self._full, 1e-6), 0.0),
+        )
+
+    def _of_bundle(self, values: NDArray[Any], fill: float) -> NDArray[Any]:
+        """Values of all markers of the bundle from those (m, …) of the ones shown here."""
+        out = np.full((len(self._bundle.colour), *values.shape[1:]), fill, dtype=values.dtype)
+        out[self.ids] = values
+        return out
+
+
+def nearest_rivals(place_px: FloatArray, colour: IntArray) -> IntArray:
+    """Nearest others (n, r) of the same colour, nearest first; n where there are no more."""
+    square = np.sum((place_px[:, None] - place_px[None]) ** 2, axis=2)
+    square[colour[:, None] != colour[None]] = np.inf
+    np.fill_diagonal(square, np.inf)
+    order = np.argsort(square, axis=1)[:, : SETTINGS.rivals_max]
+    known = np.isfinite(np.take_along_axis(square, order, axis=1))
+    return np.where(known, order, len(place_px))
+
+
+def _owned_pixels(
+    blobs: Blobs, place: FloatArray, colour: IntArray, spacing: FloatArray
+) -> tuple[IntArray, IntArray]:
+    """Painted pixels (p, 2) of blobs that belong to a marker, and the marker of each (p,)."""
+    gap = np.linalg.norm(blobs.centroid_px[:, None] - place[None], axis=2)
+    gap[blobs.colour[:, None] != colour[None]] = np.inf
+    nearest = np.argmin(gap, axis=1)
+    near = gap.min(axis=1) <= SETTINGS.blob_reach * np.minimum(spacing[nearest], 1e6)
+    owner = np.append(-1, np.where(near, nearest, -1))
+    labels = np.asarray(blobs.labels)
+    y, x = np.nonzero(labels)
+    owned = owner[labels[y, x]]
+    return np.column_stack([x, y])[owned >= 0], owned[owned >= 0]
+
+
+def _extent(xy: IntArray, owner: IntArray, place: FloatArray, neighbours: IntArray) -> FloatArray:
+    """How far (m,) px each marker's paint reaches from its centre, in x or y."""
+    reach = np.zeros(len(place))
+    np.maximum.at(reach, owner, np.abs(xy - place[owner]).max(axis=1) + 0.5)
+    known = np.where(reach > 0.0, reach, np.nan)
+    usual = neighbour_median(known[:, None], neighbours)[:, 0]
+    overall = np.nanmedian(known) if np.isfinite(known).any() else SETTINGS.extent_min_px
+    usual = np.where(np.isfinite(usual), usual, overall)
+    # fmin: an unknown extent is the neighbours'.
+    out = np.fmin(known, SETTINGS.extent_ratio * usual)
+    return np.maximum(np.where(np.isfinite(known), out, usual), SETTINGS.extent_min_px)

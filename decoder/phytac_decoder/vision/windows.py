@@ -16,13 +16,6 @@ from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
 
 Floats32 = NDArray[np.float32]
 
-GROUP_OVERHEAD = 7000
-"""Windows of two sizes are read as one size if that costs fewer samples than this more."""
-GROUP_SAMPLES_MAX = 1 << 16
-"""Samples of windows that are read together: larger arrays leave the processor's cache."""
-SLACK_px = 0.75
-"""A window is placed and cut again after its spot has moved this far."""
-
 
 class Moments(NamedTuple):
     """Paint of m spots.
@@ -175,6 +168,11 @@ class PaintWindows:
         2 reads every other pixel in both directions, and so on.
     """
 
+    group_samples_max = 1 << 16
+    """Samples of windows that are read together: larger arrays leave the processor's cache."""
+    slack_px = 0.75
+    """A window is placed and cut again after its spot has moved this far."""
+
     def __init__(
         self,
         *,
@@ -190,7 +188,10 @@ class PaintWindows:
         self._rivals, self._paint, self._stride = rivals, paint, stride
         self._side = self._odd_side(half_px, stride)
         for step in np.unique(stride):
-            self._side[stride == step] = _merged_sizes(self._side[stride == step], step)
+            # Few sizes, as each is read by itself, and few windows of the largest.
+            own = self._side[stride == step]
+            sizes = np.quantile(own, (0.4, 0.7, 0.9, 1.0), method="higher")
+            self._side[stride == step] = sizes[np.searchsorted(sizes, own)]
         self._anchor = np.full((count, 2), np.inf)
         self._corner = np.zeros((count, 2), dtype=np.int64)
         self._groups = []
@@ -198,7 +199,7 @@ class PaintWindows:
             spots = np.flatnonzero((self._side == side) & (stride == step))
             spots = spots[np.argsort(paint[spots], kind="stable")]
             samples = len(spots) * len(range(0, side, step)) ** 2
-            for part in np.array_split(spots, -(-samples // GROUP_SAMPLES_MAX)):
+            for part in np.array_split(spots, -(-samples // self.group_samples_max)):
                 self._groups.append(WindowGroup(part, paint[part], side, step, tables))
 
     @property
@@ -208,7 +209,7 @@ class PaintWindows:
 
     def look(self, frame: ImageArray, centre_px: FloatArray) -> Moments:
         """Moments of all spots, near where each is expected: (n, 2), finite."""
-        moved = larger(centre_px - self._anchor) > SLACK_px
+        moved = larger(centre_px - self._anchor) > self.slack_px
         if moved.any():
             self._place(moved, centre_px)
         sums = np.empty((len(moved), 4), dtype=np.float32)
@@ -271,16 +272,3 @@ class PaintWindows:
             rows = np.flatnonzero(near[group.spots])
             if len(rows):
                 group.cut(rows, lines[number[group.spots[rows]]])
-
-
-def _merged_sizes(side: IntArray, stride: int) -> IntArray:
-    """Sides (n,) rounded up to a few sizes."""
-    sizes, counts = np.unique(side, return_counts=True)
-    while len(sizes) > 1:
-        more = counts[:-1] * np.diff((sizes / stride) ** 2)
-        least = int(np.argmin(more))
-        if more[least] > GROUP_OVERHEAD:
-            break
-        counts[least + 1] += counts[least]
-        sizes, counts = np.delete(sizes, least), np.delete(counts, least)
-    return np.asarray(sizes[np.searchsorted(sizes, side)])
