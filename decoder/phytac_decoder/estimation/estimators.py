@@ -152,17 +152,7 @@ class ForceModel:
         """Return the least-squares solution of d = C(:, KOI)·f over all found markers, f >= 0."""
         d = shift_px.reshape(-1)
         rows, products = self.patterns
-        c = rows[koi]
-        gram = products[koi[:, None], koi]
-        unseen = np.flatnonzero(~np.isfinite(d))
-        if len(unseen):
-            d = d.copy()
-            d[unseen] = 0.0
-            hidden = c[:, unseen]
-            if (np.einsum("ij,ij->i", hidden, hidden) <= 0.99 * gram.diagonal()).all():
-                gram -= hidden @ hidden.T
-            else:
-                # The difference would be dominated by rounding.
-                c[:, unseen] = 0.0
-                gram = c @ c.T
-        return nonnegative_least_squares(gram, c @ d)
+        if np.isfinite(d).all():
+            return nonnegative_least_squares(products[np.ix_(koi, koi)], rows[koi] @ d)
+        c = rows[koi] * np.isfinite(d)
+        return nonnegative_least_squares(c @ c.T, c @ np.nan_to_num(d))

@@ -118,14 +118,9 @@ class ContactLocator:
         return replace(self, places=replace(self.places, shift_px=first, pairs=None, walls=None))
 
     @cached_property
-    def _columns(self) -> FloatArray:
-        """Linear shifts (2n, n) by a newton on each marker."""
-        rows = self.places.shift_px[self.places.nearest(self.position_mm), 0]
-        return np.asarray(rows.T, dtype=np.float64)
-
-    @cached_property
-    def _gram(self) -> FloatArray:
-        return np.asarray(self._columns.T @ self._columns)
+    def _rows(self) -> FloatArray:
+        """Linear shifts (n, 2n) by a newton on each marker."""
+        return self._first[self.places.nearest(self.position_mm)].astype(np.float64)
 
     @cached_property
     def _first(self) -> NDArray[np.float32]:
@@ -278,11 +273,8 @@ class ContactLocator:
 
     def _switch_forces(self, seen: ShiftObservation) -> FloatArray:
         """Return the force (m,) N on each switch that is on, by the compliance inverse."""
-        gram = self._gram[np.ix_(seen.koi, seen.koi)]
-        if not seen.found.all():
-            lost = self._columns[np.ix_(~seen.found, seen.koi)]
-            gram = gram - lost.T @ lost
-        return nonnegative_least_squares(gram, seen.shift_px @ self._columns[:, seen.koi])
+        rows = self._rows[seen.koi] * seen.found
+        return nonnegative_least_squares(rows @ rows.T, rows @ seen.shift_px)
 
     def _split(
         self, koi: IntArray, force_N: FloatArray, *, reach_mm: float = np.inf
