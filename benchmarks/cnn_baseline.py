@@ -28,7 +28,6 @@ from torch.nn import functional
 from phytac_design.datasets.samples import FAILED, Samples
 from phytac_design.datasets.samples_writer import FRAMES
 from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray, IntArray
-from phytac_shapes.errors import InputError, NumericalError
 
 FRAME_PX = (160, 120)
 """Width and height of the reduced frame."""
@@ -119,18 +118,8 @@ class TrainedCnn:
             Reduced frames of the size that was trained on.
         on : (s, n) bool
             Switches.
-
-        Raises
-        ------
-        InputError
-            If they are of another size.
         """
         size = (len(images), len(self.places))
-        if images.shape[1:] != self.rest.shape or on.shape != size:
-            raise InputError(
-                f"the network reads frames (s, h, w, 3) of {self.rest.shape} and switches {size} "
-                f"(got {images.shape[1:]} and {on.shape}); reduce frames to that size"
-            )
         model = network()
         model.load_state_dict({k: torch.from_numpy(v) for k, v in self.weights.items()})
         x = _differences(images, self.rest, self.scale_in)
@@ -211,16 +200,7 @@ def train_cnn(
         Seed of the initial weights, the order of frames, additions and dropout.
     settings : TrainingSettings, optional
         Settings.
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit, or a part is empty, overlaps the other or carries no force.
-    NumericalError
-        If the loss is not a number.
     """
-    _check(images, on, force_N, places)
-    _check_parts(np.where(on, force_N, 0.0), training, validation)
     settings = settings or TrainingSettings()
     begin = time.perf_counter()
     rest = np.median(images[training], axis=0)
@@ -238,10 +218,6 @@ def train_cnn(
         best = _fit(
             network(settings.dropout), whole.take(training), whole.take(validation), settings
         )
-    if not best.weights:
-        raise NumericalError(
-            f"train_cnn: the validation loss never was a number; lower the rate ({settings.rate:g})"
-        )
     return TrainedCnn(
         rest=rest,
         places=places,
@@ -253,38 +229,6 @@ def train_cnn(
         rmse_train_N=scale_out * best.loss_train**0.5,
         rmse_validation_N=scale_out * best.loss_validation**0.5,
     )
-
-
-def _check(images: FloatArray, on: BoolArray, force_N: FloatArray, places: FloatArray) -> None:
-    if (
-        images.ndim != 4
-        or images.shape[3] != COLOURS
-        or len(images) != len(force_N)
-        or on.shape != force_N.shape
-        or places.shape != (on.shape[1], 2)
-    ):
-        raise InputError(
-            f"train_cnn: frames (s, h, w, {COLOURS}), switches and forces (s, n) and places (n, 2) "
-            f"are needed (got {images.shape}, {on.shape}, {force_N.shape} and {places.shape})"
-        )
-    if not np.isfinite(places).all():
-        raise InputError(
-            "train_cnn: the place of a marker in the frame without load is not known; give "
-            "predicted ones, or leave the marker out"
-        )
-
-
-def _check_parts(carried_N: FloatArray, training: IntArray, validation: IntArray) -> None:
-    if len(np.intersect1d(training, validation)):
-        raise InputError(
-            "train_cnn: a sample is in both training and validation; split the samples again"
-        )
-    for part in (training, validation):
-        if not carried_N[part].max(initial=0.0) > 0.0:
-            raise InputError(
-                f"train_cnn: no switch that is on carries a force in {len(part)} samples; give "
-                "contacts that turn on switches"
-            )
 
 
 class _Best(NamedTuple):
@@ -392,36 +336,19 @@ def reduced(frame: ImageArray) -> FloatArray:
 
 
 def read_frames(folder: Path, samples: IntArray) -> FloatArray:
-    """Reduced frames (s, h, w, 3) of some samples of a data set that kept its frames.
-
-    Raises
-    ------
-    InputError
-        If one is missing or cannot be read; the data of two cameras have other names.
-    """
+    """Reduced frames (s, h, w, 3) of some samples of a data set that kept its frames."""
     out = np.zeros((len(samples), FRAME_PX[1], FRAME_PX[0], COLOURS), dtype=np.float32)
     for k, sample in enumerate(samples.tolist()):
         path = folder / FRAMES / f"{sample:06d}.png"
-        frame = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
-        if frame is None:
-            raise InputError(
-                f"{path} is missing or no picture; the network needs frames of one camera, "
-                "kept by --keep frames"
-            )
-        out[k] = reduced(frame)
+        frame = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        assert frame is not None, f"{path} is missing or no picture; keep frames of one camera"
+        out[k] = reduced(np.asarray(frame, dtype=np.uint8))
     return np.asarray(out)
 
 
 def marker_forces(samples: Samples) -> FloatArray:
-    """True force on every receptor whose switch is on, 0 on the others, (s, n) N.
-
-    Raises
-    ------
-    InputError
-        If the samples do not hold the truth.
-    """
-    if samples.truth is None:
-        raise InputError("the samples hold no truth for training; make them with --keep frames")
+    """True force on every receptor whose switch is on, 0 on the others, (s, n) N."""
+    assert samples.truth is not None
     out = np.zeros((samples.count, samples.markers))
     np.add.at(out, (samples.truth.sample, samples.truth.marker), samples.truth.force_N)
     out[samples.status == FAILED] = 0.0

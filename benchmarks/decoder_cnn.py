@@ -17,7 +17,15 @@ from benchmarks.cnn_baseline import (
     read_frames,
     train_cnn,
 )
-from benchmarks.decoder_data import SEED, data_folder, data_set, job_of, origin, small_design
+from benchmarks.decoder_data import (
+    LINEAR,
+    SEED,
+    data_folder,
+    data_set,
+    job_of,
+    origin,
+    small_design,
+)
 from benchmarks.decoder_speed import SMALL, before_camera
 from benchmarks.harness import Table
 from phytac_design.datasets.samples import FAILED, Samples
@@ -51,37 +59,26 @@ class ContactForces:
 
 
 def job(*, quick: bool) -> tuple[str, Job, tuple[int, ...]]:
-    """Name of the data set, what it holds, and by how many of its samples is learnt."""
+    """Name of the data set, its job, and the numbers of samples to train on."""
+    given: dict[str, Any] = {"unit": 1, "route": "frames", "accuracy": "draft"}
     if quick:
-        linear: dict[str, object] = {"displacement": "linear"}
-        made = job_of(
-            before_camera(small_design(), SMALL),
-            unit=1,
-            samples=24,
-            route="frames",
-            accuracy="draft",
-            solve=linear,
-        )
-        return "quick-cnn", replace(made, keep="frames"), (18,)
-    made = job_of(
-        before_camera(load_design("cylinder60"), SMALL),
-        unit=1,
-        samples=COUNTS[-1] + JUDGE,
-        route="frames",
-        accuracy="draft",
-    )
-    return "cnn", replace(made, keep="frames"), COUNTS
+        design, given["samples"], given["solve"] = small_design(), 24, LINEAR
+    else:
+        design, given["samples"] = load_design("cylinder60"), COUNTS[-1] + JUDGE
+    made = replace(job_of(before_camera(design, SMALL), **given), keep="frames")
+    return ("quick-cnn", made, (18,)) if quick else ("cnn", made, COUNTS)
 
 
 def learn(
     name: str, made: Job, samples: Samples, order: IntArray, how: TrainingSettings
 ) -> tuple[TrainedCnn, IntArray]:
     """Train on samples in a given order, shared out 8.5 : 0.5 : 1; and those it learnt from."""
+    assert samples.bits is not None
     images = read_frames(data_folder() / name, order)
     training, validation, _ = split_samples(len(order), seed=SEED)
     trained = train_cnn(
         images,
-        _on(samples)[order],
+        samples.bits[order],
         marker_forces(samples)[order],
         places=_places(made),
         training=training,
@@ -90,12 +87,6 @@ def learn(
         settings=how,
     )
     return trained, np.sort(order[training])
-
-
-def _on(samples: Samples) -> Any:
-    if samples.bits is None:
-        raise ValueError("the data set holds no switches")
-    return samples.bits
 
 
 def _places(made: Job) -> FloatArray:
@@ -109,23 +100,19 @@ def _places(made: Job) -> FloatArray:
 def judge(name: str, trained: TrainedCnn, samples: Samples, held: IntArray) -> ContactForces:
     """Contacts of held-out samples as the network reads them."""
     truth, touches = samples.truth, samples.touches
-    if truth is None or touches is None:
-        raise ValueError("the data set holds no truth")
+    assert truth is not None
+    assert touches is not None
+    assert samples.bits is not None
     forces = np.zeros((samples.count, samples.markers))
-    forces[held] = trained.forces(read_frames(data_folder() / name, held), _on(samples)[held])
+    forces[held] = trained.forces(read_frames(data_folder() / name, held), samples.bits[held])
     mine = np.isin(truth.sample, held) & (truth.touch >= 0)
-    owner, rows = truth.touch[mine], len(touches.sample)
+    contact, owner = np.unique(truth.touch[mine], return_inverse=True)
     read = forces[truth.sample[mine], truth.marker[mine]]
-    contact = np.unique(owner)
     return ContactForces(
         sample=touches.sample[contact],
-        force_N=_sums(owner, truth.force_N[mine], rows)[contact],
-        decoded_N=_sums(owner, read, rows)[contact],
+        force_N=np.bincount(owner, weights=truth.force_N[mine]),
+        decoded_N=np.bincount(owner, weights=read),
     )
-
-
-def _sums(owner: IntArray, values: FloatArray, rows: int) -> FloatArray:
-    return np.bincount(owner, weights=values, minlength=rows).astype(np.float64)
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
@@ -155,7 +142,7 @@ def _add(
     found: ContactForces,
     about: str,
 ) -> None:
-    """Rows of one network: on what it learnt from (``known``) and on further contacts."""
+    """Rows of one network: on training contacts (``known``) and on further ones (``found``)."""
     guess = np.full(len(found.force_N), known.force_N.mean())
     # Of all constants the one with the least relative error, of the contacts learnt from.
     weights = 1.0 / known.force_N
@@ -176,54 +163,32 @@ def _add(
         note = f"95 % interval {100.0 * row['low']:.1f} to {100.0 * row['high']:.1f}; {about}"
         table.add(case, 100.0 * row["value"], "%", reference, source, note=note)
 
-    percent(
-        f"{label}: accuracy",
-        "cnn",
-        "accuracy",
-        PAPER.get(count, "-"),
-        "paper, real sensor, as many samples",
-    )
-    off = 100.0 - PAPER[count] if count in PAPER else "-"
+    paper, off = PAPER.get(count, "-"), 100.0 - PAPER[count] if count in PAPER else "-"
+    source = "paper, real sensor, as many samples"
+    percent(f"{label}: accuracy", "cnn", "accuracy", paper, source)
     percent(f"{label}: relative error", "cnn", "relative_error", off, "paper: 1 − accuracy")
     percent(f"{label}: median relative error", "cnn", "relative_error_median", "-", "not given")
+    source = "guessing the mean force of the contacts that were learnt from"
     for measure, case in (
         ("absolute_error_mean_N", "MAE"),
         ("absolute_error_sd_N", "SD of the absolute error"),
     ):
-        row = cnn[measure]
+        row, guessed = cnn[measure], score["guess"][measure]["value"]
         note = f"95 % interval {row['low']:.2f} to {row['high']:.2f}; {about}"
-        target = "<= " + f"{score['guess'][measure]['value']:.6g}" if "MAE" in case else None
-        table.add(
-            f"{label}: {case}",
-            row["value"],
-            "N",
-            score["guess"][measure]["value"],
-            "guessing the mean force of the contacts that were learnt from",
-            target,
-            note,
-        )
-    percent(
-        f"{label}: accuracy of the best single guess",
-        "best",
-        "accuracy",
-        "-",
-        "the constant with the least relative error on the contacts that were learnt from",
-    )
+        target = f"<= {guessed:.6g}" if case == "MAE" else None
+        table.add(f"{label}: {case}", row["value"], "N", guessed, source, target, note)
+    source = "the constant with the least relative error on the contacts that were learnt from"
+    percent(f"{label}: accuracy of the best single guess", "best", "accuracy", "-", source)
+    everyone = np.ones(len(known.force_N), dtype=np.bool_)
     own = Bootstrap(sample=known.sample, seed=SEED)
-    all_known = np.ones(len(known.force_N), dtype=np.bool_)
     table.add(
         f"cnn on {count} samples: accuracy on what it learnt from",
-        100.0 * own.score(known.decoded_N, known.force_N, all_known)["accuracy"]["value"],
+        100.0 * own.score(known.decoded_N, known.force_N, everyone)["accuracy"]["value"],
         "%",
         100.0 * cnn["accuracy"]["value"],
-        "on further contacts: what lies between was learnt by heart",
+        "on further contacts; the difference is overfitting",
     )
     note = f"best of its rounds: {trained.rounds}; one thread"
-    table.add(
-        f"cnn on {count} samples: training",
-        trained.seconds,
-        "s",
-        "several hours",
-        "paper, of image-based networks",
-        note=note,
-    )
+    source = "paper, of image-based networks"
+    row = f"cnn on {count} samples: training"
+    table.add(row, trained.seconds, "s", "several hours", source, note=note)

@@ -1,4 +1,4 @@
-"""Frames of a pressed sensor, damaged: what dirt, broken switches, light and cables do to them."""
+"""Frames of a pressed sensor, damaged by dirt, broken switches, light and cables."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

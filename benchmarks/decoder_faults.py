@@ -1,4 +1,4 @@
-"""Frames in another light than the design's, and with faults: what the decoder makes of them.
+"""Decoding of frames in another light than the design's, and of frames with faults.
 
 Frames are rendered (lens blur, fall-off, vignetting, noise) of contacts that a shell of large
 displacement solves.
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.decoder_damage import FAULTS, Sample
+from benchmarks.decoder_evaluation import by_design, mechanics
 from benchmarks.decoder_lights import add_lights
 from benchmarks.decoder_presses import REFINE, SEEN, PressedSensor, scenario_of
 from benchmarks.harness import Table
@@ -24,8 +25,7 @@ from phytac_decoder.pipeline.decode import FrameMeasurement, measure_frame
 from phytac_decoder.pipeline.tracker import Follower
 from phytac_decoder.serving.torn_frames import FRAMES_CHANGED_MIN, TornFrameDetector
 from phytac_design.design.design_file import load_design
-from phytac_design.stages.build import copy_of, run_stages, select_stages
-from phytac_design.stages.decoder_stage import untrained_model
+from phytac_design.stages.build import copy_of
 from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
 
@@ -40,7 +40,7 @@ TRIES = 4
 
 @dataclass
 class FaultCounts:
-    """What became of one fault's frames."""
+    """Results of one fault's frames."""
 
     frames: int = 0
     refused: int = 0
@@ -50,7 +50,7 @@ class FaultCounts:
     silent: int = 0
     watched: int = 0
     unseen: int = 0
-    said: str = ""
+    message: str = ""
     total: list[float] = field(default_factory=list)
     contact: list[float] = field(default_factory=list)
 
@@ -83,14 +83,16 @@ def add_faults(table: Table, bench: PressedSensor, count: int) -> None:
     chosen = np.flatnonzero(bench.tripped)[: count + 1].tolist()
     chips = {index: bench.chip(*bench.pose(index)) for index in chosen}
     sound = {index: measure_frame(bundle, bench.shot(chips[index], seed=index)) for index in chosen}
-    tears = {index: _tears(bench, chips[after], index) for index, after in pairwise(chosen)}
+    detectors = {
+        index: _torn_detector(bench, chips[after], index) for index, after in pairwise(chosen)
+    }
     names = [name for name in ESTIMATORS if name in bundle.model.estimators]
     for fault, damage in {"none": _again, **FAULTS}.items():
         tallies = {name: FaultCounts() for name in names}
         for index, sample in _samples(bench, chosen, chips):
             frame = damage(sample)
             follows = _followed(bundle, rest, sample, frame)
-            torn = bool(copy.deepcopy(tears[index]).check([frame]))
+            torn = bool(copy.deepcopy(detectors[index]).check([frame]))
             try:
                 seen = measure_frame(bundle, frame)
             except InputError as error:
@@ -98,7 +100,7 @@ def add_faults(table: Table, bench: PressedSensor, count: int) -> None:
                     tally.frames, tally.refused = tally.frames + 1, tally.refused + 1
                     tally.followed += follows
                     tally.watched += torn
-                    tally.said = str(error)
+                    tally.message = str(error)
                 continue
             for name, tally in tallies.items():
                 total, contact, wrong, warnings = judged(bench, index, sound[index], seen, name)
@@ -109,7 +111,7 @@ def add_faults(table: Table, bench: PressedSensor, count: int) -> None:
                 tally.wrong += wrong
                 tally.silent += wrong and not warnings
                 tally.unseen += wrong and not warnings and not torn
-                tally.said = warnings[0] if warnings else tally.said
+                tally.message = warnings[0] if warnings else tally.message
                 tally.total.append(total)
                 tally.contact.append(contact)
         for name, tally in tallies.items():
@@ -123,12 +125,10 @@ def _again(sample: Sample) -> ImageArray:
 def _samples(
     bench: PressedSensor, chosen: list[int], chips: dict[int, NDArray[np.float32]]
 ) -> Iterator[tuple[int, Sample]]:
-    """Samples to be damaged; the last of ``chosen`` is only there to be torn into another."""
+    """Samples to damage; the last of ``chosen`` is only joined to the one before."""
     for number, index in enumerate(chosen[:-1]):
         motion, bits = bench.pose(index)
-
         shoot = partial(bench.shot, chips[index], 1000 + index)
-
         yield (
             index,
             Sample(
@@ -136,7 +136,7 @@ def _samples(
                 frame=shoot(),
                 other=bench.shot(chips[chosen[number + 1]], seed=2000 + index),
                 shoot=shoot,
-                place_px=bench.bundle.rest_px + bench.eyes.exact(motion, bits),
+                place_px=bench.bundle.rest_px + bench.imaging.exact(motion, bits),
                 bits=bits,
                 rng=np.random.default_rng([SEEN, index]),
             ),
@@ -144,7 +144,7 @@ def _samples(
 
 
 def _followed(bundle: Bundle, rest: ImageArray, sample: Sample, frame: ImageArray) -> bool:
-    """Whether a follower that has found the press says something about the frame after it."""
+    """Whether a tracker that has found the press warns about the frame after it."""
     follower = Follower(bundle, rest)
     for attempt in range(TRIES):
         try:
@@ -162,13 +162,15 @@ def _followed(bundle: Bundle, rest: ImageArray, sample: Sample, frame: ImageArra
     return bool(seen.flags or seen.warnings(bundle, forces, estimator="koi_inverse"))
 
 
-def _tears(bench: PressedSensor, light: NDArray[np.float32], index: int) -> TornFrameDetector:
-    """One who has seen frames of the press before a sample's; the last is its ``other``."""
-    tears = TornFrameDetector()
+def _torn_detector(
+    bench: PressedSensor, light: NDArray[np.float32], index: int
+) -> TornFrameDetector:
+    """Detector that has seen frames of the press before a sample; the last is its ``other``."""
+    detector = TornFrameDetector()
     for seed in (*(10000 * k + index for k in range(3, 3 + FRAMES_CHANGED_MIN)), 2000 + index):
-        if tears.check([bench.shot(light, seed=seed)]):
+        if detector.check([bench.shot(light, seed=seed)]):
             raise InputError(f"sample {index}: two draws of the noise are the same")
-    return tears
+    return detector
 
 
 def _add_fault(table: Table, fault: str, estimator: str, tally: FaultCounts) -> None:
@@ -179,17 +181,17 @@ def _add_fault(table: Table, fault: str, estimator: str, tally: FaultCounts) -> 
         source = "frames, another draw of the noise"
         note = (
             f"by a follower {tally.followed}; by one who holds them against the frame before "
-            f"{tally.watched}; said: {tally.said or 'nothing'}"
+            f"{tally.watched}; message: {tally.message or 'nothing'}"
         )
         table.add(row, tally.flagged, "frames", tally.frames, source, "== 0", note)
     else:
-        row = f"{where}: frames with a force wrong by it, and nothing said"
+        row = f"{where}: frames with a wrong force and no warning"
         source = (
             f"frames with a force changed by more than {100 * WRONG_SHARE:g} % and {WRONG_N:g} N"
         )
         note = (
             f"{tally.frames} frames: {tally.refused} refused, {tally.flagged} flagged; by a "
-            f"follower {tally.followed}; last said: {tally.said or 'nothing'}"
+            f"follower {tally.followed}; last message: {tally.message or 'nothing'}"
         )
         table.add(row, tally.silent, "frames", tally.wrong, source, "== 0", note)
     if fault == TORN:
@@ -223,14 +225,14 @@ def _add_alarm(table: Table, label: str, bench: PressedSensor, estimator: str) -
     alarms, missing, warnings = 0, 0, ""
     for index, motion in enumerate(bench.motion):
         bits = bench.job.plan.switching.bits[index]
-        seen = bench.eyes.points(motion, bits, 1.0, np.random.default_rng([SEEN, index]))
+        seen = bench.imaging.points(motion, bits, 1.0, np.random.default_rng([SEEN, index]))
         read = FrameMeasurement(koi=np.flatnonzero(bits), shift_px=seen.shift_px, found=seen.found)
         forces = read.forces_N(bench.bundle, estimator)
-        said = read.warnings(bench.bundle, forces, estimator=estimator)
+        found = read.warnings(bench.bundle, forces, estimator=estimator)
         sound = bool(bench.tripped[index])
-        alarms += sound and bool(said)
-        missing += not sound and bool(said)
-        warnings = said[0] if sound and said else warnings
+        alarms += sound and bool(found)
+        missing += not sound and bool(found)
+        warnings = found[0] if sound and found else warnings
     row = f"sound samples with a warning, {label}, {estimator}"
     source = (
         "samples by points, all of whose contacts tripped a switch, up to "
@@ -238,22 +240,9 @@ def _add_alarm(table: Table, label: str, bench: PressedSensor, estimator: str) -
     )
     note = (
         f"of {int((~bench.tripped).sum())} with a contact that trips no switch {missing} "
-        f"have a warning of missing forces; said: {warnings or 'nothing'}"
+        f"have a warning of missing forces; message: {warnings or 'nothing'}"
     )
     table.add(row, alarms, "samples", int(bench.tripped.sum()), source, "== 0", note)
-
-
-def with_tables(bench: PressedSensor) -> PressedSensor:
-    """The same, its decoder with the tables of ``auto``."""
-    context = run_stages(
-        bench.job.design,
-        select_stages(["response", "places"]),
-        accuracy=bench.job.accuracy,
-        seed=0,
-        force=True,
-        progress=lambda _: None,
-    )[0]
-    return replace(bench, bundle=replace(bench.bundle, model=untrained_model(context)))
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
@@ -267,13 +256,14 @@ def add_rows(table: Table, *, quick: bool) -> None:
     bench = PressedSensor.of(
         design, scenario_of(3 if quick else 30, "receptor"), seed=1, quick=quick
     )
-    bench = with_tables(bench)
+    context = mechanics(design, bench.job.accuracy)
+    bench = replace(bench, bundle=replace(bench.bundle, model=by_design(context).model))
     add_lights(table, bench, quick=quick)
     add_faults(table, bench, 1 if quick else 20)
     benches = {}
     for label, count in (("receptor", 4 if quick else 120), ("anywhere", 4 if quick else 60)):
         job = replace(bench.job, scenario=scenario_of(count, label), seed=2)
         benches[f"pressed at {label}"] = PressedSensor.pressed(
-            job, bench.eyes, bench.bundle, refine=5 if quick else REFINE
+            job, bench.imaging, bench.bundle, refine=5 if quick else REFINE
         )
     add_alarms(table, benches)

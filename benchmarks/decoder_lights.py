@@ -1,7 +1,8 @@
-"""What white balance, exposure, vignetting and aged paint do to the decoder's eyes."""
+"""Effects of white balance, exposure, vignetting and aged paint on marker detection."""
 
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,6 @@ from benchmarks.harness import Table
 from phytac_decoder.pipeline.colour_calibration import calibrate_rest
 from phytac_decoder.pipeline.decode import measure_frame, rest_positions
 from phytac_design.optics.paint import PAINTS, to_linear
-from phytac_shapes.arrays import ImageArray
 from phytac_shapes.errors import InputError
 
 BALANCE = {"neutral": (1.0, 1.0), "warm": (1.2, 0.8), "cold": (0.8, 1.2), "green": (0.8, 0.8),
@@ -24,19 +24,9 @@ FADED = 0.3
 """Share of white in aged paint."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Setting:
-    """How frames are exposed; see ``PressedSensor.shot``."""
-
-    name: str = "neutral"
-    gains: tuple[float, float] = (1.0, 1.0)
-    stops: float = 0.0
-    corner: float | None = None
-
-
 @dataclass
 class Light:
-    """What is found in one light: markers lost, bits wrong, errors of shifts, refusals."""
+    """Results in one light: markers lost, switches wrong, errors of shifts, rejection."""
 
     lost: int = 0
     wrong: int = 0
@@ -44,33 +34,29 @@ class Light:
     error_px: float = 0.0
 
 
-def shots(
-    bench: PressedSensor, chips: list[NDArray[np.float32]], setting: Setting
-) -> list[ImageArray]:
-    """Frame of each light on the chip, each with noise of its own."""
-    return [
-        bench.shot(chip, k, gains=setting.gains, stops=setting.stops, corner=setting.corner)
-        for k, chip in enumerate(chips)
-    ]
-
-
-def look(
-    bench: PressedSensor, frames: list[ImageArray], poses: list[int], *, calibrated: bool
+def measure(
+    bench: PressedSensor,
+    chips: list[NDArray[np.float32]],
+    poses: list[int],
+    *,
+    calibrated: bool,
+    **light: Any,
 ) -> Light:
-    """Read a rest frame (first) and pressed ones."""
+    """Read a rest frame (of the first light on the chip) and pressed ones; see ``shot``."""
+    rest, *frames = (bench.shot(chip, k, **light) for k, chip in enumerate(chips))
     out, errors = Light(), []
     try:
         bundle, rest_px = bench.bundle, None
         if calibrated:
-            bundle = calibrate_rest(bundle, frames[0])
+            bundle = calibrate_rest(bundle, rest)
         else:
-            rest_px = rest_positions(bundle, frames[0])
-        for frame, index in zip(frames[1:], poses, strict=True):
+            rest_px = rest_positions(bundle, rest)
+        for frame, index in zip(frames, poses, strict=True):
             motion, bits = bench.pose(index)
             seen = measure_frame(bundle, frame, rest_px=rest_px)
             out.lost += int((~seen.found).sum())
             out.wrong += int((np.isin(np.arange(len(bits)), seen.koi) != bits).sum())
-            errors.append(seen.shift_px - bench.eyes.exact(motion, bits))
+            errors.append(seen.shift_px - bench.imaging.exact(motion, bits))
     except InputError as error:
         out.refused = str(error)
         return out
@@ -80,57 +66,47 @@ def look(
 
 def add_lights(table: Table, bench: PressedSensor, *, quick: bool) -> None:
     """White balance, exposure and vignetting, before and after calibrating by the rest frame."""
-    total = np.bincount(bench.job.plan.touches.sample, weights=bench.job.plan.touches.force_N)
+    touches = bench.job.plan.touches
+    total = np.bincount(touches.sample, weights=touches.force_N)
     poses = np.argsort(-total)[: 1 if quick else 2].tolist()
     chips = [bench.chip(*bench.at_rest), *(bench.chip(*bench.pose(k)) for k in poses)]
-    faded = _faded(bench, poses)
-    frames = shots(bench, chips, Setting())
-    usual_px = look(bench, frames, poses, calibrated=False).error_px
+    cases: list[tuple[str, Any, dict[str, dict[str, Any]], bool]] = []
+    for stops in STOPS:
+        grid = {
+            f"{name}, vignetting {corner:g}": {"gains": gains, "stops": stops, "corner": corner}
+            for (name, gains), corner in product(BALANCE.items(), CORNER)
+        }
+        cases.append((f"{stops:+g} stops", chips, grid, True))
+    name = f"as designed, paint with {100 * FADED:g} % of white"
+    cases.append((name, _faded(bench, poses), {"neutral": {}}, True))
+    cases += [
+        (f"{stops:+g} stops, neutral", chips, {"neutral": {"stops": stops}}, False)
+        for stops in (() if quick else FAR_STOPS)
+    ]
+    usual_px = measure(bench, chips, poses, calibrated=False).error_px
+    markers = len(poses) * bench.imaging.count
     for calibrated in (False, True):
         how = "calibrated by the rest frame" if calibrated else "the design's colours"
-
-        def add(
-            name: str,
-            chips: list[NDArray[np.float32]],
-            settings: list[Setting],
-            *,
-            target: bool,
-            how: str = how,
-            calibrated: bool = calibrated,
-        ) -> None:
+        for name, light, settings, target in cases:
             seen = {
-                setting.name: look(
-                    bench, shots(bench, chips, setting), poses, calibrated=calibrated
-                )
-                for setting in settings
+                key: measure(bench, light, poses, calibrated=calibrated, **setting)
+                for key, setting in settings.items()
             }
-            markers = len(poses) * bench.eyes.count
-            _add_light(table, f"light {name}, {how}", seen, usual_px, markers, target=target)
-
-        for stops in STOPS:
-            grid = [
-                Setting(name=f"{name}, vignetting {corner:g}", gains=gains, stops=stops,
-                        corner=corner)
-                for (name, gains), corner in product(BALANCE.items(), CORNER)
-            ]  # fmt: skip
-            add(f"{stops:+g} stops", chips, grid, target=calibrated)
-        add(f"as designed, paint with {100 * FADED:g} % of white", faded, [Setting()],
-            target=calibrated)  # fmt: skip
-        for stops in () if quick else FAR_STOPS:
-            add(f"{stops:+g} stops, neutral", chips, [Setting(stops=stops)], target=False)
+            label = f"light {name}, {how}"
+            _add_light(table, label, seen, usual_px, markers, target=target and calibrated)
 
 
 def _faded(bench: PressedSensor, poses: list[int]) -> list[NDArray[np.float32]]:
     """Light on the chip where all paint has faded."""
-    eye = bench.eyes.cameras[0]
+    camera = bench.imaging.cameras[0]
     names = (*bench.job.design.layout.colours, "red")
     paint = to_linear(np.array([PAINTS[name] for name in names]))
-    before = eye.paint
-    eye.paint = before * ((1.0 - FADED) * paint + FADED) / paint
+    before = camera.paint
+    camera.paint = before * ((1.0 - FADED) * paint + FADED) / paint
     try:
         return [bench.chip(*bench.at_rest), *(bench.chip(*bench.pose(k)) for k in poses)]
     finally:
-        eye.paint = before
+        camera.paint = before
 
 
 def _add_light(

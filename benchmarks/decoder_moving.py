@@ -1,6 +1,6 @@
 """The decoder on a hand that grips and is hit, at 480 fps: each frame by itself, and warm-started.
 
-What a stream does with each frame after its markers are found: forces, contacts, doubts. Five
+The work of a stream on each frame after marker detection: forces, contacts, fault detection. Five
 fingers grip cylinder60, and after a tenth of a second something hits what they hold: forces kick
 by up to 11 N within 5 ms, ring, and the fingers slip by 1.5 mm. Part ``moving`` of ``decoder``.
 """
@@ -98,7 +98,7 @@ def job(design: Design, *, quick: bool) -> Job:
 
 
 def measured(samples: Samples) -> list[FrameMeasurement]:
-    """What the eyes gave of each frame."""
+    """Measurement of each frame."""
     assert samples.shift_px is not None
     assert samples.bits_read is not None
     return [
@@ -160,8 +160,8 @@ def add_film(
 ) -> None:
     """Rows of one decoder; ``true_N`` (frames,) is the sum of all forces."""
     note = (
-        f"{len(frames)} frames by points, up to {true_N.max():.0f} N in all; forces, "
-        "contacts and doubts, after the eyes; processor time of one core, the shortest of "
+        f"{len(frames)} frames by points, up to {true_N.max():.0f} N in all; forces, contacts and "
+        "fault detection, after marker detection; processor time of one core, the shortest of "
         f"{ROUNDS} rounds of each frame"
     )
     inverse = decoded(model, frames, "koi_inverse", follow=False)

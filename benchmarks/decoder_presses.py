@@ -1,4 +1,4 @@
-"""A virtual sensor, its decoder, and presses solved with large displacements, for benchmarks."""
+"""A simulated sensor, its decoder, and presses solved with large displacements."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,9 +21,9 @@ from phytac_shapes.arrays import BoolArray, FloatArray, ImageArray
 from phytac_shapes.errors import InputError
 
 REFINE = 7
-"""Elements of the twin's mesh per marker pitch."""
+"""Elements per marker pitch of the mesh that gives the truth."""
 SEEN = 5
-"""Stream of the noise of what is seen."""
+"""Seed of the image noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +34,8 @@ class PressedSensor:
     ----------
     job : Job
         The presses.
-    eyes : Eyes
-        How they are seen.
+    imaging : ImagingModel
+        How the camera sees them.
     bundle : Bundle
         The decoder.
     motion : (s, n, 6) float
@@ -43,7 +43,7 @@ class PressedSensor:
     """
 
     job: Job
-    eyes: ImagingModel
+    imaging: ImagingModel
     bundle: Bundle
     motion: FloatArray
 
@@ -52,13 +52,15 @@ class PressedSensor:
         """Solve all presses of a scenario."""
         accuracy: Preset = "draft" if quick else "standard"
         job = Job(design=design, scenario=scenario, seed=seed, accuracy=accuracy)
-        eyes = imaging_model(job, views=expected_views(Sensor.of(design, job.surface, job.markers)))
-        bundle = replace(eyes.nominal, model=force_model_of(job))
-        return cls.pressed(job, eyes, bundle, refine=5 if quick else REFINE)
+        imaging = imaging_model(
+            job, views=expected_views(Sensor.of(design, job.surface, job.markers))
+        )
+        bundle = replace(imaging.nominal, model=force_model_of(job))
+        return cls.pressed(job, imaging, bundle, refine=5 if quick else REFINE)
 
     @classmethod
     def pressed(
-        cls, job: Job, eyes: ImagingModel, bundle: Bundle, *, refine: int
+        cls, job: Job, imaging: ImagingModel, bundle: Bundle, *, refine: int
     ) -> "PressedSensor":
         """Solve all presses of a job."""
         solver = Solver(job.design, job.surface, job.unit, refine=refine)
@@ -69,7 +71,7 @@ class PressedSensor:
             if found is None:
                 raise InputError(f"sample {index} of the benchmark could not be solved")
             motion.append(found)
-        return cls(job=job, eyes=eyes, bundle=bundle, motion=np.stack(motion))
+        return cls(job=job, imaging=imaging, bundle=bundle, motion=np.stack(motion))
 
     @cached_property
     def tripped(self) -> BoolArray:
@@ -81,7 +83,7 @@ class PressedSensor:
     @property
     def at_rest(self) -> tuple[FloatArray, BoolArray]:
         """Motion and bits of the unloaded sensor."""
-        return np.zeros((self.eyes.count, 6)), np.zeros(self.eyes.count, dtype=np.bool_)
+        return np.zeros((self.imaging.count, 6)), np.zeros(self.imaging.count, dtype=np.bool_)
 
     def pose(self, index: int) -> tuple[FloatArray, BoolArray]:
         """Motion and bits of a sample."""
@@ -89,8 +91,8 @@ class PressedSensor:
 
     def chip(self, motion: FloatArray, bits: BoolArray) -> NDArray[np.float32]:
         """Light on the chip."""
-        eye = self.eyes.cameras[0]
-        return eye.light(eye.scene(motion, bits))
+        camera = self.imaging.cameras[0]
+        return camera.light(camera.scene(motion, bits))
 
     def shot(
         self,
@@ -102,11 +104,11 @@ class PressedSensor:
         corner: float | None = None,
     ) -> ImageArray:
         """Frame of that light; ``gains`` of red and blue."""
-        given = self.eyes.exposure
+        given = self.imaging.exposure
         used = given if corner is None else replace(given, vignetting=corner)
         tinted = light * np.array([gains[1], 1.0, gains[0]], dtype=np.float32)
         rng = np.random.default_rng([SEEN, seed])
-        camera = self.eyes.cameras[0].camera
+        camera = self.imaging.cameras[0].camera
         return expose(tinted, camera, used, brightness=2.0**stops, rng=rng)
 
     def forces_of(self, index: int, forces_N: FloatArray) -> tuple[float, FloatArray]:

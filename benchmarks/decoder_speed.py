@@ -1,4 +1,4 @@
-"""Eyes at camera speed: frame to force map on one core, and what following finds.
+"""Marker detection at camera speed: frame to force map on one core, and accuracy of tracking.
 
 Frames are rendered (lens blur, fall-off, vignetting, the design's noise) of a hand of five fingers
 that closes, slides and lets go, at 480 fps motion.
@@ -55,10 +55,10 @@ SEPARABLE = 0.06
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSensor:
-    """A design before a camera: its eyes, its decoder, its motion under unit forces."""
+    """A design before a camera: its imaging model, decoder, and motion under unit forces."""
 
     case: CameraCase
-    eyes: ImagingModel
+    imaging: ImagingModel
     bundle: Bundle
     unit_motion: FloatArray
 
@@ -66,12 +66,12 @@ class CameraSensor:
     def of(cls, design: Design) -> "CameraSensor":
         """The sensor that is the design itself; the decoder's matrices at draft accuracy."""
         case = CameraCase.of(design)
-        eyes, markers = case.eyes(), case.markers
+        imaging, markers = case.eyes(), case.markers
         mesh = marker_mesh(case.surface, markers, thickness_mm=design.wall.thickness_mm, refine=3)
         model = sensor_model(design, markers, mesh, receptors=True)
         cell = float(np.sqrt(case.surface.area_mm2() / markers.count / np.pi))
         found = marker_compliance(model, mesh, case.surface, markers, load_radius_mm=cell)
-        readers = Readers(cameras=cameras_of(design, case.surface), read_by=eyes.nominal.read_by)
+        readers = Readers(cameras=cameras_of(design, case.surface), read_by=imaging.nominal.read_by)
         arm = markers.tip_mm - markers.mid_mm
         slope = rigid_slope(readers.jacobian(markers.tip_mm), arm)
         seen = condense(slope, normal=markers.normal, motion=found.motion)
@@ -85,8 +85,8 @@ class CameraSensor:
         )
         return cls(
             case=case,
-            eyes=eyes,
-            bundle=replace(eyes.nominal, model=forces),
+            imaging=imaging,
+            bundle=replace(imaging.nominal, model=forces),
             unit_motion=found.motion,
         )
 
@@ -165,17 +165,17 @@ class Film:
 
 def film_of(sensor: CameraSensor, chosen: range, times: float = 1.0) -> Film:
     """Render frames ``chosen`` of the grip, its motions so many ``times`` as large."""
-    eyes, rng = sensor.eyes, np.random.default_rng(5)
-    still, off = np.zeros((eyes.count, 6)), np.zeros(eyes.count, dtype=np.bool_)
-    rest = [eyes.frame(still, off, 1.0, rng)[0] for _ in range(2)]
+    imaging, rng = sensor.imaging, np.random.default_rng(5)
+    still, off = np.zeros((imaging.count, 6)), np.zeros(imaging.count, dtype=np.bool_)
+    rest = [imaging.frame(still, off, 1.0, rng)[0] for _ in range(2)]
     before, frames, shifts, states = [], [], [], []
     for k, (motion, bits) in enumerate(sensor.grip()):
         if k in chosen:
-            frames.append(eyes.frame(times * motion, bits, 1.0, rng)[0])
-            shifts.append(eyes.exact(times * motion, bits))
+            frames.append(imaging.frame(times * motion, bits, 1.0, rng)[0])
+            shifts.append(imaging.exact(times * motion, bits))
             states.append(bits)
         elif k < chosen.start and (chosen.start - k) % SKIP == 0:
-            before.append(eyes.frame(times * motion, bits, 1.0, rng)[0])
+            before.append(imaging.frame(times * motion, bits, 1.0, rng)[0])
     return Film(
         rest=rest, before=before, frames=frames, shift_px=np.stack(shifts), bits=np.stack(states)
     )
@@ -330,34 +330,37 @@ def add_speed(
     plain = float(np.median([spent_ms(partial(plain_opencv, bundle, f)) for f in film.frames[:12]]))
     for stride in (1, 2):
         follower = film.started(bundle, stride)
-        spent: dict[str, list[float]] = {"eyes": [], "fem": [], "koi_inverse": []}
+        spent: dict[str, list[float]] = {"detection": [], "fem": [], "koi_inverse": []}
         for j in range(repeats + len(order)):
             frame = film.frames[order[j % len(order)]]
             start = time.process_time()
             seen = follower.follow(frame)
             if j < len(order):
                 continue
-            spent["eyes"].append(1e3 * (time.process_time() - start))
+            spent["detection"].append(1e3 * (time.process_time() - start))
             for name in ("fem", "koi_inverse"):
                 spent[name].append(spent_ms(partial(seen.forces_N, bundle, name)))
-        eyes = np.array(spent["eyes"])
+        detection = np.array(spent["detection"])
         for name, part in (
-            ("eyes", eyes),
-            ("frame to force map by fem", eyes + spent["fem"]),
-            ("frame to force map by koi_inverse", eyes + spent["koi_inverse"]),
+            ("marker detection", detection),
+            ("frame to force map by fem", detection + spent["fem"]),
+            ("frame to force map by koi_inverse", detection + spent["koi_inverse"]),
         ):
             row = f"{label}: {name}, stride {stride}, p99"
             source = "reading the frame once from memory, ms of one core, same run"
             note = (
                 f"median {np.median(part):.3f} ms of {repeats} frames; "
                 f"{follower.pixels} of {frame.shape[0] * frame.shape[1]} pixels looked at; of the "
-                f"median the force solve takes {np.median(part - eyes):.3f} ms"
+                f"median the force solve takes {np.median(part - detection):.3f} ms"
             )
             value = float(np.percentile(part, 99))
             table.add(row, value, "ms of one core", read, source, f"<= {target_ms:g}", note)
-        row = f"{label}: eyes, stride {stride}, times faster than masks, labelling, assignment"
+        row = (
+            f"{label}: marker detection, stride {stride}, times faster than masks, labelling, "
+            "assignment"
+        )
         source = "plain OpenCV route, ms of one core, same run; without switches"
-        table.add(row, plain / float(np.median(eyes)), "ratio", plain, source)
+        table.add(row, plain / float(np.median(detection)), "ratio", plain, source)
 
 
 def before_camera(design: Design, size: str) -> Design:
@@ -374,7 +377,7 @@ def add_rows(table: Table, *, quick: bool, size: str = SMALL) -> None:
     for name in DESIGNS[:1] if quick else DESIGNS:
         sensor = CameraSensor.of(before_camera(load_design(name), size))
         film = film_of(sensor, range(WHOLE) if whole else range(FIRST, FIRST + FEW))
-        label = f"{name} {size}, {sensor.eyes.count} markers"
+        label = f"{name} {size}, {sensor.imaging.count} markers"
         sure = add_accuracy(table, label, sensor, film)
         add_names(table, label, sensor, film, sure)
         add_speed(table, label, TARGETS_ms[size], sensor, film, 40 if quick else 400)

@@ -17,9 +17,9 @@ from phytac_decoder.pipeline.decode import rest_positions
 from phytac_decoder.pipeline.frame_reading import Reading
 from phytac_decoder.serving.force_server import ClientLimits, StreamServer
 from phytac_decoder.serving.sensor_loop import Decode, Stream, frame_decoder
-from phytac_decoder.serving.wire_protocol import Message, MessageBuilder
-from phytac_design.design.design_file import load_design, parse_design
-from phytac_design.stages.build import build
+from phytac_decoder.serving.wire_protocol import MessageBuilder
+from phytac_design.design.design_file import load_design
+from phytac_design.stages.build import build, copy_of
 from phytac_shapes.arrays import ImageArray
 
 DESIGN = "cylinder60"
@@ -98,10 +98,9 @@ def rss_mib() -> float:
 
 def sensor(folder: Path) -> tuple[Bundle, list[ImageArray], Decode]:
     """``cylinder60`` before a camera of 640×480, its frames at rest and pressed, its decoder."""
-    data = load_design(DESIGN).model_dump(mode="json")
-    data["camera"] |= {"width_px": 640, "height_px": 480}
-    data["camera"]["focal_px"] *= 640.0 / 2592.0
-    design = parse_design(data, f"{DESIGN} at 640×480")
+    focal_px = load_design(DESIGN).camera.focal_px * 640.0 / 2592.0
+    camera = {"width_px": 640, "height_px": 480, "focal_px": focal_px}
+    design = copy_of(load_design(DESIGN), camera=camera)
     # At 640×480 some of its markers fuse: good enough to time.
     build(
         design,
@@ -119,7 +118,7 @@ def sensor(folder: Path) -> tuple[Bundle, list[ImageArray], Decode]:
 
 
 def made_up(bundle: Bundle) -> Decode:
-    """Forces that somebody might press with, made before."""
+    """Random forces on 4 to 12 key nodes, computed in advance."""
     rng = np.random.default_rng(3)
     count = len(bundle.position_mm)
     readings = []
@@ -178,40 +177,6 @@ def add_stalled(table: Table, folder: Path, *, quick: bool) -> Bundle:
     return bundle
 
 
-def add_flood(table: Table, bundle: Bundle, *, quick: bool) -> None:
-    """How long publishing holds the sensor up, whatever clients do."""
-    messages = MessageBuilder(bundle=bundle, estimator="koi_inverse")
-    decode, count = made_up(bundle), 300 if quick else 5000
-    frame = Frame(number=0, timestamp_s=0.0, images=(), ready_s=0.0)
-    message = messages.frame(decode(frame), sequence=0, timestamp_s=0.0)
-    spent: dict[str, list[float]] = {}
-    for name, stalled in (("no client", 0), ("nine who read and twenty who stall", 20)):
-        taken = spent.setdefault(name, [])
-        with StreamServer(messages.hello(), port=0, limits=ClientLimits(patience_s=60.0)) as server:
-            if stalled:
-                with clients(server, time.monotonic(), stalled) as heard:
-                    _publish(server, message, count, taken)
-                    server.close()
-                    heard()
-            else:
-                _publish(server, message, count, taken)
-    for name, taken in spent.items():
-        p50, p99 = np.percentile(taken, (50, 99))
-        for which, value in (("median", p50), ("p99", p99)):
-            row = f"publishing a message, {name}: {which}"
-            source = "a frame's period at 480 fps"
-            target = "<= 1" if which == "p99" else None
-            table.add(row, float(value), "ms", PERIOD_MS, source, target, STAND_IN)
-
-
-def _publish(server: StreamServer, message: Message, count: int, taken: list[float]) -> None:
-    for number in range(count):
-        begun = time.perf_counter()
-        server.publish(message | {"sequence": number})
-        taken.append(1000.0 * (time.perf_counter() - begun))
-        time.sleep(1.0 / FPS)
-
-
 def add_soak(table: Table, bundle: Bundle, *, quick: bool) -> None:
     """480 frames a second to nine who read and one who stalls."""
     seconds = 3.0 if quick else SOAK_S
@@ -248,59 +213,29 @@ def add_soak(table: Table, bundle: Bundle, *, quick: bool) -> None:
         "other programs had the processor"
     )
     growth = float(np.median(rss[-10:])) - settled
-    counted, period = "counted by the clients", "a frame's period; clients in one other process"
+    period = "a frame's period; clients in one other process"
     before = "late by a whole period; the loop alone before, without a server, in as long"
-    rows: tuple[tuple[str, float, str, float | str, str, str | None], ...] = (
-        (
-            "frames that the loop missed",
-            source.missed,
-            f"of {sent + source.missed}",
-            alone.missed * seconds / alone_s,
-            before,
-            "== 0",
-        ),
-        (
-            f"messages that the nine did not get ({READERS} × {sent} sent)",
-            got.missing(sent),
-            "messages",
-            0,
-            counted,
-            "== 0",
-        ),
-        (
-            "growth of resident memory",
-            growth,
-            "MiB",
-            settled,
-            f"after {WARM_SHARE * seconds:g} s",
-            "<= 1",
-        ),
-        ("from decoded to received: median", float(p50), "ms", PERIOD_MS, period, None),
-        (
-            "from decoded to received: p99",
-            float(p99),
-            "ms",
-            PERIOD_MS,
-            period,
-            f"<= {PERIOD_MS:.3f}",
-        ),
-        (
-            "processor time of loop and server",
-            100.0 * share,
-            "% of a core",
-            "none",
-            "process time over wall time",
-            None,
-        ),
-    )
-    for case, value, unit, reference, origin, target in rows:
-        note = late if case.startswith("frames that") and alone.missed else STAND_IN
-        table.add(f"{head}: {case}", value, unit, reference, origin, target, note)
+    row = f"{head}: frames that the loop missed"
+    unit, reference = f"of {sent + source.missed}", alone.missed * seconds / alone_s
+    note = late if alone.missed else STAND_IN
+    table.add(row, source.missed, unit, reference, before, "== 0", note)
+    row = f"{head}: messages that the nine did not get ({READERS} × {sent} sent)"
+    counted = "counted by the clients"
+    table.add(row, got.missing(sent), "messages", 0, counted, "== 0", STAND_IN)
+    row = f"{head}: growth of resident memory"
+    after = f"after {WARM_SHARE * seconds:g} s"
+    table.add(row, growth, "MiB", settled, after, "<= 1", STAND_IN)
+    row = f"{head}: from decoded to received: median"
+    table.add(row, float(p50), "ms", PERIOD_MS, period, note=STAND_IN)
+    row = f"{head}: from decoded to received: p99"
+    table.add(row, float(p99), "ms", PERIOD_MS, period, f"<= {PERIOD_MS:.3f}", STAND_IN)
+    row = f"{head}: processor time of loop and server"
+    share_of = "process time over wall time"
+    table.add(row, 100.0 * share, "% of a core", "none", share_of, note=STAND_IN)
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
     """All of the above."""
     with tempfile.TemporaryDirectory() as scratch:
         bundle = add_stalled(table, Path(scratch), quick=quick)
-    add_flood(table, bundle, quick=quick)
     add_soak(table, bundle, quick=quick)

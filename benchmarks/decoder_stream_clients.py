@@ -1,4 +1,4 @@
-"""Clients of a force stream, in a process of their own: what they hear, and when."""
+"""Clients of a force stream in a process of their own; messages and latencies."""
 
 import multiprocessing
 import selectors
@@ -21,14 +21,14 @@ READERS = 9
 
 @dataclass(frozen=True, kw_only=True)
 class ClientRecord:
-    """What the clients of a run tell.
+    """Messages that the clients of a run received.
 
     Attributes
     ----------
     sequences : list of list of int
-        Frames that each reader got, in order.
+        Frames that each reader received, in order.
     latency_ms : (m,) float
-        From the end of decoding to the bytes in a client's hands, all messages of all readers.
+        From the end of decoding to reception, all messages of all readers.
     """
 
     sequences: list[list[int]]
@@ -39,7 +39,7 @@ class ClientRecord:
         return sum(count if got != sorted(set(got)) else count - len(got) for got in self.sequences)
 
 
-def listen(port: int, readers: int, stalled: int, started_s: float, tell: Connection) -> None:
+def listen(port: int, readers: int, stalled: int, started_s: float, report: Connection) -> None:
     """Clients in one process: ``readers`` that read until the end, ``stalled`` that never do."""
     sleepers = [_connected(port, small=True) for _ in range(stalled)]
     selector = selectors.DefaultSelector()
@@ -48,7 +48,7 @@ def listen(port: int, readers: int, stalled: int, started_s: float, tell: Connec
     late: list[float] = []
     for number in range(readers):
         selector.register(_connected(port), selectors.EVENT_READ, number)
-    tell.send("ready")
+    report.send("ready")
     while selector.get_map():
         for key, _ in selector.select():
             link: Any = key.fileobj
@@ -63,7 +63,7 @@ def listen(port: int, readers: int, stalled: int, started_s: float, tell: Connec
                     late.append(now - message["decoded_s"])
     for sleeper in sleepers:
         sleeper.close()
-    tell.send((sequences, late))
+    report.send((sequences, late))
 
 
 def _connected(port: int, *, small: bool = False) -> socket.socket:
@@ -78,7 +78,7 @@ def _connected(port: int, *, small: bool = False) -> socket.socket:
 def clients(
     server: StreamServer, started_s: float, stalled: int
 ) -> Iterator[Callable[[], ClientRecord]]:
-    """Readers, and some that stall, in a process of their own; gives what they heard."""
+    """Run readers, and some that stall, in another process; yields how to get their record."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
     child = context.Process(

@@ -1,4 +1,4 @@
-"""Calibration rows of ``mechanics``: E, t and ν back from noisy data of another, finer mesh.
+"""Calibration rows of ``mechanics``: E, t and ν recovered from noisy data of a finer mesh.
 
 The sensor: cylinder60, made of another resin and wall than its design says. Synthetic camera
 data: the inward motion of every marker under presses of two patch sizes along the sensor, from a
@@ -7,9 +7,11 @@ each displacement, 0.5 µm, and 1 % of the force of each press.
 """
 
 import time
-from dataclasses import replace
+from dataclasses import astuple, replace
+from typing import Any
 
 import numpy as np
+from scipy.interpolate import BarycentricInterpolator
 
 from benchmarks.harness import Table
 from phytac_design.design.design_file import load_design
@@ -34,44 +36,37 @@ from phytac_shapes import Surface
 from phytac_shapes.arrays import FloatArray
 
 TRUTH = ShellParameters(modulus=2050.0, thickness=0.86, poisson=0.36)
+TRUTH_VALUES = np.array(astuple(TRUTH))
 PEAK_MM = 0.06
 NOISE_RELATIVE, NOISE_FLOOR_MM, NOISE_FORCE = 0.05, 0.0005, 0.01
 RADII_MM = (3.0, 8.0)
 SOURCE = "synthetic data of a finer mesh, 5 % noise"
 
 
-class Table2d:
+class InterpolatedResponse:
     """A response as a polynomial in thickness and ν through exact solutions, for fast repeats."""
 
     def __init__(self, exact: ProbeResponse, thickness: FloatArray, poisson: FloatArray) -> None:
-        self.grid = [thickness, poisson]
+        self.thickness, self.poisson = thickness, poisson
         found = [[exact(float(t), float(v), False) for v in poisson] for t in thickness]
         self.values = np.array([[r.value for r in row] for row in found])
         self.errors = np.array([[r.mesh_error for r in row] for row in found])
 
     def __call__(self, thickness_mm: float, poisson: float, with_poisson: bool, /) -> ProbeMotion:
         """Interpolate; the derivatives are those of the polynomial."""
-        (a, da), (b, db) = (
-            _lagrange(nodes, x) for nodes, x in zip(self.grid, (thickness_mm, poisson), strict=True)
-        )
+
+        def in_poisson(values: FloatArray) -> Any:
+            return BarycentricInterpolator(self.poisson, values, axis=-2)
+
+        along = BarycentricInterpolator(self.thickness, in_poisson(self.values)(poisson))
+        across = in_poisson(BarycentricInterpolator(self.thickness, self.values)(thickness_mm))
+        errors = BarycentricInterpolator(self.thickness, in_poisson(self.errors)(poisson))
         return ProbeMotion(
-            value=np.einsum("i,j,ijn->n", a, b, self.values, optimize=True),
-            thickness_rate=np.einsum("i,j,ijn->n", da, b, self.values, optimize=True),
-            poisson_rate=np.einsum("i,j,ijn->n", a, db, self.values, optimize=True)
-            if with_poisson
-            else None,
-            mesh_error=np.einsum("i,j,ijn->n", a, b, self.errors, optimize=True),
+            value=along(thickness_mm),
+            thickness_rate=along.derivative(thickness_mm),
+            poisson_rate=across.derivative(poisson) if with_poisson else None,
+            mesh_error=errors(thickness_mm),
         )
-
-
-def _lagrange(nodes: FloatArray, x: float) -> tuple[FloatArray, FloatArray]:
-    """Lagrange polynomials of the nodes at x, and their derivatives there, each (k,)."""
-    powers = np.arange(len(nodes))
-    scale, middle = np.ptp(nodes) / 2.0, nodes.mean()
-    vander = ((nodes - middle) / scale)[:, None] ** powers
-    z = (x - middle) / scale
-    slope = powers * z ** np.maximum(powers - 1, 0) / scale
-    return np.linalg.solve(vander.T, z**powers), np.linalg.solve(vander.T, slope)
 
 
 def presses(quick: bool) -> tuple[Surface, Measurements]:
@@ -120,22 +115,13 @@ def measured(rows: Measurements, per_newton: FloatArray, seed: int) -> Measureme
 
 def errors(fit: Calibration) -> FloatArray:
     """Relative errors of E and t, absolute of ν, (3,)."""
-    v = fit.value
-    return np.array(
-        [
-            v.modulus / TRUTH.modulus - 1,
-            v.thickness / TRUTH.thickness - 1,
-            v.poisson - TRUTH.poisson,
-        ]
-    )
+    return (np.array(astuple(fit.value)) - TRUTH_VALUES) / [*TRUTH_VALUES[:2], 1.0]
 
 
-def inside(fit: Calibration) -> list[bool]:
-    """Whether the truth lies in the interval, by parameter."""
-    names = ("modulus", "thickness", "poisson")
-    return [
-        getattr(fit.low, name) <= getattr(TRUTH, name) <= getattr(fit.high, name) for name in names
-    ]
+def inside(fit: Calibration) -> FloatArray:
+    """Whether the truth lies in the interval, by parameter, (3,)."""
+    low, high = np.array(astuple(fit.low)), np.array(astuple(fit.high))
+    return (low <= TRUTH_VALUES) & (high >= TRUTH_VALUES)
 
 
 def add_rows(table: Table, *, quick: bool) -> None:
@@ -147,16 +133,10 @@ def add_rows(table: Table, *, quick: bool) -> None:
     design = ShellParameters(modulus=2200.0, thickness=0.8, poisson=0.38)
     known = replace(design, poisson=TRUTH.poisson)
     start = time.perf_counter()
-    clean = _fit(
-        exact,
-        replace(
-            rows,
-            displacement_mm=per_newton * _ease(per_newton),
-            force_N=np.full(len(per_newton), _ease(per_newton)),
-        ),
-        known,
-        ("poisson",),
-    )
+    # A force that keeps every displacement in the linear range.
+    force = np.full(len(per_newton), PEAK_MM / np.abs(per_newton).max())
+    noiseless = replace(rows, displacement_mm=per_newton * force, force_N=force)
+    clean = _fit(exact, noiseless, known, ("poisson",))
     seconds = time.perf_counter() - start
     bias = errors(clean)
     for k, name in enumerate(("E", "t")):
@@ -170,7 +150,9 @@ def add_rows(table: Table, *, quick: bool) -> None:
     row = "calibration, time of one fit"
     source = f"{len(per_newton)} rows, meshes of {around} and {around * 3 // 2} around"
     table.add(row, seconds, "s", "none", source)
-    grid = Table2d(exact, np.linspace(0.76, 0.94, 3 if quick else 4), np.array([0.33, 0.38, 0.43]))
+    grid = InterpolatedResponse(
+        exact, np.linspace(0.76, 0.94, 3 if quick else 4), np.array([0.33, 0.38, 0.43])
+    )
     repeats = 10 if quick else 100
     cases: tuple[tuple[str, ShellParameters, tuple[Name, ...]], ...] = (
         ("ν known", known, ("poisson",)),
@@ -181,11 +163,6 @@ def add_rows(table: Table, *, quick: bool) -> None:
             _fit(grid, measured(rows, per_newton, seed), begin, fixed) for seed in range(repeats)
         ]
         _repeat_rows(table, label, fits)
-
-
-def _ease(per_newton: FloatArray) -> float:
-    """Force that keeps every displacement in the linear range."""
-    return float(PEAK_MM / np.abs(per_newton).max())
 
 
 def _fit(

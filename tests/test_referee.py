@@ -1,4 +1,4 @@
-"""The referee's frozen contacts and data: read back, complete, and refused when changed."""
+"""The referee's frozen contacts and data: read back, complete, of this sensor."""
 
 import json
 from dataclasses import replace
@@ -113,22 +113,6 @@ def test_same_contacts_same_bytes(grip: Sensor, tmp_path: Path) -> None:
         write_solved(tmp_path / name, grip.design, grip.markers, order)
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "b.npz"]
-
-
-@pytest.mark.parametrize("array", ["motion", "ids", "turn", "about"])
-def test_changed_files_are_refused(grip: Sensor, tmp_path: Path, array: str) -> None:
-    path = tmp_path / "grip.npz"
-    write_solved(path, grip.design, grip.markers, [made_up(grip)])
-    with np.load(path) as file:
-        arrays = {name: file[name].copy() for name in file.files}
-    if array == "about":
-        text = arrays["about"].tobytes().replace(b'"made up"', b'"made  p"')
-        arrays["about"] = np.frombuffer(text, dtype=np.uint8)
-    else:
-        arrays[array].flat[0] += 1
-    np.savez_compressed(path, **arrays)
-    with pytest.raises(DesignError, match="changed after it was written"):
-        read_solved(path, grip.design, grip.markers)
 
 
 def test_cut_and_foreign_files_are_refused(grip: Sensor, tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ Files
     killed and started again. Two to ten minutes of one core and 1 to 4 GB for each contact; needs
     Gmsh and ``ccx``. One run for each design at a time: use ``--processes`` for more.
 ``read.py``
-    Reads the data and refuses what was changed or belongs to another sensor.
+    Reads the data and rejects those of another sensor.
 
 ``python -m benchmarks.twin`` judges the twin's shell by them.
 """
